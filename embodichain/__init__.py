@@ -1,0 +1,17 @@
+"""The package's front door: `make` and `__version__`, both free of heavy imports.
+
+Nothing else lives here. `make` is found on first use, so that `import embodichain` stays fast.
+"""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from embodichain.config.make import make
+
+__version__ = "0.1.0"
+
+__getattr__, __dir__, _ = lazy_loader.attach(__name__, submod_attrs={"config.make": ["make"]})
+
+__all__ = ["__version__", "make"]

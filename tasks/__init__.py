@@ -1,0 +1,1 @@
+"""Python of single tasks: importing `embodichain.tasks` registers them with Gymnasium."""
