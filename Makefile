@@ -1,0 +1,72 @@
+# Everything from a bare machine: `make run`, `make test`. Needs Python 3.11+, git and make.
+#
+#   make run       set up, then run the main job
+#   make test      set up, then run every test      (PYTEST_ARGS="-m 'not slow'" leaves some out)
+#   make lint types imports     the other checks; `make check` is all of them
+#   make format    sort imports, lay out the code
+#   make pins      write constraints.txt from what .venv holds now
+#   make clean     remove .venv and what the tools left; outputs/ stays
+#
+# PYTHON=python3.13 chooses the interpreter, VENV=DIR the place.
+
+PYTHON ?= python3
+VENV ?= .venv
+PYTEST_ARGS ?=
+
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+PIP := $(BIN)/python -m pip --disable-pip-version-check
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help run venv test lint types imports check format pins clean system
+
+help:
+	@sed -n 's/^#   /  /p' Makefile
+
+run: venv
+	$(BIN)/embodichain run task=random_reach num_envs=4
+
+venv: $(STAMP)
+
+# The stamp is newer than both files: nothing is installed again.
+# torch comes first and pinned: asked for by another package, pip would take the newest one.
+# Without build isolation the pinned setuptools builds, not the newest.
+$(STAMP): pyproject.toml constraints.txt | system
+	$(PYTHON) -m venv $(VENV)
+	$(PIP) install -c constraints.txt setuptools torch
+	$(PIP) install -c constraints.txt --no-build-isolation -e '.[dev]'
+	touch $@
+
+system:
+	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed: make PYTHON=..." if sys.version_info < (3, 11) else 0)'
+	@sh scripts/system_deps.sh $(PYTHON)
+
+# loadfile: what a test module builds once (a wheel, a log) is built once.
+test: venv
+	$(BIN)/python -m pytest -n 2 --dist loadfile --cov --cov-report=term $(PYTEST_ARGS)
+
+lint: venv
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: venv
+	$(BIN)/mypy
+
+imports: venv
+	$(BIN)/lint-imports
+
+check: test lint types imports
+
+format: venv
+	$(BIN)/ruff check --fix-only .
+	$(BIN)/ruff format .
+
+pins: venv
+	$(BIN)/python scripts/pins.py > constraints.tmp
+	mv constraints.tmp constraints.txt
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .coverage .coverage.* htmlcov \
+	    .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -type d -not -path './.git/*' -prune -exec rm -rf {} +
