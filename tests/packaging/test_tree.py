@@ -1,0 +1,66 @@
+"""The tree itself: links, changelog, nothing of one machine in it, modules of a readable size."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+MAX_LINES = 400
+
+# Written so that no pattern matches its own source.
+REGISTRIES = re.compile(
+    r"pypi\.org|pythonhosted\.org|download\.pytorch\.org|npmjs\.(?:org|com)|yarnpkg\.com"
+    r"|deb\.debian\.org|archive\.ubuntu\.com|anaconda\.(?:org|com)|crates\.io"
+)
+MACHINE_PATHS = re.compile(r"(?<![\w.~-])/(?:work|root)/|(?<![\w.~-])/(?:home|Users)/\w|/tmp/w\b")
+
+
+@pytest.fixture(scope="module")
+def texts(repo: Path, tracked: dict[str, str]) -> dict[str, str]:
+    """Path -> text of every tracked file that is text."""
+    found = {}
+    for path, mode in tracked.items():
+        data = (repo / path).read_bytes() if mode != "120000" else b""
+        if b"\0" not in data:
+            found[path] = data.decode()
+    return found
+
+
+@pytest.mark.parametrize("link", ["conf", "tasks"])
+def test_links_are_committed_as_links(repo: Path, tracked: dict[str, str], link: str) -> None:
+    assert tracked[f"embodichain/{link}"] == "120000"
+    assert (repo / "embodichain" / link).readlink() == Path("..") / link
+    assert (repo / link / "__init__.py").is_file()
+
+
+def test_package_is_typed(tracked: dict[str, str]) -> None:
+    assert "embodichain/py.typed" in tracked
+
+
+def test_changelog_has_an_unreleased_section_with_entries(texts: dict[str, str]) -> None:
+    sections = re.split(r"^## ", texts["CHANGELOG.md"], flags=re.MULTILINE)[1:]
+    assert sections[0].startswith("[Unreleased]")
+    assert re.search(r"^- \S", sections[0], re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    "pattern", [REGISTRIES, MACHINE_PATHS], ids=["registries", "machine paths"]
+)
+def test_no_file_names_one_machine(texts: dict[str, str], pattern: re.Pattern[str]) -> None:
+    hits = [f"{path}: {m[0]}" for path, text in texts.items() for m in pattern.finditer(text)]
+    assert hits == []
+
+
+def test_patterns_find_what_they_are_for() -> None:
+    assert REGISTRIES.search("https://" + "pypi" + ".org/simple")
+    assert MACHINE_PATHS.search("open('" + "/root" + "/x')")
+    assert not MACHINE_PATHS.search("docs/root/x and https://example.com/work/x")
+
+
+def test_modules_stay_small(texts: dict[str, str]) -> None:
+    code = {
+        p: t
+        for p, t in texts.items()
+        if p.endswith(".py") and p.startswith(("embodichain/", "tasks/"))
+    }
+    assert {p: n for p, t in code.items() if (n := t.count("\n")) > MAX_LINES} == {}
