@@ -90,7 +90,16 @@ def test_python_without_venv_stops(machine: Machine) -> None:
 
 def make(repo: Path, goal: str, venv: Path) -> str:
     """Lists what `make` would do, without doing it."""
-    command = ["make", "-n", "-C", repo, goal, f"VENV={venv}", f"PYTHON={sys.executable}"]
+    command = [
+        "make",
+        "--no-print-directory",
+        "-n",
+        "-C",
+        repo,
+        goal,
+        f"VENV={venv}",
+        f"PYTHON={sys.executable}",
+    ]
     # A make above this test would hand its own flags down.
     clean = {k: v for k, v in os.environ.items() if not k.startswith("MAKE")}
     done = subprocess.run(command, capture_output=True, text=True, check=True, env=clean)
