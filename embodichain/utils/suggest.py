@@ -1,0 +1,46 @@
+"""Closest matches for misspelt names: "Did you mean 'x'?". Knows nothing of what the names are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import SequenceMatcher
+
+__all__ = ["closest", "did_you_mean"]
+
+
+def closest(word: str, candidates: Iterable[str], n: int = 1, cutoff: float = 0.6) -> list[str]:
+    """Return the candidates that look most like `word`, best first; case does not count.
+
+    Args:
+        word: What was written.
+        candidates: What could have been meant. Duplicates count once.
+        n: How many to return at most.
+        cutoff: Least similarity in [0, 1]; 1 asks for equality but for case.
+
+    Returns:
+        At most `n` candidates, spelt as given. Ties keep the order of `candidates`.
+
+    Raises:
+        ValueError: `n` is not positive, or `cutoff` lies outside [0, 1].
+    """
+    if n < 1:
+        raise ValueError(f"n must be at least 1, got {n}")
+    if not 0.0 <= cutoff <= 1.0:
+        raise ValueError(f"cutoff must lie in [0, 1], got {cutoff}")
+    matcher = SequenceMatcher(autojunk=False)
+    matcher.set_seq2(word.casefold())  # seq2 is the side whose analysis is kept between calls
+    scored: list[tuple[float, str]] = []
+    for candidate in dict.fromkeys(candidates):
+        matcher.set_seq1(candidate.casefold())
+        if matcher.real_quick_ratio() >= cutoff and matcher.quick_ratio() >= cutoff:
+            ratio = matcher.ratio()
+            if ratio >= cutoff:
+                scored.append((ratio, candidate))
+    scored.sort(key=lambda item: -item[0])  # stable: ties keep their order
+    return [candidate for _, candidate in scored[:n]]
+
+
+def did_you_mean(word: str, candidates: Iterable[str]) -> str:
+    """Return ``" Did you mean 'x'?"`` to append to a message, or ``""`` when nothing is close."""
+    matches = closest(word, candidates)
+    return f" Did you mean '{matches[0]}'?" if matches else ""
