@@ -12,7 +12,7 @@ REGISTRIES = re.compile(
     r"pypi\.org|pythonhosted\.org|download\.pytorch\.org|npmjs\.(?:org|com)|yarnpkg\.com"
     r"|deb\.debian\.org|archive\.ubuntu\.com|anaconda\.(?:org|com)|crates\.io"
 )
-MACHINE_PATHS = re.compile(r"(?<![\w.~-])/(?:work|root)/|(?<![\w.~-])/(?:home|Users)/\w|/tmp/w\b")
+MACHINE_PATHS = re.compile(r"(?<![\w.~-])/(?:work|root)/|(?<![\w.~-])/(?:home|Users)/\w|/tmp/\w")
 
 
 @pytest.fixture(scope="module")
