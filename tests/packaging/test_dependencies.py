@@ -14,12 +14,6 @@ from packaging.utils import canonicalize_name
 
 from scripts.pins import closure
 
-# Imported for a file type, not by name in our code: each with who asks for it.
-UNNAMED = {
-    "zstandard",  # mcap, to compress chunks
-    "protobuf",  # imported as google.protobuf, which no distribution owns alone
-}
-
 
 @pytest.fixture(scope="module")
 def project(repo: Path) -> dict[str, Any]:
@@ -63,7 +57,7 @@ def test_what_is_imported_is_declared(repo: Path, project: dict[str, Any]) -> No
 
 
 def test_what_is_declared_is_imported(repo: Path, project: dict[str, Any]) -> None:
-    assert names(project["dependencies"]) - set(imports(repo)) - UNNAMED == set()
+    assert names(project["dependencies"]) - set(imports(repo)) == set()
 
 
 def test_every_package_that_is_needed_is_pinned(pins: dict[str, str]) -> None:
