@@ -1,0 +1,1 @@
+"""What a scene is (`sim`) and what a task is (`gym`)."""

@@ -1,0 +1,1 @@
+"""What a task is: environments, managers, terms, registration."""

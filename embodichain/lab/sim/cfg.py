@@ -1,0 +1,320 @@
+"""What a scene is made of, as pure data: simulation, robots, objects, drives.
+
+Names, order and defaults are EmbodiChain 0.2.1's; fields after `# ours` are this project's and
+keyword-only. Fields that mean nothing to MuJoCo are accepted and say so ("No effect"). Nothing here
+imports MuJoCo or torch: `compiler` and `sim_manager` give these classes their meaning.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg
+from embodichain.utils.configclass import configclass
+
+__all__ = [
+    "ArticulationCfg",
+    "GPUMemoryCfg",
+    "JointDrivePropertiesCfg",
+    "LightCfg",
+    "MarkerCfg",
+    "ObjectBaseCfg",
+    "PhysicsCfg",
+    "RenderCfg",
+    "RigidBodyAttributesCfg",
+    "RigidObjectCfg",
+    "RobotCfg",
+    "SimulationManagerCfg",
+    "WindowRecordCfg",
+]
+
+Vec3 = Annotated[Sequence[float], Field(min_length=3, max_length=3)]
+Quat = Annotated[Sequence[float], Field(min_length=4, max_length=4)]
+PerJoint = float | dict[str, float]
+"""One value for all joints, or values keyed by joint-name regex or control-part name."""
+
+
+@configclass
+class RenderCfg:
+    """Renderer choice. Every value of EmbodiChain's is accepted and drawn by MuJoCo's renderer."""
+
+    renderer: Literal["hybrid", "fast-rt", "rt", "auto", "no-render"] = "hybrid"
+    enable_denoiser: bool = True
+    """No effect: MuJoCo rasterizes."""
+    spp: int = 64
+    """No effect: MuJoCo rasterizes."""
+
+
+@configclass
+class PhysicsCfg:
+    """Physics options; the PhysX ones have no effect on MuJoCo."""
+
+    gravity: Vec3 = dataclasses.field(default_factory=lambda: [0.0, 0.0, -9.81])
+    """m/s^2, world frame."""
+    bounce_threshold: float = 2.0
+    """No effect."""
+    enable_pcm: bool = True
+    """No effect."""
+    enable_tgs: bool = True
+    """No effect."""
+    enable_ccd: bool = False
+    """No effect."""
+    enable_enhanced_determinism: bool = False
+    """No effect: always deterministic."""
+    enable_friction_every_iteration: bool = True
+    """No effect."""
+    length_tolerance: float = 0.05
+    """No effect."""
+    speed_tolerance: float = 0.25
+    """No effect."""
+    # ours
+    solver: Literal["Newton", "CG", "PGS"] = dataclasses.field(default="Newton", kw_only=True)
+    iterations: int = dataclasses.field(default=100, kw_only=True)
+    """Most solver iterations a physics step."""
+    integrator: Literal["implicitfast", "implicit", "Euler", "RK4"] = dataclasses.field(
+        default="implicitfast", kw_only=True
+    )
+    cone: Literal["pyramidal", "elliptic"] = dataclasses.field(default="pyramidal", kw_only=True)
+
+
+@configclass
+class GPUMemoryCfg:
+    """PhysX buffer sizes. No effect."""
+
+    temp_buffer_capacity: int = 2**24
+    max_rigid_contact_count: int = 2**19
+    max_rigid_patch_count: int = 2**18
+    heap_capacity: int = 2**26
+    found_lost_pairs_capacity: int = 2**25
+    found_lost_aggregate_pairs_capacity: int = 2**10
+    total_aggregate_pairs_capacity: int = 2**10
+
+
+@configclass
+class WindowRecordCfg:
+    """Recording from the viewer's window. Accepted; the log is the recording here."""
+
+    enable_hotkey: bool = True
+    save_path: str | None = None
+    fps: int = 20
+    max_memory: int = 1024
+    video_prefix: str = "viewer_record"
+
+
+@configclass
+class SimulationManagerCfg:
+    """One simulation: how it runs, and the physics every environment shares."""
+
+    width: int = 1920
+    """Window width in pixels."""
+    height: int = 1080
+    headless: bool = False
+    """False opens a viewer where a display exists, and warns where none does."""
+    render_cfg: RenderCfg = RenderCfg()
+    gpu_id: int = 0
+    """No effect on the CPU."""
+    thread_mode: Any = "RENDER_SHARE_ENGINE"
+    """No effect."""
+    cpu_num: int = 1
+    """No effect; see `num_threads`."""
+    num_envs: int = 1
+    """Overwritten by `EnvCfg.num_envs`."""
+    arena_space: float = 5.0
+    """Grid pitch in metres between environments, in viewers and logs only."""
+    physics_dt: float = 0.01
+    """Seconds a physics step."""
+    sim_device: Any = "cpu"
+    """The string "cpu" or a `torch.device("cpu")`; CUDA comes with its own engine."""
+    physics_config: PhysicsCfg = PhysicsCfg()
+    gpu_memory_config: GPUMemoryCfg = GPUMemoryCfg()
+    window_record: WindowRecordCfg = WindowRecordCfg()
+    # ours
+    num_threads: int = dataclasses.field(default=0, kw_only=True)
+    """Physics threads; 0 uses every core the process may use."""
+    persistent: bool | None = dataclasses.field(default=None, kw_only=True)
+    """One MjData per environment (fast, 200 kB each) or per thread; None chooses by `num_envs`."""
+    ground_plane: bool = dataclasses.field(default=True, kw_only=True)
+    """Whether the `default_plane` at z = 0 exists."""
+
+
+@configclass
+class ObjectBaseCfg:
+    """Name and initial pose of anything in a scene."""
+
+    uid: str | None = None
+    init_pos: Vec3 = (0.0, 0.0, 0.0)
+    """Metres, in the environment's own frame."""
+    init_rot: Vec3 = (0.0, 0.0, 0.0)
+    """Euler angles in degrees, intrinsic XYZ (R = Rx Ry Rz)."""
+    init_local_pose: Any = None
+    """A 4x4 matrix; wins over `init_pos` and `init_rot` when given."""
+    # ours
+    init_quat: Quat | None = dataclasses.field(default=None, kw_only=True)
+    """wxyz; wins over `init_rot` when given."""
+
+
+@configclass
+class RigidBodyAttributesCfg:
+    """Mass, damping, friction and contact of a rigid body."""
+
+    mass: float = 1.0
+    """kg; 0 means: from `density`."""
+    density: float = 1000.0
+    """kg/m^3, used when `mass` is 0."""
+    angular_damping: float = 0.7
+    """1/s: torque = -angular_damping x inertia x angular velocity."""
+    linear_damping: float = 0.7
+    """1/s: force = -linear_damping x mass x velocity."""
+    max_depenetration_velocity: float = 10.0
+    """No effect."""
+    sleep_threshold: float = 0.001
+    """No effect."""
+    min_position_iters: int = 4
+    """No effect."""
+    min_velocity_iters: int = 1
+    """No effect."""
+    max_linear_velocity: float = 1e2
+    """No effect."""
+    max_angular_velocity: float = 1e2
+    """No effect."""
+    enable_ccd: bool = False
+    """No effect."""
+    contact_offset: float = 0.002
+    """No effect: MuJoCo's soft contacts need no offset."""
+    rest_offset: float = 0.0
+    """No effect."""
+    enable_collision: bool = True
+    restitution: float = 0.0
+    """No effect: MuJoCo has no restitution coefficient."""
+    dynamic_friction: float = 0.5
+    """Sliding friction; a contact takes the larger of its two bodies' values."""
+    static_friction: float = 0.5
+    """No effect: MuJoCo has one sliding coefficient, `dynamic_friction`."""
+
+
+@configclass
+class JointDrivePropertiesCfg:
+    """PD drives of an articulation's joints, one value or a map by joint regex or control part."""
+
+    drive_type: Literal["force", "acceleration", "none"] = "force"
+    stiffness: PerJoint = 1e4
+    """N m/rad or N/m."""
+    damping: PerJoint = 1e3
+    """N m s/rad or N s/m; also the joint's own implicit damping."""
+    max_effort: PerJoint | Literal["file"] = 1e10
+    """N m or N. "file" takes the limits of the URDF or MJCF; the default is no limit."""
+    max_velocity: PerJoint = 1e10
+    """No effect on the motion (MuJoCo has no velocity limit); read back as given."""
+    friction: PerJoint = 0.0
+    """Dry friction loss, N m or N."""
+    # ours
+    armature: PerJoint | None = dataclasses.field(default=None, kw_only=True)
+    """Reflected rotor inertia, kg m^2; None keeps the file's."""
+
+
+@configclass
+class ArticulationCfg(ObjectBaseCfg):
+    """A jointed mechanism read from a URDF or MJCF file."""
+
+    fpath: str | None = None
+    """What `embodichain.data.get_data_path` finds: .urdf or .xml."""
+    drive_pros: JointDrivePropertiesCfg = JointDrivePropertiesCfg(drive_type="none")
+    body_scale: Vec3 = (1.0, 1.0, 1.0)
+    """Only (1, 1, 1) for now."""
+    attrs: RigidBodyAttributesCfg = RigidBodyAttributesCfg()
+    """Friction and collision of all links; mass and inertia come from the file."""
+    fix_base: bool = True
+    disable_self_collision: bool = True
+    init_qpos: Any = None
+    """(D,) values or {joint regex: value}; None is the file's keyframe, else zeros. rad or m."""
+    sleep_threshold: float = 0.005
+    """No effect."""
+    min_position_iters: int = 4
+    """No effect."""
+    min_velocity_iters: int = 1
+    """No effect."""
+    build_pk_chain: bool = True
+    """No effect: kinematics are MuJoCo's."""
+    compute_uv: bool = False
+    """No effect."""
+    use_usd_properties: bool = False
+    """No effect: USD is not read."""
+
+
+@configclass
+class RobotCfg(ArticulationCfg):
+    """An articulation with drives and named parts."""
+
+    drive_pros: JointDrivePropertiesCfg = JointDrivePropertiesCfg(drive_type="force")
+    control_parts: dict[str, list[str]] | None = None
+    """Part name -> joint-name regexes."""
+    urdf_cfg: Any = None
+    """URDF assembly; not available yet (raises NotImplementedError)."""
+    solver_cfg: Any = None
+    """IK solvers; not available yet (raises NotImplementedError)."""
+
+
+@configclass
+class RigidObjectCfg(ObjectBaseCfg):
+    """One rigid body with one shape."""
+
+    shape: AnyShapeCfg = CubeCfg()
+    attrs: RigidBodyAttributesCfg = RigidBodyAttributesCfg()
+    body_type: Literal["dynamic", "kinematic", "static"] = "dynamic"
+    """dynamic: simulated; kinematic: moved only by code; static: never moves."""
+    max_convex_hull_num: int = 1
+    """Only 1: MuJoCo collides a mesh by its convex hull."""
+    sdf_resolution: int = 0
+    """No effect."""
+    body_scale: Vec3 = (1.0, 1.0, 1.0)
+    """Multiplies the shape's size."""
+    use_usd_properties: bool = False
+    """No effect: USD is not read."""
+
+
+@configclass
+class LightCfg(ObjectBaseCfg):
+    """A light for pictures; physics ignores it."""
+
+    light_type: Literal["point", "sun", "direction", "spot"] = "point"
+    color: Vec3 = (1.0, 1.0, 1.0)
+    """RGB in [0, 1]."""
+    intensity: float = 30.0
+    """Relative brightness; 30 is MuJoCo's full diffuse colour."""
+    direction: Vec3 = (0.0, 0.0, -1.0)
+
+
+@configclass
+class MarkerCfg:
+    """A coordinate frame drawn for people. Drawing it is left to the viewers."""
+
+    name: str = "marker"
+    marker_type: str = "axis"
+    axis_xpos: Any = None
+    axis_size: float = 0.002
+    axis_len: float = 0.005
+    arena_index: int = 0
+
+
+def name_of(cfg: ObjectBaseCfg) -> str:
+    """Return the uid of an entity, an articulation's falling back to its file's stem.
+
+    Raises:
+        ValueError: If there is neither.
+    """
+    if cfg.uid:
+        return cfg.uid
+    fpath = getattr(cfg, "fpath", None)
+    if fpath:
+        return str(fpath).replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0]
+    raise ValueError(f"{type(cfg).__name__} has no uid")
+
+
+# Kept for annotations of user code.
+FloatArray = Sequence[float] | np.ndarray
+JointValues = FloatArray | Mapping[str, float]

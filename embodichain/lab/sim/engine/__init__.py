@@ -1,0 +1,1 @@
+"""What steps the batch: one contract (`base`), one implementation a device."""

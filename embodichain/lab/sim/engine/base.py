@@ -1,0 +1,139 @@
+"""The contract between the scene and whatever steps its batch: `Engine`, and what it reports.
+
+`cpu.py` implements it on `mujoco.batch`; a CUDA engine comes behind the same one. No torch here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["Engine", "EngineListener", "EnvIndex", "F64", "PhysicsEvent", "Write"]
+
+F64 = NDArray[np.float64]
+EnvIndex = NDArray[np.int64]
+"""Sorted unique environment indices."""
+
+
+@dataclass(frozen=True, slots=True)
+class Write:
+    """One write to the simulation outside physics, exactly as it was applied.
+
+    Attributes:
+        op: ``state`` sets columns of state rows; ``model`` sets columns of a per-environment model
+            field; ``reset`` gives rows MuJoCo's reset state (`mj_resetData`), ``values`` is None;
+            ``set_const`` recomputes the constants that MuJoCo derives, ``values`` is None;
+            ``forward`` ran `mj_forward` (it may change nothing of the row), ``values`` is None.
+        field: A component of the state row (``qpos``, ``ctrl``, ``mocap_pos``, ``row`` for whole
+            rows...) or a model field (``body_mass``, ``opt.gravity``); empty for other ops.
+        env_ids: (n,) int64, or None for all N.
+        columns: Columns within the flattened field, (k,) int64; or a slice.
+        values: (n, k) float64, never aliasing the engine, or None.
+    """
+
+    op: Literal["state", "model", "reset", "set_const", "forward"]
+    field: str
+    env_ids: EnvIndex | None
+    columns: NDArray[np.int64] | slice
+    values: F64 | None
+
+
+@dataclass(frozen=True, slots=True)
+class PhysicsEvent:
+    """Physics is about to step (``before``) or has just stepped (``after``).
+
+    Attributes:
+        phase: Which of the two.
+        nstep: Physics steps of this call.
+        env_ids: (n,) environments that step, or None for all.
+        rows: (N, nstate) **live** integration-state rows: copy what you keep.
+        failed: After: (m,) environments in which the engine raised and kept the previous row.
+    """
+
+    phase: Literal["before", "after"]
+    nstep: int
+    env_ids: EnvIndex | None
+    rows: F64
+    failed: EnvIndex | None = None
+
+
+class EngineListener(Protocol):
+    """Hears everything that changes the simulation."""
+
+    def on_write(self, write: Write) -> None:
+        """Called after a write was applied to the rows or model fields."""
+
+    def on_physics(self, event: PhysicsEvent) -> None:
+        """Called right before and right after physics steps."""
+
+
+class Engine(Protocol):
+    """N simulations of one model.
+
+    All arrays are float64 numpy, row *i* is environment *i*. `env_ids` is None (all) or sorted
+    unique int64. Reads marked *fresh* run the position and velocity stages of environments whose
+    rows changed since.
+    """
+
+    model: mujoco.MjModel
+    num_envs: int
+    listeners: list[EngineListener]
+
+    @property
+    def rows(self) -> F64:
+        """(N, nstate) live integration-state rows (`mjSTATE_INTEGRATION`). Do not write."""
+
+    def component(self, name: str) -> slice:
+        """Columns of a state component (``qpos``, ``mocap_pos``...) within a row."""
+
+    def state(self, name: str) -> F64:
+        """(N, width) live view of a state component. Read only: writes go through `write`."""
+
+    def derived(self, name: str) -> F64:
+        """(N, ...) fresh position- or velocity-stage field (``xpos``, ``cvel``, ``sensordata``)."""
+
+    def acceleration(self, name: str) -> F64:
+        """(N, ...) acceleration-stage field as of the last physics step (``qfrc_actuator``)."""
+
+    def step(self, nstep: int, env_ids: EnvIndex | None = None) -> None:
+        """Advance physics; afterwards `take_diverged` knows who failed."""
+
+    def forward(self, env_ids: EnvIndex | None = None) -> None:
+        """Compute every derived field, acceleration stage included, without stepping."""
+
+    def reset(self, env_ids: EnvIndex | None = None) -> None:
+        """Give rows MuJoCo's reset state: warm start, ctrl, act, applied forces, time."""
+
+    def write(
+        self,
+        field: str,
+        values: Any,
+        env_ids: EnvIndex | None = None,
+        columns: NDArray[np.int64] | slice = slice(None),
+    ) -> None:
+        """Set columns of a state component; the one seam for writes outside physics."""
+
+    def write_model(
+        self,
+        field: str,
+        values: Any,
+        env_ids: EnvIndex | None = None,
+        columns: NDArray[np.int64] | slice = slice(None),
+    ) -> None:
+        """Set columns of a flattened model field per environment."""
+
+    def set_const(self, env_ids: EnvIndex | None = None) -> None:
+        """Recompute what MuJoCo derives from model fields (`mj_setConst`)."""
+
+    def take_diverged(self) -> NDArray[np.bool_] | None:
+        """(N,) mask of environments that diverged since the last call, or None for nobody."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Rows, per-environment model fields and warning counters (copies)."""
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue exactly where `state_dict` was taken."""

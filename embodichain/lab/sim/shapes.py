@@ -1,0 +1,168 @@
+"""Shapes of rigid objects: pure data, full sizes in metres.
+
+`embodichain.lab.sim.compiler` turns them into geometry; nothing here imports MuJoCo.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from embodichain.utils.configclass import configclass
+from embodichain.utils.errors import ConfigError
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = [
+    "AnyShapeCfg",
+    "CapsuleCfg",
+    "CubeCfg",
+    "CylinderCfg",
+    "LoadOption",
+    "MeshCfg",
+    "PlaneCfg",
+    "ShapeCfg",
+    "SphereCfg",
+    "VisualMaterialCfg",
+]
+
+
+@configclass
+class VisualMaterialCfg:
+    """How a surface looks. Only `base_color` reaches MuJoCo's renderer."""
+
+    uid: str = "default_mat"
+    base_color: list[float] = [1.0, 1.0, 1.0, 1.0]
+    """RGBA in [0, 1]."""
+    metallic: float = 0.0
+    roughness: float = 0.5
+    emissive: list[float] = [0.0, 0.0, 0.0]
+    emissive_intensity: float = 1.0
+    ior: float = 1.5
+    """Accepted for compatibility; MuJoCo's renderer has no refraction."""
+
+
+@configclass
+class ShapeCfg:
+    """Base of all shapes; `shape_type` names the concrete one."""
+
+    shape_type: str = ""
+    visual_material: VisualMaterialCfg | None = None
+
+    @classmethod
+    def from_dict(cls, init_dict: dict[str, Any]) -> ShapeCfg:
+        """Build the shape that ``init_dict["shape_type"]`` names.
+
+        Raises:
+            ConfigError: If the type or a key is unknown; lists what exists.
+        """
+        data = dict(init_dict)
+        kind = str(data.pop("shape_type", ""))
+        shape = _SHAPES.get(kind)
+        if shape is None:
+            raise ConfigError(
+                f"unknown shape_type {kind!r}; one of: {', '.join(_SHAPES)}."
+                f"{did_you_mean(kind, _SHAPES)}"
+            )
+        unknown = [k for k in data if k not in shape.__dataclass_fields__]
+        if unknown:
+            raise ConfigError(f"{kind} has no keys {unknown}; it has {[*shape.__dataclass_fields__]}")
+        return shape(**data)
+
+
+@configclass
+class CubeCfg(ShapeCfg):
+    """A box."""
+
+    shape_type: Literal["Cube"] = "Cube"
+    visual_material: VisualMaterialCfg | None = None
+    size: Annotated[list[float], Field(min_length=3, max_length=3)] = [1.0, 1.0, 1.0]
+    """Full edge lengths along x, y, z in metres."""
+
+
+@configclass
+class SphereCfg(ShapeCfg):
+    """A ball."""
+
+    shape_type: Literal["Sphere"] = "Sphere"
+    visual_material: VisualMaterialCfg | None = None
+    radius: float = 1.0
+    """Metres."""
+    resolution: int = 20
+    """Accepted for compatibility; MuJoCo's sphere is exact."""
+
+
+@configclass
+class CylinderCfg(ShapeCfg):
+    """A cylinder along its z axis."""
+
+    shape_type: Literal["Cylinder"] = "Cylinder"
+    visual_material: VisualMaterialCfg | None = None
+    radius: float = 0.5
+    """Metres."""
+    height: float = 1.0
+    """Full height in metres."""
+
+
+@configclass
+class CapsuleCfg(ShapeCfg):
+    """A cylinder along z with half-spheres at both ends."""
+
+    shape_type: Literal["Capsule"] = "Capsule"
+    visual_material: VisualMaterialCfg | None = None
+    radius: float = 0.5
+    """Metres."""
+    height: float = 1.0
+    """Length of the cylindrical part in metres, without the caps."""
+
+
+@configclass
+class PlaneCfg(ShapeCfg):
+    """An infinite plane with normal +z; only for static objects."""
+
+    shape_type: Literal["Plane"] = "Plane"
+    visual_material: VisualMaterialCfg | None = None
+    size: Annotated[list[float], Field(min_length=2, max_length=2)] = [0.0, 0.0]
+    """Rendered full edge lengths along x, y in metres; 0 draws it endless. Collision is infinite."""
+
+
+@configclass
+class LoadOption:
+    """How a mesh file is read. Accepted for compatibility; MuJoCo's importer decides."""
+
+    rebuild_normals: bool = False
+    rebuild_tangent: bool = False
+    rebuild_3rdparty_normals: bool = False
+    rebuild_3rdparty_tangent: bool = False
+    smooth: float = -1.0
+
+
+@configclass
+class MeshCfg(ShapeCfg):
+    """A mesh file; its convex hull collides."""
+
+    shape_type: Literal["Mesh"] = "Mesh"
+    visual_material: VisualMaterialCfg | None = None
+    fpath: str = ""
+    """A path that `embodichain.data.get_data_path` finds: .obj, .stl or .msh."""
+    load_option: LoadOption = LoadOption()
+    compute_uv: bool = False
+    """Accepted for compatibility."""
+    project_direction: list[float] = [1.0, 1.0, 1.0]
+    """Accepted for compatibility."""
+
+
+_SHAPES: dict[str, type[ShapeCfg]] = {
+    "Cube": CubeCfg,
+    "Sphere": SphereCfg,
+    "Cylinder": CylinderCfg,
+    "Capsule": CapsuleCfg,
+    "Plane": PlaneCfg,
+    "Mesh": MeshCfg,
+}
+
+AnyShapeCfg = Annotated[
+    CubeCfg | SphereCfg | CylinderCfg | CapsuleCfg | PlaneCfg | MeshCfg,
+    Field(discriminator="shape_type"),
+]
+"""The union that YAML is checked against; `shape_type` selects the member."""

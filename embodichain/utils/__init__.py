@@ -1,0 +1,1 @@
+"""Small helpers that know nothing of simulation: poses, random streams, errors, config classes."""

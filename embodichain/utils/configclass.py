@@ -1,0 +1,127 @@
+"""`@configclass`: dataclasses whose mutable defaults are safe to write inline.
+
+The surface follows EmbodiChain's decorator of the same name: un-annotated members become fields,
+mutable defaults are deep-copied per instance, and `to_dict`, `replace`, `copy` and `validate` are
+added. Checking YAML against these classes lives in `embodichain.config`, not here.
+"""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+from collections.abc import Callable, Mapping
+from types import FunctionType
+from typing import Any, TypeVar, dataclass_transform, overload
+
+__all__ = ["MISSING", "config_to_dict", "configclass"]
+
+T = TypeVar("T")
+
+MISSING: Any = dataclasses.MISSING
+"""Marks a field that the user must set; `validate()` lists the ones still unset."""
+
+# Keys of a config are closed: pydantic reads this when it validates YAML against the class.
+_PYDANTIC_CONFIG = {"extra": "forbid", "arbitrary_types_allowed": True}
+_PLAIN = (int, float, complex, str, bytes, bool, type(None), tuple, frozenset, type, FunctionType)
+
+
+@overload
+def configclass(cls: type[T], /) -> type[T]: ...
+@overload
+def configclass(*, kw_only: bool = False) -> Callable[[type[T]], type[T]]: ...
+
+
+@dataclass_transform(field_specifiers=(dataclasses.field,))
+def configclass(
+    cls: type[T] | None = None, /, *, kw_only: bool = False
+) -> type[T] | Callable[[type[T]], type[T]]:
+    """Turn a class into a configuration dataclass.
+
+    Args:
+        cls: The class; its annotations (and un-annotated public members) become fields.
+        kw_only: Whether the class's own fields are keyword-only.
+
+    Returns:
+        The dataclass, with `to_dict`, `replace`, `copy` and `validate` added unless it has them.
+    """
+    if cls is None:
+        return lambda c: _process(c, kw_only)
+    return _process(cls, kw_only)
+
+
+def _process(cls: type[T], kw_only: bool) -> type[T]:
+    annotations = dict(cls.__dict__.get("__annotations__", {}))
+    for name, value in list(vars(cls).items()):
+        if name.startswith("__") or isinstance(value, (property, classmethod, staticmethod)):
+            continue
+        if name not in annotations:
+            if callable(value) or isinstance(value, dataclasses.Field):
+                continue
+            annotations[name] = "Any" if value is None else type(value).__name__
+        if not isinstance(value, (*_PLAIN, dataclasses.Field)) and value is not MISSING:
+            setattr(cls, name, dataclasses.field(default_factory=_copier(value)))
+    cls.__annotations__ = annotations
+    result = dataclasses.dataclass(kw_only=kw_only)(cls)
+    setattr(result, "__pydantic_config__", _PYDANTIC_CONFIG)  # noqa: B010  (not a declared member)
+    for name, method in _METHODS.items():
+        if name not in vars(result) and not hasattr(result, name):
+            setattr(result, name, method)
+    return result
+
+
+def _copier(value: Any) -> Callable[[], Any]:
+    return lambda: copy.deepcopy(value)
+
+
+def config_to_dict(cfg: object) -> dict[str, Any]:
+    """Return a config as nested plain dicts and lists (deep copy).
+
+    Args:
+        cfg: A configclass instance.
+
+    Returns:
+        One entry per field; nested configs become dicts, everything else is deep-copied.
+    """
+    return {f.name: _plain(getattr(cfg, f.name)) for f in dataclasses.fields(cfg)}  # type: ignore[arg-type]
+
+
+def _plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return config_to_dict(value)
+    if isinstance(value, Mapping):
+        return {k: _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    return copy.deepcopy(value)
+
+
+def _replace(self: Any, **changes: Any) -> Any:
+    """Return a deep copy of this config with some fields changed."""
+    return dataclasses.replace(copy.deepcopy(self), **changes)
+
+
+def _validate(self: Any, prefix: str = "") -> None:
+    """Raise TypeError listing every field that is still MISSING, nested ones included."""
+    missing = list(_missing(self, prefix or type(self).__name__))
+    if missing:
+        raise TypeError(f"Missing values: {', '.join(missing)}")
+
+
+def _missing(value: Any, path: str) -> list[str]:
+    if value is MISSING:
+        return [path]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        items = [(f"{path}.{f.name}", getattr(value, f.name)) for f in dataclasses.fields(value)]
+    elif isinstance(value, Mapping):
+        items = [(f"{path}.{k}", v) for k, v in value.items()]
+    else:
+        return []
+    return [name for child, v in items for name in _missing(v, child)]
+
+
+_METHODS: dict[str, Callable[..., Any]] = {
+    "to_dict": config_to_dict,
+    "replace": _replace,
+    "copy": _replace,
+    "validate": _validate,
+}

@@ -1,0 +1,130 @@
+"""Random numbers that depend only on (seed, environment, stream name, how many were drawn before).
+
+A stream is a counter per environment; a draw hashes (key, counter) with SplitMix64's finalizer
+(Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014). There is
+no generator object per environment and no global state, so environment *i* sees the same numbers
+whatever the number of environments is and whichever of them draw.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["RandomStreams"]
+
+U64 = NDArray[np.uint64]
+_GAMMA = np.uint64(0x9E3779B97F4A7C15)
+_MIX1 = np.uint64(0xBF58476D1CE4E5B9)
+_MIX2 = np.uint64(0x94D049BB133111EB)
+_S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
+_UNIT = 2.0**-53
+
+
+def _mix(z: U64) -> U64:
+    """SplitMix64's output function, in place."""
+    z ^= z >> _S30
+    z *= _MIX1
+    z ^= z >> _S27
+    z *= _MIX2
+    z ^= z >> _S31
+    return z
+
+
+class RandomStreams:
+    """Named counter-based streams for N environments.
+
+    Args:
+        seed: Any integer.
+        num_envs: N.
+    """
+
+    def __init__(self, seed: int, num_envs: int) -> None:
+        self.seed = int(seed)
+        self.num_envs = num_envs
+        self._keys: dict[str, U64] = {}
+        self._counters: dict[str, U64] = {}
+        self._steps: dict[int, U64] = {}
+
+    def _stream(self, name: str) -> tuple[U64, U64]:
+        keys = self._keys.get(name)
+        if keys is None:
+            digest = hashlib.blake2b(f"{self.seed}\0{name}".encode(), digest_size=8).digest()
+            base = np.uint64(int.from_bytes(digest, "little"))
+            index = np.arange(1, self.num_envs + 1, dtype=np.uint64) * _GAMMA
+            keys = self._keys[name] = _mix(_mix(index) + base)
+            self._counters[name] = np.zeros(self.num_envs, np.uint64)
+        return keys, self._counters[name]
+
+    def bits(self, name: str, width: int, env_ids: NDArray[np.int64] | None = None) -> U64:
+        """Return (n, width) random 64-bit words and advance those environments' counters."""
+        keys, counters = self._stream(name)
+        steps = self._steps.get(width)
+        if steps is None:
+            steps = self._steps[width] = np.arange(1, width + 1, dtype=np.uint64) * _GAMMA
+        if env_ids is None:
+            start = keys + counters * _GAMMA
+            counters += np.uint64(width)
+        else:
+            start = keys[env_ids] + counters[env_ids] * _GAMMA
+            counters[env_ids] += np.uint64(width)
+        return _mix(start[:, None] + steps)
+
+    def uniform(
+        self,
+        name: str,
+        shape: Sequence[int] = (),
+        low: Any = 0.0,
+        high: Any = 1.0,
+        env_ids: NDArray[np.int64] | None = None,
+    ) -> NDArray[np.float64]:
+        """Draw uniformly from [low, high).
+
+        Args:
+            name: The stream.
+            shape: Shape of one environment's draw.
+            low: Scalar or array that broadcasts to ``shape``.
+            high: Likewise.
+            env_ids: (n,) environments that draw; None is all N.
+
+        Returns:
+            (n, *shape) float64.
+        """
+        width = 1
+        for size in shape:
+            width *= size
+        unit = (self.bits(name, width, env_ids) >> _S11).astype(np.float64)
+        unit *= _UNIT
+        if len(shape) != 1:
+            unit = unit.reshape(len(unit), *shape)
+        low = np.asarray(low, np.float64)
+        unit *= np.asarray(high, np.float64) - low
+        unit += low
+        return unit
+
+    def normal(
+        self, name: str, shape: Sequence[int] = (), env_ids: NDArray[np.int64] | None = None
+    ) -> NDArray[np.float64]:
+        """Draw standard normal numbers by Box and Muller's transform; returns (n, *shape) float64."""
+        width = int(np.prod(shape, dtype=np.int64))
+        unit = (self.bits(name, 2 * width, env_ids) >> _S11).astype(np.float64) * _UNIT
+        # Contiguous copies: numpy's transcendental kernels may round strided input differently.
+        radius = np.sqrt(-2.0 * np.log1p(-np.ascontiguousarray(unit[:, :width])))
+        angle = np.cos(2.0 * np.pi * np.ascontiguousarray(unit[:, width:]))
+        return (radius * angle).reshape(len(unit), *shape)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the seed and every stream's counters (copies)."""
+        return {"seed": self.seed, "counters": {k: v.copy() for k, v in self._counters.items()}}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue exactly where `state_dict` was taken."""
+        self.seed = int(state["seed"])
+        self._keys.clear()
+        self._counters.clear()
+        for name, counters in state["counters"].items():
+            self._stream(name)[1][:] = counters
