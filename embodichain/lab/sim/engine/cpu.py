@@ -1,0 +1,386 @@
+"""`CpuEngine`: the engine contract on `mujoco.batch.Batch`.
+
+Rows, fields and writes live here; what a joint or a body is does not. One instance must not be
+used from several Python threads at once (`mujoco.batch` says so).
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco import batch as mjbatch
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.engine.base import F64, EngineListener, EnvIndex, PhysicsEvent, Write
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["PERSISTENT_LIMIT", "CpuEngine", "row_layout"]
+
+PERSISTENT_LIMIT = 4096
+"""Above this many environments one MjData a thread is used: 200 kB each would be 3 GB at 16,384."""
+
+_STAGE_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
+_STAGE_VEL = int(mujoco.mjtStage.mjSTAGE_VEL)
+_STAGE_ACC = int(mujoco.mjtStage.mjSTAGE_ACC)
+
+# Counters that mean the state is no longer physics.
+_DIVERGED = [
+    int(getattr(mujoco.mjtWarning, f"mjWARN_{name}"))
+    for name in ("BADQPOS", "BADQVEL", "BADQACC", "BADCTRL", "CONTACTFULL", "CNSTRFULL")
+]
+_COMPONENTS = {
+    "time": "TIME",
+    "qpos": "QPOS",
+    "qvel": "QVEL",
+    "act": "ACT",
+    "history": "HISTORY",
+    "qacc_warmstart": "WARMSTART",
+    "ctrl": "CTRL",
+    "qfrc_applied": "QFRC_APPLIED",
+    "xfrc_applied": "XFRC_APPLIED",
+    "eq_active": "EQ_ACTIVE",
+    "mocap_pos": "MOCAP_POS",
+    "mocap_quat": "MOCAP_QUAT",
+    "userdata": "USERDATA",
+    "plugin_state": "PLUGIN",
+    "plastic": "PLASTIC",
+}
+
+
+def row_layout(model: mujoco.MjModel) -> dict[str, slice]:
+    """Return the columns of every state component within an integration-state row.
+
+    The order of components is MuJoCo's: ascending bits of `mjtState` within `mjSTATE_INTEGRATION`.
+    """
+    bits = {
+        name: int(getattr(mujoco.mjtState, f"mjSTATE_{suffix}"))
+        for name, suffix in _COMPONENTS.items()
+        if hasattr(mujoco.mjtState, f"mjSTATE_{suffix}")
+    }
+    whole = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+    known = {bit: name for name, bit in bits.items() if bit & whole}
+    layout: dict[str, slice] = {}
+    start = 0
+    for position in range(32):
+        bit = 1 << position
+        if not whole & bit:
+            continue
+        size = mujoco.mj_stateSize(model, bit)
+        layout[known.get(bit, f"state_{position}")] = slice(start, start + size)
+        start += size
+    return layout
+
+
+class CpuEngine:
+    """N simulations of one model on a pool of threads.
+
+    Args:
+        model: The compiled scene; the batch keeps its own copy.
+        num_envs: N.
+        num_threads: Physics threads; 0 is every core this process may run on.
+        persistent: One MjData per environment (True) or per thread; None chooses by N. No byte of
+            any result depends on it.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        num_envs: int,
+        num_threads: int = 0,
+        persistent: bool | None = None,
+    ) -> None:
+        threads = num_threads or len(os.sched_getaffinity(0))
+        if persistent is None:
+            persistent = num_envs <= PERSISTENT_LIMIT
+        self.model = model
+        self.num_envs = num_envs
+        self.num_threads = min(threads, num_envs)
+        self.persistent = persistent
+        self.listeners: list[EngineListener] = []
+        self._batch = mjbatch.Batch(
+            model, num_envs, nthread=self.num_threads, persistent=persistent
+        )
+        self._batch.reset(stage=_STAGE_NONE)
+        self._rows: F64 = self._batch.state
+        self._layout = row_layout(model)
+        self._views = {name: self._rows[:, cols] for name, cols in self._layout.items()}
+        self._default_row: F64 = self._rows[0].copy()
+        self._derived: dict[str, F64] = {}
+        self._acc: dict[str, tuple[F64, F64]] = {}
+        self._fields: dict[str, F64] = {}
+        self._dirty = np.ones(num_envs, np.bool_)
+        self._any_dirty = True
+        self._all_dirty = True
+        self._warnings: NDArray[np.int32] = self._batch.warning[:, :, 1]
+        self._warned = int(self._warnings.sum())
+        self._counts = self._warnings[:, _DIVERGED].copy()
+        self._failed: NDArray[np.bool_] | None = None
+
+    # -- reads ---------------------------------------------------------------------------------
+
+    @property
+    def rows(self) -> F64:
+        """(N, nstate) live integration-state rows. Do not write."""
+        return self._rows
+
+    def component(self, name: str) -> slice:
+        """Columns of a state component within a row; KeyError names the ones that exist."""
+        try:
+            return self._layout[name]
+        except KeyError:
+            raise KeyError(
+                f"no state component {name!r}; there are {', '.join(self._layout)}."
+                f"{did_you_mean(name, self._layout)}"
+            ) from None
+
+    def state(self, name: str) -> F64:
+        """(N, width) live view of a state component, flattened. Read only."""
+        return self._views[name]
+
+    def derived(self, name: str) -> F64:
+        """(N, ...) position- or velocity-stage field, fresh for every environment."""
+        array = self._derived.get(name)
+        if array is None:
+            array = self._derived[name] = self._batch.bind(name)
+            self._any_dirty = self._all_dirty = True
+        if self._any_dirty:
+            self._refresh()
+        return array
+
+    def _refresh(self) -> None:
+        ids = None if self._all_dirty else np.flatnonzero(self._dirty)
+        self._call(self._batch.forward, ids, stage=_STAGE_VEL)
+        self._dirty[:] = False
+        self._any_dirty = self._all_dirty = False
+
+    def acceleration(self, name: str) -> F64:
+        """(N, ...) acceleration-stage field as of the last physics step or full forward.
+
+        The first request for a field computes it at the current state.
+        """
+        pair = self._acc.get(name)
+        if pair is None:
+            source = self._batch.bind(name)
+            self._call(self._batch.forward, None, stage=_STAGE_ACC)
+            pair = self._acc[name] = (source, source.copy())
+        return pair[1]
+
+    def _copy_acceleration(self, ids: EnvIndex | None) -> None:
+        for source, kept in self._acc.values():
+            if ids is None:
+                np.copyto(kept, source)
+            else:
+                kept[ids] = source[ids]
+
+    # -- physics -------------------------------------------------------------------------------
+
+    def step(self, nstep: int, env_ids: EnvIndex | None = None) -> None:
+        """Advance physics by ``nstep`` steps of the model's timestep."""
+        listeners = self.listeners
+        if listeners:
+            event = PhysicsEvent("before", nstep, env_ids, self._rows)
+            for listener in listeners:
+                listener.on_physics(event)
+        failed = self._call(self._batch.step, env_ids, nstep=nstep, stage=_STAGE_NONE)
+        if env_ids is None:
+            self._any_dirty = self._all_dirty = True
+        else:
+            self._mark(env_ids)
+        if self._acc:
+            self._copy_acceleration(env_ids)
+        if listeners:
+            event = PhysicsEvent("after", nstep, env_ids, self._rows, failed)
+            for listener in listeners:
+                listener.on_physics(event)
+
+    def forward(self, env_ids: EnvIndex | None = None) -> None:
+        """Compute every stage without stepping; acceleration fields are copied too."""
+        self._call(self._batch.forward, env_ids, stage=_STAGE_ACC)
+        if self._acc:
+            self._copy_acceleration(env_ids)
+        if env_ids is None:
+            self._dirty[:] = False
+            self._any_dirty = self._all_dirty = False
+        elif not self._all_dirty:
+            self._dirty[env_ids] = False
+            self._any_dirty = bool(self._dirty.any())
+        self._notify(Write("forward", "", env_ids, slice(None), None))
+
+    def _call(self, function: Any, ids: EnvIndex | None, **kwargs: int) -> EnvIndex | None:
+        """Run a batch call; remember and return the environments in which MuJoCo raised."""
+        try:
+            function(ids, **kwargs)
+        except mjbatch.SimulationError as error:
+            failed = np.asarray(error.ids, np.int64)
+            if self._failed is None:
+                self._failed = np.zeros(self.num_envs, np.bool_)
+            self._failed[failed] = True
+            return failed
+        return None
+
+    def reset(self, env_ids: EnvIndex | None = None) -> None:
+        """Give rows MuJoCo's reset state and clear their warning counters."""
+        self._batch.reset(env_ids, stage=_STAGE_NONE)
+        self._mark(env_ids)
+        self._warned = int(self._warnings.sum())
+        where = slice(None) if env_ids is None else env_ids
+        self._counts[where] = self._warnings[:, _DIVERGED][where]
+        if self._failed is not None:
+            self._failed[where] = False
+        self._notify(Write("reset", "row", env_ids, slice(None), None))
+
+    def take_diverged(self) -> NDArray[np.bool_] | None:
+        """(N,) mask of environments that diverged since the last call, or None for nobody."""
+        warned = int(self._warnings.sum())
+        if warned == self._warned and self._failed is None:
+            return None
+        counts = self._warnings[:, _DIVERGED]
+        mask = (counts > self._counts).any(axis=1)
+        self._counts[:] = counts
+        self._warned = warned
+        if self._failed is not None:
+            mask |= self._failed
+            self._failed = None
+        return mask if mask.any() else None
+
+    # -- writes --------------------------------------------------------------------------------
+
+    def write(
+        self,
+        field: str,
+        values: Any,
+        env_ids: EnvIndex | None = None,
+        columns: NDArray[np.int64] | slice = slice(None),
+    ) -> None:
+        """Set columns of a state component.
+
+        Args:
+            field: The component (``qpos``, ``ctrl``, ``mocap_pos``...), or ``row`` for whole rows.
+            values: Broadcasts to (n, k); kept by nobody.
+            env_ids: (n,) sorted unique environments, or None for all.
+            columns: (k,) columns within the component, or a slice of them.
+        """
+        view = self._rows if field == "row" else self._views[field]
+        if env_ids is None:
+            view[:, columns] = values
+        elif isinstance(columns, slice):
+            view[env_ids, columns] = values
+        else:
+            view[env_ids[:, None], columns] = values
+        # ctrl and applied forces change no position- or velocity-stage field.
+        if field not in _INPUTS:
+            self._mark(env_ids)
+        if self.listeners:
+            self._notify(Write("state", field, env_ids, columns, _picked(view, env_ids, columns)))
+
+    def write_model(
+        self,
+        field: str,
+        values: Any,
+        env_ids: EnvIndex | None = None,
+        columns: NDArray[np.int64] | slice = slice(None),
+    ) -> None:
+        """Set columns of a flattened model field per environment; see `set_const`.
+
+        Args:
+            field: An `MjModel` field or ``opt.NAME``, one of `mujoco.batch.MODEL_FIELDS`.
+            values: Broadcasts to (n, k).
+            env_ids: (n,) sorted unique environments, or None for all.
+            columns: (k,) columns within the flattened field, or a slice of them.
+
+        Raises:
+            ValueError: If the field cannot differ between environments.
+        """
+        view = self.model_field(field)
+        if env_ids is None:
+            view[:, columns] = values
+        elif isinstance(columns, slice):
+            view[env_ids, columns] = values
+        else:
+            view[env_ids[:, None], columns] = values
+        self._mark(env_ids)
+        if self.listeners:
+            self._notify(Write("model", field, env_ids, columns, _picked(view, env_ids, columns)))
+
+    def model_field(self, field: str) -> NDArray[Any]:
+        """(N, size) flattened per-environment values of a model field. Do not write."""
+        view = self._fields.get(field)
+        if view is None:
+            if field not in mjbatch.MODEL_FIELDS:
+                raise ValueError(
+                    f"no model field {field!r} that can differ between environments."
+                    f"{did_you_mean(field, mjbatch.MODEL_FIELDS)}"
+                )
+            view = self._fields[field] = self._batch.expand(field).reshape(self.num_envs, -1)
+        return view
+
+    def set_const(self, env_ids: EnvIndex | None = None) -> None:
+        """Recompute the constants MuJoCo derives from model fields."""
+        self._call(self._batch.set_const, env_ids)
+        self._mark(env_ids)
+        self._notify(Write("set_const", "", env_ids, slice(None), None))
+
+    def _mark(self, env_ids: EnvIndex | None) -> None:
+        self._any_dirty = True
+        if env_ids is None:
+            self._all_dirty = True
+        elif not self._all_dirty:
+            self._dirty[env_ids] = True
+
+    def _notify(self, write: Write) -> None:
+        for listener in self.listeners:
+            listener.on_write(write)
+
+    # -- whole simulations -----------------------------------------------------------------------
+
+    def model_of(self, env_id: int) -> mujoco.MjModel:
+        """A copy of one environment's model, its own field values included."""
+        return self._batch.get_model(env_id)
+
+    def data_of(self, env_id: int) -> mujoco.MjData:
+        """One environment's state as an MjData of its own, every derived field computed."""
+        data = mujoco.MjData(self.model)
+        mujoco.mj_setState(
+            self.model, data, self._rows[env_id], mujoco.mjtState.mjSTATE_INTEGRATION
+        )
+        mujoco.mj_forward(self.model_of(env_id) if self._fields else self.model, data)
+        return data
+
+    def state_dict(self) -> dict[str, Any]:
+        """Rows, per-environment model fields, counters and acceleration fields (copies)."""
+        return {
+            "rows": self._rows.copy(),
+            "model": {k: np.array(v) for k, v in self._fields.items()},
+            "warning": self._batch.warning.copy(),
+            "acceleration": {k: kept.copy() for k, (_, kept) in self._acc.items()},
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue exactly where `state_dict` was taken."""
+        for field, values in state["model"].items():
+            self.write_model(field, values)
+        if state["model"]:
+            self.set_const()
+        self.write("row", state["rows"])
+        for field, values in state["acceleration"].items():
+            self.acceleration(field)
+            self._acc[field][1][...] = values
+        # Counters are restored as a baseline: only new warnings count as divergence.
+        self._warned = int(self._warnings.sum())
+        self._counts[:] = self._warnings[:, _DIVERGED]
+        self._failed = None
+
+
+_INPUTS = frozenset({"ctrl", "qfrc_applied", "xfrc_applied"})
+
+
+def _picked(view: F64, env_ids: EnvIndex | None, columns: NDArray[np.int64] | slice) -> F64:
+    """Copy of what a write left in the rows: listeners may keep it."""
+    if env_ids is None:
+        return view[:, columns].copy()
+    if isinstance(columns, slice):
+        return view[env_ids, columns]
+    return view[env_ids[:, None], columns]
