@@ -1,0 +1,172 @@
+"""Which file a name means: `get_data_path` for robots, `resolve_package_uri` for their meshes.
+
+The places themselves are in `places`. Order for a relative name: beside the file that names it, the
+working directory, the data root, bundled assets, installed packages, models in a cache.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+from embodichain.data.catalog import list_robots
+from embodichain.data.errors import DataNotFoundError
+from embodichain.data.places import Place, package_parents, places, python_package
+from embodichain.utils.suggest import closest
+
+__all__ = ["get_data_path", "resolve_package_uri"]
+
+# package:///NAME/x and package:/NAME/x are seen in the wild for package://NAME/x
+_PACKAGE = re.compile(r"package:/+(?P<package>[^/]+)(?:/(?P<rest>.*))?$")
+
+Searched = list[tuple[str, str]]
+
+
+def get_data_path(name: str | os.PathLike[str], near: str | os.PathLike[str] | None = None) -> str:
+    """Return the absolute path of a robot or object file (or folder).
+
+    The first that exists is taken of: an absolute path; ``package://NAME/...`` (see
+    `resolve_package_uri`); the name beside `near`; in the working directory; in
+    ``$EMBODICHAIN_DATA_ROOT`` (``~/.cache/embodichain_data``); bundled with this package; in
+    example-robot-data, if installed; in a mujoco_menagerie that robot_descriptions has cached.
+
+    Args:
+        name: E.g. ``UniversalRobots/UR10/UR10.urdf``, ``panda_description/urdf/panda.urdf``,
+            ``~/robots/mine.urdf``.
+        near: The file that names it, or its folder; None for neither.
+
+    Raises:
+        DataNotFoundError: It is nowhere. The message lists the places searched, the closest names,
+            and how to get it.
+        ValueError: `name` is empty.
+    """
+    text = os.fspath(name)
+    if not text:
+        raise ValueError("name is empty: expected the path or name of a robot or object file")
+    if _PACKAGE.match(text):
+        return resolve_package_uri(text, near)
+    path = Path(text).expanduser()
+    if path.is_absolute():
+        return _first_existing(text, [("absolute path", path)])
+    tried: list[tuple[str, Path]] = []
+    if near is not None:
+        tried.append(("beside the file that names it", _folder_of(near) / path))
+    tried.append(("working directory", Path.cwd() / path))
+    for place in places():
+        tried += [(place.label, candidate) for candidate in place.candidates(path.as_posix())]
+    return _first_existing(text, tried)
+
+
+def resolve_package_uri(uri: str, near: str | os.PathLike[str] | None = None) -> str:
+    """Return the absolute path of a file that a model names, such as a mesh.
+
+    Accepts ``package://NAME/rest``, ``file:///abs``, absolute paths, and paths relative to `near`.
+    A package is looked for among the folders above `near` and beside those (a model in
+    ``NAME/urdf/`` means its own ``NAME``), in `embodichain.data.places.package_parents`, and as a
+    Python package. The first that has the file is taken.
+
+    Args:
+        uri: What the model says.
+        near: The model file, or its folder; None: the working directory.
+
+    Raises:
+        DataNotFoundError: The file is in none of them.
+        ValueError: `uri` is empty, or has a scheme other than ``package`` or ``file``.
+    """
+    if not uri:
+        raise ValueError("empty file name: expected package://NAME/..., file:///... or a path")
+    folder = Path.cwd() if near is None else _folder_of(near)
+    match = _PACKAGE.match(uri)
+    if match:
+        return _in_package(uri, match["package"], match["rest"] or "", folder)
+    scheme = urlsplit(uri).scheme if "://" in uri or uri.startswith("file:") else ""
+    if scheme not in ("", "file"):
+        raise ValueError(f"{uri!r}: scheme {scheme!r} is not known; use package:// or file://")
+    path = Path(unquote(urlsplit(uri).path) if scheme else uri).expanduser()
+    label = "absolute path" if path.is_absolute() else "relative to the model file"
+    return _first_existing(uri, [(label, folder / path)])
+
+
+def _in_package(uri: str, package: str, rest: str, folder: Path) -> str:
+    """Return the file `rest` of a package, looked for above `folder` first."""
+    tried = []
+    for parent in (folder, *folder.parents):
+        if parent.name == package:
+            tried.append(("package above the model file", parent / rest))
+        elif (parent / package).is_dir():
+            tried.append(("package beside the model file", parent / package / rest))
+    parents = package_parents()
+    tried += [(place.label, place.folder / package / rest) for place in parents]
+    tried += [("Python package", found / rest) for found in python_package(package)]
+    return _first_existing(uri, tried)
+
+
+def _folder_of(near: str | os.PathLike[str]) -> Path:
+    """Return the folder itself, or the folder of a file, absolute."""
+    path = Path(near).expanduser().absolute()
+    return path if path.is_dir() else path.parent
+
+
+def _first_existing(name: str, tried: list[tuple[str, Path]]) -> str:
+    """Return the first path that exists, without ``..``; raise what was tried otherwise."""
+    for _, path in tried:
+        if path.exists():
+            return os.path.abspath(path)
+    searched: Searched = [(label, os.path.abspath(path)) for label, path in tried]
+    raise DataNotFoundError(name, searched, _closest_names(name, tried), _advice(name))
+
+
+def _closest_names(name: str, tried: list[tuple[str, Path]]) -> list[str]:
+    """Return existing names like `name`: whole names, names of the same file, files beside it."""
+    match = _PACKAGE.match(name)
+    if match:
+        return _closest_packages(match["package"], match["rest"] or "", tried)
+    robots = [robot.name for robot in list_robots()]
+    found = closest(name, robots, n=2, cutoff=0.75)
+    stem = Path(name).stem.casefold()
+    found += [robot for robot in robots if Path(robot).stem.casefold() == stem]
+    found += [str(Path(name).parent / sibling) for sibling in _siblings(tried)]
+    if not found:
+        by_file = {Path(robot).name: robot for robot in robots}
+        found = [by_file[file] for file in closest(Path(name).name, by_file, n=1, cutoff=0.7)]
+    return list(dict.fromkeys(found))[:3]
+
+
+def _closest_packages(package: str, rest: str, tried: list[tuple[str, Path]]) -> list[str]:
+    """Return existing URIs like ``package://<package>/<rest>``: another file, another package."""
+    base = f"package://{package}"
+    found = [f"{base}/{Path(rest).parent / sibling}" for sibling in _siblings(tried)]
+    if not found:
+        entries = [entry for place in package_parents() for entry in place.folder.iterdir()]
+        packages = [entry.name for entry in entries if entry.is_dir()]
+        found = [f"package://{other}/{rest}" for other in closest(package, packages)]
+    return list(dict.fromkeys(found))[:3]
+
+
+def _siblings(tried: list[tuple[str, Path]]) -> list[str]:
+    """Return the names that lie where a path was tried and look like its own."""
+    folders = [path for _, path in tried if path.parent.is_dir()]
+    return [
+        name
+        for path in folders
+        for name in closest(path.name, (entry.name for entry in path.parent.iterdir()))
+    ]
+
+
+def _advice(name: str) -> str:
+    """Return the command that would provide `name`, as far as its name tells."""
+    installed = {place.label: place for place in places()}
+    menagerie: Place = installed["mujoco_menagerie"]
+    if "menagerie" in name and not menagerie.folder.is_dir():
+        return (
+            "mujoco_menagerie is not in the cache: "
+            "`pip install robot_descriptions && robot_descriptions pull panda_mj_description`"
+        )
+    if "example-robot-data" not in installed:
+        return (
+            'More robots: `pip install "embodichain[robots]"`. '
+            "What is here: `embodichain list robots`."
+        )
+    return "What is here: `embodichain list robots`. Your own files: $EMBODICHAIN_DATA_ROOT."
