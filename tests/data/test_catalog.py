@@ -1,0 +1,95 @@
+"""What `list_robots` and `list_assets` show, and that everything shown is found by its name."""
+
+import subprocess
+import sys
+
+import pytest
+
+from embodichain.data import get_data_path, list_assets, list_robots
+from tests.data.robot_catalog import (
+    AS_THEY_ARE,
+    NOT_LOADABLE,
+    VISUALS_UNREADABLE,
+    WITH_MENDED_INERTIA,
+)
+
+
+@pytest.fixture(autouse=True)
+def world(tmp_path, monkeypatch):
+    monkeypatch.setenv("EMBODICHAIN_DATA_ROOT", str(tmp_path / "root"))
+    monkeypatch.setenv("ROBOT_DESCRIPTIONS_CACHE", str(tmp_path / "cache"))
+    return tmp_path
+
+
+def put(path, text):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return path
+
+
+def test_every_robot_is_found_by_its_name():
+    robots = list_robots()
+    assert {robot.source for robot in robots} == {"bundled", "example-robot-data"}
+    assert len({robot.name for robot in robots}) == len(robots)
+    for robot in robots:
+        assert get_data_path(robot.name) == str(robot.path)
+
+
+def test_bundled_robot_comes_before_those_of_packages():
+    first = list_robots()[0]
+    assert (first.name, first.source, first.format) == (
+        "UniversalRobots/UR10/UR10.urdf",
+        "bundled",
+        "urdf",
+    )
+
+
+def test_models_are_told_from_other_xml_and_scenes(world):
+    put(world / "root/mine/arm.xml", "<!-- an arm -->\n<mujoco model='arm'/>")
+    put(world / "root/mine/package.xml", "<package/>")
+    put(world / "root/mine/mesh.stl", "solid")
+    put(world / "root/.trash/arm.urdf", "<robot/>")
+    put(world / "cache/mujoco_menagerie/hand/hand.xml", "<mujoco/>")
+    put(world / "cache/mujoco_menagerie/hand/scene_left.xml", "<mujoco/>")
+    robots = {robot.name: (robot.source, robot.format) for robot in list_robots()}
+    assert robots["mine/arm.xml"] == ("EMBODICHAIN_DATA_ROOT", "mjcf")
+    assert robots["hand/hand.xml"] == ("mujoco_menagerie", "mjcf")
+    names = " ".join(robots)
+    assert "package.xml" not in names
+    assert "scene_left" not in names
+    assert ".trash" not in names
+
+
+def test_a_shadowed_name_is_listed_once_from_where_it_is_found(world):
+    own = put(world / "root/UniversalRobots/UR10/UR10.urdf", "<robot/>")
+    found = [robot for robot in list_robots() if robot.name == "UniversalRobots/UR10/UR10.urdf"]
+    assert [(robot.path, robot.source) for robot in found] == [(own, "EMBODICHAIN_DATA_ROOT")]
+
+
+def test_assets_are_robots_and_own_files(world):
+    put(world / "root/cups/cup.obj", "v 0 0 0")
+    assets = {asset.name: asset for asset in list_assets()}
+    assert assets["cups/cup.obj"].format == "obj"
+    assert assets["UniversalRobots/UR10/visual/base_housing.obj"].source == "bundled"
+    assert {robot.name for robot in list_robots()} <= set(assets)
+    for asset in assets.values():
+        assert get_data_path(asset.name) == str(asset.path)
+
+
+def test_the_catalogue_of_the_tests_covers_example_robot_data():
+    """`robot_catalog` is what the compiler's tests go by: no robot may be missing from it."""
+    known = [*AS_THEY_ARE, *WITH_MENDED_INERTIA, *NOT_LOADABLE]
+    installed = [robot.name for robot in list_robots() if robot.source == "example-robot-data"]
+    assert sorted(known) == sorted(installed)
+    assert len(AS_THEY_ARE) + len(WITH_MENDED_INERTIA) == 53
+    assert not VISUALS_UNREADABLE & NOT_LOADABLE.keys()
+    assert set(known) >= VISUALS_UNREADABLE
+
+
+def test_listing_imports_neither_torch_nor_mujoco():
+    code = (
+        "import sys; from embodichain.data import list_robots; list_robots(); "
+        "print(sorted({'torch', 'mujoco', 'numpy'} & sys.modules.keys()))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,239 @@
+"""Where `get_data_path` and `resolve_package_uri` look, in which order, and what a miss says."""
+
+import pickle
+import sys
+from pathlib import Path
+
+import pytest
+
+from embodichain.data import DataNotFoundError, data_root, get_data_path, resolve_package_uri
+
+UR10 = "UniversalRobots/UR10/UR10.urdf"
+
+
+def put(path, text="<robot/>"):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return str(path)
+
+
+@pytest.fixture(autouse=True)
+def world(tmp_path, monkeypatch):
+    """Folders of our own for everything that is searched, apart from installed packages."""
+    for name in ("work", "root", "cache"):
+        (tmp_path / name).mkdir()
+    monkeypatch.chdir(tmp_path / "work")
+    monkeypatch.setenv("EMBODICHAIN_DATA_ROOT", str(tmp_path / "root"))
+    monkeypatch.setenv("ROBOT_DESCRIPTIONS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
+    monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
+    return tmp_path
+
+
+def test_bundled_robot_is_found_offline(world):
+    path = Path(get_data_path(UR10))
+    assert path.is_absolute()
+    assert path.parts[-6:] == ("embodichain", "data", "assets", *UR10.split("/"))
+    assert path.is_file()
+    assert isinstance(get_data_path(UR10), str)
+
+
+def test_each_place_wins_over_those_after_it(world):
+    bundled = get_data_path(UR10)
+    for place in ("root/extract", "root", "work", "conf"):
+        expected = put(world / place / UR10)
+        assert expected != bundled
+        assert get_data_path(UR10, near=world / "conf" / "task.yaml") == expected
+    absolute = put(world / "elsewhere.urdf")
+    assert get_data_path(absolute, near=world / "conf") == absolute
+
+
+def test_cached_menagerie_comes_last(world):
+    model = put(world / "cache/mujoco_menagerie/franka_emika_panda/panda.xml", "<mujoco/>")
+    assert get_data_path("franka_emika_panda/panda.xml") == model
+    assert get_data_path("mujoco_menagerie/franka_emika_panda/panda.xml") == model
+    own = put(world / "root/franka_emika_panda/panda.xml", "<mujoco/>")
+    assert get_data_path("franka_emika_panda/panda.xml") == own
+    shadow = put(world / "cache/mujoco_menagerie" / UR10)
+    assert get_data_path(UR10) != shadow
+
+
+def test_example_robot_data_has_a_long_and_a_short_name():
+    long = get_data_path("example-robot-data/robots/panda_description/urdf/panda.urdf")
+    assert long.endswith("share/example-robot-data/robots/panda_description/urdf/panda.urdf")
+    assert get_data_path("panda_description/urdf/panda.urdf") == long
+    assert (
+        get_data_path("package://example-robot-data/robots/panda_description/urdf/panda.urdf")
+        == long
+    )
+
+
+def test_home_and_folders_and_path_objects(world, monkeypatch):
+    monkeypatch.setenv("HOME", str(world))
+    model = put(world / "robots/mine.urdf")
+    assert get_data_path("~/robots/mine.urdf") == model
+    assert get_data_path(Path(model)) == model
+    assert get_data_path("~/robots") == str(world / "robots")
+    assert get_data_path("../robots/./mine.urdf") == model
+
+
+def test_default_data_root_is_upstreams(world, monkeypatch):
+    monkeypatch.setenv("HOME", str(world))
+    monkeypatch.delenv("EMBODICHAIN_DATA_ROOT")
+    assert data_root() == world / ".cache/embodichain_data"
+    model = put(world / ".cache/embodichain_data/Mine/mine.urdf")
+    assert get_data_path("Mine/mine.urdf") == model
+
+
+def test_a_miss_lists_places_in_order_closest_name_and_a_command(world):
+    with pytest.raises(DataNotFoundError) as raised:
+        get_data_path("UniversalRobots/UR10/ur10.urdf", near=world / "conf" / "task.yaml")
+    error = raised.value
+    assert isinstance(error, FileNotFoundError)
+    name = "UniversalRobots/UR10/ur10.urdf"
+    assert [label for label, _ in error.searched] == [
+        "beside the file that names it",
+        "working directory",
+        "EMBODICHAIN_DATA_ROOT",
+        "EMBODICHAIN_DATA_ROOT, extracted archives",
+        "bundled",
+        "example-robot-data",
+        "mujoco_menagerie",
+    ]
+    lines = str(error).splitlines()
+    assert lines[0] == f"no file or folder for {name!r}. Searched, in this order:"
+    assert lines[1] == f"  {world}/conf/{name}  (beside the file that names it)"
+    assert lines[3] == f"  {world}/root/{name}  (EMBODICHAIN_DATA_ROOT)"
+    assert lines[8] == f"Did you mean {UR10!r}?"
+    assert lines[9].startswith("What is here: `embodichain list robots`.")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right"),
+    [
+        ("panda.urdf", ["panda_description/urdf/panda.urdf"]),
+        ("pandda.urdf", ["panda_description/urdf/panda.urdf"]),
+        ("UR10.urdf", [UR10]),
+        ("UniversalRobot/UR10/UR10.urdf", [UR10]),
+        (
+            "anymal.urdf",
+            [
+                "anymal_b_simple_description/robots/anymal.urdf",
+                "anymal_c_simple_description/urdf/anymal.urdf",
+            ],
+        ),
+        ("UniversalRobots/UR10/UR10.xml", [UR10]),
+        ("quite/something/else.bin", []),
+    ],
+)
+def test_closest_names(wrong, right):
+    with pytest.raises(DataNotFoundError) as raised:
+        get_data_path(wrong)
+    assert list(raised.value.closest) == right
+
+
+def test_closest_name_of_a_missing_absolute_path_is_beside_it(world):
+    model = put(world / "robots/arm.urdf")
+    with pytest.raises(DataNotFoundError) as raised:
+        get_data_path(world / "robots/arn.urdf")
+    assert raised.value.closest == (model,)
+    assert [label for label, _ in raised.value.searched] == ["absolute path"]
+
+
+def test_without_example_robot_data_the_command_installs_it(monkeypatch):
+    monkeypatch.setattr(sys, "path", [])
+    monkeypatch.setattr(sys, "prefix", "/nowhere")
+    with pytest.raises(DataNotFoundError) as raised:
+        get_data_path("panda_description/urdf/panda.urdf")
+    assert 'pip install "embodichain[robots]"' in str(raised.value)
+
+
+def test_without_a_cached_menagerie_the_command_fetches_it():
+    with pytest.raises(DataNotFoundError) as raised:
+        get_data_path("mujoco_menagerie/franka_emika_panda/panda.xml")
+    assert "robot_descriptions pull panda_mj_description" in raised.value.command
+
+
+def test_the_error_survives_a_process_boundary():
+    with pytest.raises(DataNotFoundError) as raised:
+        get_data_path("panda.urdf")
+    copy = pickle.loads(pickle.dumps(raised.value))
+    assert str(copy) == str(raised.value)
+    assert copy.searched == raised.value.searched
+
+
+@pytest.mark.parametrize("function", [get_data_path, resolve_package_uri])
+def test_empty_names_are_refused(function):
+    with pytest.raises(ValueError, match="empty"):
+        function("")
+
+
+# ------------------------------------------------------------------------------ package URIs
+
+
+def test_a_model_means_its_own_package_first(world):
+    model = put(world / "mine/ur_description/urdf/arm.urdf")
+    mesh = put(world / "mine/ur_description/meshes/a.stl")
+    put(world / "root/ur_description/meshes/a.stl")
+    assert resolve_package_uri("package://ur_description/meshes/a.stl", near=model) == mesh
+    # from a package beside it
+    other = put(world / "mine/cell/cell.urdf")
+    assert resolve_package_uri("package://ur_description/meshes/a.stl", near=other) == mesh
+    # its own folder is there, the file is in another place
+    fallback = put(world / "root/ur_description/meshes/b.stl")
+    assert resolve_package_uri("package://ur_description/meshes/b.stl", near=model) == fallback
+
+
+@pytest.mark.parametrize("slashes", ["/", "//", "///"])
+def test_package_of_example_robot_data(slashes):
+    mesh = "robots/ur_description/meshes/ur10/collision/base.stl"
+    path = resolve_package_uri(f"package:{slashes}example-robot-data/{mesh}")
+    assert path.endswith(f"share/example-robot-data/{mesh}")
+    assert resolve_package_uri("package://ur_description/meshes/ur10/collision/base.stl") == path
+
+
+def test_ros_packages(world, monkeypatch):
+    mesh = put(world / "ros/share/my_arm/meshes/a.stl")
+    other = put(world / "catkin/my_hand/meshes/b.stl")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(world / "ros"))
+    monkeypatch.setenv("ROS_PACKAGE_PATH", f"/nowhere:{world / 'catkin'}")
+    assert resolve_package_uri("package://my_arm/meshes/a.stl") == mesh
+    assert resolve_package_uri("package://my_hand/meshes/b.stl") == other
+
+
+def test_python_package_is_found_without_importing_it(world, monkeypatch):
+    put(world / "site/robot_zoo/__init__.py", "raise RuntimeError('imported')")
+    mesh = put(world / "site/robot_zoo/meshes/a.stl")
+    monkeypatch.syspath_prepend(str(world / "site"))
+    assert resolve_package_uri("package://robot_zoo/meshes/a.stl") == mesh
+    assert resolve_package_uri("package://robot-zoo/meshes/a.stl") == mesh
+
+
+def test_relative_absolute_and_file_uris(world):
+    model = put(world / "arm/urdf/arm.urdf")
+    mesh = put(world / "arm/meshes/with space.stl")
+    assert resolve_package_uri("../meshes/with space.stl", near=model) == mesh
+    assert resolve_package_uri("meshes/with space.stl", near=world / "arm") == mesh
+    assert resolve_package_uri(mesh, near=model) == mesh
+    assert resolve_package_uri("file://" + mesh.replace(" ", "%20")) == mesh
+
+
+def test_a_missing_mesh_names_the_closest_one(world):
+    model = put(world / "arm/urdf/arm.urdf")
+    put(world / "arm/meshes/base.stl")
+    with pytest.raises(DataNotFoundError) as raised:
+        resolve_package_uri("package://arm/meshes/bse.stl", near=model)
+    assert raised.value.closest == ("package://arm/meshes/base.stl",)
+    label, path = raised.value.searched[0]
+    assert (label, path) == ("package above the model file", f"{world}/arm/meshes/bse.stl")
+
+
+def test_a_missing_package_names_the_closest_one():
+    with pytest.raises(DataNotFoundError) as raised:
+        resolve_package_uri("package://ur_descripton/meshes/a.stl")
+    assert raised.value.closest == ("package://ur_description/meshes/a.stl",)
+
+
+def test_unknown_scheme_is_refused():
+    with pytest.raises(ValueError, match=r"scheme 'model' is not known; use package:// or file://"):
+        resolve_package_uri("model://arm/a.stl")
