@@ -16,7 +16,7 @@ from tests.data.robot_catalog import (
 
 @pytest.fixture(autouse=True)
 def world(tmp_path, monkeypatch):
-    monkeypatch.setenv("EMBODICHAIN_DATA_ROOT", str(tmp_path / "root"))
+    monkeypatch.setenv("EMBODICHAIN_DATA_ROOT", str(tmp_path / "store"))
     monkeypatch.setenv("ROBOT_DESCRIPTIONS_CACHE", str(tmp_path / "cache"))
     return tmp_path
 
@@ -45,10 +45,10 @@ def test_bundled_robot_comes_before_those_of_packages():
 
 
 def test_models_are_told_from_other_xml_and_scenes(world):
-    put(world / "root/mine/arm.xml", "<!-- an arm -->\n<mujoco model='arm'/>")
-    put(world / "root/mine/package.xml", "<package/>")
-    put(world / "root/mine/mesh.stl", "solid")
-    put(world / "root/.trash/arm.urdf", "<robot/>")
+    put(world / "store/mine/arm.xml", "<!-- an arm -->\n<mujoco model='arm'/>")
+    put(world / "store/mine/package.xml", "<package/>")
+    put(world / "store/mine/mesh.stl", "solid")
+    put(world / "store/.trash/arm.urdf", "<robot/>")
     put(world / "cache/mujoco_menagerie/hand/hand.xml", "<mujoco/>")
     put(world / "cache/mujoco_menagerie/hand/scene_left.xml", "<mujoco/>")
     robots = {robot.name: (robot.source, robot.format) for robot in list_robots()}
@@ -61,13 +61,13 @@ def test_models_are_told_from_other_xml_and_scenes(world):
 
 
 def test_a_shadowed_name_is_listed_once_from_where_it_is_found(world):
-    own = put(world / "root/UniversalRobots/UR10/UR10.urdf", "<robot/>")
+    own = put(world / "store/UniversalRobots/UR10/UR10.urdf", "<robot/>")
     found = [robot for robot in list_robots() if robot.name == "UniversalRobots/UR10/UR10.urdf"]
     assert [(robot.path, robot.source) for robot in found] == [(own, "EMBODICHAIN_DATA_ROOT")]
 
 
 def test_assets_are_robots_and_own_files(world):
-    put(world / "root/cups/cup.obj", "v 0 0 0")
+    put(world / "store/cups/cup.obj", "v 0 0 0")
     assets = {asset.name: asset for asset in list_assets()}
     assert assets["cups/cup.obj"].format == "obj"
     assert assets["UniversalRobots/UR10/visual/base_housing.obj"].source == "bundled"

@@ -20,10 +20,10 @@ def put(path, text="<robot/>"):
 @pytest.fixture(autouse=True)
 def world(tmp_path, monkeypatch):
     """Folders of our own for everything that is searched, apart from installed packages."""
-    for name in ("work", "root", "cache"):
+    for name in ("work", "store", "cache"):
         (tmp_path / name).mkdir()
     monkeypatch.chdir(tmp_path / "work")
-    monkeypatch.setenv("EMBODICHAIN_DATA_ROOT", str(tmp_path / "root"))
+    monkeypatch.setenv("EMBODICHAIN_DATA_ROOT", str(tmp_path / "store"))
     monkeypatch.setenv("ROBOT_DESCRIPTIONS_CACHE", str(tmp_path / "cache"))
     monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
@@ -40,7 +40,7 @@ def test_bundled_robot_is_found_offline(world):
 
 def test_each_place_wins_over_those_after_it(world):
     bundled = get_data_path(UR10)
-    for place in ("root/extract", "root", "work", "conf"):
+    for place in ("store/extract", "store", "work", "conf"):
         expected = put(world / place / UR10)
         assert expected != bundled
         assert get_data_path(UR10, near=world / "conf" / "task.yaml") == expected
@@ -52,7 +52,7 @@ def test_cached_menagerie_comes_last(world):
     model = put(world / "cache/mujoco_menagerie/franka_emika_panda/panda.xml", "<mujoco/>")
     assert get_data_path("franka_emika_panda/panda.xml") == model
     assert get_data_path("mujoco_menagerie/franka_emika_panda/panda.xml") == model
-    own = put(world / "root/franka_emika_panda/panda.xml", "<mujoco/>")
+    own = put(world / "store/franka_emika_panda/panda.xml", "<mujoco/>")
     assert get_data_path("franka_emika_panda/panda.xml") == own
     shadow = put(world / "cache/mujoco_menagerie" / UR10)
     assert get_data_path(UR10) != shadow
@@ -103,7 +103,7 @@ def test_a_miss_lists_places_in_order_closest_name_and_a_command(world):
     lines = str(error).splitlines()
     assert lines[0] == f"no file or folder for {name!r}. Searched, in this order:"
     assert lines[1] == f"  {world}/conf/{name}  (beside the file that names it)"
-    assert lines[3] == f"  {world}/root/{name}  (EMBODICHAIN_DATA_ROOT)"
+    assert lines[3] == f"  {world}/store/{name}  (EMBODICHAIN_DATA_ROOT)"
     assert lines[8] == f"Did you mean {UR10!r}?"
     assert lines[9].startswith("What is here: `embodichain list robots`.")
 
@@ -174,13 +174,13 @@ def test_empty_names_are_refused(function):
 def test_a_model_means_its_own_package_first(world):
     model = put(world / "mine/ur_description/urdf/arm.urdf")
     mesh = put(world / "mine/ur_description/meshes/a.stl")
-    put(world / "root/ur_description/meshes/a.stl")
+    put(world / "store/ur_description/meshes/a.stl")
     assert resolve_package_uri("package://ur_description/meshes/a.stl", near=model) == mesh
     # from a package beside it
     other = put(world / "mine/cell/cell.urdf")
     assert resolve_package_uri("package://ur_description/meshes/a.stl", near=other) == mesh
     # its own folder is there, the file is in another place
-    fallback = put(world / "root/ur_description/meshes/b.stl")
+    fallback = put(world / "store/ur_description/meshes/b.stl")
     assert resolve_package_uri("package://ur_description/meshes/b.stl", near=model) == fallback
 
 
