@@ -1,0 +1,56 @@
+"""Handles: the Python objects over one entity in all environments."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.objects.articulation import Articulation
+    from embodichain.lab.sim.objects.articulation_data import ArticulationData
+    from embodichain.lab.sim.objects.entity import BatchEntity
+    from embodichain.lab.sim.objects.rigid_object import RigidBodyData, RigidObject
+    from embodichain.lab.sim.objects.robot import Robot
+    from embodichain.lab.sim.objects.unavailable import (
+        ClothObject,
+        Gizmo,
+        Light,
+        RigidConstraint,
+        RigidObjectGroup,
+        SoftObject,
+    )
+
+__getattr__, __dir__, _ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "articulation": ["Articulation"],
+        "articulation_data": ["ArticulationData"],
+        "entity": ["BatchEntity"],
+        "rigid_object": ["RigidBodyData", "RigidObject"],
+        "robot": ["Robot"],
+        "unavailable": [
+            "ClothObject",
+            "Gizmo",
+            "Light",
+            "RigidConstraint",
+            "RigidObjectGroup",
+            "SoftObject",
+        ],
+    },
+)
+
+__all__ = [
+    "Articulation",
+    "ArticulationData",
+    "BatchEntity",
+    "ClothObject",
+    "Gizmo",
+    "Light",
+    "RigidBodyData",
+    "RigidConstraint",
+    "RigidObject",
+    "RigidObjectGroup",
+    "Robot",
+    "SoftObject",
+]

@@ -1,0 +1,115 @@
+"""Crossing the border between users' tensors and the engine's numpy rows.
+
+Checks of environment indices, shapes, devices and finiteness live here, once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.base import F64, EnvIndex
+
+__all__ = ["as_env_ids", "as_rows", "bool_rows", "to_tensor"]
+
+
+def to_tensor(array: NDArray[Any]) -> torch.Tensor:
+    """Return a float32 tensor that shares nothing with ``array``."""
+    return torch.from_numpy(array.astype(np.float32))
+
+
+def as_env_ids(env_ids: Any, num_envs: int) -> EnvIndex | None:
+    """Return sorted unique int64 environment indices, or None for all of them.
+
+    Args:
+        env_ids: None, a boolean mask (N,), or sorted unique indices in [0, N).
+        num_envs: N.
+
+    Raises:
+        ValueError: If indices are unsorted, repeated, out of range or of the wrong kind.
+    """
+    if env_ids is None:
+        return None
+    if isinstance(env_ids, torch.Tensor):
+        env_ids = env_ids.detach().cpu().numpy()
+    ids = np.asarray(env_ids)
+    if ids.dtype == np.bool_:
+        if ids.shape != (num_envs,):
+            raise ValueError(f"a mask of environments has shape ({num_envs},), got {ids.shape}")
+        return np.flatnonzero(ids)
+    if ids.size == 0:
+        return np.zeros(0, np.int64)
+    if ids.ndim != 1 or not np.issubdtype(ids.dtype, np.integer):
+        raise ValueError(
+            f"env_ids must be one-dimensional integers or a boolean mask, got {ids.dtype} "
+            f"of shape {ids.shape}"
+        )
+    ids = ids.astype(np.int64)
+    if ids[0] < 0 or ids[-1] >= num_envs or np.any(np.diff(ids) <= 0):
+        raise ValueError(
+            f"env_ids must be sorted, unique and in [0, {num_envs}), got {ids[:8].tolist()}"
+        )
+    return ids
+
+
+def as_rows(
+    values: Any, rows: int, width: int, what: str, *, shared: bool = False, finite: bool = True
+) -> F64:
+    """Return values as (rows, width) float64.
+
+    Args:
+        values: A tensor, array or nested sequence of shape (rows, width).
+        rows: Environments addressed.
+        width: Values an environment.
+        what: Name for messages.
+        shared: Whether one row (width,) may stand for all environments.
+        finite: Whether NaN and infinities are refused.
+
+    Raises:
+        ValueError: If the shape, the device or a value is wrong; says what is wanted.
+    """
+    if isinstance(values, torch.Tensor):
+        if values.device.type != "cpu":
+            raise ValueError(f"{what} is on {values.device}; this simulation is on cpu")
+        values = values.detach().numpy()
+    array = np.asarray(values, np.float64)
+    if array.shape != (rows, width):
+        if shared and array.shape == (width,):
+            array = np.broadcast_to(array, (rows, width))
+        else:
+            wanted = f"({rows}, {width})" + (f" or ({width},)" if shared else "")
+            raise ValueError(f"{what} must have shape {wanted}, got {array.shape}")
+    if finite and array.size and not np.isfinite(array.sum()) and not np.isfinite(array).all():
+        bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
+        raise ValueError(f"{what} is not finite in rows {bad[:8].tolist()}")
+    return array
+
+
+def bool_rows(values: Any, rows: int, what: str) -> NDArray[np.bool_]:
+    """Return values as (rows,) booleans; raises ValueError for another shape or type."""
+    if isinstance(values, torch.Tensor):
+        values = values.detach().cpu().numpy()
+    array = np.asarray(values)
+    if array.shape != (rows,) or array.dtype != np.bool_:
+        raise ValueError(f"{what} must be booleans of shape ({rows},), got {array.shape}")
+    return array
+
+
+def names_matching(patterns: str | Sequence[str], names: Sequence[str], what: str) -> list[int]:
+    """Indices of names that a pattern matches in full, in the order of ``names``.
+
+    Raises:
+        ValueError: If a pattern matches nothing; lists the names.
+    """
+    import re
+
+    wanted = [patterns] if isinstance(patterns, str) else list(patterns)
+    for pattern in wanted:
+        if not any(re.fullmatch(pattern, name) for name in names):
+            raise ValueError(f"no {what} matches {pattern!r}; there are: {', '.join(names)}")
+    return [i for i, name in enumerate(names) if any(re.fullmatch(p, name) for p in wanted)]

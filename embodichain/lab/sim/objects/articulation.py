@@ -1,0 +1,445 @@
+"""`Articulation`: handle over one jointed mechanism in N environments."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.objects._arrays import as_rows, names_matching, to_tensor
+from embodichain.lab.sim.objects.articulation_data import ArticulationData
+from embodichain.lab.sim.objects.drives import Drives
+from embodichain.lab.sim.objects.entity import BatchEntity, not_available
+from embodichain.utils.math import cross, pose_to_matrix
+from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.cfg import ArticulationCfg
+    from embodichain.lab.sim.compiler import EntityIndex, ParsedArticulation
+    from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex
+    from embodichain.lab.sim.sim_manager import SimulationManager
+
+__all__ = ["Articulation"]
+
+Columns = slice | NDArray[np.int64]
+
+
+def _columns(ids: Sequence[int] | NDArray[Any]) -> Columns:
+    """A slice where the indices are consecutive (views, no copies), else the indices."""
+    array = np.asarray(ids, np.int64)
+    if len(array) and np.array_equal(array, np.arange(array[0], array[0] + len(array))):
+        return slice(int(array[0]), int(array[0]) + len(array))
+    return array
+
+
+class Articulation(BatchEntity):
+    """One jointed mechanism in N environments: D one-degree joints in qpos order, L links.
+
+    Ball joints are simulated but stand in none of the joint arrays.
+    """
+
+    cfg: ArticulationCfg
+
+    def __init__(
+        self, cfg: ArticulationCfg, parsed: ParsedArticulation, sim: SimulationManager
+    ) -> None:
+        super().__init__(cfg, parsed.uid, sim)
+        self.parsed = parsed
+        self.drives = Drives(self)
+        self._data = ArticulationData(self)
+        self._qpos: Columns = slice(0)
+        self.dofs: Columns = slice(0)
+        self._all = np.arange(len(parsed.joint_names))
+        self._driven: NDArray[np.int64] = self._all
+        self._ctrl: Columns = slice(0)
+
+    def bind(self, engine: Engine, index: EntityIndex) -> None:
+        """Learn where the compiled model keeps this articulation."""
+        super().bind(engine, index)
+        self._qpos, self.dofs = _columns(index.qpos_adr), _columns(index.dof_adr)
+        actuators = np.asarray(index.actuator_ids, np.int64)
+        self._driven = np.flatnonzero(actuators >= 0)
+        self._ctrl = _columns(actuators[self._driven])
+        # qf is a sum of acceleration-stage fields: ask for them before the first step.
+        self.read_qf()
+
+    # -- names ---------------------------------------------------------------------------------
+
+    @property
+    def body_data(self) -> ArticulationData:
+        """Reads of joints, root and links."""
+        return self._data
+
+    @property
+    def dof(self) -> int:
+        """D."""
+        return len(self.parsed.joint_names)
+
+    @property
+    def joint_names(self) -> list[str]:
+        """Names of the D joints, in qpos order."""
+        return list(self.parsed.joint_names)
+
+    @property
+    def all_joint_names(self) -> list[str]:
+        """Same as `joint_names`: fixed joints are gone after parsing."""
+        return list(self.parsed.joint_names)
+
+    @property
+    def mimic_ids(self) -> list[int]:
+        """Joints that follow another one."""
+        return list(self.parsed.mimic_ids)
+
+    @property
+    def mimic_parents(self) -> list[int]:
+        """The joint each of `mimic_ids` follows."""
+        return list(self.parsed.mimic_parents)
+
+    @property
+    def mimic_multipliers(self) -> list[float]:
+        """Slope of each mimic joint."""
+        return list(self.parsed.mimic_multipliers)
+
+    @property
+    def mimic_offsets(self) -> list[float]:
+        """Offset of each mimic joint, rad or m."""
+        return list(self.parsed.mimic_offsets)
+
+    @property
+    def active_joint_ids(self) -> list[int]:
+        """Joints that do not mimic another one."""
+        mimic = set(self.parsed.mimic_ids)
+        return [i for i in range(self.dof) if i not in mimic]
+
+    @property
+    def active_joint_names(self) -> list[str]:
+        """Names of `active_joint_ids`."""
+        return [self.parsed.joint_names[i] for i in self.active_joint_ids]
+
+    @property
+    def active_dof(self) -> int:
+        """Number of `active_joint_ids`."""
+        return len(self.active_joint_ids)
+
+    @property
+    def link_names(self) -> list[str]:
+        """Names of the L links, parents before children."""
+        return list(self.parsed.link_names)
+
+    @property
+    def root_link_name(self) -> str:
+        """Name of the root link."""
+        return self.parsed.root_link_name
+
+    def find_joints(self, patterns: str | Sequence[str]) -> list[int]:
+        """Indices of joints whose names a regex matches in full, in joint order.
+
+        Raises:
+            ValueError: If a pattern matches nothing; lists the joints.
+        """
+        return names_matching(patterns, self.parsed.joint_names, f"joint of {self.uid}")
+
+    def find_links(self, patterns: str | Sequence[str]) -> list[int]:
+        """Indices of links whose names a regex matches in full, in link order."""
+        return names_matching(patterns, self.parsed.link_names, f"link of {self.uid}")
+
+    # -- numpy doors (float64, all environments) ---------------------------------------------------
+
+    def read_qpos(self) -> F64:
+        """(N, D) joint positions: a live view or a copy; do not write or keep."""
+        engine = self.engine
+        return engine.state("qpos")[:, self._qpos]
+
+    def read_qvel(self) -> F64:
+        """(N, D) joint velocities: a live view or a copy; do not write or keep."""
+        engine = self.engine
+        return engine.state("qvel")[:, self.dofs]
+
+    def read_qf(self) -> F64:
+        """(N, D) total drive effort of the last physics step: actuator plus joint damping."""
+        engine = self.engine
+        spring = engine.acceleration("qfrc_actuator")
+        damper = engine.acceleration("qfrc_damper")
+        return spring[:, self.dofs] + damper[:, self.dofs]
+
+    def proprioception(self, joint_ids: Columns | None = None) -> tuple[torch.Tensor, ...]:
+        """(qpos, qvel, qf), each (N, k) float32: the door for observations, one allocation."""
+        arrays = (self.read_qpos(), self.read_qvel(), self.read_qf())
+        if joint_ids is not None:
+            arrays = tuple(a[:, joint_ids] for a in arrays)  # type: ignore[assignment]
+        out = np.empty((3, *arrays[0].shape), np.float32)
+        out[0], out[1], out[2] = arrays
+        return torch.from_numpy(out).unbind(0)
+
+    def link_velocity(self, body: int) -> torch.Tensor:
+        """(N, 6) linear velocity of a body's origin, then angular velocity, world axes.
+
+        MuJoCo's `cvel` is (angular, linear) at the centre of mass of the kinematic tree; moved to
+        the origin by v = v_com + w x (origin - com).
+        """
+        engine = self.engine
+        cvel = engine.derived("cvel")[:, body]
+        com = engine.derived("subtree_com")[:, int(engine.model.body_rootid[body])]
+        arm = engine.derived("xpos")[:, body] - com
+        angular = cvel[:, :3]
+        return to_tensor(np.concatenate([cvel[:, 3:] + cross(angular, arm), angular], axis=1))
+
+    # -- joints --------------------------------------------------------------------------------
+
+    def _joints(self, joint_ids: Any, name: str | None = None) -> NDArray[np.int64] | None:
+        if name is not None:
+            return np.asarray(self.get_joint_ids(name), np.int64)
+        if joint_ids is None:
+            return None
+        if isinstance(joint_ids, torch.Tensor):
+            joint_ids = joint_ids.tolist()
+        ids = np.asarray(joint_ids, np.int64).reshape(-1)
+        if ((ids < 0) | (ids >= self.dof)).any():
+            raise ValueError(f"{self.uid}: joint_ids must be in [0, {self.dof}), got {ids.tolist()}")
+        return ids
+
+    def get_joint_ids(self, name: str | None = None, remove_mimic: bool = False) -> list[int]:
+        """Joint indices of a control part, or of the whole articulation.
+
+        Raises:
+            ValueError: If there is no such part; lists the parts.
+        """
+        if name is None:
+            ids = list(range(self.dof))
+        else:
+            parts = self.parsed.control_parts
+            if name not in parts:
+                raise ValueError(
+                    f"{self.uid} has no control part {name!r}; there are: "
+                    f"{', '.join(parts) or 'none'}.{did_you_mean(name, parts)}"
+                )
+            ids = list(parts[name])
+        return [i for i in ids if i not in self.parsed.mimic_ids] if remove_mimic else ids
+
+    def get_qpos(self, name: str | None = None, target: bool = False) -> torch.Tensor:
+        """Joint positions (N, k), or their drive targets."""
+        values = self._data.target_qpos if target else self._data.qpos
+        return values if name is None else values[:, self.get_joint_ids(name)]
+
+    def get_qvel(self, name: str | None = None, target: bool = False) -> torch.Tensor:
+        """Joint velocities (N, k), or their drive targets."""
+        values = self._data.target_qvel if target else self._data.qvel
+        return values if name is None else values[:, self.get_joint_ids(name)]
+
+    def get_qf(self, name: str | None = None) -> torch.Tensor:
+        """Total drive efforts (N, k) of the last physics step."""
+        values = self._data.qf
+        return values if name is None else values[:, self.get_joint_ids(name)]
+
+    def set_qpos(
+        self,
+        qpos: Any,
+        joint_ids: Any = None,
+        env_ids: Any = None,
+        target: bool = True,
+        name: str | None = None,
+    ) -> None:
+        """Set drive targets, or teleport the joints. Both are clamped to the joints' limits.
+
+        Args:
+            qpos: (n, k) rad or m, or (k,) for all n environments.
+            joint_ids: The k joints; None is all of them (with ``target``, all that have a drive).
+            env_ids: The n environments; None is all N.
+            target: True sets the PD drives' targets, False the positions themselves.
+            name: A control part, instead of ``joint_ids``.
+
+        Raises:
+            ValueError: If a shape, an index or a value is wrong, or a joint has no drive.
+        """
+        ids, rows = self._ids(env_ids)
+        joints = self._joints(joint_ids, name)
+        width = self.dof if joints is None else len(joints)
+        values = as_rows(qpos, rows, width, f"{self.uid}: qpos", shared=True)
+        if target:
+            self.write_target(values, joints, ids)
+        else:
+            self.write_qpos(values, joints, ids)
+
+    def write_target(
+        self, values: F64, joints: NDArray[np.int64] | None = None, ids: EnvIndex | None = None
+    ) -> None:
+        """Set drive targets (n, k) from checked arrays: the door for action terms."""
+        if self._bound is None:
+            self._sim.compile()
+        if joints is None:
+            joints, columns = self._driven, self._ctrl
+            if len(joints) != self.dof:
+                if not len(joints):
+                    self.drives._actuators(self._all)
+                values = values[:, joints]
+        else:
+            columns = _columns(self.drives._actuators(joints))
+        self.drives.write_target_qpos(values, joints, columns, ids)
+
+    def write_qpos(
+        self, values: F64, joints: NDArray[np.int64] | None = None, ids: EnvIndex | None = None
+    ) -> None:
+        """Set joint positions (n, k) from checked arrays, clamped to the limits."""
+        if self._bound is None:
+            self._sim.compile()
+        limits = np.asarray(self.parsed.qpos_limits, np.float64)
+        columns = self._qpos
+        if joints is not None:
+            limits, columns = limits[joints], np.asarray(self.entity.qpos_adr, np.int64)[joints]
+        clamped = np.minimum(np.maximum(values, limits[:, 0]), limits[:, 1])
+        self.engine.write("qpos", clamped, ids, columns)
+
+    def set_qvel(
+        self,
+        qvel: Any,
+        joint_ids: Any = None,
+        env_ids: Any = None,
+        target: bool = True,
+        name: str | None = None,
+    ) -> None:
+        """Set drive velocity targets, or the velocities themselves; arguments as `set_qpos`."""
+        ids, rows = self._ids(env_ids)
+        joints = self._joints(joint_ids, name)
+        joints = self._all if joints is None else joints
+        values = as_rows(qvel, rows, len(joints), f"{self.uid}: qvel", shared=True)
+        if target:
+            self.drives.write_target_qvel(values, joints, ids)
+        else:
+            dofs = np.asarray(self.entity.dof_adr, np.int64)[joints]
+            self.engine.write("qvel", values, ids, dofs)
+
+    def set_qf(
+        self, qf: Any, joint_ids: Any = None, env_ids: Any = None, name: str | None = None
+    ) -> None:
+        """Apply joint efforts (n, k) in N m or N beside the drives, until overwritten or reset."""
+        ids, rows = self._ids(env_ids)
+        joints = self._joints(joint_ids, name)
+        joints = self._all if joints is None else joints
+        values = as_rows(qf, rows, len(joints), f"{self.uid}: qf", shared=True)
+        dofs = np.asarray(self.entity.dof_adr, np.int64)[joints]
+        self.engine.write("qfrc_applied", values, ids, dofs)
+
+    def get_qpos_limits(self, name: str | None = None) -> torch.Tensor:
+        """(N, k, 2) lower and upper limits."""
+        values = self._data.qpos_limits
+        return values if name is None else values[:, self.get_joint_ids(name)]
+
+    def set_joint_drive(
+        self,
+        stiffness: Any = None,
+        damping: Any = None,
+        max_effort: Any = None,
+        max_velocity: Any = None,
+        friction: Any = None,
+        armature: Any = None,
+        joint_ids: Any = None,
+        env_ids: Any = None,
+    ) -> None:
+        """Set gains per environment; each value has shape (n, k), None leaves it.
+
+        Raises:
+            ValueError: If a shape is wrong, a value is negative or a joint has no drive.
+        """
+        ids, rows = self._ids(env_ids)
+        joints = self._joints(joint_ids)
+        self.drives.set(
+            ids,
+            rows,
+            self._all if joints is None else joints,
+            stiffness=stiffness,
+            damping=damping,
+            max_effort=max_effort,
+            max_velocity=max_velocity,
+            friction=friction,
+            armature=armature,
+        )
+
+    def get_joint_drive(self) -> tuple[torch.Tensor, ...]:
+        """Stiffness, damping, max_effort, max_velocity, friction, armature, each (N, D)."""
+        d = self.drives
+        return tuple(
+            to_tensor(v)
+            for v in (d.stiffness, d.damping, d.max_effort, d.max_velocity, d.friction, d.armature)
+        )
+
+    # -- links ---------------------------------------------------------------------------------
+
+    def body_of(self, link: str | None) -> int:
+        """MuJoCo body id of a link; None is the root link.
+
+        Raises:
+            ValueError: If there is no such link; lists the links.
+        """
+        if link is None:
+            return self.entity.root_body_id
+        try:
+            return int(self.entity.body_ids[self.parsed.link_names.index(link)])
+        except ValueError:
+            raise ValueError(
+                f"{self.uid} has no link {link!r}; there are: {', '.join(self.parsed.link_names)}."
+                f"{did_you_mean(link, self.parsed.link_names)}"
+            ) from None
+
+    def get_link_pose(
+        self, link_name: str, env_ids: Any = None, to_matrix: bool = False
+    ) -> torch.Tensor:
+        """Pose of a link in the environment's frame, (n, 7) or (n, 4, 4)."""
+        body = self.body_of(link_name)
+        ids, rows = self._ids(env_ids)
+        pos, quat = self.engine.derived("xpos")[:, body], self.engine.derived("xquat")[:, body]
+        out = np.empty((rows, 7), np.float32)
+        out[:, :3] = pos if ids is None else pos[ids]
+        out[:, 3:] = quat if ids is None else quat[ids]
+        pose = torch.from_numpy(out)
+        return pose_to_matrix(pose) if to_matrix else pose
+
+    def get_link_vel(self, link_name: str, env_ids: Any = None) -> torch.Tensor:
+        """(n, 6) linear velocity of the link's origin, then angular velocity, world axes."""
+        ids, _ = self._ids(env_ids)
+        velocity = self.link_velocity(self.body_of(link_name))
+        return velocity if ids is None else velocity[torch.from_numpy(ids)]
+
+    def get_mass(self, link_names: Sequence[str] | None = None) -> torch.Tensor:
+        """(N, k) link masses in kg."""
+        bodies = [self.body_of(n) for n in (link_names or self.parsed.link_names)]
+        return to_tensor(self.engine.model_field("body_mass")[:, bodies])
+
+    def set_mass(
+        self, mass: Any, link_names: Sequence[str] | None = None, env_ids: Any = None
+    ) -> None:
+        """Set link masses (n, k) in kg; each link's inertia scales with its mass."""
+        ids, rows = self._ids(env_ids)
+        bodies = np.asarray([self.body_of(n) for n in (link_names or self.parsed.link_names)])
+        new = as_rows(mass, rows, len(bodies), f"{self.uid}: mass")
+        if (new <= 0).any():
+            raise ValueError(f"{self.uid}: masses must be positive, got {new.min()}")
+        engine = self.engine
+        old = engine.model_field("body_mass")[:, bodies]
+        old = old if ids is None else old[ids]
+        columns = (3 * bodies[:, None] + np.arange(3)).reshape(-1)
+        inertia = engine.model_field("body_inertia")[:, columns]
+        inertia = inertia if ids is None else inertia[ids]
+        engine.write_model("body_mass", new, ids, bodies)
+        engine.write_model("body_inertia", inertia * np.repeat(new / old, 3, 1), ids, columns)
+        engine.set_const(ids)
+
+    def clear_dynamics(self, env_ids: Any = None) -> None:
+        """Stop all joints and the root, and remove applied efforts."""
+        ids, _ = self._ids(env_ids)
+        dofs = np.asarray(self.entity.dof_adr, np.int64)
+        start = self.entity.free_qvel_adr
+        if start >= 0:
+            dofs = np.concatenate([np.arange(start, start + 6), dofs])
+        for field in ("qvel", "qacc_warmstart", "qfrc_applied"):
+            self.engine.write(field, 0.0, ids, dofs)
+
+    def reset(self, env_ids: Any = None) -> None:
+        """Give root and joints their configured state, drives their targets, no velocity."""
+        self._sim.reset_objects_state(env_ids, only=(self.uid,))
+
+    set_fix_base = not_available("set_fix_base", "declare fix_base: it is compiled into the model")
+    set_self_collision = not_available("set_self_collision", "declare disable_self_collision")
+    set_link_physical_attr = not_available("set_link_physical_attr", "declare attrs; set_mass works")

@@ -1,0 +1,180 @@
+"""`BatchEntity`: what every handle has - a uid, a config, one simulated thing in N environments."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import numpy as np
+import torch
+
+from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows
+from embodichain.utils.math import matrix_to_pose, normalize_quat
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.cfg import ObjectBaseCfg
+    from embodichain.lab.sim.compiler import EntityIndex
+    from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex
+    from embodichain.lab.sim.sim_manager import SimulationManager
+
+__all__ = ["BatchEntity", "not_available"]
+
+
+def not_available(what: str, why: str) -> Callable[..., NoReturn]:
+    """Return a method that raises NotImplementedError: the name exists, the feature does not yet."""
+
+    def method(self: object, *args: Any, **kwargs: Any) -> NoReturn:
+        raise NotImplementedError(f"{type(self).__name__}.{what} is not available: {why}")
+
+    method.__name__ = what
+    method.__doc__ = f"Not available: {why}; raises NotImplementedError."
+    return method
+
+
+class BatchEntity:
+    """One entity in N environments.
+
+    Args:
+        cfg: Its config (kept as given).
+        uid: Its name in the scene.
+        sim: The simulation that owns it.
+    """
+
+    def __init__(self, cfg: ObjectBaseCfg, uid: str, sim: SimulationManager) -> None:
+        self.cfg = cfg
+        self.uid = uid
+        self._sim = sim
+        self._bound: Engine | None = None
+        self._index: EntityIndex | None = None
+
+    def bind(self, engine: Engine, index: EntityIndex) -> None:
+        """Learn where the compiled model keeps this entity. Called once, by the simulation."""
+        self._bound = engine
+        self._index = index
+
+    @property
+    def engine(self) -> Engine:
+        """The engine; compiles the scene at first use."""
+        return self._bound if self._bound is not None else self._sim.engine
+
+    @property
+    def entity(self) -> EntityIndex:
+        """Where the compiled model keeps this entity; compiles the scene at first use."""
+        if self._index is None:
+            self._sim.compile()
+        if self._index is None:
+            raise RuntimeError(f"{self.uid} was removed from the scene before it was compiled")
+        return self._index
+
+    @property
+    def num_instances(self) -> int:
+        """N."""
+        return self._sim.num_envs
+
+    @property
+    def device(self) -> torch.device:
+        """Where tensors handed out live."""
+        return self._sim.device
+
+    def destroy(self) -> None:
+        """Drop the handle's hold on the engine."""
+        self._bound = None
+
+    # -- root pose -----------------------------------------------------------------------------
+
+    def _ids(self, env_ids: Any) -> tuple[EnvIndex | None, int]:
+        ids = as_env_ids(env_ids, self._sim.num_envs)
+        return ids, self._sim.num_envs if ids is None else len(ids)
+
+    def _pose_rows(self, pose: Any, rows: int) -> F64:
+        """Return (rows, 7) float64 with unit quaternions from (rows, 7) or (rows, 4, 4)."""
+        shape = tuple(np.shape(pose))
+        if len(shape) == 3 and shape[1:] == (4, 4):
+            flat = pose.reshape(shape[0], 16)
+            matrix = as_rows(flat, rows, 16, f"{self.uid}: pose").reshape(rows, 4, 4)
+            return matrix_to_pose(matrix)
+        if len(shape) != 2 or shape[1] != 7:
+            raise ValueError(
+                f"{self.uid}: pose must have shape ({rows}, 7) (x, y, z, qw, qx, qy, qz) or "
+                f"({rows}, 4, 4), got {shape}"
+            )
+        array = as_rows(pose, rows, 7, f"{self.uid}: pose").copy()
+        array[:, 3:] = normalize_quat(array[:, 3:])
+        return array
+
+    def write_pose(self, pos: F64, quat: F64 | None = None, env_ids: EnvIndex | None = None) -> None:
+        """Set the root pose from checked numpy arrays: the door for terms, without checks.
+
+        Args:
+            pos: (n, 3) metres in the environment's frame.
+            quat: (n, 4) unit wxyz, or None to leave the orientation.
+            env_ids: (n,) sorted unique int64, or None for all.
+        """
+        engine, index = self.engine, self.entity
+        if index.mocap_id >= 0:
+            start = 3 * index.mocap_id
+            engine.write("mocap_pos", pos, env_ids, slice(start, start + 3))
+            if quat is not None:
+                start = 4 * index.mocap_id
+                engine.write("mocap_quat", quat, env_ids, slice(start, start + 4))
+            return
+        start = index.free_qpos_adr
+        if start >= 0:
+            engine.write("qpos", pos, env_ids, slice(start, start + 3))
+            if quat is not None:
+                engine.write("qpos", quat, env_ids, slice(start + 3, start + 7))
+            return
+        start = index.root_body_id
+        engine.write_model("body_pos", pos, env_ids, slice(3 * start, 3 * start + 3))
+        if quat is not None:
+            engine.write_model("body_quat", quat, env_ids, slice(4 * start, 4 * start + 4))
+
+    def read_pose(self) -> tuple[F64, F64]:
+        """Root position (N, 3) and wxyz orientation (N, 4): live views, do not write or keep."""
+        engine, index = self.engine, self.entity
+        if index.mocap_id >= 0:
+            p, q = 3 * index.mocap_id, 4 * index.mocap_id
+            return (
+                engine.state("mocap_pos")[:, p : p + 3],
+                engine.state("mocap_quat")[:, q : q + 4],
+            )
+        start = index.free_qpos_adr
+        if start >= 0:
+            qpos = engine.state("qpos")
+            return qpos[:, start : start + 3], qpos[:, start + 3 : start + 7]
+        body = index.root_body_id
+        return engine.derived("xpos")[:, body], engine.derived("xquat")[:, body]
+
+    def pose_tensor(self) -> torch.Tensor:
+        """Root pose (N, 7) float32: x, y, z, qw, qx, qy, qz."""
+        pos, quat = self.read_pose()
+        out = np.empty((len(pos), 7), np.float32)
+        out[:, :3] = pos
+        out[:, 3:] = quat
+        return torch.from_numpy(out)
+
+    def get_local_pose(self, to_matrix: bool = False) -> torch.Tensor:
+        """Return the root pose in the environment's own frame.
+
+        Args:
+            to_matrix: Whether to return (N, 4, 4) matrices instead of (N, 7) vectors
+                (x, y, z, qw, qx, qy, qz).
+        """
+        from embodichain.utils.math import pose_to_matrix
+
+        pose = self.pose_tensor()
+        return pose_to_matrix(pose) if to_matrix else pose
+
+    def set_local_pose(self, pose: Any, env_ids: Any = None) -> None:
+        """Set the root pose in the environment's own frame.
+
+        Args:
+            pose: (n, 7) x, y, z, qw, qx, qy, qz, or (n, 4, 4). Quaternions are normalized.
+            env_ids: The n environments (sorted unique, or a mask); None is all N.
+
+        Raises:
+            ValueError: If the shape does not match ``env_ids`` or a value is not finite.
+        """
+        ids, rows = self._ids(env_ids)
+        array = self._pose_rows(pose, rows)
+        self.write_pose(array[:, :3], array[:, 3:], ids)

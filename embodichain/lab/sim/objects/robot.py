@@ -1,0 +1,47 @@
+"""`Robot`: an articulation with drives and control parts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tensordict import TensorDict
+
+from embodichain.lab.sim.objects.articulation import Articulation
+from embodichain.lab.sim.objects.entity import not_available
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.cfg import RobotCfg
+
+__all__ = ["Robot"]
+
+_IK = "IK solvers come later"
+
+
+class Robot(Articulation):
+    """An articulation that is acted on."""
+
+    cfg: RobotCfg
+
+    @property
+    def control_parts(self) -> dict[str, list[str]]:
+        """Joint names of each control part."""
+        names = self.parsed.joint_names
+        return {part: [names[i] for i in ids] for part, ids in self.parsed.control_parts.items()}
+
+    def get_proprioception(self) -> TensorDict:
+        """Joint positions, velocities and efforts: ``qpos``, ``qvel``, ``qf``, (N, D) each."""
+        qpos, qvel, qf = self.proprioception()
+        return TensorDict(
+            {"qpos": qpos, "qvel": qvel, "qf": qf},
+            batch_size=[self.num_instances],
+            device=self.device,
+        )
+
+    compute_fk = not_available("compute_fk", f"{_IK}; get_link_pose reads the simulated pose")
+    compute_ik = not_available("compute_ik", _IK)
+    compute_batch_fk = not_available("compute_batch_fk", _IK)
+    compute_batch_ik = not_available("compute_batch_ik", _IK)
+    compute_jacobian = not_available("compute_jacobian", _IK)
+    get_solver = not_available("get_solver", _IK)
+    init_solver = not_available("init_solver", _IK)
+    get_control_part_base_pose = not_available("get_control_part_base_pose", _IK)

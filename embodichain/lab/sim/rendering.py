@@ -1,0 +1,72 @@
+"""Pictures of one environment, off screen: `SceneRenderer` over `mujoco.Renderer`.
+
+The OpenGL library is chosen at first use, so that importing this package needs none.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+
+from embodichain.utils.errors import RenderError
+from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.cpu import CpuEngine
+
+__all__ = ["SceneRenderer"]
+
+_HINT = (
+    "off-screen rendering needs EGL: `apt-get install libegl1 libgl1-mesa-dri` (Debian, Ubuntu), "
+    "or set MUJOCO_GL to a library that works here"
+)
+
+
+class SceneRenderer:
+    """An off-screen renderer of one size.
+
+    Args:
+        model: The compiled scene.
+        width: Pixels.
+        height: Pixels.
+
+    Raises:
+        RenderError: If no OpenGL library works here; names the package that would help.
+    """
+
+    def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
+        if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+            os.environ.setdefault("MUJOCO_GL", "egl")
+        self.size = (width, height)
+        self._cameras = [model.camera(i).name for i in range(model.ncam)]
+        model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
+        model.vis.global_.offheight = max(model.vis.global_.offheight, height)
+        try:
+            self._renderer = mujoco.Renderer(model, height=height, width=width)
+        except (ImportError, AttributeError, OSError, RuntimeError, mujoco.FatalError) as error:
+            raise RenderError(f"no picture can be made here ({error}); {_HINT}") from error
+
+    def draw(
+        self, engine: CpuEngine, env_id: int, camera: str | int
+    ) -> np.ndarray[Any, np.dtype[np.uint8]]:
+        """Return (height, width, 3) RGB of one environment; changes nothing of it.
+
+        Raises:
+            ValueError: If there is no such camera; lists the cameras.
+        """
+        if isinstance(camera, str) and camera not in self._cameras:
+            raise ValueError(
+                f"no camera {camera!r}; there are: {', '.join(self._cameras) or 'none'}."
+                f"{did_you_mean(camera, self._cameras)}"
+            )
+        self._renderer.update_scene(engine.data_of(env_id), camera)
+        picture: np.ndarray[Any, np.dtype[np.uint8]] = self._renderer.render().copy()
+        return picture
+
+    def close(self) -> None:
+        """Free the OpenGL context."""
+        self._renderer.close()

@@ -1,0 +1,475 @@
+"""`SimulationManager`: owns what was declared, the compiled scene and its engine.
+
+Entities are added first; the scene is compiled once, at the first use of physics (`engine`), and
+nothing can be added afterwards. What steps the batch is `engine`, what a joint is `objects`.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from embodichain.lab.sim.cfg import (
+    ArticulationCfg,
+    LightCfg,
+    MarkerCfg,
+    RigidObjectCfg,
+    RobotCfg,
+    SimulationManagerCfg,
+    name_of,
+)
+from embodichain.lab.sim.compiler import CompiledScene, compile_scene, parse_articulation
+from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.lab.sim.objects._arrays import as_env_ids
+from embodichain.lab.sim.objects.articulation import Articulation
+from embodichain.lab.sim.objects.entity import not_available
+from embodichain.lab.sim.objects.rigid_object import RigidObject
+from embodichain.lab.sim.objects.robot import Robot
+from embodichain.utils.errors import ConfigError, DeviceError, Problem
+from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.rendering import SceneRenderer
+    from embodichain.lab.sim.viewer import NativeViewer
+
+__all__ = ["SimulationManager", "check_device"]
+
+Handle = Articulation | RigidObject
+
+_instances: dict[int, weakref.ref[SimulationManager]] = {}
+
+
+def check_device(device: Any) -> torch.device:
+    """Return the torch device a simulation may run on.
+
+    Raises:
+        DeviceError: If the name is unknown, or the device has no engine here.
+    """
+    try:
+        found = torch.device(device)
+    except RuntimeError:
+        raise DeviceError(
+            f"unknown device {device!r}; allowed: cpu.{did_you_mean(str(device), ['cpu', 'cuda'])}"
+        ) from None
+    if found.type == "cuda":
+        raise DeviceError(
+            f"device {str(device)!r}: the CUDA engine is not available yet; use device=cpu"
+        )
+    if found.type != "cpu":
+        raise DeviceError(f"device {str(device)!r} has no physics engine; allowed: cpu")
+    return found
+
+
+class SimulationManager:
+    """N environments of one scene.
+
+    Args:
+        cfg: How the simulation runs.
+
+    Raises:
+        DeviceError: If the device is unknown or has no engine here.
+    """
+
+    def __init__(self, cfg: SimulationManagerCfg | None = None) -> None:
+        self.sim_config = cfg if cfg is not None else SimulationManagerCfg(headless=True)
+        self.device = check_device(self.sim_config.sim_device)
+        self.num_envs = int(self.sim_config.num_envs)
+        self.robots: dict[str, Robot] = {}
+        self.articulations: dict[str, Articulation] = {}
+        self.rigid_objects: dict[str, RigidObject] = {}
+        self.lights: dict[str, LightCfg] = {}
+        self._scene: CompiledScene | None = None
+        self._engine: CpuEngine | None = None
+        self._initial_row: F64 = np.zeros(0)
+        self._renderer: SceneRenderer | None = None
+        self._viewer: NativeViewer | None = None
+        self.instance_id = max(_instances, default=-1) + 1
+        _instances[self.instance_id] = weakref.ref(self)
+
+    @staticmethod
+    def get_instance(instance_id: int = 0) -> SimulationManager:
+        """Return a living simulation by the order of its creation.
+
+        Raises:
+            ValueError: If there is none; lists the living ones.
+        """
+        alive = [i for i, ref in _instances.items() if ref() is not None]
+        found = _instances.get(instance_id, lambda: None)()
+        if found is None:
+            raise ValueError(f"no simulation {instance_id}; living ones: {alive}")
+        return found
+
+    # -- declaring -----------------------------------------------------------------------------
+
+    def _claim(self, cfg: Any) -> str:
+        if self._scene is not None:
+            raise RuntimeError(
+                "the scene is compiled already (by a step, a reset or a pose that was read): "
+                "add every robot and object first"
+            )
+        uid = name_of(cfg)
+        if uid in self.asset_uids:
+            raise ConfigError([Problem(uid, f"uid {uid!r} is taken; taken: {self.asset_uids}")])
+        if self.num_envs < 1:
+            raise ConfigError([Problem("num_envs", f"must be at least 1, got {self.num_envs}")])
+        return uid
+
+    def add_robot(self, cfg: RobotCfg) -> Robot:
+        """Add a robot; its file is read at once, so names and limits are known on return.
+
+        Raises:
+            ConfigError: If the file or a value in the config is wrong.
+            RuntimeError: If the scene is compiled already.
+        """
+        uid = self._claim(cfg)
+        robot = Robot(cfg, parse_articulation(uid, cfg), self)
+        self.robots[uid] = robot
+        return robot
+
+    def add_articulation(self, cfg: ArticulationCfg) -> Articulation:
+        """Add an articulation without control parts; see `add_robot`."""
+        uid = self._claim(cfg)
+        articulation = Articulation(cfg, parse_articulation(uid, cfg), self)
+        self.articulations[uid] = articulation
+        return articulation
+
+    def add_rigid_object(self, cfg: RigidObjectCfg) -> RigidObject:
+        """Add a rigid object; see `add_robot` for what it raises."""
+        uid = self._claim(cfg)
+        obj = RigidObject(cfg, uid, self)
+        self.rigid_objects[uid] = obj
+        return obj
+
+    def add_light(self, cfg: LightCfg) -> LightCfg:
+        """Add a light for pictures; it has no handle."""
+        self.lights[self._claim(cfg)] = cfg
+        return cfg
+
+    def remove_asset(self, uid: str) -> bool:
+        """Take back something that was added; returns whether it was there.
+
+        Raises:
+            RuntimeError: If the scene is compiled already.
+        """
+        if self._scene is not None:
+            raise RuntimeError("the scene is compiled already: nothing can be removed")
+        groups: tuple[dict[str, Any], ...] = (
+            self.robots,
+            self.articulations,
+            self.rigid_objects,
+            self.lights,
+        )
+        return any(group.pop(uid, None) is not None for group in groups)
+
+    # -- finding -------------------------------------------------------------------------------
+
+    def get_robot(self, uid: str | None = None) -> Robot | None:
+        """A robot by uid (None if absent); without a uid, the only one."""
+        if uid is None:
+            return next(iter(self.robots.values())) if len(self.robots) == 1 else None
+        return self.robots.get(uid)
+
+    def get_articulation(self, uid: str) -> Articulation | None:
+        """An articulation by uid, or None."""
+        return self.articulations.get(uid)
+
+    def get_rigid_object(self, uid: str) -> RigidObject | None:
+        """A rigid object by uid, or None."""
+        return self.rigid_objects.get(uid)
+
+    def get_asset(self, uid: str) -> Handle | None:
+        """A robot, articulation or object by uid, or None."""
+        return self.robots.get(uid) or self.articulations.get(uid) or self.rigid_objects.get(uid)
+
+    def get_robot_uid_list(self) -> list[str]:
+        """Uids of robots, in order of addition."""
+        return list(self.robots)
+
+    def get_articulation_uid_list(self) -> list[str]:
+        """Uids of articulations, in order of addition."""
+        return list(self.articulations)
+
+    def get_rigid_object_uid_list(self) -> list[str]:
+        """Uids of rigid objects, in order of addition."""
+        return list(self.rigid_objects)
+
+    @property
+    def asset_uids(self) -> list[str]:
+        """Everything that has a name, ``default_plane`` included."""
+        plane = ["default_plane"] if self.sim_config.ground_plane else []
+        return [*plane, *self.robots, *self.articulations, *self.rigid_objects, *self.lights]
+
+    @property
+    def arena_offsets(self) -> torch.Tensor:
+        """(N, 3) where viewers lay environments out: a square grid of `arena_space` metres.
+
+        Physics knows no offsets: every environment is its own world, and every pose is in it.
+        """
+        side = int(np.ceil(np.sqrt(self.num_envs)))
+        index = np.arange(self.num_envs)
+        grid = np.stack([index % side, index // side, np.zeros_like(index)], axis=1)
+        return torch.from_numpy((grid * self.sim_config.arena_space).astype(np.float32))
+
+    # -- compiling -----------------------------------------------------------------------------
+
+    @property
+    def compiled(self) -> bool:
+        """Whether the scene is compiled."""
+        return self._scene is not None
+
+    @property
+    def scene(self) -> CompiledScene:
+        """The compiled scene; compiles it at first use."""
+        self.compile()
+        if self._scene is None:
+            raise RuntimeError("the simulation was destroyed")
+        return self._scene
+
+    @property
+    def engine(self) -> CpuEngine:
+        """The engine; compiles the scene at first use."""
+        if self._engine is None:
+            self.compile()
+        if self._engine is None:
+            raise RuntimeError("the simulation was destroyed")
+        return self._engine
+
+    def compile(self) -> None:
+        """Compile the declared scene and start its engine; does nothing the second time."""
+        if self._scene is not None:
+            return
+        cfg = self.sim_config
+        articulations: list[Articulation] = [*self.robots.values(), *self.articulations.values()]
+        self._scene = compile_scene(
+            cfg,
+            [a.parsed for a in articulations],
+            {uid: o.cfg for uid, o in self.rigid_objects.items()},
+            self.lights,
+        )
+        self._engine = CpuEngine(
+            self._scene.model, self.num_envs, cfg.num_threads, cfg.persistent
+        )
+        self._initial_row = self._make_initial_row(articulations)
+        self._engine.write("row", self._initial_row)
+        for handle in (*articulations, *self.rigid_objects.values()):
+            handle.bind(self._engine, self._scene.entities[handle.uid])
+
+    def _make_initial_row(self, articulations: Sequence[Articulation]) -> F64:
+        """One row: MuJoCo's reset state with every entity at its configured place."""
+        engine, scene = self.engine, self.scene
+        row = engine.rows[0].copy()
+        qpos, ctrl = row[engine.component("qpos")], row[engine.component("ctrl")]
+        mocap_pos, mocap_quat = row[engine.component("mocap_pos")], row[engine.component("mocap_quat")]
+        for index in scene.entities.values():
+            if index.mocap_id >= 0:
+                mocap_pos[3 * index.mocap_id :][:3] = index.pos0
+                mocap_quat[4 * index.mocap_id :][:4] = index.quat0
+            elif index.free_qpos_adr >= 0:
+                qpos[index.free_qpos_adr :][:3] = index.pos0
+                qpos[index.free_qpos_adr + 3 :][:4] = index.quat0
+        for articulation in articulations:
+            index = scene.entities[articulation.uid]
+            start = np.asarray(articulation.parsed.init_qpos, np.float64)
+            qpos[np.asarray(index.qpos_adr, np.int64)] = start
+            actuators = np.asarray(index.actuator_ids, np.int64)
+            ctrl[actuators[actuators >= 0]] = start[actuators >= 0]
+        return row
+
+    # -- running -------------------------------------------------------------------------------
+
+    def update(self, physics_dt: float | None = None, step: int = 10) -> None:
+        """Advance physics by ``step`` steps.
+
+        Args:
+            physics_dt: None, or the configured timestep in seconds.
+            step: Physics steps.
+
+        Raises:
+            ValueError: If ``physics_dt`` is not the compiled timestep or ``step`` is negative.
+        """
+        compiled = self.sim_config.physics_dt
+        if physics_dt is not None and abs(physics_dt - compiled) > 1e-12:
+            raise ValueError(
+                f"physics_dt is compiled into the scene: {compiled} s, got {physics_dt} s"
+            )
+        if step < 0:
+            raise ValueError(f"step must not be negative, got {step}")
+        if step:
+            self.engine.step(step)
+        if self._viewer is not None:
+            self._viewer.sync()
+
+    def reset_objects_state(
+        self,
+        env_ids: Any = None,
+        excluded_uids: Collection[str] = (),
+        only: Collection[str] | None = None,
+    ) -> None:
+        """Put entities back to their configured state: poses, joints, targets, no velocity.
+
+        Args:
+            env_ids: The environments; None is all.
+            excluded_uids: Entities that stay as they are.
+            only: If given, no other entity changes (and MuJoCo's own reset is left out).
+        """
+        ids = as_env_ids(env_ids, self.num_envs)
+        if ids is not None and not len(ids):
+            return
+        engine = self.engine
+        uids = self.scene.entities if only is None else only
+        chosen = [u for u in uids if u not in set(excluded_uids)]
+        if only is None and not excluded_uids:
+            engine.reset(ids)
+            engine.write("row", self._initial_row, ids)
+        else:
+            self._reset_some(ids, chosen)
+        for uid in chosen:
+            handle = self.get_asset(uid)
+            if isinstance(handle, Articulation):
+                handle.drives.clear(ids)
+
+    def _reset_some(self, ids: EnvIndex | None, uids: Collection[str]) -> None:
+        engine = self.engine
+        columns = np.concatenate([self._columns(uid) for uid in uids]) if uids else np.zeros(0, int)
+        if len(columns):
+            engine.write("row", self._initial_row[columns], ids, columns)
+
+    def _columns(self, uid: str) -> np.ndarray[Any, np.dtype[np.int64]]:
+        """Row columns that belong to one entity."""
+        engine, index = self.engine, self.scene.entities[uid]
+        start = {name: engine.component(name).start for name in _ENTITY_COMPONENTS}
+        parts: list[Any] = []
+        if index.mocap_id >= 0:
+            parts += [start["mocap_pos"] + 3 * index.mocap_id + np.arange(3)]
+            parts += [start["mocap_quat"] + 4 * index.mocap_id + np.arange(4)]
+        dofs = np.asarray(index.dof_adr, np.int64)
+        if index.free_qpos_adr >= 0:
+            parts += [start["qpos"] + index.free_qpos_adr + np.arange(7)]
+            dofs = np.concatenate([index.free_qvel_adr + np.arange(6), dofs])
+        parts += [start["qpos"] + np.asarray(index.qpos_adr, np.int64)]
+        parts += [start[name] + dofs for name in ("qvel", "qacc_warmstart", "qfrc_applied")]
+        actuators = np.asarray(index.actuator_ids, np.int64)
+        parts += [start["ctrl"] + actuators[actuators >= 0]]
+        bodies = np.asarray(index.body_ids, np.int64)
+        parts += [start["xfrc_applied"] + (6 * bodies[:, None] + np.arange(6)).reshape(-1)]
+        return np.unique(np.concatenate(parts).astype(np.int64))
+
+    # -- pictures ------------------------------------------------------------------------------
+
+    def render(
+        self, env_id: int = 0, camera: str | int = "default", width: int = 640, height: int = 480
+    ) -> np.ndarray[Any, np.dtype[np.uint8]]:
+        """Draw one environment off screen, (height, width, 3) RGB.
+
+        Raises:
+            RenderError: If no OpenGL library works here; names the package.
+            ValueError: If there is no such camera or environment.
+        """
+        from embodichain.lab.sim.rendering import SceneRenderer
+
+        if not 0 <= env_id < self.num_envs:
+            raise ValueError(f"env_id must be in [0, {self.num_envs}), got {env_id}")
+        if self._renderer is None or self._renderer.size != (width, height):
+            if self._renderer is not None:
+                self._renderer.close()
+            self._renderer = SceneRenderer(self.scene.model, width, height)
+        return self._renderer.draw(self.engine, env_id, camera)
+
+    def open_window(self, env_id: int = 0) -> None:
+        """Open MuJoCo's viewer on one environment; `update` keeps it current.
+
+        Raises:
+            RenderError: If there is no display.
+        """
+        from embodichain.lab.sim.viewer import NativeViewer
+
+        if self._viewer is None:
+            self._viewer = NativeViewer(self.engine, env_id)
+
+    def close_window(self) -> None:
+        """Close the viewer if it is open."""
+        if self._viewer is not None:
+            self._viewer.close()
+            self._viewer = None
+
+    @property
+    def is_window_open(self) -> bool:
+        """Whether a viewer is open (the user may have closed it)."""
+        return self._viewer is not None and self._viewer.is_running
+
+    # -- whole simulations -----------------------------------------------------------------------
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything physics needs to continue to the bit (copies)."""
+        handles: Mapping[str, Articulation] = {**self.robots, **self.articulations}
+        return {
+            "engine": self.engine.state_dict(),
+            "drives": {uid: h.drives.state_dict() for uid, h in handles.items()},
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue exactly where `state_dict` was taken."""
+        self.engine.load_state_dict(state["engine"])
+        handles: Mapping[str, Articulation] = {**self.robots, **self.articulations}
+        for uid, drives in state["drives"].items():
+            handles[uid].drives.load_state_dict(drives)
+
+    def init_gpu_physics(self) -> None:
+        """Do nothing: there is no GPU engine yet, and the CPU's needs no start."""
+
+    def enable_physics(self, enable: bool = True) -> None:
+        """Accept the call: physics runs when it is stepped.
+
+        Raises:
+            NotImplementedError: If physics is to be switched off.
+        """
+        if not enable:
+            raise NotImplementedError("physics cannot be switched off: do not step it")
+
+    def destroy(self, exit_process: bool = False) -> None:
+        """Free the engine, the renderer and the viewer; returns, and never ends the process."""
+        self.close_window()
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+        for handle in (*self.robots.values(), *self.articulations.values(),
+                       *self.rigid_objects.values()):
+            handle.destroy()
+        self._engine = None
+        _instances.pop(self.instance_id, None)
+
+    def draw_marker(self, cfg: MarkerCfg) -> None:
+        """Not available: markers come with the viewers that draw them."""
+        raise NotImplementedError("draw_marker is not available: add a kinematic object instead")
+
+    add_soft_object = not_available("add_soft_object", "soft bodies come later")
+    add_cloth_object = not_available("add_cloth_object", "cloth comes later")
+    add_rigid_object_group = not_available("add_rigid_object_group", "add objects one by one")
+    add_sensor = not_available("add_sensor", "sensors come later")
+    create_visual_material = not_available("create_visual_material", "declare visual_material")
+    create_rigid_constraint = not_available("create_rigid_constraint", "welds come later")
+    remove_rigid_constraint = not_available("remove_rigid_constraint", "welds come later")
+    export_usd = not_available("export_usd", "USD is not written")
+    enable_gizmo = not_available("enable_gizmo", "gizmos are not available")
+    disable_gizmo = not_available("disable_gizmo", "gizmos are not available")
+    visualize_point_cloud = not_available("visualize_point_cloud", "point clouds come later")
+    set_indirect_lighting = not_available("set_indirect_lighting", "MuJoCo has none; add lights")
+    set_emission_light = not_available("set_emission_light", "MuJoCo has none; add lights")
+    render_camera_group = not_available("render_camera_group", "cameras come later")
+
+
+_ENTITY_COMPONENTS = (
+    "qpos",
+    "qvel",
+    "qacc_warmstart",
+    "qfrc_applied",
+    "xfrc_applied",
+    "ctrl",
+    "mocap_pos",
+    "mocap_quat",
+)

@@ -1,0 +1,70 @@
+"""`NativeViewer`: MuJoCo's own window onto one environment. Needs a display."""
+
+from __future__ import annotations
+
+import os
+import sys
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+
+from embodichain.utils.errors import RenderError
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.cpu import CpuEngine
+
+__all__ = ["NativeViewer", "has_display"]
+
+
+def has_display() -> bool:
+    """Whether a window could be opened here."""
+    if not sys.platform.startswith("linux"):
+        return True
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+class NativeViewer:
+    """A passive viewer: it shows, it never changes the simulation.
+
+    Args:
+        engine: The simulations.
+        env_id: The environment to show.
+
+    Raises:
+        RenderError: If there is no display.
+    """
+
+    def __init__(self, engine: CpuEngine, env_id: int = 0) -> None:
+        if not has_display():
+            raise RenderError("no display to open a window on (DISPLAY is not set)")
+        import mujoco.viewer
+
+        self._engine = engine
+        self._env_id = env_id
+        self._model = engine.model_of(env_id)
+        self._data = mujoco.MjData(self._model)
+        self._handle: Any = mujoco.viewer.launch_passive(self._model, self._data)
+        self.sync()
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the user has the window open."""
+        return bool(self._handle.is_running())
+
+    def sync(self) -> None:
+        """Show the environment's current state; does nothing once the window is closed."""
+        if not self._handle.is_running():
+            return
+        with self._handle.lock():
+            mujoco.mj_setState(
+                self._model,
+                self._data,
+                self._engine.rows[self._env_id],
+                int(mujoco.mjtState.mjSTATE_INTEGRATION),
+            )
+            mujoco.mj_forward(self._model, self._data)
+        self._handle.sync()
+
+    def close(self) -> None:
+        """Close the window."""
+        self._handle.close()
