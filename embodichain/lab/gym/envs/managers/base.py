@@ -1,0 +1,179 @@
+"""What all managers share: building declared terms once, resetting and saving the stateful ones.
+
+`Term` is the optional base of terms that are classes. How a kind of term is run stands in its own
+manager's file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from embodichain.lab.gym.envs.cfg import SceneEntityCfg, TermCfg
+from embodichain.lab.gym.envs.managers.check import check_params
+from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec, resolve_term
+from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    import torch
+
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.sim.engine.base import EnvIndex
+
+__all__ = ["BuiltTerm", "Manager", "Term", "checked_rows"]
+
+C = TypeVar("C", bound=TermCfg)
+
+
+class Term:
+    """Base of terms that keep something between calls.
+
+    A term class takes ``(env, **params)`` and is called with what its manager passes to functions
+    of that kind, without the parameters. Subclassing this is optional: any class with `__call__`
+    will do, and its `reset`, `state_dict` and `load_state_dict` are used where it has them.
+    """
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Forget what belongs to the episode of these environments.
+
+        Args:
+            env_ids: (n,) sorted unique int64, or None for all.
+        """
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that must be restored to continue to the bit (copies)."""
+        return {}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BuiltTerm(Generic[C]):
+    """A declared term, ready to be called.
+
+    Attributes:
+        name: Its key in the config.
+        cfg: What the config says.
+        spec: The function or class behind it.
+        call: Takes what the manager passes; parameters are bound.
+        instance: The object, if the term is a class.
+    """
+
+    name: str
+    cfg: C
+    spec: TermSpec
+    call: Callable[..., Any]
+    instance: Any = None
+
+
+class Manager(Generic[C]):
+    """Terms of one kind, built once in declared order.
+
+    Args:
+        env: The environment; its scene is complete.
+        section: The section of the task, for messages.
+        kind: The kind of its terms.
+        cfgs: Name -> declaration.
+
+    Raises:
+        ConfigError: If a term or an entity that it points at does not exist, or a parameter is
+            wrong; holds the mistakes of all terms.
+    """
+
+    def __init__(self, env: BaseEnv, section: str, kind: Kind, cfgs: Mapping[str, C]) -> None:
+        self.env = env
+        self.num_envs = env.num_envs
+        problems: list[Problem] = []
+        self.terms: dict[str, BuiltTerm[C]] = {}
+        for name, cfg in cfgs.items():
+            try:
+                self.terms[name] = _build(env, kind, name, cfg)
+            except ConfigError as error:
+                problems += [
+                    Problem(f"{section}.{name}.{p.path}".rstrip("."), p.message, p.hint)
+                    for p in error.problems
+                ]
+        if problems:
+            raise ConfigError(problems)
+        instances = {n: t.instance for n, t in self.terms.items() if t.instance is not None}
+        self._resets = [i.reset for i in instances.values() if hasattr(i, "reset")]
+        self._stateful = {n: i for n, i in instances.items() if hasattr(i, "state_dict")}
+
+    def __len__(self) -> int:
+        return len(self.terms)
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Reset the terms that are classes; (n,) environments, or None for all."""
+        for reset in self._resets:
+            reset(env_ids)
+
+    def state_dict(self) -> dict[str, Any]:
+        """State of the terms that keep any (copies), by name."""
+        return {"terms": {name: term.state_dict() for name, term in self._stateful.items()}}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        for name, term in self._stateful.items():
+            term.load_state_dict(state["terms"][name])
+
+
+def _build(env: BaseEnv, kind: Kind, name: str, cfg: C) -> BuiltTerm[C]:
+    try:
+        spec = resolve_term(kind, cfg.func)
+    except ConfigError as error:
+        raise ConfigError([Problem("func", p.message, p.hint) for p in error.problems]) from error
+    values, problems = check_params(spec, cfg.params, "params")
+    if problems:
+        raise ConfigError(problems)
+    params = {key: _resolved(env, value, f"params.{key}") for key, value in values.items()}
+    if not spec.is_class:
+        bound = partial(spec.func, **params) if params else spec.func
+        return BuiltTerm(name, cfg, spec, bound)
+    try:
+        instance = spec.func(env, **params)
+    except ConfigError as error:
+        raise ConfigError(
+            [Problem(f"params.{p.path}".rstrip("."), p.message, p.hint) for p in error.problems]
+        ) from error
+    call = instance.apply if kind == "action" else instance
+    return BuiltTerm(name, cfg, spec, call, instance)
+
+
+def _resolved(env: BaseEnv, value: Any, path: str) -> Any:
+    """Replace references to entities, also within lists and maps, by what they mean."""
+    if isinstance(value, SceneEntityCfg):
+        try:
+            return resolve_entity(env.sim, value)
+        except ConfigError as error:
+            raise ConfigError(
+                [Problem(f"{path}.{p.path}", p.message, p.hint) for p in error.problems]
+            ) from error
+    if isinstance(value, (list, tuple)):
+        return type(value)(_resolved(env, v, f"{path}.{i}") for i, v in enumerate(value))
+    if isinstance(value, dict):
+        return {k: _resolved(env, v, f"{path}.{k}") for k, v in value.items()}
+    return value
+
+
+def checked_rows(value: Any, num_envs: int, kind: Kind, name: str) -> torch.Tensor:
+    """Return a term's value if it is a tensor of shape (N,).
+
+    Raises:
+        ValueError: If it is not; names the term. (N, 1) is refused too: it would broadcast.
+    """
+    import torch
+
+    if not isinstance(value, torch.Tensor):
+        raise ValueError(
+            f"{kind} term {name!r} must return a tensor of shape ({num_envs},), "
+            f"got {type(value).__name__}"
+        )
+    if value.shape != (num_envs,):
+        raise ValueError(
+            f"{kind} term {name!r} must return shape ({num_envs},), got {tuple(value.shape)}"
+        )
+    return value

@@ -1,0 +1,166 @@
+"""Checks of terms against their signatures, for a whole config and for one term being built.
+
+Entities that parameters point at are checked against the scene elsewhere
+(`embodichain.lab.sim.compiler.describe`). No torch here.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from pydantic import PydanticSchemaGenerationError, TypeAdapter, ValidationError
+
+from embodichain.lab.gym.envs.cfg import EnvCfg, EventCfg, ObservationCfg, SceneEntityCfg, TermCfg
+from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec, resolve_term
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["SECTIONS", "check_params", "check_terms"]
+
+SECTIONS: dict[str, Kind] = {
+    "actions": "action",
+    "events": "event",
+    "observations": "observation",
+    "rewards": "reward",
+    "terminations": "termination",
+    "metrics": "metric",
+}
+"""Sections of a task and the kind of term each holds."""
+
+_NOT_YET = ("commands", "curriculum")
+
+
+def check_terms(cfg: EnvCfg, *, allow_import: bool = True) -> list[Problem]:
+    """Check every term of a task: that it exists and takes the parameters given.
+
+    Args:
+        cfg: The task.
+        allow_import: Whether ``package.module:function`` is imported to read its signature; False
+            makes such a term a problem (for configs that come from a log).
+
+    Returns:
+        Every mistake, with paths relative to the task; empty if there is none.
+    """
+    problems: list[Problem] = []
+    for section, kind in SECTIONS.items():
+        for name, term in getattr(cfg, section).items():
+            path = f"{section}.{name}"
+            problems += _check_fields(path, term)
+            try:
+                spec = resolve_term(kind, term.func, allow_import=allow_import)
+            except ConfigError as error:
+                problems += [Problem(f"{path}.func", p.message, p.hint) for p in error.problems]
+                continue
+            problems += _check_class(f"{path}.func", spec)
+            problems += check_params(spec, term.params, f"{path}.params")[1]
+    for section in _NOT_YET:
+        if getattr(cfg, section):
+            problems.append(Problem(section, "not available yet; leave it out"))
+    return problems + _check_modifiers(cfg)
+
+
+def _check_fields(path: str, term: TermCfg) -> list[Problem]:
+    """Check what stands beside `func` and `params`."""
+    found: list[Problem] = []
+    if isinstance(term, EventCfg) and term.interval_range_s is not None:
+        low, high = term.interval_range_s
+        if not 0 < low <= high:
+            found.append(
+                Problem(f"{path}.interval_range_s", f"needs 0 < low <= high, got [{low}, {high}]")
+            )
+    if isinstance(term, ObservationCfg):
+        if term.noise is not None:
+            found.append(Problem(f"{path}.noise", "not available yet; leave it out"))
+        if term.clip is not None and not term.clip[0] <= term.clip[1]:
+            found.append(Problem(f"{path}.clip", f"low exceeds high in {list(term.clip)}"))
+        if term.name is not None and not all(term.name.split("/")):
+            found.append(Problem(f"{path}.name", f"has an empty part: {term.name!r}"))
+    return found
+
+
+def _check_class(path: str, spec: TermSpec) -> list[Problem]:
+    if spec.kind == "action":
+        if not spec.is_class or not hasattr(spec.func, "apply"):
+            return [Problem(path, f"action term {spec.name!r} must be a class with apply(action)")]
+    elif spec.is_class and "__call__" not in dir(spec.func):
+        return [Problem(path, f"class {spec.name!r} must define __call__")]
+    return []
+
+
+def _check_modifiers(cfg: EnvCfg) -> list[Problem]:
+    """An entry that is modified must have been added before, or be the robot's own."""
+    known: list[str] = ["robot/qpos", "robot/qvel", "robot/qf"]
+    found: list[Problem] = []
+    for key, term in cfg.observations.items():
+        name = term.name or key
+        path = f"observations.{key}.name"
+        if term.mode == "add" and name in known:
+            found.append(Problem(path, f"the observation {name!r} exists already"))
+        if term.mode == "modify" and name not in known and not cfg.id:
+            hint = did_you_mean(name, known).strip()
+            message = f"nothing to modify is called {name!r}; before it: {', '.join(known)}"
+            found.append(Problem(path, message, hint))
+        known.append(name)
+    return found
+
+
+def check_params(
+    spec: TermSpec, params: Mapping[str, Any], path: str
+) -> tuple[dict[str, Any], list[Problem]]:
+    """Check a term's parameters against its signature.
+
+    Args:
+        spec: The term.
+        params: What the config gives.
+        path: Key path of `params`, for messages.
+
+    Returns:
+        The values as the annotations ask for them (dicts made `SceneEntityCfg`), without defaults,
+        and every mistake.
+    """
+    values: dict[str, Any] = {}
+    problems: list[Problem] = []
+    hints = spec.hints()
+    for name, value in params.items():
+        if name not in spec.params and not spec.open_params:
+            allowed = ", ".join(spec.params) or "no parameters"
+            message = f"unknown parameter of {spec.kind} term {spec.name!r}; it takes {allowed}"
+            hint = did_you_mean(name, spec.params).strip()
+            problems.append(Problem(f"{path}.{name}", message, hint))
+            continue
+        try:
+            values[name] = _convert(hints.get(name, Any), value)
+        except ValidationError as error:
+            problems += [_problem(f"{path}.{name}", e) for e in error.errors()]
+    for name, parameter in spec.params.items():
+        if parameter.default is inspect.Parameter.empty and name not in params:
+            message = f"missing; {spec.kind} term {spec.name!r} needs it"
+            problems.append(Problem(f"{path}.{name}", message))
+    return values, problems
+
+
+def _convert(hint: Any, value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    try:
+        adapter: TypeAdapter[Any] = TypeAdapter(hint)
+    except PydanticSchemaGenerationError:  # a user's own type: any value passes
+        return value
+    return adapter.validate_python(value)
+
+
+def _problem(path: str, error: Any) -> Problem:
+    """One of pydantic's errors as a line with what was found."""
+    tail = "".join(f".{part}" for part in error["loc"])
+    message = error["msg"].removeprefix("Value error, ")
+    message = message[:1].lower() + message[1:]
+    if error["type"] == "unexpected_keyword_argument":
+        fields = list(SceneEntityCfg.__dataclass_fields__)
+        hint = did_you_mean(str(error["loc"][-1]), fields).strip()
+        return Problem(path + tail, f"unknown key; allowed: {', '.join(fields)}", hint)
+    if error["type"] != "missing":
+        message += f", got {error['input']!r}"
+    return Problem(path + tail, message)

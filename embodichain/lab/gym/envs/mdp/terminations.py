@@ -1,0 +1,1 @@
+"""Built-in terms of kind terminations."""
