@@ -15,6 +15,7 @@ from mujoco import batch as mjbatch
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64, EngineListener, EnvIndex, PhysicsEvent, Write
+from embodichain.lab.sim.engine.mujoco_log import install_log_handler
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["PERSISTENT_LIMIT", "CpuEngine", "row_layout"]
@@ -92,6 +93,7 @@ class CpuEngine:
         num_threads: int = 0,
         persistent: bool | None = None,
     ) -> None:
+        install_log_handler()
         threads = num_threads or len(os.sched_getaffinity(0))
         if persistent is None:
             persistent = num_envs <= PERSISTENT_LIMIT
@@ -303,7 +305,8 @@ class CpuEngine:
             view[env_ids[:, None], columns] = values
         self._mark(env_ids)
         if self.listeners:
-            self._notify(Write("model", field, env_ids, columns, _picked(view, env_ids, columns)))
+            values = _picked(view, env_ids, columns).astype(np.float64)
+            self._notify(Write("model", field, env_ids, columns, values))
 
     def model_field(self, field: str) -> NDArray[Any]:
         """(N, size) flattened per-environment values of a model field. Do not write."""

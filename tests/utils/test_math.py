@@ -1,0 +1,58 @@
+"""Rotations against scipy's."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from embodichain.utils import math as m
+
+
+@pytest.fixture
+def rotations():
+    random = Rotation.random(200, random_state=1)
+    edges = Rotation.from_euler("xyz", [[180, 0, 0], [0, 180, 0], [0, 0, 180], [0, 0, 0], [180, 1e-7, 0]],
+                                degrees=True)
+    return Rotation.concatenate([random, edges])
+
+
+def wxyz(rotation):
+    q = rotation.as_quat()[:, [3, 0, 1, 2]]
+    return np.where(q[:, :1] < 0, -q, q)
+
+
+def test_matrix_round_trip(rotations):
+    matrix = rotations.as_matrix()
+    quat = m.matrix_to_quat(matrix)
+    np.testing.assert_allclose(m.quat_to_matrix(quat), matrix, atol=1e-12)
+    pose = m.matrix_to_pose(m.pose_to_matrix(np.concatenate([matrix[:, 0], quat], 1)))
+    np.testing.assert_allclose(pose, np.concatenate([matrix[:, 0], quat], 1), atol=1e-12)
+
+
+def test_multiply_rotate_conjugate(rotations):
+    a, b = wxyz(rotations), wxyz(rotations)[::-1].copy()
+    other = Rotation.from_quat(b[:, [1, 2, 3, 0]])
+    product = m.quat_to_matrix(m.quat_multiply(a, b))
+    np.testing.assert_allclose(product, (rotations * other).as_matrix(), atol=1e-12)
+    vector = np.random.default_rng(0).normal(size=(len(a), 3))
+    np.testing.assert_allclose(m.quat_rotate(a, vector), rotations.apply(vector), atol=1e-12)
+    np.testing.assert_allclose(m.quat_rotate(m.quat_conjugate(a), m.quat_rotate(a, vector)), vector,
+                               atol=1e-12)
+
+
+def test_euler_is_intrinsic_xyz():
+    angles = np.random.default_rng(2).uniform(-3, 3, (100, 3))
+    expected = Rotation.from_euler("XYZ", angles).as_matrix()
+    np.testing.assert_allclose(m.quat_to_matrix(m.euler_xyz_to_quat(angles)), expected, atol=1e-12)
+
+
+def test_torch_and_numpy_agree(rotations):
+    quat = wxyz(rotations)
+    for function in (m.quat_to_matrix, m.quat_conjugate):
+        np.testing.assert_array_equal(function(torch.from_numpy(quat)).numpy(), function(quat))
+
+
+@pytest.mark.parametrize("bad", [[0.0, 0, 0, 0], [np.nan, 0, 0, 1], [np.inf, 0, 0, 0]])
+def test_no_direction_is_refused(bad):
+    with pytest.raises(ValueError, match="quaternion"):
+        m.normalize_quat(np.array([[1.0, 0, 0, 0], bad]))
