@@ -49,6 +49,14 @@ class ActionTerm(Term):
         """
         raise NotImplementedError
 
+    def home(self) -> NDArray[np.float64]:
+        """(A,) the action that goes to the initial state; policies explore around it."""
+        return np.clip(np.zeros(len(self.low)), self.low, self.high)
+
+    def hold(self) -> NDArray[np.float64]:
+        """(N, A) or (A,) the action that changes nothing now."""
+        return self.home()
+
 
 class ActionManager(Manager[ActionTermCfg]):
     """Terms that own consecutive slices of the action, in declared order.
@@ -109,6 +117,17 @@ class ActionManager(Manager[ActionTermCfg]):
             return
         for call, columns in self._calls:
             call(action[:, columns])
+
+    def home(self) -> NDArray[np.float64]:
+        """(A,) the action that goes to the initial state."""
+        return np.concatenate([np.zeros(0), *(t.instance.home() for t in self.terms.values())])
+
+    def hold(self) -> NDArray[np.float64]:
+        """(N, A) the action that changes nothing now."""
+        held = np.empty((self.num_envs, self.action_dim))
+        for name, term in self.terms.items():
+            held[:, self.slices[name]] = term.instance.hold()
+        return held
 
     def describe(self) -> list[dict[str, Any]]:
         """One row a term, for tables: name, func, dim, low, high."""

@@ -1,1 +1,168 @@
-"""Built-in terms of kind events."""
+"""Built-in events: poses of objects, joints of robots."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.envs.managers.base import Term
+from embodichain.lab.gym.envs.managers.param_types import Box3
+from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import euler_xyz_to_quat, quat_multiply
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.sim.engine.base import F64, EnvIndex
+
+__all__ = ["RandomizeRigidObjectPose", "RandomizeRobotQpos"]
+
+
+@register_term("event", name="randomize_rigid_object_pose")
+class RandomizeRigidObjectPose(Term):
+    """Places a rigid object at random and stops it.
+
+    The pose is the object's declared initial pose, moved by uniform draws. EmbodiChain's event of
+    the same name; `relative_to` is added.
+
+    Args:
+        entity_cfg: The object.
+        position_range: [[x, y, z] low, [x, y, z] high] in metres; None draws no position.
+        rotation_range: The same for Euler angles in **degrees**, intrinsic XYZ (R = Rx Ry Rz);
+            None keeps the initial orientation.
+        relative_position: True adds the draw to the initial position (or to `relative_to`), False
+            takes it as the position in the environment's frame.
+        relative_rotation: True turns the initial orientation by the draw, in the object's own
+            frame; False takes it as the orientation.
+        relative_to: An entity, or a link of one, that the draw is added to instead, where it stands
+            at that moment; its orientation does not matter.
+    """
+
+    def __init__(
+        self,
+        env: BaseEnv,
+        entity_cfg: ResolvedEntity,
+        position_range: Box3 | None = None,
+        rotation_range: Box3 | None = None,
+        relative_position: bool = True,
+        relative_rotation: bool = False,
+        relative_to: ResolvedEntity | None = None,
+    ) -> None:
+        if not hasattr(entity_cfg.asset, "is_non_dynamic"):
+            message = f"{entity_cfg.uid!r} is not a rigid object"
+            raise ConfigError([Problem("entity_cfg.uid", message)])
+        if relative_to is not None and not relative_position:
+            message = "relative_to needs relative_position: true"
+            raise ConfigError([Problem("relative_position", message)])
+        self._asset = asset = entity_cfg.asset
+        self._stop = None if asset.is_non_dynamic else asset.stop
+        index = asset.entity
+        count = env.num_envs
+        base = np.asarray(index.pos0, np.float64)
+        self._pos0: F64 = np.tile(base, (count, 1))
+        self._quat0: F64 = np.tile(np.asarray(index.quat0, np.float64), (count, 1))
+        self._near = relative_to
+        self._box: tuple[F64, F64] | None = None
+        if position_range is not None:
+            low, high = (np.asarray(row, np.float64) for row in position_range)
+            shift = base if relative_position and relative_to is None else 0.0
+            self._box = (low + shift, high + shift)
+        self._turn: tuple[F64, F64] | None = None
+        if rotation_range is not None:
+            low, high = (np.deg2rad(np.asarray(row, np.float64)) for row in rotation_range)
+            self._turn = (low, high)
+        self._relative_rotation = relative_rotation
+
+    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+        """Draw and write the poses of these environments."""
+        count = env.num_envs if env_ids is None else len(env_ids)
+        pos, quat = self._pos0[:count], self._quat0[:count]
+        if self._box is not None:
+            pos = env.event_manager.draw("position", (3,), *self._box, env_ids)
+        if self._near is not None:
+            pos = _origin(self._near, env_ids) + (0.0 if self._box is None else pos)
+        if self._turn is not None:
+            angles = env.event_manager.draw("rotation", (3,), *self._turn, env_ids)
+            turn = euler_xyz_to_quat(angles)
+            quat = quat_multiply(quat, turn) if self._relative_rotation else turn
+        self._asset.write_pose(pos, quat, env_ids)
+        if self._stop is not None:
+            self._stop(env_ids)
+
+
+def _origin(entity: ResolvedEntity, env_ids: EnvIndex | None) -> F64:
+    """(n, 3) float64 current position of the picked link, else of the root."""
+    asset, link = entity.asset, entity.link_name
+    if link is None:
+        pos: F64 = asset.read_pose()[0]
+    else:
+        pos = asset.engine.derived("xpos")[:, asset.body_of(link)]
+    return pos if env_ids is None else pos[env_ids]
+
+
+@register_term("event", name="randomize_robot_qpos")
+class RandomizeRobotQpos(Term):
+    """Puts joints at random positions, and their drive targets with them; the robot stands still.
+
+    EmbodiChain's event of the same name. Positions are clamped to the joints' limits.
+
+    Args:
+        entity_cfg: The robot; its joint names or control parts pick joints.
+        qpos_range: [low, high] for all picked joints, or [[low, ...], [high, ...]] with one value a
+            joint; rad or m.
+        relative_qpos: True adds the draw to the initial position, False takes it as the position.
+        joint_ids: Picks joints by index instead.
+    """
+
+    def __init__(
+        self,
+        env: BaseEnv,
+        entity_cfg: ResolvedEntity,
+        qpos_range: list[float] | list[list[float]],
+        relative_qpos: bool = True,
+        joint_ids: list[int] | None = None,
+    ) -> None:
+        self._asset = asset = entity_cfg.asset
+        if not hasattr(asset, "parsed"):
+            raise ConfigError([Problem("entity_cfg.uid", f"{entity_cfg.uid!r} has no joints")])
+        parsed = asset.parsed
+        picked = list(entity_cfg.joint_ids) if joint_ids is None else joint_ids
+        wrong = [i for i in picked if not 0 <= i < len(parsed.joint_names)]
+        if wrong:
+            message = f"{entity_cfg.uid!r} has {len(parsed.joint_names)} joints; got {wrong}"
+            raise ConfigError([Problem("joint_ids", message)])
+        self._joints: NDArray[np.int64] = np.asarray(picked, np.int64)
+        self._low, self._high = _per_joint(qpos_range, len(picked))
+        self._home: F64 = np.asarray(parsed.init_qpos, np.float64)[self._joints]
+        self._limits: F64 = np.asarray(parsed.qpos_limits, np.float64)[self._joints]
+        if not relative_qpos:
+            self._home = np.zeros_like(self._home)
+        driven = np.asarray(asset.entity.actuator_ids)[self._joints] >= 0
+        self._driven: NDArray[np.int64] = np.flatnonzero(driven)
+
+    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+        """Draw and write the joint positions of these environments."""
+        shape = (len(self._joints),)
+        drawn = env.event_manager.draw("qpos", shape, self._low, self._high, env_ids)
+        qpos = np.clip(self._home + drawn, self._limits[:, 0], self._limits[:, 1])
+        asset = self._asset
+        asset.write_qpos(qpos, self._joints, env_ids)
+        asset.engine.write("qvel", 0.0, env_ids, np.asarray(asset.entity.dof_adr)[self._joints])
+        if len(self._driven):
+            asset.write_target(qpos[:, self._driven], self._joints[self._driven], env_ids)
+
+
+def _per_joint(bounds: Any, count: int) -> tuple[F64, F64]:
+    """Low and high, (count,) each, of [low, high] or [[low, ...], [high, ...]]."""
+    array = np.asarray(bounds, np.float64) if len(bounds) == 2 else np.zeros(0)
+    if array.shape == (2,):
+        array = np.repeat(array[:, None], count, axis=1)
+    if array.shape != (2, count):
+        message = f"needs [low, high] or two rows of {count} values, got {bounds}"
+        raise ConfigError([Problem("qpos_range", message)])
+    if not np.isfinite(array).all() or (array[0] > array[1]).any():
+        raise ConfigError([Problem("qpos_range", f"low exceeds high, or not finite: {bounds}")])
+    return array[0], array[1]
