@@ -1,0 +1,136 @@
+"""Groups, experiments and overrides become one plain tree; Hydra does the merging.
+
+Mistakes are collected, not raised, so that they stand in one report with those of `validate`.
+Nothing here knows what a key means.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra.core.config_loader import ConfigLoader
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import HydraException
+from hydra.types import RunMode
+from omegaconf import DictConfig, OmegaConf
+
+from embodichain.config import plain
+from embodichain.config.hydra_errors import explain
+from embodichain.config.hydra_state import config_loader
+from embodichain.config.locate import ConfigFile, Locator
+from embodichain.config.overrides import ParsedOverrides, apply_values, parse
+from embodichain.config.problems import LocatedProblem
+from embodichain.config.search_path import folder_of
+
+__all__ = ["Composed", "compose", "from_hydra", "list_options"]
+
+
+@dataclass(frozen=True)
+class Composed:
+    """One composed config, not yet checked.
+
+    Attributes:
+        config_name: The root config, ``run`` or ``train``.
+        overrides: As typed.
+        tree: Plain dicts and lists, interpolations resolved, without Hydra's own node. Partial when
+            there are problems.
+        choices: The option of each group.
+        locator: Where each key was set.
+        problems: What went wrong so far.
+        usable: Whether `tree` is whole enough to be checked further.
+    """
+
+    config_name: str
+    overrides: tuple[str, ...]
+    tree: dict[str, Any]
+    choices: Mapping[str, str | None]
+    locator: Locator
+    problems: tuple[LocatedProblem, ...] = ()
+    usable: bool = True
+
+
+def compose(
+    overrides: Sequence[str] = (),
+    config_name: str = "run",
+    config_dir: str | Path | None = None,
+) -> Composed:
+    """Compose a root config with overrides in Hydra's grammar; Hydra's global state is kept.
+
+    ``key=value`` may set any key of the schema, whether or not a file spells it out.
+
+    Args:
+        overrides: E.g. ``["task=reach", "num_envs=64", "~task.events.push"]``.
+        config_name: ``run`` or ``train``.
+        config_dir: A folder with groups of the user's own, searched first.
+
+    Raises:
+        ConfigError: `config_dir` does not exist.
+    """
+    lines = tuple(overrides)
+    with config_loader(config_dir) as loader:
+        parsed = parse(lines, loader)
+        try:
+            config = loader.load_configuration(config_name, list(parsed.for_hydra), RunMode.RUN)
+            files = _files(loader, config, config_name, parsed)
+        except (HydraException, yaml.YAMLError) as error:
+            found = [] if _follows(error, parsed) else explain(error, loader)
+            problems = (*parsed.problems, *found)
+            return Composed(config_name, lines, {}, {}, Locator([]), problems, usable=False)
+        choices = dict(config.hydra.runtime.choices)
+    OmegaConf.set_struct(config, False)
+    del config["hydra"]
+    problems = (*parsed.problems, *apply_values(config, parsed.values))
+    locator = Locator(files, parsed.values)
+    tree, unresolved = plain.resolve(config, locator)
+    return Composed(config_name, lines, tree, choices, locator, (*problems, *unresolved))
+
+
+def from_hydra() -> Composed:
+    """Compose again what Hydra's own `main` composed for the job that is running.
+
+    Raises:
+        ValueError: Outside of a Hydra job.
+    """
+    job = HydraConfig.get()
+    sources = [s.path for s in job.runtime.config_sources if s.provider == "--config-dir"]
+    lines = [*job.overrides.hydra, *job.overrides.task]
+    return compose(lines, job.job.config_name, sources[0] if sources else None)
+
+
+def list_options(group: str, config_dir: str | Path | None = None) -> list[str]:
+    """Return the options of a group (``task``, ``record``...), sorted; empty for no such group."""
+    with config_loader(config_dir) as loader:
+        return list(loader.get_group_options(group))
+
+
+def _files(
+    loader: ConfigLoader, config: DictConfig, config_name: str, parsed: ParsedOverrides
+) -> list[ConfigFile]:
+    """The files behind the composed config, in the order of merging, without Hydra's."""
+    folders = [_folder(s.schema, s.path) for s in config.hydra.runtime.config_sources]
+    defaults = loader.compute_defaults_list(config_name, list(parsed.for_hydra), RunMode.RUN)
+    files: list[ConfigFile] = []
+    for default in defaults.defaults:
+        name = default.config_path
+        if name is None or name.startswith("hydra/"):
+            continue
+        paths = [folder / f"{name}.yaml" for folder in folders if folder is not None]
+        path = next((p for p in paths if p.is_file()), None)
+        if path is not None:
+            files.append(ConfigFile.read(path, default.package or ""))
+    return files
+
+
+def _folder(schema: str, path: str) -> Path | None:
+    if schema == "file":
+        return Path(path)
+    return folder_of(path) if schema == "pkg" and not path.startswith("hydra") else None
+
+
+def _follows(error: Exception, parsed: ParsedOverrides) -> bool:
+    """Whether an error only says that a group has no option, after its wrong one was left out."""
+    return any(f"You must specify '{group}'" in str(error) for group in parsed.broken)

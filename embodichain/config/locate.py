@@ -1,0 +1,157 @@
+"""Who set a key: which line of which YAML file, or the command line.
+
+Works on the marks that YAML's parser leaves, over the files that were composed, in their order; it
+knows nothing of what keys mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra.core.override_parser.types import Override
+
+from embodichain.config.problems import COMMAND_LINE
+
+__all__ = ["ConfigFile", "Locator", "display_path"]
+
+_MERGE = "tag:yaml.org,2002:merge"
+
+
+@dataclass(frozen=True)
+class ConfigFile:
+    """A composed file.
+
+    Attributes:
+        path: The file.
+        package: The key that its content hangs under; empty for the root.
+        root: Its YAML nodes, or None for an empty file.
+    """
+
+    path: Path
+    package: str
+    root: yaml.Node | None
+
+    @classmethod
+    def read(cls, path: Path, package: str) -> ConfigFile:
+        """Read a file.
+
+        Raises:
+            yaml.YAMLError: It is malformed.
+        """
+        with path.open(encoding="utf-8") as stream:
+            return cls(path, package, yaml.compose(stream, Loader=yaml.CSafeLoader))
+
+
+def display_path(path: Path) -> str:
+    """Return a path as people read it: relative where it lies below the working directory."""
+    resolved = path.resolve()
+    here = Path.cwd().resolve()
+    return str(resolved.relative_to(here)) if resolved.is_relative_to(here) else str(resolved)
+
+
+class Locator:
+    """Finds the source of dotted key paths.
+
+    Args:
+        files: The composed files; of two that set a key, the later wins.
+        overrides: Value overrides, applied after all files.
+    """
+
+    def __init__(self, files: Sequence[ConfigFile], overrides: Sequence[Override] = ()) -> None:
+        self.files = tuple(files)
+        self._overrides = tuple(overrides)
+
+    def source(self, path: str) -> str:
+        """Return ``FILE:LINE`` or ``command line`` of a key, or of its nearest ancestor.
+
+        Args:
+            path: Dotted, with list indices as numbers; a name may itself contain dots. Missing keys
+                are located at the deepest ancestor that something sets.
+        """
+        parts = path.split(".")
+        best, source = -1.0, ""
+        for file in self.files:
+            depth, line = _find(file, parts)
+            if depth >= best and line:
+                best, source = depth, f"{display_path(file.path)}:{line}"
+        for override in self._overrides:
+            depth = _depth_of_override(override, parts)
+            if depth > 0 and depth >= best:
+                best, source = depth, COMMAND_LINE
+        return source or COMMAND_LINE
+
+    def sets(self, path: str) -> bool:
+        """Whether a file has this very key."""
+        parts = path.split(".")
+        return any(_find(file, parts)[0] == len(parts) for file in self.files)
+
+
+def _find(file: ConfigFile, parts: Sequence[str]) -> tuple[int, int]:
+    """How many parts of a path a file knows, and the line of the deepest one (0 for none)."""
+    package = file.package.split(".") if file.package else []
+    common = package[: len(parts)]
+    if file.root is None or parts[: len(common)] != common:
+        return 0, 0
+    depth, line = _descend(file.root, parts[len(package) :])
+    return len(common) + depth, line
+
+
+def _descend(node: yaml.Node, parts: Sequence[str]) -> tuple[int, int]:
+    line = node.start_mark.line + 1
+    if not parts:
+        return 0, line
+    if isinstance(node, yaml.SequenceNode) and parts[0].isdigit():
+        items = node.value
+        if int(parts[0]) < len(items):
+            depth, found = _descend(items[int(parts[0])], parts[1:])
+            return depth + 1, found
+    if isinstance(node, yaml.MappingNode):
+        for count in range(len(parts), 0, -1):  # a name may contain dots: the longest match first
+            entry = _entry(node, ".".join(parts[:count]))
+            if entry is not None:
+                key, value = entry
+                depth, found = _descend(value, parts[count:])
+                at_key = key.start_mark.line + 1
+                return depth + count, found if depth else at_key
+    return 0, line
+
+
+def _entry(node: yaml.MappingNode, name: str) -> tuple[yaml.Node, yaml.Node] | None:
+    """The last entry of this name; else one of the maps that ``<<`` merges in."""
+    merged: list[yaml.Node] = []
+    for key, value in reversed(node.value):
+        if key.tag == _MERGE:
+            merged += value.value if isinstance(value, yaml.SequenceNode) else [value]
+        elif key.value == name:
+            return key, value
+    for value in merged:
+        found = _entry(value, name) if isinstance(value, yaml.MappingNode) else None
+        if found is not None:
+            return found
+    return None
+
+
+def _depth_of_override(override: Override, parts: Sequence[str]) -> float:
+    """How many parts of a path an override sets; half a part less where it sets something below."""
+    key = override.key_or_group.replace("[", ".").replace("]", "").split(".")
+    if len(key) > len(parts):
+        return len(parts) - 0.5 if key[: len(parts)] == list(parts) else 0
+    if list(parts[: len(key)]) != key:
+        return 0
+    if override.is_delete():
+        return len(parts)
+    value: Any = override.value()
+    depth = len(key)
+    for part in parts[depth:]:
+        if isinstance(value, dict) and part in value:
+            value = value[part]
+        elif isinstance(value, list) and part.isdigit() and int(part) < len(value):
+            value = value[int(part)]
+        else:
+            break
+        depth += 1
+    return depth

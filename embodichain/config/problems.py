@@ -1,0 +1,28 @@
+"""A configuration mistake together with the place it was written at."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from embodichain.utils.errors import Problem
+
+__all__ = ["COMMAND_LINE", "LocatedProblem"]
+
+COMMAND_LINE = "command line"
+"""The source of what no file says."""
+
+
+@dataclass(frozen=True, slots=True)
+class LocatedProblem(Problem):
+    """A mistake whose place is known.
+
+    Attributes:
+        source: ``FILE:LINE``, ``FILE``, or ``command line``; empty where nobody wrote it.
+    """
+
+    source: str = ""
+
+    def __str__(self) -> str:
+        """Return ``source: path: message hint``."""
+        text = Problem.__str__(self)
+        return f"{self.source}: {text}" if self.source else text

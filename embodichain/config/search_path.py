@@ -1,0 +1,73 @@
+"""Where YAML is searched: `--config-dir`, `./conf`, the package's own tree, plug-ins' trees.
+
+The first that has a file wins, so a user's `task/reach.yaml` stands before the package's. A Hydra
+plug-in adds the places, and only to searches of this package's tree: other Hydra applications in
+the process see nothing of it.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from importlib import resources
+from pathlib import Path
+
+from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.plugins import Plugins
+from hydra.plugins.search_path_plugin import SearchPathPlugin
+
+from embodichain.utils.errors import ConfigError
+
+__all__ = ["CONFIG_MODULE", "folder_of", "user_configs"]
+
+CONFIG_MODULE = "embodichain.conf"
+ENTRY_POINTS = "embodichain.conf"
+
+_config_dir: ContextVar[Path | None] = ContextVar("config_dir", default=None)
+
+
+@contextmanager
+def user_configs(config_dir: str | Path | None) -> Iterator[None]:
+    """Search `config_dir` before everything else while the context lasts.
+
+    Args:
+        config_dir: A folder with groups (``task/``...) of the user's own; None changes nothing.
+
+    Raises:
+        ConfigError: The folder does not exist.
+    """
+    folder = _config_dir.get() if config_dir is None else Path(config_dir).resolve()
+    if folder is not None and not folder.is_dir():
+        raise ConfigError(f"--config-dir {config_dir}: no such folder")
+    token = _config_dir.set(folder)
+    try:
+        yield
+    finally:
+        _config_dir.reset(token)
+
+
+def folder_of(module: str) -> Path:
+    """Return the folder of a package with YAML."""
+    return Path(str(resources.files(module)))
+
+
+class EmbodichainSearchPath(SearchPathPlugin):
+    """Adds the user's folders before the package's tree, and plug-ins' trees after it."""
+
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        """Called by Hydra for every search path it makes."""
+        paths = [element.path or "" for element in search_path.get_path()]
+        if f"pkg://{CONFIG_MODULE}" not in paths:
+            return
+        own = folder_of(CONFIG_MODULE).resolve()
+        here = Path("conf").resolve()
+        for provider, folder in (("./conf", here), ("--config-dir", _config_dir.get())):
+            if folder is not None and folder.is_dir() and folder != own:
+                search_path.prepend(provider, f"file://{folder}")
+        for entry in sorted(importlib.metadata.entry_points(group=ENTRY_POINTS)):
+            search_path.append(entry.name, f"pkg://{entry.value}")
+
+
+Plugins.instance().register(EmbodichainSearchPath)
