@@ -123,7 +123,7 @@ def matrix_to_quat(m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def euler_xyz_to_quat(angles: NDArray[np.float64]) -> NDArray[np.float64]:
-    """wxyz quaternions of intrinsic XYZ Euler angles in radians (R = Rx Ry Rz), (..., 3)."""
+    """Wxyz quaternions of intrinsic XYZ Euler angles in radians (R = Rx Ry Rz), (..., 3)."""
     half = 0.5 * np.ascontiguousarray(np.moveaxis(np.asarray(angles, np.float64), -1, 0))
     (cx, cy, cz), (sx, sy, sz) = np.cos(half), np.sin(half)
     return np.stack(

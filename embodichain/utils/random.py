@@ -109,7 +109,7 @@ class RandomStreams:
     def normal(
         self, name: str, shape: Sequence[int] = (), env_ids: NDArray[np.int64] | None = None
     ) -> NDArray[np.float64]:
-        """Draw standard normal numbers by Box and Muller's transform; returns (n, *shape) float64."""
+        """Draw standard normal numbers by Box and Muller; returns (n, *shape) float64."""
         width = int(np.prod(shape, dtype=np.int64))
         unit = (self.bits(name, 2 * width, env_ids) >> _S11).astype(np.float64) * _UNIT
         # Contiguous copies: numpy's transcendental kernels may round strided input differently.

@@ -11,8 +11,9 @@ from embodichain.utils import math as m
 @pytest.fixture
 def rotations():
     random = Rotation.random(200, random_state=1)
-    edges = Rotation.from_euler("xyz", [[180, 0, 0], [0, 180, 0], [0, 0, 180], [0, 0, 0], [180, 1e-7, 0]],
-                                degrees=True)
+    edges = Rotation.from_euler(
+        "xyz", [[180, 0, 0], [0, 180, 0], [0, 0, 180], [0, 0, 0], [180, 1e-7, 0]], degrees=True
+    )
     return Rotation.concatenate([random, edges])
 
 
@@ -36,8 +37,9 @@ def test_multiply_rotate_conjugate(rotations):
     np.testing.assert_allclose(product, (rotations * other).as_matrix(), atol=1e-12)
     vector = np.random.default_rng(0).normal(size=(len(a), 3))
     np.testing.assert_allclose(m.quat_rotate(a, vector), rotations.apply(vector), atol=1e-12)
-    np.testing.assert_allclose(m.quat_rotate(m.quat_conjugate(a), m.quat_rotate(a, vector)), vector,
-                               atol=1e-12)
+    np.testing.assert_allclose(
+        m.quat_rotate(m.quat_conjugate(a), m.quat_rotate(a, vector)), vector, atol=1e-12
+    )
 
 
 def test_euler_is_intrinsic_xyz():

@@ -66,7 +66,9 @@ class ShapeCfg:
             )
         unknown = [k for k in data if k not in shape.__dataclass_fields__]
         if unknown:
-            raise ConfigError(f"{kind} has no keys {unknown}; it has {[*shape.__dataclass_fields__]}")
+            raise ConfigError(
+                f"{kind} has no keys {unknown}; it has {[*shape.__dataclass_fields__]}"
+            )
         return shape(**data)
 
 
@@ -123,7 +125,7 @@ class PlaneCfg(ShapeCfg):
     shape_type: Literal["Plane"] = "Plane"
     visual_material: VisualMaterialCfg | None = None
     size: Annotated[list[float], Field(min_length=2, max_length=2)] = [0.0, 0.0]
-    """Rendered full edge lengths along x, y in metres; 0 draws it endless. Collision is infinite."""
+    """Rendered full edge lengths along x, y in metres; 0 is endless. Collision is infinite."""
 
 
 @configclass

@@ -7,65 +7,36 @@ nothing can be added afterwards. What steps the batch is `engine`, what a joint 
 from __future__ import annotations
 
 import weakref
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
 from embodichain.lab.sim.cfg import (
-    ArticulationCfg,
-    LightCfg,
     MarkerCfg,
-    RigidObjectCfg,
-    RobotCfg,
     SimulationManagerCfg,
-    name_of,
 )
-from embodichain.lab.sim.compiler import CompiledScene, compile_scene, parse_articulation
+from embodichain.lab.sim.compiler import CompiledScene, compile_scene
+from embodichain.lab.sim.declaration import Declaration
+from embodichain.lab.sim.device import check_device
 from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.lab.sim.initial_state import entity_columns, initial_row
 from embodichain.lab.sim.objects._arrays import as_env_ids
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.entity import not_available
-from embodichain.lab.sim.objects.rigid_object import RigidObject
-from embodichain.lab.sim.objects.robot import Robot
-from embodichain.utils.errors import ConfigError, DeviceError, Problem
-from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.base import F64, EnvIndex
     from embodichain.lab.sim.rendering import SceneRenderer
     from embodichain.lab.sim.viewer import NativeViewer
 
-__all__ = ["SimulationManager", "check_device"]
-
-Handle = Articulation | RigidObject
+__all__ = ["SimulationManager"]
 
 _instances: dict[int, weakref.ref[SimulationManager]] = {}
 
 
-def check_device(device: Any) -> torch.device:
-    """Return the torch device a simulation may run on.
-
-    Raises:
-        DeviceError: If the name is unknown, or the device has no engine here.
-    """
-    try:
-        found = torch.device(device)
-    except RuntimeError:
-        raise DeviceError(
-            f"unknown device {device!r}; allowed: cpu.{did_you_mean(str(device), ['cpu', 'cuda'])}"
-        ) from None
-    if found.type == "cuda":
-        raise DeviceError(
-            f"device {str(device)!r}: the CUDA engine is not available yet; use device=cpu"
-        )
-    if found.type != "cpu":
-        raise DeviceError(f"device {str(device)!r} has no physics engine; allowed: cpu")
-    return found
-
-
-class SimulationManager:
+class SimulationManager(Declaration):
     """N environments of one scene.
 
     Args:
@@ -79,10 +50,7 @@ class SimulationManager:
         self.sim_config = cfg if cfg is not None else SimulationManagerCfg(headless=True)
         self.device = check_device(self.sim_config.sim_device)
         self.num_envs = int(self.sim_config.num_envs)
-        self.robots: dict[str, Robot] = {}
-        self.articulations: dict[str, Articulation] = {}
-        self.rigid_objects: dict[str, RigidObject] = {}
-        self.lights: dict[str, LightCfg] = {}
+        super().__init__()
         self._scene: CompiledScene | None = None
         self._engine: CpuEngine | None = None
         self._initial_row: F64 = np.zeros(0)
@@ -104,106 +72,6 @@ class SimulationManager:
             raise ValueError(f"no simulation {instance_id}; living ones: {alive}")
         return found
 
-    # -- declaring -----------------------------------------------------------------------------
-
-    def _claim(self, cfg: Any) -> str:
-        if self._scene is not None:
-            raise RuntimeError(
-                "the scene is compiled already (by a step, a reset or a pose that was read): "
-                "add every robot and object first"
-            )
-        uid = name_of(cfg)
-        if uid in self.asset_uids:
-            raise ConfigError([Problem(uid, f"uid {uid!r} is taken; taken: {self.asset_uids}")])
-        if self.num_envs < 1:
-            raise ConfigError([Problem("num_envs", f"must be at least 1, got {self.num_envs}")])
-        return uid
-
-    def add_robot(self, cfg: RobotCfg) -> Robot:
-        """Add a robot; its file is read at once, so names and limits are known on return.
-
-        Raises:
-            ConfigError: If the file or a value in the config is wrong.
-            RuntimeError: If the scene is compiled already.
-        """
-        uid = self._claim(cfg)
-        robot = Robot(cfg, parse_articulation(uid, cfg), self)
-        self.robots[uid] = robot
-        return robot
-
-    def add_articulation(self, cfg: ArticulationCfg) -> Articulation:
-        """Add an articulation without control parts; see `add_robot`."""
-        uid = self._claim(cfg)
-        articulation = Articulation(cfg, parse_articulation(uid, cfg), self)
-        self.articulations[uid] = articulation
-        return articulation
-
-    def add_rigid_object(self, cfg: RigidObjectCfg) -> RigidObject:
-        """Add a rigid object; see `add_robot` for what it raises."""
-        uid = self._claim(cfg)
-        obj = RigidObject(cfg, uid, self)
-        self.rigid_objects[uid] = obj
-        return obj
-
-    def add_light(self, cfg: LightCfg) -> LightCfg:
-        """Add a light for pictures; it has no handle."""
-        self.lights[self._claim(cfg)] = cfg
-        return cfg
-
-    def remove_asset(self, uid: str) -> bool:
-        """Take back something that was added; returns whether it was there.
-
-        Raises:
-            RuntimeError: If the scene is compiled already.
-        """
-        if self._scene is not None:
-            raise RuntimeError("the scene is compiled already: nothing can be removed")
-        groups: tuple[dict[str, Any], ...] = (
-            self.robots,
-            self.articulations,
-            self.rigid_objects,
-            self.lights,
-        )
-        return any(group.pop(uid, None) is not None for group in groups)
-
-    # -- finding -------------------------------------------------------------------------------
-
-    def get_robot(self, uid: str | None = None) -> Robot | None:
-        """A robot by uid (None if absent); without a uid, the only one."""
-        if uid is None:
-            return next(iter(self.robots.values())) if len(self.robots) == 1 else None
-        return self.robots.get(uid)
-
-    def get_articulation(self, uid: str) -> Articulation | None:
-        """An articulation by uid, or None."""
-        return self.articulations.get(uid)
-
-    def get_rigid_object(self, uid: str) -> RigidObject | None:
-        """A rigid object by uid, or None."""
-        return self.rigid_objects.get(uid)
-
-    def get_asset(self, uid: str) -> Handle | None:
-        """A robot, articulation or object by uid, or None."""
-        return self.robots.get(uid) or self.articulations.get(uid) or self.rigid_objects.get(uid)
-
-    def get_robot_uid_list(self) -> list[str]:
-        """Uids of robots, in order of addition."""
-        return list(self.robots)
-
-    def get_articulation_uid_list(self) -> list[str]:
-        """Uids of articulations, in order of addition."""
-        return list(self.articulations)
-
-    def get_rigid_object_uid_list(self) -> list[str]:
-        """Uids of rigid objects, in order of addition."""
-        return list(self.rigid_objects)
-
-    @property
-    def asset_uids(self) -> list[str]:
-        """Everything that has a name, ``default_plane`` included."""
-        plane = ["default_plane"] if self.sim_config.ground_plane else []
-        return [*plane, *self.robots, *self.articulations, *self.rigid_objects, *self.lights]
-
     @property
     def arena_offsets(self) -> torch.Tensor:
         """(N, 3) where viewers lay environments out: a square grid of `arena_space` metres.
@@ -214,6 +82,9 @@ class SimulationManager:
         index = np.arange(self.num_envs)
         grid = np.stack([index % side, index // side, np.zeros_like(index)], axis=1)
         return torch.from_numpy((grid * self.sim_config.arena_space).astype(np.float32))
+
+    def _simulation(self) -> SimulationManager:
+        return self
 
     # -- compiling -----------------------------------------------------------------------------
 
@@ -251,34 +122,13 @@ class SimulationManager:
             {uid: o.cfg for uid, o in self.rigid_objects.items()},
             self.lights,
         )
-        self._engine = CpuEngine(
-            self._scene.model, self.num_envs, cfg.num_threads, cfg.persistent
+        self._engine = CpuEngine(self._scene.model, self.num_envs, cfg.num_threads, cfg.persistent)
+        self._initial_row = initial_row(
+            self._engine, self._scene, [a.parsed for a in articulations]
         )
-        self._initial_row = self._make_initial_row(articulations)
         self._engine.write("row", self._initial_row)
         for handle in (*articulations, *self.rigid_objects.values()):
             handle.bind(self._engine, self._scene.entities[handle.uid])
-
-    def _make_initial_row(self, articulations: Sequence[Articulation]) -> F64:
-        """One row: MuJoCo's reset state with every entity at its configured place."""
-        engine, scene = self.engine, self.scene
-        row = engine.rows[0].copy()
-        qpos, ctrl = row[engine.component("qpos")], row[engine.component("ctrl")]
-        mocap_pos, mocap_quat = row[engine.component("mocap_pos")], row[engine.component("mocap_quat")]
-        for index in scene.entities.values():
-            if index.mocap_id >= 0:
-                mocap_pos[3 * index.mocap_id :][:3] = index.pos0
-                mocap_quat[4 * index.mocap_id :][:4] = index.quat0
-            elif index.free_qpos_adr >= 0:
-                qpos[index.free_qpos_adr :][:3] = index.pos0
-                qpos[index.free_qpos_adr + 3 :][:4] = index.quat0
-        for articulation in articulations:
-            index = scene.entities[articulation.uid]
-            start = np.asarray(articulation.parsed.init_qpos, np.float64)
-            qpos[np.asarray(index.qpos_adr, np.int64)] = start
-            actuators = np.asarray(index.actuator_ids, np.int64)
-            ctrl[actuators[actuators >= 0]] = start[actuators >= 0]
-        return row
 
     # -- running -------------------------------------------------------------------------------
 
@@ -335,29 +185,9 @@ class SimulationManager:
 
     def _reset_some(self, ids: EnvIndex | None, uids: Collection[str]) -> None:
         engine = self.engine
-        columns = np.concatenate([self._columns(uid) for uid in uids]) if uids else np.zeros(0, int)
-        if len(columns):
+        for uid in uids:
+            columns = entity_columns(engine, self.scene.entities[uid])
             engine.write("row", self._initial_row[columns], ids, columns)
-
-    def _columns(self, uid: str) -> np.ndarray[Any, np.dtype[np.int64]]:
-        """Row columns that belong to one entity."""
-        engine, index = self.engine, self.scene.entities[uid]
-        start = {name: engine.component(name).start for name in _ENTITY_COMPONENTS}
-        parts: list[Any] = []
-        if index.mocap_id >= 0:
-            parts += [start["mocap_pos"] + 3 * index.mocap_id + np.arange(3)]
-            parts += [start["mocap_quat"] + 4 * index.mocap_id + np.arange(4)]
-        dofs = np.asarray(index.dof_adr, np.int64)
-        if index.free_qpos_adr >= 0:
-            parts += [start["qpos"] + index.free_qpos_adr + np.arange(7)]
-            dofs = np.concatenate([index.free_qvel_adr + np.arange(6), dofs])
-        parts += [start["qpos"] + np.asarray(index.qpos_adr, np.int64)]
-        parts += [start[name] + dofs for name in ("qvel", "qacc_warmstart", "qfrc_applied")]
-        actuators = np.asarray(index.actuator_ids, np.int64)
-        parts += [start["ctrl"] + actuators[actuators >= 0]]
-        bodies = np.asarray(index.body_ids, np.int64)
-        parts += [start["xfrc_applied"] + (6 * bodies[:, None] + np.arange(6)).reshape(-1)]
-        return np.unique(np.concatenate(parts).astype(np.int64))
 
     # -- pictures ------------------------------------------------------------------------------
 
@@ -437,8 +267,11 @@ class SimulationManager:
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
-        for handle in (*self.robots.values(), *self.articulations.values(),
-                       *self.rigid_objects.values()):
+        for handle in (
+            *self.robots.values(),
+            *self.articulations.values(),
+            *self.rigid_objects.values(),
+        ):
             handle.destroy()
         self._engine = None
         _instances.pop(self.instance_id, None)
@@ -461,15 +294,3 @@ class SimulationManager:
     set_indirect_lighting = not_available("set_indirect_lighting", "MuJoCo has none; add lights")
     set_emission_light = not_available("set_emission_light", "MuJoCo has none; add lights")
     render_camera_group = not_available("render_camera_group", "cameras come later")
-
-
-_ENTITY_COMPONENTS = (
-    "qpos",
-    "qvel",
-    "qacc_warmstart",
-    "qfrc_applied",
-    "xfrc_applied",
-    "ctrl",
-    "mocap_pos",
-    "mocap_quat",
-)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Union
+from typing import Any
 
 import numpy as np
 import torch
@@ -11,9 +11,9 @@ from tensordict import TensorDict
 
 __all__ = ["Array", "Device", "EnvAction", "EnvIds", "EnvObs"]
 
-Array = Union[torch.Tensor, np.ndarray, Sequence[Any]]
-Device = Union[str, torch.device]
-EnvIds = Union[torch.Tensor, np.ndarray, Sequence[int], None]
+Array = torch.Tensor | np.ndarray[Any, Any] | Sequence[Any]
+Device = str | torch.device
+EnvIds = torch.Tensor | np.ndarray[Any, Any] | Sequence[int] | None
 """Sorted, unique environment indices, or a boolean mask of length N; None is all of them."""
 EnvObs = TensorDict
-EnvAction = Union[torch.Tensor, TensorDict]
+EnvAction = torch.Tensor | TensorDict

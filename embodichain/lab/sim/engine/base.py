@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Engine", "EngineListener", "EnvIndex", "F64", "PhysicsEvent", "Write"]
+__all__ = ["F64", "Engine", "EngineListener", "EnvIndex", "PhysicsEvent", "Write"]
 
 F64 = NDArray[np.float64]
 EnvIndex = NDArray[np.int64]

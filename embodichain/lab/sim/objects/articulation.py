@@ -9,10 +9,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.objects._arrays import as_rows, names_matching, to_tensor
+from embodichain.lab.sim.objects._arrays import as_rows, to_tensor
 from embodichain.lab.sim.objects.articulation_data import ArticulationData
 from embodichain.lab.sim.objects.drives import Drives
-from embodichain.lab.sim.objects.entity import BatchEntity, not_available
+from embodichain.lab.sim.objects.entity import not_available
+from embodichain.lab.sim.objects.named_joints import NamedJoints
 from embodichain.utils.math import cross, pose_to_matrix
 from embodichain.utils.suggest import did_you_mean
 
@@ -35,7 +36,7 @@ def _columns(ids: Sequence[int] | NDArray[Any]) -> Columns:
     return array
 
 
-class Articulation(BatchEntity):
+class Articulation(NamedJoints):
     """One jointed mechanism in N environments: D one-degree joints in qpos order, L links.
 
     Ball joints are simulated but stand in none of the joint arrays.
@@ -46,8 +47,7 @@ class Articulation(BatchEntity):
     def __init__(
         self, cfg: ArticulationCfg, parsed: ParsedArticulation, sim: SimulationManager
     ) -> None:
-        super().__init__(cfg, parsed.uid, sim)
-        self.parsed = parsed
+        super().__init__(cfg, parsed, sim)
         self.drives = Drives(self)
         self._data = ArticulationData(self)
         self._qpos: Columns = slice(0)
@@ -66,85 +66,10 @@ class Articulation(BatchEntity):
         # qf is a sum of acceleration-stage fields: ask for them before the first step.
         self.read_qf()
 
-    # -- names ---------------------------------------------------------------------------------
-
     @property
     def body_data(self) -> ArticulationData:
         """Reads of joints, root and links."""
         return self._data
-
-    @property
-    def dof(self) -> int:
-        """D."""
-        return len(self.parsed.joint_names)
-
-    @property
-    def joint_names(self) -> list[str]:
-        """Names of the D joints, in qpos order."""
-        return list(self.parsed.joint_names)
-
-    @property
-    def all_joint_names(self) -> list[str]:
-        """Same as `joint_names`: fixed joints are gone after parsing."""
-        return list(self.parsed.joint_names)
-
-    @property
-    def mimic_ids(self) -> list[int]:
-        """Joints that follow another one."""
-        return list(self.parsed.mimic_ids)
-
-    @property
-    def mimic_parents(self) -> list[int]:
-        """The joint each of `mimic_ids` follows."""
-        return list(self.parsed.mimic_parents)
-
-    @property
-    def mimic_multipliers(self) -> list[float]:
-        """Slope of each mimic joint."""
-        return list(self.parsed.mimic_multipliers)
-
-    @property
-    def mimic_offsets(self) -> list[float]:
-        """Offset of each mimic joint, rad or m."""
-        return list(self.parsed.mimic_offsets)
-
-    @property
-    def active_joint_ids(self) -> list[int]:
-        """Joints that do not mimic another one."""
-        mimic = set(self.parsed.mimic_ids)
-        return [i for i in range(self.dof) if i not in mimic]
-
-    @property
-    def active_joint_names(self) -> list[str]:
-        """Names of `active_joint_ids`."""
-        return [self.parsed.joint_names[i] for i in self.active_joint_ids]
-
-    @property
-    def active_dof(self) -> int:
-        """Number of `active_joint_ids`."""
-        return len(self.active_joint_ids)
-
-    @property
-    def link_names(self) -> list[str]:
-        """Names of the L links, parents before children."""
-        return list(self.parsed.link_names)
-
-    @property
-    def root_link_name(self) -> str:
-        """Name of the root link."""
-        return self.parsed.root_link_name
-
-    def find_joints(self, patterns: str | Sequence[str]) -> list[int]:
-        """Indices of joints whose names a regex matches in full, in joint order.
-
-        Raises:
-            ValueError: If a pattern matches nothing; lists the joints.
-        """
-        return names_matching(patterns, self.parsed.joint_names, f"joint of {self.uid}")
-
-    def find_links(self, patterns: str | Sequence[str]) -> list[int]:
-        """Indices of links whose names a regex matches in full, in link order."""
-        return names_matching(patterns, self.parsed.link_names, f"link of {self.uid}")
 
     # -- numpy doors (float64, all environments) ---------------------------------------------------
 
@@ -198,26 +123,10 @@ class Articulation(BatchEntity):
             joint_ids = joint_ids.tolist()
         ids = np.asarray(joint_ids, np.int64).reshape(-1)
         if ((ids < 0) | (ids >= self.dof)).any():
-            raise ValueError(f"{self.uid}: joint_ids must be in [0, {self.dof}), got {ids.tolist()}")
+            raise ValueError(
+                f"{self.uid}: joint_ids must be in [0, {self.dof}), got {ids.tolist()}"
+            )
         return ids
-
-    def get_joint_ids(self, name: str | None = None, remove_mimic: bool = False) -> list[int]:
-        """Joint indices of a control part, or of the whole articulation.
-
-        Raises:
-            ValueError: If there is no such part; lists the parts.
-        """
-        if name is None:
-            ids = list(range(self.dof))
-        else:
-            parts = self.parsed.control_parts
-            if name not in parts:
-                raise ValueError(
-                    f"{self.uid} has no control part {name!r}; there are: "
-                    f"{', '.join(parts) or 'none'}.{did_you_mean(name, parts)}"
-                )
-            ids = list(parts[name])
-        return [i for i in ids if i not in self.parsed.mimic_ids] if remove_mimic else ids
 
     def get_qpos(self, name: str | None = None, target: bool = False) -> torch.Tensor:
         """Joint positions (N, k), or their drive targets."""
@@ -442,4 +351,6 @@ class Articulation(BatchEntity):
 
     set_fix_base = not_available("set_fix_base", "declare fix_base: it is compiled into the model")
     set_self_collision = not_available("set_self_collision", "declare disable_self_collision")
-    set_link_physical_attr = not_available("set_link_physical_attr", "declare attrs; set_mass works")
+    set_link_physical_attr = not_available(
+        "set_link_physical_attr", "declare attrs; set_mass works"
+    )

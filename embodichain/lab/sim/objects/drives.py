@@ -92,7 +92,9 @@ class Drives:
             out[:, driven] -= self._lead((slice(None), np.flatnonzero(driven)))
         return out
 
-    def write_target_qvel(self, target: F64, joints: NDArray[np.int64], ids: EnvIndex | None) -> None:
+    def write_target_qvel(
+        self, target: F64, joints: NDArray[np.int64], ids: EnvIndex | None
+    ) -> None:
         """Set velocity targets (n, k) and fold them into the control."""
         columns = self._actuators(joints)
         rows = np.arange(self._owner.num_instances) if ids is None else ids
@@ -158,7 +160,7 @@ class Drives:
         return {n: getattr(self, n).copy() for n in (*names, "target_qvel")}
 
     def load_state_dict(self, state: dict[str, F64]) -> None:
-        """Continue exactly where `state_dict` was taken; model fields are the engine's to restore."""
+        """Continue exactly where `state_dict` was taken; the engine restores model fields."""
         for name, values in state.items():
             getattr(self, name)[...] = values
         self.has_velocity_target = bool(self.target_qvel.any())

@@ -21,7 +21,7 @@ __all__ = ["BatchEntity", "not_available"]
 
 
 def not_available(what: str, why: str) -> Callable[..., NoReturn]:
-    """Return a method that raises NotImplementedError: the name exists, the feature does not yet."""
+    """Return a method that raises NotImplementedError: the name exists, the feature not yet."""
 
     def method(self: object, *args: Any, **kwargs: Any) -> NoReturn:
         raise NotImplementedError(f"{type(self).__name__}.{what} is not available: {why}")
@@ -102,7 +102,9 @@ class BatchEntity:
         array[:, 3:] = normalize_quat(array[:, 3:])
         return array
 
-    def write_pose(self, pos: F64, quat: F64 | None = None, env_ids: EnvIndex | None = None) -> None:
+    def write_pose(
+        self, pos: F64, quat: F64 | None = None, env_ids: EnvIndex | None = None
+    ) -> None:
         """Set the root pose from checked numpy arrays: the door for terms, without checks.
 
         Args:

@@ -139,9 +139,7 @@ class RigidObject(BatchEntity):
     def _need_dynamic(self, what: str) -> slice:
         dofs = self._dofs()
         if dofs is None:
-            raise ValueError(
-                f"{self.uid} is {self.cfg.body_type}: {what} needs body_type: dynamic"
-            )
+            raise ValueError(f"{self.uid} is {self.cfg.body_type}: {what} needs body_type: dynamic")
         return dofs
 
     def read_velocity(self) -> tuple[F64, F64]:
@@ -243,8 +241,9 @@ class RigidObject(BatchEntity):
         dofs = self._dofs()
         if dofs is not None:
             rate = self._damping if ids is None else self._damping[ids]
-            values = np.concatenate([np.repeat((rate[:, 0] * mass)[:, None], 3, 1),
-                                     rate[:, 1:] * inertia], axis=1)
+            values = np.concatenate(
+                [np.repeat((rate[:, 0] * mass)[:, None], 3, 1), rate[:, 1:] * inertia], axis=1
+            )
             self.engine.write_model("dof_damping", values, ids, dofs)
 
     def _inertial(self, ids: NDArray[np.int64] | None) -> tuple[F64, F64]:
@@ -285,8 +284,10 @@ class RigidObject(BatchEntity):
         ids, rows = self._ids(env_ids)
         new = as_rows(inertia, rows, 3, f"{self.uid}: inertia")
         if (new <= 0).any() or (2 * new.max(axis=1) > new.sum(axis=1) + 1e-12).any():
-            raise ValueError(f"{self.uid}: moments must be positive, the largest at most the sum "
-                             "of the other two")
+            raise ValueError(
+                f"{self.uid}: moments must be positive, the largest at most the sum "
+                "of the other two"
+            )
         self._write_inertial(ids, self._inertial(ids)[0], new)
 
     def get_damping(self, env_ids: Any = None) -> torch.Tensor:
@@ -364,8 +365,10 @@ class RigidObject(BatchEntity):
         """Give the body its configured pose and no velocity."""
         self._sim.reset_objects_state(env_ids, only=(self.uid,))
 
-    set_body_scale = not_available("set_body_scale", "shapes are compiled; randomization of "
-                                   "primitives comes with its event terms")
+    set_body_scale = not_available(
+        "set_body_scale",
+        "shapes are compiled; randomization of primitives comes with its event terms",
+    )
     set_body_type = not_available("set_body_type", "the body type is compiled into the model")
     set_attrs = not_available("set_attrs", "use set_mass, set_friction, set_damping, set_inertia")
     set_collision_filter = not_available("set_collision_filter", "environments never share a world")

@@ -124,7 +124,9 @@ def poison(engine, name, env):
         engine.write(field, float(value), where)
 
 
-POISONS = [f"{f}={v}" for f in ("qpos", "qvel", "ctrl", "mocap_pos") for v in ("nan", "inf", "1e30")]
+POISONS = [
+    f"{f}={v}" for f in ("qpos", "qvel", "ctrl", "mocap_pos") for v in ("nan", "inf", "1e30")
+]
 POISONS += ["zero quaternion", "heavy"]
 
 
@@ -183,8 +185,16 @@ def test_listeners_hear_every_change(model):
     engine.step(2)
     engine.reset(np.array([0]))
     ctrl, qpos, mass, const, before, after, reset = ear.heard
-    assert (ctrl.op, ctrl.field, ctrl.values.tolist()) == ("state", "ctrl", [[1.0, 2.0], [3.0, 4.0]])
-    assert (qpos.env_ids.tolist(), qpos.columns.tolist(), qpos.values.tolist()) == ([1], [0], [[0.5]])
+    assert (ctrl.op, ctrl.field, ctrl.values.tolist()) == (
+        "state",
+        "ctrl",
+        [[1.0, 2.0], [3.0, 4.0]],
+    )
+    assert (qpos.env_ids.tolist(), qpos.columns.tolist(), qpos.values.tolist()) == (
+        [1],
+        [0],
+        [[0.5]],
+    )
     assert (mass.op, mass.field, mass.values.tolist()) == ("model", "body_mass", [[3.0]])
     assert (const.op, reset.op, reset.env_ids.tolist()) == ("set_const", "reset", [0])
     assert (before[0], after[0]) == ("before", "after")
