@@ -127,7 +127,7 @@ def check_params(
     for name, value in params.items():
         if name not in spec.params and not spec.open_params:
             allowed = ", ".join(spec.params) or "no parameters"
-            message = f"unknown parameter of {spec.kind} term {spec.name!r}; it takes {allowed}"
+            message = f"unknown parameter of {spec.label}; it takes {allowed}"
             hint = did_you_mean(name, spec.params).strip()
             problems.append(Problem(f"{path}.{name}", message, hint))
             continue
@@ -137,7 +137,7 @@ def check_params(
             problems += [_problem(f"{path}.{name}", e) for e in error.errors()]
     for name, parameter in spec.params.items():
         if parameter.default is inspect.Parameter.empty and name not in params:
-            message = f"missing; {spec.kind} term {spec.name!r} needs it"
+            message = f"missing; {spec.label} needs it"
             problems.append(Problem(f"{path}.{name}", message))
     return values, problems
 

@@ -106,7 +106,8 @@ class EventManager(Manager[EventCfg]):
         Returns:
             (n, *shape) float64. Do not write into it.
         """
-        values = self.env.streams.uniform(f"events.{self._term}", shape, low, high, env_ids)
+        name = f"events.{self._term}"
+        values: F64 = self.env.streams.uniform(name, shape, low, high, env_ids)
         self._drawn[what] = values
         return values
 

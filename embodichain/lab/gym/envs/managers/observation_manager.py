@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.sim.types import EnvObs
 else:
     torch = lazy_loader.load("torch")
 
@@ -63,11 +64,11 @@ class ObservationManager(Manager[ObservationCfg]):
                 f"{did_you_mean(group, self._groups)}"
             ) from None
 
-    def compute(self, obs: Any) -> Any:
+    def compute(self, obs: EnvObs) -> EnvObs:
         """Add or modify the declared entries.
 
         Args:
-            obs: A nested dict (or TensorDict) with what is observed already; it is changed.
+            obs: What is observed already; entries are set in it.
 
         Returns:
             The same object.
@@ -79,7 +80,7 @@ class ObservationManager(Manager[ObservationCfg]):
             entry.compute(self.env, obs)
         return obs
 
-    def flatten(self, obs: Any, group: str = "policy") -> torch.Tensor:
+    def flatten(self, obs: EnvObs, group: str = "policy") -> torch.Tensor:
         """Concatenate a group's entries in declared order.
 
         Args:
@@ -92,12 +93,8 @@ class ObservationManager(Manager[ObservationCfg]):
         Raises:
             ValueError: If no term is in the group; lists the groups.
         """
-        parts: list[torch.Tensor] = []
-        for path in self._paths(group):
-            value = obs
-            for key in path:
-                value = value[key]
-            parts.append(value.reshape(value.shape[0], -1).to(torch.float32))
+        count = self.num_envs
+        parts = [obs[path].reshape(count, -1).to(torch.float32) for path in self._paths(group)]
         return torch.cat(parts, dim=1)
 
 
@@ -108,7 +105,6 @@ class _Entry:
         cfg = term.cfg
         self.term = term
         self.path = tuple((cfg.name or term.name).split("/"))
-        self._parents, self._leaf = self.path[:-1], self.path[-1]
         self._num_envs = num_envs
         self._modify = cfg.mode == "modify"
         self._clip = cfg.clip
@@ -118,13 +114,8 @@ class _Entry:
             self._scale = scale if isinstance(scale, (int, float)) else torch.tensor(scale)
         self._shape: torch.Size | None = None
 
-    def compute(self, env: BaseEnv, obs: Any) -> None:
-        place = obs
-        for key in self._parents:
-            if key not in place.keys():  # noqa: SIM118  (a TensorDict refuses `in`)
-                place[key] = {}
-            place = place[key]
-        value = self.term.call(env, place[self._leaf] if self._modify else obs)
+    def compute(self, env: BaseEnv, obs: EnvObs) -> None:
+        value = self.term.call(env, obs[self.path] if self._modify else obs)
         if self._shape is None:
             self._check(value)
         if self._clip is not None:
@@ -133,7 +124,7 @@ class _Entry:
             value = value * self._scale
         if value.dtype == torch.float64:
             value = value.to(torch.float32)
-        place[self._leaf] = value
+        obs.set(self.path, value)
 
     def _check(self, value: Any) -> None:
         name, want = self.term.name, f"a tensor of shape ({self._num_envs}, ...)"

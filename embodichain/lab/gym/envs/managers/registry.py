@@ -32,15 +32,17 @@ __all__ = [
 
 Kind = Literal["event", "observation", "reward", "action", "termination", "metric"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-LEADING: dict[Kind, tuple[str, ...]] = {
+LEADING: dict[Kind | Literal["policy"], tuple[str, ...]] = {
     "event": ("env", "env_ids"),
     "observation": ("env", "obs"),
     "reward": ("env", "obs", "action", "info"),
     "termination": ("env", "obs", "action", "info"),
     "metric": ("env", "obs", "action", "info"),
     "action": ("env",),
+    "policy": ("obs", "env"),
 }
-"""What the manager passes first to a function of each kind; a class's `__init__` gets `env`."""
+"""What is passed first to a function of each kind. A class's `__init__` gets `env` (for policies,
+which are described here too but are no terms: nothing)."""
 
 T = TypeVar("T", bound=Callable[..., Any])
 _BUILTIN = "embodichain.lab.gym.envs.mdp"
@@ -61,7 +63,7 @@ class TermSpec:
     """
 
     name: str
-    kind: Kind
+    kind: Kind | Literal["policy"]
     func: Callable[..., Any]
     params: dict[str, inspect.Parameter]
     doc: str
@@ -72,6 +74,13 @@ class TermSpec:
     def is_class(self) -> bool:
         """Whether the term is built once and then called."""
         return inspect.isclass(self.func)
+
+    @property
+    def label(self) -> str:
+        """For messages: ``event term 'push'``."""
+        return (
+            f"policy {self.name!r}" if self.kind == "policy" else f"{self.kind} term {self.name!r}"
+        )
 
     def hints(self) -> dict[str, Any]:
         """Types of the parameters, evaluated. Only theirs: `env` and results may name torch."""
@@ -153,14 +162,18 @@ def _place(func: Callable[..., Any]) -> str:
     return f"{func.__module__}:{getattr(func, '__qualname__', type(func).__qualname__)}"
 
 
-def describe_term(kind: Kind, func: Callable[..., Any], name: str | None = None) -> TermSpec:
+def describe_term(
+    kind: Kind | Literal["policy"], func: Callable[..., Any], name: str | None = None
+) -> TermSpec:
     """Read a term's parameters off its signature.
 
     Raises:
         ValueError: If the signature lacks the arguments that the manager passes.
     """
     title = name or str(getattr(func, "__name__", type(func).__name__))
-    lead = ("env",) if inspect.isclass(func) else LEADING[kind]
+    lead = LEADING[kind]
+    if inspect.isclass(func):
+        lead = () if kind == "policy" else ("env",)
     params = list(inspect.signature(func).parameters.values())
     positional = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
     if len(params) < len(lead) or any(p.kind not in positional for p in params[: len(lead)]):

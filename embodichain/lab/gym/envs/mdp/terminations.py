@@ -39,7 +39,8 @@ def time_out(
         time_limit_s: Seconds of simulated time, rounded to control steps.
     """
     steps = max(1, round(time_limit_s / env.step_dt))
-    return env.elapsed_steps + 1 >= steps
+    over: torch.Tensor = env.elapsed_steps + 1 >= steps
+    return over
 
 
 @register_term("termination", "metric", name="out_of_bounds")
@@ -58,4 +59,5 @@ class OutOfBounds(Term):
     def __call__(self, env: BaseEnv, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
         """(N,) bool."""
         position = _spatial.position(self._entity)
-        return ((position < self._low) | (position > self._high)).any(dim=1)
+        outside: torch.Tensor = ((position < self._low) | (position > self._high)).any(dim=1)
+        return outside

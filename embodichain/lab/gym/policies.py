@@ -1,0 +1,232 @@
+"""What acts without learning: zero, random, random_around_home, hold; and policies of users.
+
+Learned policies are files; `embodichain.learning` reads them and hands `resolve_policy` a function
+that does. Random ones draw from the environment's streams, so environment *i* gets the same actions
+whatever the number of environments is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+import lazy_loader
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.envs.managers.check import check_params
+from embodichain.lab.gym.envs.managers.param_types import NonNegative
+from embodichain.lab.gym.envs.managers.registry import describe_term, import_object
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    import torch
+
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.objects.robot import Robot
+    from embodichain.lab.sim.types import EnvObs
+else:
+    torch = lazy_loader.load("torch")
+
+__all__ = ["POLICIES", "Policy", "hold", "random", "random_around_home", "resolve_policy", "zero"]
+
+STREAM = "policy"
+"""The random stream that policies draw from."""
+F64 = NDArray[np.float64]
+
+
+class Policy(Protocol):
+    """What acts: called once a control step, told when environments begin a new episode."""
+
+    def __call__(self, obs: EnvObs, env: BaseEnv) -> torch.Tensor:
+        """Return (N, A) float32 actions for an observation."""
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Forget these environments' episodes; (n,) int64, or None for all."""
+
+
+def zero(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
+    """Every action is 0, or the bound nearest to it."""
+    low, high = _bounds(env)
+    return _repeated(np.clip(np.zeros_like(low), low, high), env)
+
+
+def random(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
+    """Uniform over the action space, anew at every step.
+
+    Raises:
+        ConfigError: If the action space has no finite bounds.
+    """
+    low, high = _bounds(env)
+    if not (np.isfinite(low).all() and np.isfinite(high).all()):
+        raise ConfigError(
+            [Problem("policy", "random needs an action space with finite bounds; try zero or hold")]
+        )
+    return env.rand(STREAM, low.shape, low, high)
+
+
+def random_around_home(obs: EnvObs, env: BaseEnv, range: NonNegative = 0.1) -> torch.Tensor:
+    """The action of the initial state plus uniform noise, anew at every step, within bounds.
+
+    Args:
+        obs: Unused.
+        env: The environment.
+        range: Most noise in units of the action: rad for absolute joint positions.
+
+    Raises:
+        ConfigError: If the actions of the environment are no joint positions.
+    """
+    low, high = _bounds(env)
+    home = _home(env)
+    return env.rand(
+        STREAM, low.shape, np.clip(home - range, low, high), np.clip(home + range, low, high)
+    )
+
+
+def hold(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
+    """The action that leaves the drives' targets as they are.
+
+    Raises:
+        ConfigError: If the actions of the environment are no joint positions.
+    """
+    if len(env.action_manager):
+        return torch.from_numpy(env.action_manager.hold().astype(np.float32))
+    return _joint_robot(env).body_data.target_qpos[:, env.active_joint_ids]
+
+
+POLICIES: dict[str, Callable[..., Any]] = {
+    "hold": hold,
+    "random": random,
+    "random_around_home": random_around_home,
+    "zero": zero,
+}
+"""The policies that a config names."""
+
+
+def resolve_policy(
+    policy: str | Mapping[str, Any] | Callable[..., Any],
+    *,
+    load_file: Callable[[Path], Policy] | None = None,
+) -> Policy:
+    """Make a policy from what a config says.
+
+    Args:
+        policy: A name, ``{func: NAME, params: {...}}``, ``package.module:function``, a path, or
+            (Python only) a callable. A class is constructed with the params and then called.
+        load_file: Reads a learned policy from a file or a run's folder; a string that names an
+            existing path, has a "/" or ends in ``.zip`` is given to it, and so is ``last``.
+
+    Returns:
+        A policy with `__call__` and `reset`.
+
+    Raises:
+        ConfigError: If there is no such policy, or its parameters are wrong.
+    """
+    params: dict[str, Any] = {}
+    func: Any = policy
+    if isinstance(policy, Mapping):
+        unknown = sorted(set(policy) - {"func", "params"})
+        if unknown or "func" not in policy:
+            message = f"needs func and perhaps params, got {sorted(policy)}"
+            raise ConfigError([Problem("policy", message)])
+        params = dict(policy.get("params") or {})
+        policy = policy["func"]
+    if isinstance(policy, str):
+        if _is_path(policy):
+            if load_file is None:
+                message = (
+                    f"{policy!r} is a file: only `embodichain.learning` reads learned policies"
+                )
+                raise ConfigError([Problem("policy", message)])
+            return load_file(Path(func))
+        func = _named(func)
+    if not callable(func):
+        raise ConfigError([Problem("policy", f"{func!r} is not callable")])
+    return _bound(func, params)
+
+
+def _is_path(text: str) -> bool:
+    if text in POLICIES or ":" in text:
+        return False
+    return text == "last" or "/" in text or text.endswith(".zip") or Path(text).exists()
+
+
+def _named(name: str) -> Any:
+    if name in POLICIES:
+        return POLICIES[name]
+    if ":" in name:
+        try:
+            return import_object(name)
+        except ConfigError as error:
+            raise ConfigError([Problem("policy", str(error))]) from error
+    allowed = ", ".join(POLICIES)
+    message = f"unknown policy {name!r}; allowed: {allowed}, package.module:function, or a path"
+    raise ConfigError([Problem("policy", message, did_you_mean(name, POLICIES).strip())])
+
+
+def _bound(func: Callable[..., Any], params: dict[str, Any]) -> Policy:
+    """Check and bind parameters; a class is constructed with them."""
+    try:
+        spec = describe_term("policy", func)
+    except ValueError as error:
+        raise ConfigError([Problem("policy", str(error))]) from error
+    values, problems = check_params(spec, params, "policy.params")
+    if problems:
+        raise ConfigError(problems)
+    made = func(**values) if spec.is_class else partial(func, **values) if values else func
+    return cast(Policy, made) if hasattr(made, "reset") else _Plain(made)
+
+
+class _Plain:
+    """A function (or an object without `reset`) as a policy."""
+
+    def __init__(self, func: Callable[..., Any]) -> None:
+        self._func = func
+
+    def __call__(self, obs: EnvObs, env: BaseEnv) -> torch.Tensor:
+        action: torch.Tensor = self._func(obs, env)
+        return action
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Nothing is kept."""
+
+
+def _bounds(env: BaseEnv) -> tuple[F64, F64]:
+    """(A,) bounds of one environment's actions.
+
+    Raises:
+        ConfigError: If the action space is no Box.
+    """
+    space: Any = env.single_action_space
+    if not hasattr(space, "low"):
+        message = f"the built-in policies need a Box as action space, got {space}"
+        raise ConfigError([Problem("policy", message)])
+    return np.asarray(space.low, np.float64), np.asarray(space.high, np.float64)
+
+
+def _home(env: BaseEnv) -> F64:
+    """(A,) the action of the initial state."""
+    if len(env.action_manager):
+        return env.action_manager.home()
+    return np.asarray(_joint_robot(env).parsed.init_qpos, np.float64)[env.active_joint_ids]
+
+
+def _joint_robot(env: BaseEnv) -> Robot:
+    """The robot of an environment without action terms, if an action is as wide as its joints.
+
+    Raises:
+        ConfigError: If it is not: nothing else says what an action means.
+    """
+    shape = env.single_action_space.shape
+    if env.robot is None or shape != (len(env.active_joint_ids),):
+        message = f"this environment does not say what its actions {shape} mean; try zero or random"
+        raise ConfigError([Problem("policy", message)])
+    return env.robot
+
+
+def _repeated(row: F64, env: BaseEnv) -> torch.Tensor:
+    return torch.from_numpy(np.tile(row.astype(np.float32), (env.num_envs, 1)))
