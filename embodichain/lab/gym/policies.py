@@ -134,13 +134,11 @@ def resolve_policy(
             message = f"needs func and perhaps params, got {sorted(policy)}"
             raise ConfigError([Problem("policy", message)])
         params = dict(policy.get("params") or {})
-        policy = policy["func"]
-    if isinstance(policy, str):
-        if _is_path(policy):
+        func = policy["func"]
+    if isinstance(func, str):
+        if _is_path(func):
             if load_file is None:
-                message = (
-                    f"{policy!r} is a file: only `embodichain.learning` reads learned policies"
-                )
+                message = f"{func!r} is a file: only `embodichain.learning` reads learned policies"
                 raise ConfigError([Problem("policy", message)])
             return load_file(Path(func))
         func = _named(func)
