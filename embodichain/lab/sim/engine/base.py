@@ -126,6 +126,9 @@ class Engine(Protocol):
     ) -> None:
         """Set columns of a flattened model field per environment."""
 
+    def model_field(self, field: str) -> NDArray[Any]:
+        """(N, size) flattened per-environment values of a model field. Do not write."""
+
     def set_const(self, env_ids: EnvIndex | None = None) -> None:
         """Recompute what MuJoCo derives from model fields (`mj_setConst`)."""
 
