@@ -14,6 +14,7 @@ from typing import Any
 import yaml
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
@@ -27,6 +28,8 @@ from embodichain.config.problems import LocatedProblem
 from embodichain.config.search_path import folder_of
 
 __all__ = ["Composed", "compose", "from_hydra", "list_options"]
+
+DEFAULT_ALGORITHM = "ppo"
 
 
 @dataclass(frozen=True)
@@ -74,13 +77,15 @@ def compose(
     with config_loader(config_dir) as loader:
         parsed = parse(lines, loader)
         try:
-            config = loader.load_configuration(config_name, list(parsed.for_hydra), RunMode.RUN)
-            files = _files(loader, config, config_name, parsed)
+            config, files = _load(loader, config_name, parsed.for_hydra)
+            chosen = _algorithm(config, parsed.values)
+            if chosen is not None:  # the group was left at null: load what it means
+                config, files = _load(loader, config_name, (*parsed.for_hydra, f"algo={chosen}"))
         except (HydraException, yaml.YAMLError) as error:
             found = [] if _follows(error, parsed) else explain(error, loader)
             problems = (*parsed.problems, *found)
             return Composed(config_name, lines, {}, {}, Locator([]), problems, usable=False)
-        choices = dict(config.hydra.runtime.choices)
+    choices = dict(config.hydra.runtime.choices)
     OmegaConf.set_struct(config, False)
     del config["hydra"]
     problems = (*parsed.problems, *apply_values(config, parsed.values))
@@ -107,12 +112,13 @@ def list_options(group: str, config_dir: str | Path | None = None) -> list[str]:
         return list(loader.get_group_options(group))
 
 
-def _files(
-    loader: ConfigLoader, config: DictConfig, config_name: str, parsed: ParsedOverrides
-) -> list[ConfigFile]:
-    """The files behind the composed config, in the order of merging, without Hydra's."""
+def _load(
+    loader: ConfigLoader, config_name: str, for_hydra: Sequence[str]
+) -> tuple[DictConfig, list[ConfigFile]]:
+    """The merged config, and the files behind it in the order of merging, without Hydra's."""
+    config = loader.load_configuration(config_name, list(for_hydra), RunMode.RUN)
     folders = [_folder(s.schema, s.path) for s in config.hydra.runtime.config_sources]
-    defaults = loader.compute_defaults_list(config_name, list(parsed.for_hydra), RunMode.RUN)
+    defaults = loader.compute_defaults_list(config_name, list(for_hydra), RunMode.RUN)
     files: list[ConfigFile] = []
     for default in defaults.defaults:
         name = default.config_path
@@ -122,7 +128,17 @@ def _files(
         path = next((p for p in paths if p.is_file()), None)
         if path is not None:
             files.append(ConfigFile.read(path, default.package or ""))
-    return files
+    return config, files
+
+
+def _algorithm(config: DictConfig, values: Sequence[Override]) -> str | None:
+    """The option of `algo` that a null choice means: named by a key, suggested, else ppo."""
+    if config.hydra.runtime.choices.get("algo", "") is not None:
+        return None
+    named = [o.value() for o in values if o.key_or_group == "algo.name"]
+    suggested = OmegaConf.select(config, "task.suggested.train.algo.name")
+    written = OmegaConf.select(config, "algo.name")
+    return str(next((name for name in (*named, written, suggested) if name), DEFAULT_ALGORITHM))
 
 
 def _folder(schema: str, path: str) -> Path | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from os.path import commonprefix
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,7 @@ class Locator:
 
     def __init__(self, files: Sequence[ConfigFile], overrides: Sequence[Override] = ()) -> None:
         self.files = tuple(files)
-        self._overrides = tuple(overrides)
+        self.overrides = tuple(overrides)
 
     def source(self, path: str) -> str:
         """Return ``FILE:LINE`` or ``command line`` of a key, or of its nearest ancestor.
@@ -78,7 +79,7 @@ class Locator:
             depth, line = _find(file, parts)
             if depth >= best and line:
                 best, source = depth, f"{display_path(file.path)}:{line}"
-        for override in self._overrides:
+        for override in self.overrides:
             depth = _depth_of_override(override, parts)
             if depth > 0 and depth >= best:
                 best, source = depth, COMMAND_LINE
@@ -88,6 +89,14 @@ class Locator:
         """Whether a file has this very key."""
         parts = path.split(".")
         return any(_find(file, parts)[0] == len(parts) for file in self.files)
+
+    def chosen(self, path: str, package: str) -> bool:
+        """Whether someone set this key besides the group option mounted at `package`."""
+        parts = path.split(".")
+        others = [file for file in self.files if file.package != package]
+        return any(_find(file, parts)[0] == len(parts) for file in others) or any(
+            _depth_of_override(override, parts) == len(parts) for override in self.overrides
+        )
 
 
 def _find(file: ConfigFile, parts: Sequence[str]) -> tuple[int, int]:
@@ -114,6 +123,8 @@ def _descend(node: yaml.Node, parts: Sequence[str]) -> tuple[int, int]:
             entry = _entry(node, ".".join(parts[:count]))
             if entry is not None:
                 key, value = entry
+                if isinstance(value, yaml.ScalarNode) and parts[count:]:
+                    return 0, line  # a value holds no keys: whoever made it a map is meant
                 depth, found = _descend(value, parts[count:])
                 at_key = key.start_mark.line + 1
                 return depth + count, found if depth else at_key
@@ -138,10 +149,9 @@ def _entry(node: yaml.MappingNode, name: str) -> tuple[yaml.Node, yaml.Node] | N
 def _depth_of_override(override: Override, parts: Sequence[str]) -> float:
     """How many parts of a path an override sets; half a part less where it sets something below."""
     key = override.key_or_group.replace("[", ".").replace("]", "").split(".")
-    if len(key) > len(parts):
-        return len(parts) - 0.5 if key[: len(parts)] == list(parts) else 0
-    if list(parts[: len(key)]) != key:
-        return 0
+    common = len(commonprefix([key, list(parts)]))
+    if common < len(key):
+        return max(0.0, common - 0.5)
     if override.is_delete():
         return len(parts)
     value: Any = override.value()

@@ -5,16 +5,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
+from embodichain.config import derive
+from embodichain.config.check_types import check_types
 from embodichain.config.compose import Composed, compose
+from embodichain.config.derive import Verb
+from embodichain.config.freeze import freeze, thaw
+from embodichain.config.problems import LocatedProblem
 from embodichain.config.schema import RootCfg
+from embodichain.config.validate import check_tree, validate
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["Resolved", "Verb", "resolve", "resolve_tree"]
-
-Verb = Literal["run", "train"]
 
 
 @dataclass(frozen=True)
@@ -24,7 +28,7 @@ class Resolved:
     Attributes:
         tree: Frozen plain mappings and tuples: what is written to files (`dump_yaml`).
         overrides: As typed.
-        task_name: The option of the group `task`, or the task file's stem.
+        task_name: The option of the group `task`.
     """
 
     tree: Mapping[str, Any]
@@ -33,11 +37,16 @@ class Resolved:
 
     @property
     def root(self) -> RootCfg:
-        """A fresh `RootCfg`, everything filled in."""
+        """A fresh `RootCfg` with everything filled in; changing it changes nothing here."""
+        checked = check_types(thaw(self.tree))
+        if checked.root is None or checked.problems:
+            raise ConfigError(checked.problems)
+        return checked.root
 
     @property
     def env_cfg(self) -> EnvCfg:
-        """A fresh `EnvCfg` for `BaseEnv`: physics, num_envs and seed filled in."""
+        """A fresh `EnvCfg` for `BaseEnv`: `num_envs`, `seed` and `sim_cfg` filled in."""
+        return derive.env_cfg(self.root)
 
 
 def resolve(
@@ -55,16 +64,37 @@ def resolve(
     Raises:
         ConfigError: Holds every mistake as a `LocatedProblem`.
     """
+    composed = config if isinstance(config, Composed) else compose(config, verb, config_dir)
+    problems = validate(composed, verb)
+    if problems:
+        raise ConfigError(problems)
+    tree = derive.settle(derive.fill(composed.tree, verb, composed.locator.chosen), verb)
+    name = composed.choices.get("task") or "task"
+    return Resolved(freeze(tree), composed.overrides, name.rpartition("/")[2])
 
 
-def resolve_tree(tree: Mapping[str, Any], source: str, *, allow_import: bool = False) -> Resolved:
-    """Rebuild a `Resolved` from a dumped config: a run folder's `config.yaml`, a log's attachment.
+def resolve_tree(
+    tree: Mapping[str, Any],
+    source: str,
+    verb: Verb = "run",
+    *,
+    task_name: str = "task",
+    allow_import: bool = False,
+) -> Resolved:
+    """Check a config that was dumped: a run folder's `config.yaml`, a log's attachment.
 
     Args:
         tree: The loaded YAML.
-        source: What errors call it.
+        source: What messages call it.
+        verb: Whose suggested values count, where keys are still null.
+        task_name: What the task is called; the tree does not say.
         allow_import: Whether its ``package.module:function`` may be imported.
 
     Raises:
-        ConfigError: Holds every mistake.
+        ConfigError: Holds every mistake as a `LocatedProblem`.
     """
+    problems = check_tree(tree, verb, allow_import=allow_import)
+    if problems:
+        raise ConfigError([LocatedProblem(p.path, p.message, p.hint, source) for p in problems])
+    settled = derive.settle(derive.fill(tree, verb), verb)
+    return Resolved(freeze(settled), (), task_name)

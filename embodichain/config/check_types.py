@@ -1,0 +1,214 @@
+"""The first check: keys, types, lengths and ranges, by pydantic over the data classes.
+
+Pydantic finds all mistakes at once; here they become lines people can act on, and the tree is
+pruned of them so that the other checks can look at the rest.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails
+
+from embodichain.config.introspect import field_names, length_at, shape_types, type_at
+from embodichain.config.schema import ROOT_INSTEAD, RootCfg
+from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.utils.errors import Problem
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["TypeCheck", "check_types", "show_value"]
+
+Loc = tuple[str | int, ...]
+
+_KINDS = {
+    "int": "an integer",
+    "float": "a number",
+    "string": "text",
+    "bool": "true or false",
+    "dict": "a map",
+    "dataclass": "a map",
+    "list": "a list",
+}
+_LIMITS = {
+    "greater_than": ("gt", "greater than"),
+    "greater_than_equal": ("ge", "at least"),
+    "less_than": ("lt", "less than"),
+    "less_than_equal": ("le", "at most"),
+}
+_LONGEST = 60
+
+
+@dataclass(frozen=True)
+class TypeCheck:
+    """What pydantic found.
+
+    Attributes:
+        root: The config without what is wrong in it; None if there is no task to look at.
+        problems: One for each wrong key.
+        pruned: Paths that were left out of `root`.
+    """
+
+    root: RootCfg | None
+    problems: list[Problem]
+    pruned: tuple[str, ...]
+
+
+def check_types(tree: Mapping[str, Any]) -> TypeCheck:
+    """Check a composed tree against `RootCfg`.
+
+    Args:
+        tree: Plain dicts and lists. A whole number written as a float passes for an integer.
+    """
+    data = copy.deepcopy(dict(tree))
+    problems: dict[str, Problem] = {}
+    pruned: set[str] = set()
+    for name, instead in ROOT_INSTEAD.items():
+        if isinstance(data.get("task"), dict) and name in data["task"]:
+            del data["task"][name]
+            problems[f"task.{name}"] = Problem(f"task.{name}", f"not a key of a task; {instead}")
+    while True:  # each turn repairs or removes something, so it ends
+        try:
+            root = _adapter().validate_json(json.dumps(data), strict=True)
+            return TypeCheck(root, list(problems.values()), tuple(sorted(pruned)))
+        except ValidationError as error:
+            groups = _grouped(error.errors(include_url=False), data)
+        for loc, errors in groups.items():
+            if not _repair(data, loc, errors):
+                path = ".".join(map(str, loc))
+                problems.setdefault(path, _problem(path, loc, errors, data))
+        for loc, errors in groups.items():
+            removed = _prune(data, loc, errors)
+            if removed == ("task",) or not removed:
+                return TypeCheck(None, list(problems.values()), (".".join(map(str, removed)),))
+            pruned.add(".".join(map(str, removed)))
+
+
+def show_value(value: Any) -> str:
+    """Return a value as YAML's reader would know it, shortened to one line."""
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    text = repr(value)
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+
+
+@cache
+def _adapter() -> TypeAdapter[RootCfg]:
+    return TypeAdapter(RootCfg)
+
+
+def _grouped(errors: Iterable[ErrorDetails], data: Any) -> dict[Loc, list[ErrorDetails]]:
+    """Errors by key path; a union's members each report, the deepest knows best."""
+    groups: dict[Loc, list[ErrorDetails]] = {}
+    for error in errors:
+        groups.setdefault(_clean(error["loc"], error["type"], data), []).append(error)
+    return {
+        loc: found
+        for loc, found in groups.items()
+        if not any(len(other) > len(loc) and other[: len(loc)] == loc for other in groups)
+    }
+
+
+def _clean(loc: Loc, kind: str, data: Any) -> Loc:
+    """A location without the tags of unions that pydantic puts between the keys."""
+    clean: list[str | int] = []
+    for i, part in enumerate(loc):
+        last = i == len(loc) - 1
+        if isinstance(data, dict) and part in data:
+            data = data[part]
+        elif isinstance(data, list) and isinstance(part, int) and part < len(data):
+            data = data[part]
+        elif not (last and kind == "missing"):
+            continue
+        clean.append(part)
+    if kind.startswith("union_tag"):
+        clean.append("shape_type")
+    return tuple(clean)
+
+
+def _repair(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> bool:
+    """Make a whole float the integer that was asked for (``total_timesteps=1e6``)."""
+    value = errors[0]["input"]
+    if {e["type"] for e in errors} != {"int_type"} or not isinstance(value, float):
+        return False
+    if not value.is_integer():
+        return False
+    for part in loc[:-1]:
+        data = data[part]
+    data[loc[-1]] = int(value)
+    return True
+
+
+def _prune(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> Loc:
+    """Remove what is wrong: the key, the list that holds it, or the map that lacks it."""
+    if errors[0]["type"] == "missing" or errors[0]["type"].startswith("union_tag"):
+        loc = loc[:-1]
+    while loc and isinstance(loc[-1], int):
+        loc = loc[:-1]
+    for part in loc[:-1]:
+        data = data.get(part, {})
+    if loc:
+        data.pop(loc[-1], None)
+    return loc
+
+
+def _problem(path: str, loc: Loc, errors: Sequence[ErrorDetails], data: Any) -> Problem:
+    """The line that people read."""
+    error = errors[0]
+    kind, value, context = error["type"], error["input"], error.get("ctx", {})
+    if kind == "unexpected_keyword_argument":
+        return _unknown_key(path, loc, value, data)
+    if kind == "missing":
+        return Problem(path, "missing value: it must be set")
+    if kind.startswith("union_tag"):
+        return _wrong_tag(path, value, data, loc)
+    if kind in _LIMITS:
+        key, words = _LIMITS[kind]
+        return Problem(path, f"must be {words} {context[key]}, got {show_value(value)}")
+    if kind in ("too_short", "too_long"):
+        wanted = length_at(RootCfg, loc, data)
+        return Problem(path, f"expected {wanted} values, got {len(value)}: {show_value(value)}")
+    expected = [_expected(e) for e in errors if e["type"] != "callable_type"]
+    choices = [c for e in errors for c in _choices(e)]
+    hint = did_you_mean(value, choices).strip() if isinstance(value, str) else ""
+    wanted = " or ".join(dict.fromkeys(expected))
+    end = "." if hint else ""
+    return Problem(path, f"expected {wanted}, got {show_value(value)}{end}", hint)
+
+
+def _unknown_key(path: str, loc: Loc, value: Any, data: Any) -> Problem:
+    allowed = field_names(type_at(RootCfg, loc[:-1], data))
+    if len(loc) > 1 and loc[:-1] == ("task",):
+        allowed = [name for name in allowed if name not in ROOT_INSTEAD]
+    name = str(loc[-1])
+    hint = did_you_mean(name, allowed).strip()
+    if len(loc) == 1 and name in field_names(EnvCfg):
+        hint = f"Did you mean 'task.{name}'?"
+    return Problem(path, f"unknown key; allowed: {', '.join(allowed)}.", hint)
+
+
+def _wrong_tag(path: str, value: Any, data: Any, loc: Loc) -> Problem:
+    tag = value.get("shape_type") if isinstance(value, dict) else None
+    names = shape_types()
+    if tag is None:
+        return Problem(path, f"missing value; one of: {', '.join(names)}")
+    hint = did_you_mean(str(tag), names).strip()
+    return Problem(path, f"unknown shape {show_value(tag)}; one of: {', '.join(names)}.", hint)
+
+
+def _expected(error: ErrorDetails) -> str:
+    if error["type"] == "literal_error":
+        choices = [repr(choice) for choice in _choices(error)]
+        return choices[0] if len(choices) == 1 else f"one of {', '.join(choices)}"
+    kind = error["type"].rsplit("_", 1)[0]
+    return _KINDS.get(kind, error["msg"])
+
+
+def _choices(error: ErrorDetails) -> list[str]:
+    return re.findall(r"'([^']*)'", error.get("ctx", {}).get("expected", ""))

@@ -1,0 +1,100 @@
+"""The checks of root values that types cannot express: device, policy, suggestions, what is to come.
+
+No torch: what a device or a policy can do is known by name here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from embodichain.config.check_types import check_types, show_value
+from embodichain.config.schema import SUGGESTED_KEYS, RootCfg
+from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.gym.policies import resolve_policy
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["check_root", "check_suggested", "check_task"]
+
+
+def check_root(root: RootCfg, *, allow_import: bool = True) -> list[Problem]:
+    """Check the everyday keys.
+
+    Args:
+        root: What passed the check of types.
+        allow_import: Whether a policy may be imported to read its signature.
+    """
+    problems = _check_device(root.device) + _check_policy(root, allow_import)
+    if root.video:
+        problems.append(Problem("video", "not available yet; leave it at null"))
+    return problems
+
+
+def check_task(task: EnvCfg) -> list[Problem]:
+    """Check values of a task that belong to no term and no entity."""
+    problems = []
+    steps = task.max_episode_steps
+    if steps < 1 and steps != -1:
+        message = f"must be at least 1, or -1 for no limit, got {steps}"
+        problems.append(Problem("task.max_episode_steps", message))
+    if task.sensors:
+        problems.append(Problem("task.sensors", "not available yet; leave it out"))
+    return problems
+
+
+def check_suggested(tree: Mapping[str, Any]) -> list[Problem]:
+    """Check `task.suggested.run` and `.train` as what they become: values of root keys."""
+    task = tree.get("task")
+    suggested = task.get("suggested") if isinstance(task, Mapping) else None
+    problems: list[Problem] = []
+    for verb in ("run", "train"):
+        values = suggested.get(verb) if isinstance(suggested, Mapping) else None
+        if not isinstance(values, Mapping):
+            continue
+        allowed = [*SUGGESTED_KEYS, *(["algo"] if verb == "train" else [])]
+        path = f"task.suggested.{verb}"
+        for name in values:
+            if name not in allowed:
+                hint = did_you_mean(name, allowed).strip()
+                message = f"unknown key; allowed: {', '.join(allowed)}."
+                problems.append(Problem(f"{path}.{name}", message, hint))
+        known = {k: v for k, v in values.items() if k in allowed}
+        found = check_types({"task": {}, **known})
+        problems += [Problem(f"{path}.{p.path}", p.message, p.hint) for p in found.problems]
+    return problems
+
+
+def _check_device(device: str | None) -> list[Problem]:
+    if device is None or device == "cpu":
+        return []
+    if re.fullmatch(r"cuda(:\d+)?", device):
+        message = f"{device!r} is not available: the CUDA engine comes later; allowed: cpu"
+        return [Problem("device", message)]
+    hint = did_you_mean(device, ["cpu", "cuda"]).strip()
+    return [Problem("device", f"unknown device {show_value(device)}; allowed: cpu.", hint)]
+
+
+def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
+    """Check that a policy exists and takes its parameters; a trained one, that its path exists."""
+    policy = root.policy
+    if policy is None:
+        return []
+    name = policy if isinstance(policy, str) else policy.func
+    if ":" in name and not allow_import:
+        return [Problem("policy", f"{name!r} would be imported, which this config may not ask for")]
+    try:
+        params = {} if isinstance(policy, str) else {"params": policy.params}
+        resolve_policy({"func": name, **params}, load_file=lambda path: _existing(root, path))
+    except ConfigError as error:
+        return list(error.problems)
+    return []
+
+
+def _existing(root: RootCfg, path: Path) -> Any:
+    found = Path(root.output_dir) / "latest" if str(path) == "last" else path
+    if not found.exists():
+        raise ConfigError([Problem("policy", f"no such file or folder: {found}")])
+    return lambda obs, env: None

@@ -1,0 +1,139 @@
+"""All checks of a config in one report: types, values, terms, scene; each mistake with its place.
+
+The checks themselves live where their subjects do: types in `check_types`, terms in
+`lab.gym.envs.managers`, the scene in `lab.sim.compiler`.
+"""
+
+from __future__ import annotations
+
+import copy
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from hydra.core.override_parser.types import OverrideType
+
+from embodichain.config.check_types import check_types
+from embodichain.config.check_values import check_root, check_suggested, check_task
+from embodichain.config.compose import Composed
+from embodichain.config.derive import Chosen, Verb, fill
+from embodichain.config.introspect import is_named_map, type_at
+from embodichain.config.problems import LocatedProblem
+from embodichain.config.schema import RootCfg
+from embodichain.lab.gym.envs.managers.check import check_terms
+from embodichain.utils.errors import Problem
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["check_tree", "validate"]
+
+_ENTITY = re.compile(r"task(\.(robot|(robots|objects|articulations)(\.[^.]+)?))?")
+"""Paths whose loss makes references to entities fail that are not wrong."""
+
+
+def validate(composed: Composed, verb: Verb = "run") -> list[LocatedProblem]:
+    """Return every mistake of a composed config, with those found while composing; empty is good.
+
+    Args:
+        composed: What `compose` returned.
+        verb: Whose suggested values count.
+    """
+    problems = list(composed.problems)
+    if not composed.usable:
+        return problems
+    unknown = _unknown_entries(composed)
+    lost = [p.path for p in (*problems, *unknown)]
+    chosen = composed.locator.chosen
+    found = [*unknown, *check_tree(composed.tree, verb, chosen=chosen, lost=lost)]
+    locate = composed.locator.source
+    return problems + [LocatedProblem(p.path, p.message, p.hint, locate(p.path)) for p in found]
+
+
+def check_tree(
+    tree: Mapping[str, Any],
+    verb: Verb = "run",
+    *,
+    chosen: Chosen | None = None,
+    lost: Sequence[str] = (),
+    allow_import: bool = True,
+) -> list[Problem]:
+    """Return the mistakes of a plain tree, by key path.
+
+    Args:
+        tree: A composed config, or one that was dumped.
+        verb: Whose suggested values count.
+        chosen: See `derive.fill`.
+        lost: Paths that are known to be wrong; nothing more is said of them.
+        allow_import: Whether ``package.module:function`` may be imported.
+    """
+    tree = copy.deepcopy(dict(tree))
+    for path in lost:
+        _remove(tree, path)
+    problems = check_suggested(tree)
+    for problem in problems:
+        _remove(tree, ".".join(problem.path.split(".")[:4]))  # task.suggested.VERB.KEY
+    types = check_types(fill(tree, verb, chosen))
+    problems += types.problems
+    missing = [*lost, *types.pruned]
+    if types.root is not None:
+        further = _check_meaning(types.root, verb, missing, allow_import)
+        problems += [p for p in further if not _below(p.path, missing)]
+    return list({p.path + p.message: p for p in problems}.values())
+
+
+def _check_meaning(
+    root: RootCfg, verb: Verb, missing: Sequence[str], allow_import: bool
+) -> list[Problem]:
+    """Values, terms and scene, of what has the right types."""
+    problems = check_root(root, allow_import=allow_import) + check_task(root.task)
+    if verb == "train" and root.total_timesteps is None:
+        message = "missing value: set it, or task.suggested.train.total_timesteps"
+        problems.append(Problem("total_timesteps", message))
+    in_task = check_terms(root.task, allow_import=allow_import)
+    if not any(_ENTITY.fullmatch(path) for path in missing):
+        from embodichain.lab.sim.compiler import describe  # imports MuJoCo: only when needed
+
+        in_task += describe(root.task)
+    return problems + [Problem(_in_task(p.path), p.message, p.hint) for p in in_task]
+
+
+def _unknown_entries(composed: Composed) -> list[Problem]:
+    """Overrides that would make a new entity or term by misspelling one; `+` says it is meant."""
+    problems: dict[str, Problem] = {}
+    for override in composed.locator.overrides:
+        parts = override.key_or_group.split(".")
+        if override.type is not OverrideType.CHANGE:
+            continue
+        for depth in range(1, len(parts)):
+            if is_named_map(type_at(RootCfg, parts[:depth], composed.tree)):
+                path = ".".join(parts[: depth + 1])
+                if not composed.locator.sets(path):
+                    problems[path] = _unknown_entry(path, composed)
+    return list(problems.values())
+
+
+def _unknown_entry(path: str, composed: Composed) -> Problem:
+    section, _, name = path.rpartition(".")
+    there: Any = composed.tree
+    for part in section.split("."):
+        there = there.get(part, {}) if isinstance(there, dict) else {}
+    names = [str(key) for key in there if composed.locator.sets(f"{section}.{key}")]
+    message = f"there is no {name!r} in {section}; there are: {', '.join(names) or 'none'}."
+    hint = did_you_mean(name, names).strip() or f"Add one with +{path}={{...}}"
+    return Problem(path, message, hint)
+
+
+def _in_task(path: str) -> str:
+    return f"task.{path}" if path else "task"
+
+
+def _below(path: str, ancestors: Iterable[str]) -> bool:
+    return any(path == a or path.startswith(f"{a}.") for a in ancestors)
+
+
+def _remove(tree: dict[str, Any], path: str) -> None:
+    *parents, name = path.split(".")
+    node: Any = tree
+    for part in parents:
+        node = node.get(part) if isinstance(node, dict) else None
+    if isinstance(node, dict):
+        node.pop(name, None)
