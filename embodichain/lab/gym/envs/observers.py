@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
-    from embodichain.lab.sim.engine.base import EnvIndex, F64, PhysicsEvent, Write
+    from embodichain.lab.sim.engine.base import F64, EnvIndex, PhysicsEvent, Write
     from embodichain.lab.sim.types import EnvObs
 
 __all__ = ["EventRecord", "StepObserver", "StepRecord"]

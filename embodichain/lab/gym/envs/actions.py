@@ -1,0 +1,89 @@
+"""`ActionCheck`: what `BaseEnv.step` accepts, checked before anything is written."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from tensordict import TensorDict
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.types import EnvAction
+
+__all__ = ["ActionCheck"]
+
+
+class ActionCheck:
+    """Checks actions against a space.
+
+    Args:
+        space: Action space of one environment; shapes are checked if it is a Box.
+        num_envs: N.
+        device: Where actions must live.
+    """
+
+    def __init__(self, space: gym.Space[Any], num_envs: int, device: torch.device) -> None:
+        box = isinstance(space, gym.spaces.Box)
+        self._shape = torch.Size((num_envs, *space.shape)) if box else None  # type: ignore[misc]
+        self._num_envs = num_envs
+        self._device = device
+
+    def __call__(self, action: Any) -> tuple[EnvAction, F64]:
+        """Check an action.
+
+        Args:
+            action: (N, A) floating tensor on the device, or a numpy array (converted to a float32
+                tensor), or a TensorDict of such tensors with batch size N.
+
+        Returns:
+            The action, and its numbers as (N, A) float64 that share nothing with it.
+
+        Raises:
+            TypeError: If it is no floating tensor, array or TensorDict.
+            ValueError: If its shape or device is wrong or a number is not finite.
+        """
+        if isinstance(action, TensorDict):
+            return action, self._finite(self._flatten(action))
+        if isinstance(action, np.ndarray):
+            if not np.issubdtype(action.dtype, np.floating):
+                raise TypeError(f"actions are floating point numbers, got {action.dtype}")
+            action = torch.from_numpy(action.astype(np.float32))
+        elif not isinstance(action, torch.Tensor):
+            raise TypeError(f"an action is a tensor {self._wanted()}, got {type(action).__name__}")
+        shape = self._shape
+        if shape is not None and action.shape != shape or action.shape[:1] != (self._num_envs,):
+            raise ValueError(f"action must have shape {self._wanted()}, got {tuple(action.shape)}")
+        if not action.is_floating_point():
+            raise TypeError(
+                f"an action is a floating point tensor {self._wanted()}, got {action.dtype}"
+            )
+        if action.device.type != self._device.type:
+            raise ValueError(f"action is on {action.device}; this environment is on {self._device}")
+        if action.requires_grad:
+            action = action.detach()
+        return action, self._finite(action.numpy().astype(np.float64).reshape(self._num_envs, -1))
+
+    def _wanted(self) -> str:
+        return f"({self._num_envs}, ...)" if self._shape is None else f"{tuple(self._shape)}"
+
+    def _flatten(self, action: TensorDict) -> F64:
+        if action.batch_size[:1] != (self._num_envs,):
+            raise ValueError(
+                f"action must have batch size ({self._num_envs},), got {tuple(action.batch_size)}"
+            )
+        leaves: list[Any] = [leaf for _, leaf in action.items(True, True)]
+        if not leaves:
+            raise ValueError("the action is an empty TensorDict")
+        rows = [leaf.detach().cpu().reshape(self._num_envs, -1) for leaf in leaves]
+        return torch.cat(rows, dim=1).numpy().astype(np.float64)
+
+    @staticmethod
+    def _finite(values: F64) -> F64:
+        # The sum is the cheap question; it may overflow, so the exact one follows.
+        if not np.isfinite(np.add.reduce(values, None)) and not np.isfinite(values).all():
+            rows = np.flatnonzero(~np.isfinite(values).all(axis=1))
+            raise ValueError(f"action is not finite in environments {rows[:8].tolist()}")
+        return values

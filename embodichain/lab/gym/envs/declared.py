@@ -1,0 +1,216 @@
+"""From an `EnvCfg` to entities in a simulation: what the default hooks of `BaseEnv` build.
+
+Also the values of a config that follow from others. What the model looks like in MuJoCo is the
+compiler's business.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.gym.envs.hooks import EnvHooks, overrides
+from embodichain.lab.sim.cfg import SimulationManagerCfg, name_of
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.objects.robot import Robot
+    from embodichain.lab.sim.sim_manager import SimulationManager
+    from embodichain.lab.sim.types import EnvAction
+
+__all__ = [
+    "add_declared_robots",
+    "add_declared_scene",
+    "drive_robot",
+    "explained",
+    "frozen_cfg",
+    "set_extensions",
+]
+
+NO_LIMIT = 2**31 - 1
+"""`max_episode_steps` of -1, as it is stored."""
+
+_PHYSICS = ("gravity", "solver", "iterations", "integrator", "cone")
+
+
+def frozen_cfg(cfg: EnvCfg | None, num_envs: int | None = None) -> EnvCfg:
+    """Return a deep copy of a config in which what follows from other fields is filled in.
+
+    The ``physics`` section goes into ``sim_cfg``, ``decimation`` into ``sim_steps_per_control``,
+    ``episode_length_s`` into ``max_episode_steps`` (rounded up to whole control steps), and the
+    number of environments into ``sim_cfg``.
+
+    Args:
+        cfg: The user's config, left as it is; None is the default one.
+        num_envs: Wins over the config's.
+
+    Raises:
+        ConfigError: If a value makes no sense; names its key path.
+    """
+    cfg = copy.deepcopy(cfg) if cfg is not None else EnvCfg()
+    if num_envs is not None:
+        cfg.num_envs = num_envs
+    given: SimulationManagerCfg | None = cfg.sim_cfg  # EmbodiChain allows None
+    sim_cfg = cfg.sim_cfg = SimulationManagerCfg(headless=True) if given is None else given
+    physics = cfg.physics
+    if physics is not None:
+        if physics.physics_dt is not None:
+            sim_cfg.physics_dt = physics.physics_dt
+        for name in _PHYSICS:
+            value = getattr(physics, name)
+            if value is not None:
+                setattr(sim_cfg.physics_config, name, value)
+    if cfg.decimation is not None:
+        cfg.sim_steps_per_control = cfg.decimation
+    _check(cfg)
+    sim_cfg.num_envs = cfg.num_envs
+    if cfg.episode_length_s is not None:
+        step_dt = sim_cfg.physics_dt * cfg.sim_steps_per_control
+        cfg.max_episode_steps = max(1, math.ceil(cfg.episode_length_s / step_dt - 1e-9))
+    if cfg.max_episode_steps == -1:
+        cfg.max_episode_steps = NO_LIMIT
+    return cfg
+
+
+def _check(cfg: EnvCfg) -> None:
+    problems = []
+    for name in ("num_envs", "sim_steps_per_control"):
+        value = getattr(cfg, name)
+        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+            problems.append(Problem(name, f"must be an integer of at least 1, got {value!r}"))
+    limit: Any = cfg.max_episode_steps
+    if not isinstance(limit, int) or (limit < 1 and limit != -1):
+        problems.append(
+            Problem("max_episode_steps", f"must be at least 1, or -1 for no limit, got {limit!r}")
+        )
+    seed: Any = cfg.seed
+    if seed is not None and (not isinstance(seed, int) or isinstance(seed, bool)):
+        problems.append(Problem("seed", f"must be an integer or None, got {seed!r}"))
+    if not cfg.sim_cfg.physics_dt > 0:
+        problems.append(
+            Problem("physics.physics_dt", f"must be positive, got {cfg.sim_cfg.physics_dt!r}")
+        )
+    for section in ("sensors", "commands", "curriculum"):
+        if getattr(cfg, section):
+            problems.append(Problem(section, "not available yet: leave it empty"))
+    if problems:
+        raise ConfigError(problems)
+
+
+def _missing(sim: SimulationManager, uid: str) -> bool:
+    return uid not in sim.asset_uids
+
+
+def _at(path: str, error: ConfigError) -> ConfigError:
+    """The same mistakes, seen from the root of the config."""
+    return ConfigError(
+        [Problem(f"{path}.{p.path}" if p.path else path, p.message, p.hint) for p in error.problems]
+    )
+
+
+def add_declared_robots(sim: SimulationManager, cfg: EnvCfg) -> Robot | None:
+    """Add the declared robots that are not there yet; return the first declared one, or None.
+
+    Raises:
+        ConfigError: If a file or a value is wrong; the path is the one in the config.
+    """
+    first: Robot | None = None
+    declared: dict[str, tuple[str, Any]] = {}
+    if cfg.robot is not None:
+        declared[name_of(cfg.robot)] = ("robot", cfg.robot)
+    for uid, robot_cfg in cfg.robots.items():
+        robot_cfg.uid = uid
+        declared[uid] = (f"robots.{uid}", robot_cfg)
+    for uid, (path, robot_cfg) in declared.items():
+        try:
+            robot = sim.add_robot(robot_cfg) if _missing(sim, uid) else sim.get_robot(uid)
+        except ConfigError as error:
+            raise _at(path, error) from error
+        first = first or robot
+    return first
+
+
+def add_declared_scene(sim: SimulationManager, cfg: EnvCfg) -> None:
+    """Add declared articulations, objects and lights that are not there yet.
+
+    Raises:
+        ConfigError: If a file or a value is wrong; the path is the one in the config.
+    """
+    sections: tuple[tuple[str, Any, Any], ...] = (
+        ("articulations", cfg.articulations, sim.add_articulation),
+        ("objects", cfg.objects, sim.add_rigid_object),
+        ("lights", cfg.lights, sim.add_light),
+    )
+    for section, entities, add in sections:
+        for uid, entity_cfg in entities.items():
+            entity_cfg.uid = uid
+            if _missing(sim, uid):
+                try:
+                    add(entity_cfg)
+                except ConfigError as error:
+                    raise _at(f"{section}.{uid}", error) from error
+
+
+def drive_robot(robot: Robot | None, joint_ids: list[int], action: EnvAction) -> None:
+    """Give a robot absolute joint targets.
+
+    Args:
+        robot: The robot; None does nothing.
+        joint_ids: The A joints that are acted on.
+        action: (N, A) position targets, clamped to the joints' limits, or a TensorDict with any of
+            ``qpos``, ``qvel`` (velocity targets) and ``qf`` (efforts), each (N, A).
+
+    Raises:
+        ValueError: If a shape or a key is wrong.
+    """
+    if robot is None:
+        return
+    if isinstance(action, torch.Tensor):
+        robot.set_qpos(action, joint_ids=joint_ids)
+        return
+    setters: dict[Any, Any] = {"qpos": robot.set_qpos, "qvel": robot.set_qvel, "qf": robot.set_qf}
+    unknown = [key for key in action.keys() if key not in setters]  # noqa: SIM118  (a TensorDict)
+    if unknown:
+        raise ValueError(f"unknown action entries {unknown}; allowed: {', '.join(setters)}")
+    for key, value in action.items():
+        setters[key](value, joint_ids=joint_ids)
+
+
+def set_extensions(env: object, extensions: dict[str, Any]) -> None:
+    """Make ``extensions`` attributes of an environment.
+
+    Raises:
+        ConfigError: If the environment has an attribute of that name already.
+    """
+    taken = [key for key in extensions if not key.isidentifier() or hasattr(env, key)]
+    if taken:
+        raise ConfigError(
+            [
+                Problem(f"extensions.{key}", "taken by the environment, or not a name")
+                for key in taken
+            ]
+        )
+    for key, value in extensions.items():
+        setattr(env, key, value)
+
+
+def explained(error: ConfigError, env: EnvHooks) -> ConfigError:
+    """Return an error with every mistake of the config, not only the one that stopped the build.
+
+    The scene can only be checked from the config if no hook builds it.
+    """
+    from embodichain.lab.gym.envs.managers.check import check_terms
+    from embodichain.lab.sim.compiler import describe
+
+    problems = list(check_terms(env.cfg))
+    if not any(overrides(env, ("_setup_robot", "_prepare_scene")).values()):
+        problems += describe(env.cfg)
+    known = {(p.path, p.message) for p in problems}
+    found = [p for p in error.problems if (p.path, p.message) not in known]
+    if any(p.path == q.path for p in found for q in problems):
+        found = []  # the same mistake in other words
+    return ConfigError([*problems, *found]) if problems else error

@@ -1,0 +1,185 @@
+"""`EnvOutcome`: what a step yields - observation, info, reward, who diverged, who is done.
+
+The order in which this is asked for is in `BaseEnv.step`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+
+from embodichain.lab.gym.envs.assembly import EnvAssembly
+from embodichain.lab.gym.envs.autoreset import blanked
+from embodichain.lab.gym.envs.flags import Flags, Mask, mask_of
+from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.types import EnvAction, EnvObs
+
+__all__ = ["EnvOutcome"]
+
+Info = dict[str, Any]
+
+
+class EnvOutcome(EnvAssembly):
+    """Observes and judges; changes nothing of the simulation."""
+
+    # -- observation ---------------------------------------------------------------------------
+
+    def get_obs(self, **kwargs: Any) -> EnvObs:
+        """Observe all environments: robot, sensors, `_extend_obs`, observation terms.
+
+        Returns:
+            Batch size N; ``obs["robot"]`` holds ``qpos``, ``qvel``, ``qf``, (N, A) float32 each.
+        """
+        batch, device = self._batch, self.sim.device
+        obs = TensorDict({}, batch_size=batch, device=device)
+        if self.robot is not None:
+            qpos, qvel, qf = self.robot.proprioception(self._joints)
+            obs["robot"] = TensorDict({"qpos": qpos, "qvel": qvel, "qf": qf}, batch, device)
+        if self.sensors:
+            obs["sensor"] = self._get_sensor_obs(**kwargs)
+        obs = self._extend_obs(obs, **kwargs)
+        if obs is None:
+            raise TypeError(f"{type(self).__name__}._extend_obs must return the observation")
+        if self._observes:
+            obs = self.observation_manager.compute(obs)
+        self._terms_observed = True
+        return obs
+
+    def _observe(self, kwargs: dict[str, Any]) -> EnvObs:
+        """`get_obs`, with observation terms even if an override left them out; float32."""
+        self._terms_observed = False
+        obs = self.get_obs(**kwargs)
+        if self._observes and not self._terms_observed:
+            obs = self.observation_manager.compute(obs)
+        return self._memory.as_float32(obs)
+
+    @property
+    def observation_paths(self) -> list[tuple[str, ...]]:
+        """Paths of the floating point entries of an observation, in its order."""
+        return list(self._memory.paths)
+
+    # -- info ----------------------------------------------------------------------------------
+
+    def get_info(self, **kwargs: Any) -> Info:
+        """Return ``elapsed_steps`` (N,) int32 and what `evaluate` gives."""
+        info: Info = {"elapsed_steps": torch.from_numpy(self._elapsed.copy())}
+        info.update(self.evaluate(**kwargs))
+        return info
+
+    def _judge(self, obs: EnvObs, action: EnvAction, kwargs: dict[str, Any]) -> tuple[Info, Flags]:
+        """Info: `evaluate`, then terminations, then metrics."""
+        count = self.cfg.num_envs
+        info = self.get_info(**kwargs)
+        if type(info) is not dict:  # EmbodiChain's is a TensorDict
+            info = dict(info.items())
+        success = mask_of(info.get("success"), count, "success")
+        fail = mask_of(info.get("fail"), count, "fail")
+        time_out: Mask | None = None
+        masks = self.termination_manager.compute(obs, action, info)
+        if masks:
+            if "success" in masks:
+                success |= masks["success"].numpy()
+            if "fail" in masks:
+                fail |= masks["fail"].numpy()
+            if "time_out" in masks:
+                time_out = masks["time_out"].numpy()
+        info["success"] = torch.from_numpy(success)
+        info["fail"] = torch.from_numpy(fail)
+        reached = self.metric_manager.compute(obs, action, info)
+        self._success = success.copy() if reached is None else reached.numpy().copy()
+        return info, Flags(success, fail, time_out)
+
+    # -- reward --------------------------------------------------------------------------------
+
+    def _reward(self, obs: EnvObs, action: EnvAction, info: Info) -> torch.Tensor:
+        """Rewards of `get_reward`, plus those of the terms, after `_extend_reward`."""
+        count = self.cfg.num_envs
+        reward = torch.zeros(count)
+        if self._pays:
+            reward = self._checked_reward(self.get_reward(obs, action, info), "get_reward")
+        self._sums = self.reward_manager.episode_sums
+        reward = self.reward_manager.compute(reward, obs, action, info)
+        if self._repays:
+            extended = self._extend_reward(reward, obs, action, info)
+            reward = self._checked_reward(extended, "_extend_reward")
+        return reward
+
+    def _checked_reward(self, reward: Any, hook: str) -> torch.Tensor:
+        count = self.cfg.num_envs
+        if not isinstance(reward, torch.Tensor) or reward.shape != (count,):
+            found = tuple(reward.shape) if hasattr(reward, "shape") else type(reward).__name__
+            raise ValueError(f"{hook} must return a tensor of shape ({count},), got {found}")
+        # A clone: the caller of `step` may keep it, the hook may reuse its own.
+        return reward.detach().to(torch.float32, copy=True)
+
+    # -- divergence ----------------------------------------------------------------------------
+
+    def _contain(
+        self, obs: EnvObs, reward: torch.Tensor, info: Info, flags: Flags, given: F64
+    ) -> tuple[EnvObs, torch.Tensor, Info]:
+        """Find environments that diverged, and keep what they left out of everything handed on."""
+        memory = self._memory
+        last, flat = memory.flat, memory.flatten(obs)
+        mask = self.sim.engine.take_diverged()
+        bad = memory.bad_rows(flat)
+        if bad is not None:
+            mask = bad if mask is None else mask | bad
+        if (self._pays or self._repays or self._has_rewards) and not math.isfinite(
+            reward.sum().item()
+        ):
+            bad = ~torch.isfinite(reward).numpy()
+            mask = bad if mask is None else mask | bad
+        if mask is not None and self._pending is not None:
+            mask = mask & ~self._pending  # they are being reset anyway
+        if mask is not None and mask.any():
+            rows = torch.from_numpy(mask)
+            flat = torch.where(rows[:, None], last, flat)
+            obs = memory.with_rows(obs, flat, rows)
+            reward = torch.where(rows, torch.zeros(()), reward)
+            info = self._quarantine(info, flags, mask, rows)
+            self._dump.write(self.run_dir, mask, self.control_step + 1, given)
+        memory.flat = flat
+        info["diverged"] = (
+            torch.zeros(len(given), dtype=torch.bool)
+            if flags.diverged is None
+            else torch.from_numpy(flags.diverged.copy())
+        )
+        return obs, reward, info
+
+    def _quarantine(self, info: Info, flags: Flags, mask: Mask, rows: torch.Tensor) -> Info:
+        """Zero what diverged environments put into ``info``; episode sums go back by one step."""
+        info = blanked(info, rows)
+        sums = self.reward_manager.episode_sums
+        for name, total in sums.items():
+            sums[name] = torch.where(rows, self._sums[name], total)
+        info["episode_sums"] = dict(sums)
+        flags.success &= ~mask
+        flags.fail &= ~mask
+        if flags.time_out is not None:
+            flags.time_out = flags.time_out & ~mask
+        flags.diverged = mask.copy()
+        self._success[mask] = False
+        return info
+
+    # -- the end of episodes -------------------------------------------------------------------
+
+    def _ends(self, obs: EnvObs, info: Info, flags: Flags) -> tuple[Mask, Mask]:
+        """(N,) terminated and truncated."""
+        truncated = self._elapsed >= self._limit
+        if flags.time_out is not None:
+            truncated |= flags.time_out
+        if self._truncates:
+            count = self.cfg.num_envs
+            truncated |= mask_of(self.check_truncated(obs, info), count, "check_truncated")
+        if self.cfg.ignore_terminations:
+            terminated = np.zeros(len(truncated), np.bool_)
+        else:
+            terminated = flags.success | flags.fail
+        if flags.diverged is not None:
+            terminated |= flags.diverged
+            truncated &= ~flags.diverged
+        return terminated, truncated

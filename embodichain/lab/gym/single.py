@@ -1,0 +1,94 @@
+"""`SingleEnv`: a batch of one as an ordinary Gymnasium environment, for checkers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.envs.autoreset import AutoresetMode
+from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.gym.utils.spaces import numpy_obs, vector_obs, vector_paths, vector_space
+from embodichain.lab.sim.types import EnvObs
+
+__all__ = ["SingleEnv"]
+
+
+class SingleEnv(gym.Env[Any, NDArray[np.float32]]):
+    """One environment without the batch dimension; it never resets itself.
+
+    Args:
+        env: An environment with ``num_envs`` 1; `close` closes it.
+        flatten: Whether the observation is one float32 vector (the declared observations of the
+            group ``policy`` in declared order, or everything) instead of nested dicts.
+
+    Raises:
+        ValueError: If there is more than one environment.
+    """
+
+    def __init__(self, env: BaseEnv, flatten: bool = True) -> None:
+        if env.num_envs != 1:
+            raise ValueError(f"SingleEnv shows one environment, this batch has {env.num_envs}")
+        env.metadata["autoreset_mode"] = AutoresetMode.DISABLED
+        self.env = env
+        self.metadata = {k: v for k, v in env.metadata.items() if k != "autoreset_mode"}
+        self.render_mode = env.render_mode
+        self.action_space = env.single_action_space
+        self._paths = vector_paths(env) if flatten else None
+        space = env.single_observation_space
+        self.observation_space = space if not flatten else vector_space(space, self._paths or ())
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start a new episode; see `BaseEnv.reset`."""
+        super().reset(seed=seed)
+        obs, info = self.env.reset(seed=seed, options=options)
+        return self._first(obs), _first_info(info)
+
+    def step(self, action: NDArray[np.float32]) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Advance by one control step; see `BaseEnv.step`.
+
+        Args:
+            action: (A,) finite numbers.
+        """
+        batched = np.asarray(action, np.float32)[None]
+        obs, reward, terminated, truncated, info = self.env.step(batched)  # type: ignore[arg-type]
+        flags = bool(terminated[0]), bool(truncated[0])
+        return self._first(obs), float(reward[0]), *flags, _first_info(info)
+
+    def _first(self, obs: EnvObs) -> Any:
+        if self._paths is not None:
+            return vector_obs(obs, self._paths)[0]
+        return _row(numpy_obs(obs))
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """(480, 640, 3) RGB; None unless ``rgb_array``."""
+        return self.env.render()
+
+    def close(self) -> None:
+        """Close the environment."""
+        self.env.close()
+
+
+def _row(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _row(v) for key, v in value.items()}
+    return value[0]
+
+
+def _first_info(info: Mapping[str, Any]) -> dict[str, Any]:
+    """The environment's own entries; scalars become Python's."""
+    found: dict[str, Any] = {}
+    for key, value in info.items():
+        if isinstance(value, Mapping):
+            found[key] = _first_info(value)
+        elif isinstance(value, torch.Tensor) and value.shape[:1] == (1,):
+            found[key] = value[0].item() if value.ndim == 1 else value[0].numpy()
+        else:
+            found[key] = value
+    return found

@@ -1,0 +1,1 @@
+"""Around environments: registration, launcher arguments, spaces."""

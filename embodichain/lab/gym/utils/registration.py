@@ -1,0 +1,156 @@
+"""Registered environments: `register_env`, and making them by id: batched, numpy, from a config.
+
+Ids from YAML (``embodichain/NAME-v0``) are registered by `embodichain.tasks` through this module.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import gymnasium as gym
+
+from embodichain.utils.errors import ConfigError
+from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.cfg import EnvCfg
+    from embodichain.lab.gym.vector import NumpyVectorEnv
+
+__all__ = ["REGISTERED_ENVS", "EnvSpec", "build_env", "make", "make_vec", "register_env"]
+
+logger = logging.getLogger(__name__)
+
+T = TypeVar("T", bound=Callable[..., Any])
+
+
+@dataclass(frozen=True)
+class EnvSpec:
+    """One registered environment.
+
+    Attributes:
+        uid: Its id.
+        cls: The class, or any callable that returns an environment.
+        max_episode_steps: Its time limit in control steps; None keeps the environment's own.
+        default_kwargs: Keyword arguments unless `make` is given others.
+    """
+
+    uid: str
+    cls: Callable[..., Any]
+    max_episode_steps: int | None = None
+    default_kwargs: dict[str, Any] = field(default_factory=dict)
+
+
+REGISTERED_ENVS: dict[str, EnvSpec] = {}
+
+
+def register_env(
+    uid: str, max_episode_steps: int | None = None, override: bool = False, **kwargs: Any
+) -> Callable[[T], T]:
+    """Make a class available to `gymnasium.make`, `gymnasium.make_vec` and `build_env`.
+
+    Args:
+        uid: The id, for example ``RandomReach-v1``.
+        max_episode_steps: Time limit in control steps. It becomes the environment's own, which
+            counts for every environment by itself; Gymnasium's `TimeLimit`, which cannot, is not
+            added. (It is if `gymnasium.make` itself is given ``max_episode_steps``.)
+        override: Whether to replace an environment of the same id; otherwise a second one is
+            skipped with a warning.
+        **kwargs: Defaults for the class's keyword arguments, of types that JSON knows.
+
+    Returns:
+        A decorator that leaves the class as it is.
+
+    Raises:
+        TypeError: If a default is not JSON.
+    """
+    try:
+        json.dumps(kwargs)
+    except TypeError as error:
+        raise TypeError(f"register_env({uid!r}): defaults must be JSON: {error}") from error
+
+    def decorate(cls: T) -> T:
+        if uid in REGISTERED_ENVS and not override:
+            logger.warning("environment %r is registered already: skipped (see override)", uid)
+            return cls
+        REGISTERED_ENVS[uid] = EnvSpec(uid, cls, max_episode_steps, copy.deepcopy(kwargs))
+        gym.registry.pop(uid, None)
+        gym.register(
+            uid,
+            entry_point=f"{__name__}:make",
+            vector_entry_point=f"{__name__}:make_vec",
+            disable_env_checker=True,
+            kwargs={"env_id": uid},
+        )
+        return cls
+
+    return decorate
+
+
+def _find(env_id: str) -> EnvSpec:
+    try:
+        return REGISTERED_ENVS[env_id]
+    except KeyError:
+        known = ", ".join(REGISTERED_ENVS) or "none"
+        hint = did_you_mean(env_id, REGISTERED_ENVS)
+        raise ConfigError(f"no environment {env_id!r}; registered: {known}.{hint}") from None
+
+
+def make(env_id: str, max_episode_steps: int | None = None, **kwargs: Any) -> BaseEnv:
+    """Make a registered environment, without Gymnasium's wrappers.
+
+    Args:
+        env_id: The id.
+        max_episode_steps: Time limit in control steps; None is the registered one.
+        **kwargs: For the class; wins over the registered defaults.
+
+    Raises:
+        ConfigError: If there is no such environment; lists those there are.
+    """
+    spec = _find(env_id)
+    env: BaseEnv = spec.cls(**{**copy.deepcopy(spec.default_kwargs), **kwargs})
+    limit = spec.max_episode_steps if max_episode_steps is None else max_episode_steps
+    if limit is not None:
+        env.max_episode_steps = limit
+    return env
+
+
+def make_vec(
+    env_id: str,
+    num_envs: int = 1,
+    autoreset_mode: Any = None,
+    flatten: bool = False,
+    **kwargs: Any,
+) -> NumpyVectorEnv:
+    """Make a registered environment as Gymnasium's numpy `VectorEnv`.
+
+    Args:
+        env_id: The id.
+        num_envs: N.
+        autoreset_mode: SAME_STEP, NEXT_STEP or DISABLED; None is the environment's own.
+        flatten: Whether observations are one Box instead of a nested Dict.
+        **kwargs: As for `make`.
+    """
+    from embodichain.lab.gym.vector import NumpyVectorEnv
+
+    env = make(env_id, num_envs=num_envs, **kwargs)
+    try:
+        return NumpyVectorEnv(env, autoreset_mode, flatten)
+    except BaseException:
+        env.close()
+        raise
+
+
+def build_env(id: str, cfg: EnvCfg) -> BaseEnv:
+    """Make a registered environment from a config, without Gymnasium's wrappers.
+
+    Args:
+        id: The id.
+        cfg: Its config; copied.
+    """
+    return make(id, cfg=copy.deepcopy(cfg))

@@ -1,0 +1,139 @@
+"""`NumpyVectorEnv`: an environment as Gymnasium's numpy `VectorEnv`, for its vector wrappers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+from tensordict import TensorDict
+
+from embodichain.lab.gym.envs.autoreset import parse_mode
+from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.gym.utils.spaces import numpy_obs, vector_obs, vector_paths, vector_space
+from embodichain.lab.sim.types import EnvObs
+
+__all__ = ["NumpyVectorEnv"]
+
+_FINAL = ("final_obs", "final_observation", "final_info", "_final_obs", "_final_info")
+
+
+class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
+    """N environments with numpy observations, rewards and flags.
+
+    Which of Gymnasium's wrappers wants which mode: RecordEpisodeStatistics, NormalizeReward,
+    TransformReward and DictInfoToList take any; NormalizeObservation wants NEXT_STEP (and
+    `flatten`), FlattenObservation NEXT_STEP or DISABLED.
+
+    Args:
+        env: The environment; `close` closes it.
+        autoreset_mode: SAME_STEP, NEXT_STEP or DISABLED; None is the environment's own.
+        flatten: Whether observations are one float32 vector (N, W) instead of nested dicts: the
+            declared observations of the group ``policy`` in declared order, or everything.
+    """
+
+    def __init__(self, env: BaseEnv, autoreset_mode: Any = None, flatten: bool = False) -> None:
+        self.env = env
+        if autoreset_mode is not None:
+            env.metadata["autoreset_mode"] = parse_mode(autoreset_mode)
+        self.metadata = env.metadata
+        self.render_mode = env.render_mode
+        self.num_envs = env.num_envs
+        self.single_action_space = env.single_action_space
+        self.action_space = env.action_space
+        self._paths = vector_paths(env) if flatten else None
+        space = env.single_observation_space
+        if self._paths is not None:
+            space = vector_space(space, self._paths)
+        self.single_observation_space = space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+
+    def _numpy(self, obs: EnvObs) -> Any:
+        return numpy_obs(obs) if self._paths is None else vector_obs(obs, self._paths)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start new episodes; see `BaseEnv.reset`.
+
+        Args:
+            seed: One integer: each environment has its own stream of it.
+            options: ``reset_mask`` (N,) bool names the environments; others go to the environment.
+
+        Raises:
+            ValueError: If the seed is a list, or the mask has the wrong shape or type.
+        """
+        super().reset(seed=None)
+        if options is not None and "reset_mask" in options:
+            mask = options["reset_mask"]
+            if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_ or not mask.any():
+                raise ValueError("reset_mask must be a numpy array of booleans, one of them True")
+        obs, info = self.env.reset(seed=seed, options=options)
+        if seed is not None:
+            self._np_random, self._np_random_seed = self.env.np_random, seed
+        return self._numpy(obs), self._infos(info)
+
+    def step(
+        self, actions: NDArray[np.floating[Any]]
+    ) -> tuple[Any, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any]]:
+        """Advance all environments by one control step; see `BaseEnv.step`.
+
+        Args:
+            actions: (N, A) finite floating point numbers.
+        """
+        obs, reward, terminated, truncated, info = self.env.step(np.asarray(actions))  # type: ignore[arg-type]
+        numbers = reward.numpy(), terminated.numpy(), truncated.numpy()
+        return self._numpy(obs), *numbers, self._infos(info)
+
+    def _infos(self, info: Mapping[str, Any]) -> dict[str, Any]:
+        found = {k: self._array(v) for k, v in info.items() if k not in _FINAL}
+        if "final_obs" in info:
+            done = info["_final_obs"].numpy()
+            found["final_obs"] = self._final_obs(info["final_obs"], done)
+            found["final_info"] = self._infos(info["final_info"])
+            found["_final_obs"], found["_final_info"] = done, done.copy()
+        return found
+
+    def _final_obs(self, obs: EnvObs, done: NDArray[np.bool_]) -> NDArray[np.object_]:
+        """One observation an environment, None where it is not final: Gymnasium's convention."""
+        rows = self._numpy(obs)
+        found = np.full(self.num_envs, None, dtype=object)
+        for i in np.flatnonzero(done):  # only who is done
+            found[i] = _row(rows, int(i))
+        return found
+
+    def _array(self, value: Any) -> Any:
+        if isinstance(value, TensorDict):
+            return numpy_obs(value)
+        if isinstance(value, Mapping):
+            return {key: self._array(v) for key, v in value.items()}
+        if isinstance(value, torch.Tensor):
+            value = value.cpu().numpy()
+        if isinstance(value, np.ndarray) and value.shape[:1] == (self.num_envs,):
+            return value
+        return np.full(self.num_envs, value, dtype=object)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """One picture an environment, (480, 640, 3) RGB; None unless ``rgb_array``."""
+        if self.render_mode != "rgb_array":
+            return None
+        return tuple(self.env.sim.render(env_id=i) for i in range(self.num_envs))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close the environment."""
+        self.env.close()
+
+    def __repr__(self) -> str:
+        """Name the environment inside, its size and its mode."""
+        mode: AutoresetMode = self.metadata["autoreset_mode"]
+        return f"NumpyVectorEnv({type(self.env).__name__}, num_envs={self.num_envs}, {mode.name})"
+
+
+def _row(value: Any, index: int) -> Any:
+    if isinstance(value, dict):
+        return {key: _row(v, index) for key, v in value.items()}
+    return value[index].copy()
