@@ -1,0 +1,226 @@
+"""`parse_articulation`: a robot file and its config into one checked `ParsedArticulation`.
+
+Reading files is `files`, the parts of a config are `drives`, `initial`, `roots`, `collision`;
+putting several entities into one model is `scene`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from embodichain.lab.sim.cfg import ArticulationCfg
+from embodichain.lab.sim.compiler.collision import prepare_shapes
+from embodichain.lab.sim.compiler.drives import apply_drives, resolve_drives
+from embodichain.lab.sim.compiler.files import ModelFile, compile_quietly, locate, read_model
+from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.initial import Keyframe, read_keyframe, resolve_qpos
+from embodichain.lab.sim.compiler.joints import Mimics, movable_joints, read_joints, read_mimics
+from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
+from embodichain.lab.sim.compiler.names import match
+from embodichain.lab.sim.compiler.pose import initial_pose
+from embodichain.lab.sim.compiler.roots import set_root, strip_world
+from embodichain.utils.errors import ConfigError, Problem
+
+__all__ = ["ParsedArticulation", "parse_articulation", "parse_with_problems"]
+
+
+@dataclass(frozen=True, eq=False)
+class ParsedArticulation:
+    """One articulation, ready to be compiled into a scene. Joint arrays are (D,), in qpos order.
+
+    Attributes:
+        uid: Its name.
+        cfg: Its config.
+        path: The file.
+        spec: The edited model, names without prefix. Copied when a scene is compiled.
+        model: `spec` compiled alone.
+        joint_names: Hinges and slides. Ball joints and the free joint of a floating base are not in
+            it: they are simulated, but have no column in any joint array.
+        link_names: Bodies, parents before children.
+        root_link_name: The body that is placed.
+        root_pose: (7,) pose of the root in the file's own world: x, y, z, qw, qx, qy, qz.
+        fixed_base: Whether the root is fixed (a mocap body) or floats on a free joint.
+        qpos_limits: (D, 2) rad or m; infinite where there is none.
+        qvel_limits: From the file; inf where it has none. So `qf_limits`.
+        init_qpos: Initial positions.
+        stiffness: Drive gains, as the model has them; 0 without a drive.
+        damping: Joint damping.
+        max_effort: Drive limits; inf is none.
+        max_velocity: As given; no effect.
+        friction: Dry friction.
+        armature: Reflected inertia.
+        mimic_ids: Joints that follow another: ``q = multiplier * q[parent] + offset``.
+        control_parts: Part -> joint indices.
+        init_ctrl: (M,) initial controls of the file's own actuators (drive_type none).
+        notes: What a user should be told about the file, one line each.
+    """
+
+    uid: str
+    cfg: ArticulationCfg
+    path: Path
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    joint_names: tuple[str, ...]
+    link_names: tuple[str, ...]
+    root_link_name: str
+    root_pose: F64
+    fixed_base: bool
+    qpos_limits: F64
+    qvel_limits: F64
+    qf_limits: F64
+    init_qpos: F64
+    stiffness: F64
+    damping: F64
+    max_effort: F64
+    max_velocity: F64
+    friction: F64
+    armature: F64
+    mimic_ids: tuple[int, ...]
+    mimic_parents: tuple[int, ...]
+    mimic_multipliers: tuple[float, ...]
+    mimic_offsets: tuple[float, ...]
+    control_parts: dict[str, tuple[int, ...]]
+    init_ctrl: F64
+    notes: tuple[str, ...]
+
+
+def parse_articulation(uid: str, cfg: ArticulationCfg) -> ParsedArticulation:
+    """Read an articulation's file and apply its config; reads anew at every call.
+
+    Args:
+        uid: Its name in the scene.
+        cfg: Its config.
+
+    Raises:
+        ConfigError: If the file is missing or malformed, or the config does not fit it; every
+            mistake, with paths below `uid`.
+        NotImplementedError: If the config asks for URDF assembly or IK solvers.
+    """
+    for key, what in (("urdf_cfg", "URDF assembly"), ("solver_cfg", "IK")):
+        if getattr(cfg, key, None) is not None:
+            raise NotImplementedError(f"{uid}: {what} ({key}) is not available yet")
+    parsed, problems = parse_with_problems(uid, cfg)
+    if parsed is None or problems:
+        raise ConfigError([Problem(f"{uid}.{p.path}", p.message, p.hint) for p in problems])
+    return parsed
+
+
+def parse_with_problems(
+    uid: str, cfg: ArticulationCfg
+) -> tuple[ParsedArticulation | None, list[Problem]]:
+    """As `parse_articulation`, but return the mistakes, with paths below the config.
+
+    Mistakes in the config leave an articulation that can still be asked for names; one in the file
+    leaves None.
+    """
+    try:
+        file = read_model(locate(cfg.fpath))
+    except ConfigError as error:
+        return None, [Problem("fpath", str(p), "") for p in error.problems]
+    problems = _unsupported(cfg)
+    _checked(lambda: initial_pose(cfg), problems)
+    joints = read_joints(file.model, file.velocity_limits)
+    mimics = read_mimics(file.model)
+    parts, wrong = _control_parts(getattr(cfg, "control_parts", None), joints.names)
+    problems += wrong
+    gains, wrong = resolve_drives(cfg.drive_pros, joints, parts, mimics.ids)
+    problems += [Problem(f"drive_pros.{p.path}", p.message, p.hint) for p in wrong]
+    keyframe = read_keyframe(file.model)
+    qpos, wrong = resolve_qpos(cfg.init_qpos, joints, mimics, keyframe)
+    problems += wrong
+    notes = [*file.notes, *(f"{file.path}: {n}" for n in strip_world(file.spec))]
+    try:
+        for key in list(file.spec.keys):
+            file.spec.delete(key)
+        apply_drives(file.spec, cfg.drive_pros, gains, joints.names, mimics.ids)
+        prepare_shapes(file.spec, cfg, file.is_urdf)
+        spec, root = set_root(file.spec, cfg.fix_base)
+        model = compile_quietly(spec)
+    except (ConfigError, *MUJOCO_ERRORS) as error:
+        text = str(error) if isinstance(error, ConfigError) else as_line(error)[0]
+        return None, [*problems, Problem("fpath", f"{file.path}: {text}")]
+    return (
+        ParsedArticulation(
+            uid=uid,
+            cfg=cfg,
+            path=file.path,
+            spec=spec,
+            model=model,
+            joint_names=tuple(model.joint(i).name for i in movable_joints(model)),
+            link_names=tuple(model.body(i).name for i in range(1, model.nbody)),
+            root_link_name=root,
+            root_pose=_root_pose(model, root, keyframe),
+            fixed_base=cfg.fix_base,
+            qpos_limits=joints.qpos_limits,
+            qvel_limits=joints.qvel_limits,
+            qf_limits=joints.qf_limits,
+            init_qpos=qpos,
+            stiffness=gains.stiffness,
+            damping=gains.damping,
+            max_effort=gains.max_effort,
+            max_velocity=gains.max_velocity,
+            friction=gains.friction,
+            armature=gains.armature,
+            mimic_ids=mimics.ids,
+            mimic_parents=mimics.parents,
+            mimic_multipliers=mimics.multipliers,
+            mimic_offsets=mimics.offsets,
+            control_parts=parts,
+            init_ctrl=_init_ctrl(file, model, keyframe, cfg),
+            notes=tuple(notes),
+        ),
+        problems,
+    )
+
+
+def _checked(check: Callable[[], Any], problems: list[Problem]) -> None:
+    try:
+        check()
+    except ConfigError as error:
+        problems += error.problems
+
+
+def _unsupported(cfg: ArticulationCfg) -> list[Problem]:
+    scale = tuple(float(s) for s in cfg.body_scale)
+    if scale != (1.0, 1.0, 1.0):
+        return [Problem("body_scale", f"articulations cannot be scaled yet, got {list(scale)}")]
+    return []
+
+
+def _control_parts(
+    parts: Mapping[str, Sequence[str] | str] | None, names: Sequence[str]
+) -> tuple[dict[str, tuple[int, ...]], list[Problem]]:
+    """Return each part's joints, in the order of its patterns, each joint once."""
+    found: dict[str, tuple[int, ...]] = {}
+    problems: list[Problem] = []
+    for part, patterns in (parts or {}).items():
+        ids: list[int] = []
+        for pattern in [patterns] if isinstance(patterns, str) else patterns:
+            matched, wrong = match(pattern, names, "joint", f"control_parts.{part}")
+            problems += wrong
+            ids += matched
+        found[part] = tuple(dict.fromkeys(ids))
+    return found, problems
+
+
+def _root_pose(model: mujoco.MjModel, root: str, keyframe: Keyframe | None) -> F64:
+    if keyframe is not None and keyframe.root is not None:
+        return keyframe.root
+    body = model.body(root).id
+    return np.concatenate([model.body_pos[body], model.body_quat[body]])
+
+
+def _init_ctrl(
+    file: ModelFile, model: mujoco.MjModel, keyframe: Keyframe | None, cfg: ArticulationCfg
+) -> F64:
+    """Return the keyframe's controls of the actuators that are still the file's own."""
+    if cfg.drive_pros.drive_type != "none":
+        return np.zeros(0)
+    ctrl = keyframe.ctrl if keyframe is not None else {}
+    return np.array([ctrl.get(model.actuator(i).name, 0.0) for i in range(model.nu)], np.float64)

@@ -1,0 +1,202 @@
+"""PD drives: which gain belongs to which joint, and how a joint and an actuator carry them.
+
+Stiffness goes into an actuator, damping into the joint itself: MuJoCo integrates joint damping
+implicitly whatever an actuator's effort limit does, whereas damping inside a saturated actuator is
+explicit and blows up at the default gains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from embodichain.lab.sim.cfg import JointDrivePropertiesCfg
+from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.names import listing, match
+from embodichain.utils.errors import Problem
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["NO_EFFORT_LIMIT", "DriveGains", "FileJoints", "apply_drives", "resolve_drives"]
+
+NO_EFFORT_LIMIT = 1e9
+"""Efforts at least this large count as unlimited (EmbodiChain's default is 1e10)."""
+
+
+@dataclass(frozen=True, eq=False)
+class FileJoints:
+    """What a file says of its D joints. Arrays are (D,), `qpos_limits` (D, 2); inf: no limit."""
+
+    names: tuple[str, ...]
+    qpos_limits: F64
+    qvel_limits: F64
+    qf_limits: F64
+    damping: F64
+    friction: F64
+    armature: F64
+    inertia: F64
+    """Joint-space inertia at qpos0 (`dof_M0`), kg m^2 or kg."""
+
+
+@dataclass(frozen=True, eq=False)
+class DriveGains:
+    """Resolved drives of D joints, each (D,): what the model gets. Effort inf: no limit."""
+
+    stiffness: F64
+    damping: F64
+    max_effort: F64
+    max_velocity: F64
+    friction: F64
+    armature: F64
+
+
+def resolve_drives(
+    cfg: JointDrivePropertiesCfg,
+    joints: FileJoints,
+    parts: Mapping[str, Sequence[int]],
+    mimic: Sequence[int],
+) -> tuple[DriveGains, list[Problem]]:
+    """Return one value of each property per joint, and every mistake in the config.
+
+    A map's keys are joint regexes or control-part names; parts are applied last. Joints that no key
+    names keep the field's default. Joints that mimic another one have no drive of their own: they
+    keep the file's damping. So does everything with ``drive_type: none``. A `friction` of 0 (the
+    default) keeps the file's; a map with 0 clears it. ``acceleration`` multiplies both gains by the
+    joint's inertia at qpos0.
+
+    Args:
+        cfg: The drives' config.
+        joints: What the file says.
+        parts: Control parts and their joints.
+        mimic: Joints that mimic another one.
+    """
+    problems: list[Problem] = []
+
+    def value(name: str, default: F64) -> F64:
+        return _per_joint(name, getattr(cfg, name), default, joints.names, parts, problems)
+
+    count = len(joints.names)
+    stiffness = value("stiffness", np.full(count, 1e4))
+    damping = value("damping", np.full(count, 1e3))
+    velocity = value("max_velocity", np.full(count, 1e10))
+    if isinstance(cfg.max_effort, str):
+        effort = joints.qf_limits.copy()
+        if cfg.max_effort != "file":
+            problems.append(
+                Problem("max_effort", f'a number, a map or "file", got {cfg.max_effort!r}')
+            )
+    else:
+        effort = value("max_effort", np.full(count, 1e10))
+    effort = np.where(effort >= NO_EFFORT_LIMIT, np.inf, effort)
+    friction = joints.friction.copy()
+    if isinstance(cfg.friction, Mapping) or cfg.friction != 0:
+        friction = value("friction", friction)
+    armature = (
+        joints.armature.copy() if cfg.armature is None else value("armature", joints.armature)
+    )
+    if cfg.drive_type == "acceleration":
+        stiffness, damping = stiffness * joints.inertia, damping * joints.inertia
+    undriven = np.zeros(count, np.bool_)
+    undriven[list(mimic)] = True
+    if cfg.drive_type == "none":
+        undriven[:] = True
+    stiffness = np.where(undriven, 0.0, stiffness)
+    damping = np.where(undriven, joints.damping, damping)
+    effort = np.where(undriven, joints.qf_limits, effort)
+    return DriveGains(stiffness, damping, effort, velocity, friction, armature), problems
+
+
+def _per_joint(
+    key: str,
+    value: Any,
+    default: F64,
+    names: Sequence[str],
+    parts: Mapping[str, Sequence[int]],
+    problems: list[Problem],
+) -> F64:
+    """Spread a number or a map over the joints; appends to `problems`."""
+    out = default.copy()
+    if not isinstance(value, Mapping):
+        out[:] = _number(value, key, problems)
+        return out
+    for name, entry in sorted(value.items(), key=lambda item: item[0] in parts):
+        path = f"{key}.{name}"
+        if name in parts:
+            ids: Sequence[int] = parts[name]
+        else:
+            ids, wrong = match(name, names, "joint", path)
+            if wrong and parts:
+                message = f"{wrong[0].message}; control parts: {listing(parts)}"
+                hint = wrong[0].hint or did_you_mean(name, parts).strip()
+                wrong = [Problem(path, message, hint)]
+            problems += wrong
+        out[list(ids)] = _number(entry, path, problems)
+    return out
+
+
+def _number(value: Any, path: str, problems: list[Problem]) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        problems.append(Problem(path, f"wants a number, got {value!r}"))
+        return 0.0
+    if not number >= 0.0:
+        problems.append(Problem(path, f"must not be negative, got {number}"))
+    return number
+
+
+def apply_drives(
+    spec: mujoco.MjSpec,
+    cfg: JointDrivePropertiesCfg,
+    gains: DriveGains,
+    names: Sequence[str],
+    mimic: Sequence[int],
+) -> None:
+    """Write gains into a spec: joints, and one actuator named like its joint for every drive.
+
+    The file's own actuators go, with the sensors that read them, unless ``drive_type`` is none.
+    """
+    for i, name in enumerate(names):
+        joint = spec.joint(name)
+        joint.armature = float(gains.armature[i])
+        joint.frictionloss = float(gains.friction[i])
+    if cfg.drive_type == "none":
+        return
+    _remove_actuators(spec)
+    for i, name in enumerate(names):
+        joint = spec.joint(name)
+        # Efforts are limited in the drive, where set_joint_drive can change them per environment.
+        joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        joint.actfrcrange = [0.0, 0.0]
+        if i in mimic:
+            continue
+        joint.damping = [float(gains.damping[i]), 0.0, 0.0]
+        _add_drive(spec, name, float(gains.stiffness[i]), float(gains.max_effort[i]))
+
+
+def _add_drive(spec: mujoco.MjSpec, joint: str, stiffness: float, effort: float) -> None:
+    """Force = stiffness x (ctrl - q), clamped to +-effort."""
+    actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+    actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    actuator.gainprm[0] = stiffness
+    actuator.biasprm[1] = -stiffness
+    actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    limited = bool(np.isfinite(effort))
+    actuator.forcelimited = (
+        mujoco.mjtLimited.mjLIMITED_TRUE if limited else mujoco.mjtLimited.mjLIMITED_FALSE
+    )
+    if limited:
+        actuator.forcerange = [-effort, effort]
+
+
+def _remove_actuators(spec: mujoco.MjSpec) -> None:
+    gone = {actuator.name for actuator in spec.actuators}
+    for sensor in list(spec.sensors):
+        if sensor.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR and sensor.objname in gone:
+            spec.delete(sensor)
+    for actuator in list(spec.actuators):
+        spec.delete(actuator)

@@ -1,0 +1,168 @@
+"""Model files into `MjSpec`: which format, where it lies, what is wrong with it.
+
+What the spec then becomes in a scene is decided in `articulation`.
+"""
+
+from __future__ import annotations
+
+import warnings
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+
+from embodichain.data import DataNotFoundError, get_data_path
+from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
+from embodichain.lab.sim.compiler.urdf import PreparedUrdf, prepare_urdf
+from embodichain.utils.errors import ConfigError, Problem
+
+__all__ = ["ModelFile", "compile_quietly", "read_model", "locate"]
+
+_MEND = "balanceinertia, boundmass 1e-6, boundinertia 1e-9"
+
+
+@dataclass
+class ModelFile:
+    """A robot file as MuJoCo sees it.
+
+    Attributes:
+        path: Where it lies.
+        is_urdf: URDF, else MJCF.
+        spec: Parsed, not edited; it compiles.
+        model: Compiled as it is in the file.
+        velocity_limits: Joint name -> limit; URDF only.
+        notes: What a user should be told, one line each.
+    """
+
+    path: Path
+    is_urdf: bool
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    velocity_limits: dict[str, float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+def locate(fpath: str | None) -> Path:
+    """Return where a file lies.
+
+    Raises:
+        ConfigError: If it is missing; lists the places searched and the closest names.
+    """
+    if not fpath:
+        raise ConfigError("no file: set fpath to a .urdf or .xml file")
+    try:
+        path = Path(get_data_path(fpath))
+    except DataNotFoundError as error:
+        raise ConfigError(str(error)) from error
+    if path.is_dir():
+        raise ConfigError(f"{path} is a folder, not a .urdf or .xml file")
+    return path
+
+
+def read_model(path: Path) -> ModelFile:
+    """Parse and compile a URDF or MJCF file.
+
+    Raises:
+        ConfigError: If it is malformed; names the file and, where known, the line.
+    """
+    source = path.read_bytes()
+    root = _parse_xml(path, source)
+    if root.tag == "mujoco":
+        return _read_mjcf(path)
+    if root.tag != "robot":
+        raise ConfigError(
+            f"{path}: neither URDF nor MJCF: the root element is <{root.tag}>, not <robot> or <mujoco>"
+        )
+    file = _read_urdf(path, source, drop_visual_meshes=False)
+    return file
+
+
+def compile_quietly(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compile without MuJoCo's Python warnings, which repeat what we report ourselves."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return spec.compile()
+
+
+def _parse_xml(path: Path, source: bytes) -> ET.Element:
+    try:
+        return ET.fromstring(source)
+    except ET.ParseError as error:
+        line = error.position[0]
+        raise ConfigError(f"{path}:{line}: not well-formed XML: {error}") from error
+
+
+def _fail(path: Path, error: Exception, urdf: PreparedUrdf | None = None) -> ConfigError:
+    text, line = as_line(error, urdf.source_line if urdf else None)
+    where = f"{path}:{line}" if line else str(path)
+    return ConfigError([Problem("", f"{where}: {text}")])
+
+
+def _read_mjcf(path: Path) -> ModelFile:
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        spec.compiler.fusestatic = False  # tool frames keep their bodies
+        _name_elements(spec)
+        return ModelFile(path, False, spec, compile_quietly(spec))
+    except MUJOCO_ERRORS as error:
+        raise _fail(path, error) from error
+
+
+def _name_elements(spec: mujoco.MjSpec) -> None:
+    """Name bodies, joints and actuators that the file leaves without a name."""
+    for what, elements in (
+        ("body", spec.bodies),
+        ("joint", spec.joints),
+        ("actuator", spec.actuators),
+    ):
+        taken = {element.name for element in elements}
+        for number, element in enumerate(elements):
+            if not element.name:
+                name = f"{what}_{number}"
+                while name in taken:
+                    name += "_"
+                element.name = name
+                taken.add(name)
+
+
+def _read_urdf(path: Path, source: bytes, drop_visual_meshes: bool) -> ModelFile:
+    urdf = prepare_urdf(path, _parse_xml(path, source), source, drop_visual_meshes)
+    try:
+        spec = mujoco.MjSpec.from_string(urdf.text)
+    except MUJOCO_ERRORS as error:
+        raise _fail(path, error, urdf) from error
+    notes = list(urdf.notes)
+    if urdf.estimated:
+        notes.append(
+            f"{path}: links {', '.join(urdf.estimated)} have no <inertial>: taken from their shapes at 1000 kg/m^3"
+        )
+    for link in urdf.massless:
+        body = spec.body(link)
+        for geom in body.geoms if body is not None else ():
+            geom.mass, geom.density = 0.0, 0.0
+    try:
+        return ModelFile(path, True, spec, compile_quietly(spec), urdf.velocity_limits, notes)
+    except MUJOCO_ERRORS as error:
+        first = error
+    if "inertia" in str(first) or "mjMINVAL" in str(first):
+        _mend_inertia(spec)
+        try:
+            model = compile_quietly(spec)
+        except MUJOCO_ERRORS as error:
+            first = error
+        else:
+            notes.append(f"{path}: {as_line(first)[0]}: mended with MuJoCo's {_MEND}")
+            return ModelFile(path, True, spec, model, urdf.velocity_limits, notes)
+    if not drop_visual_meshes and "mesh" in str(first).lower():
+        try:
+            return _read_urdf(path, source, drop_visual_meshes=True)
+        except ConfigError:
+            pass  # the visual meshes were not the reason: report the first error
+    raise _fail(path, first, urdf) from first
+
+
+def _mend_inertia(spec: mujoco.MjSpec) -> None:
+    spec.compiler.balanceinertia = True
+    spec.compiler.boundmass = 1e-6
+    spec.compiler.boundinertia = 1e-9

@@ -1,0 +1,55 @@
+"""`EntityIndex`: where the compiled model keeps one entity. Data only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["F64", "EntityIndex", "Ids"]
+
+F64 = NDArray[np.float64]
+Ids = NDArray[np.int64]
+
+
+def _none() -> Ids:
+    return np.zeros(0, np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class EntityIndex:
+    """Indices of one entity in the compiled model.
+
+    Attributes:
+        uid: The entity.
+        kind: What it is.
+        body_ids: (L,) its bodies; of an articulation in the order of `link_names`.
+        root_body_id: The body whose pose is the entity's.
+        pos0: (3,) initial root position in metres.
+        quat0: (4,) initial root orientation, wxyz.
+        geom_ids: (G,) its geoms, visual ones included.
+        mocap_id: Its row of mocap_pos, or -1.
+        free_qpos_adr: Where its root's 7 coordinates start in qpos, or -1.
+        free_qvel_adr: Where its root's 6 velocities start in qvel, or -1.
+        qpos_adr: (D,) columns of its joints in qpos, in the order of `joint_names`.
+        dof_adr: (D,) columns of its joints in qvel.
+        actuator_ids: (D,) the drive of each joint, or -1.
+        own_actuator_ids: (M,) actuators that came with its file (drive_type none), in file order.
+    """
+
+    uid: str
+    kind: Literal["articulation", "object"]
+    body_ids: Ids
+    root_body_id: int
+    pos0: F64
+    quat0: F64
+    geom_ids: Ids
+    mocap_id: int = -1
+    free_qpos_adr: int = -1
+    free_qvel_adr: int = -1
+    qpos_adr: Ids = field(default_factory=_none)
+    dof_adr: Ids = field(default_factory=_none)
+    actuator_ids: Ids = field(default_factory=_none)
+    own_actuator_ids: Ids = field(default_factory=_none)

@@ -1,0 +1,205 @@
+"""`compile_scene`: parsed articulations, objects and lights into one model."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from embodichain.lab.sim.cfg import LightCfg, RigidObjectCfg, SimulationManagerCfg
+from embodichain.lab.sim.compiler.articulation import ParsedArticulation
+from embodichain.lab.sim.compiler.collision import MAX_MASKED, separate
+from embodichain.lab.sim.compiler.files import compile_quietly
+from embodichain.lab.sim.compiler.index import F64, EntityIndex
+from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
+from embodichain.lab.sim.compiler.names import check_uid
+from embodichain.lab.sim.compiler.objects import add_object, check_object, damping_of
+from embodichain.lab.sim.compiler.options import apply_options, replace_options
+from embodichain.lab.sim.compiler.pose import initial_pose
+from embodichain.lab.sim.compiler.visuals import (
+    GROUND,
+    add_ground,
+    add_lights,
+    aim_camera,
+    set_look,
+)
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import quat_multiply, quat_rotate
+
+__all__ = ["CompiledScene", "compile_scene"]
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledScene:
+    """One model of everything declared.
+
+    Attributes:
+        model: The compiled model. A free object's damping and the camera's place are set in it
+            after compiling; MJCF cannot say the former (one number for all six axes).
+        spec: What it was compiled from, for export as XML or archive.
+        entities: Where each entity is in the model.
+    """
+
+    model: mujoco.MjModel
+    spec: mujoco.MjSpec
+    entities: dict[str, EntityIndex]
+
+
+def compile_scene(
+    sim_cfg: SimulationManagerCfg,
+    articulations: Sequence[ParsedArticulation],
+    objects: Mapping[str, RigidObjectCfg],
+    lights: Mapping[str, LightCfg],
+) -> CompiledScene:
+    """Compile one model; everything of an entity is named ``uid/NAME`` in it.
+
+    Options of the robots' files that the scene's replace, and whatever else was left out of the
+    files, are logged as warnings, once a file.
+
+    Args:
+        sim_cfg: Timestep, physics options, ground plane.
+        articulations: Robots and other articulations.
+        objects: Rigid objects by uid.
+        lights: Lights by uid.
+
+    Raises:
+        ConfigError: If names clash, an object is wrong, or MuJoCo refuses the model.
+    """
+    _check(articulations, objects, lights)
+    spec = mujoco.MjSpec()
+    spec.modelname = "embodichain"
+    spec.compiler.degree = False
+    apply_options(spec, sim_cfg)
+    set_look(spec)
+    if sim_cfg.ground_plane:
+        add_ground(spec)
+    add_lights(spec, lights)
+    masked = 0
+    for parsed in articulations:
+        child = parsed.spec.copy()
+        if parsed.cfg.disable_self_collision:
+            masked += 1
+            separate(child, masked)
+        _attach(spec, child, parsed)
+    for number, (uid, cfg) in enumerate(objects.items()):
+        add_object(spec, uid, cfg, number)
+    try:
+        model = compile_quietly(spec)
+    except MUJOCO_ERRORS as error:
+        raise ConfigError(f"MuJoCo cannot compile the scene: {as_line(error)[0]}") from error
+    entities = {p.uid: _index_articulation(model, p) for p in articulations}
+    for uid, cfg in objects.items():
+        index = entities[uid] = _index_object(model, uid, cfg)
+        if index.free_qvel_adr >= 0:
+            dofs = slice(index.free_qvel_adr, index.free_qvel_adr + 6)
+            model.dof_damping[dofs] = damping_of(model, index.root_body_id, cfg)
+    aim_camera(spec, model, _start(model, articulations, entities))
+    return CompiledScene(model, spec, entities)
+
+
+def _check(
+    articulations: Sequence[ParsedArticulation],
+    objects: Mapping[str, RigidObjectCfg],
+    lights: Mapping[str, LightCfg],
+) -> None:
+    problems: list[Problem] = []
+    taken = {GROUND: "the ground plane"}
+    for uid in (*(p.uid for p in articulations), *objects, *lights):
+        problems += check_uid(uid, uid, taken)
+        taken[uid] = "another entity"
+    for uid, cfg in objects.items():
+        problems += [Problem(f"{uid}.{p.path}", p.message, p.hint) for p in check_object(cfg)]
+    masked = [p.uid for p in articulations if p.cfg.disable_self_collision]
+    if len(masked) > MAX_MASKED:
+        message = f"at most {MAX_MASKED} articulations of a scene can do without self-collision"
+        problems.append(Problem(masked[MAX_MASKED], f"{message}, this is one more"))
+    if problems:
+        raise ConfigError(problems)
+
+
+def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, parsed: ParsedArticulation) -> None:
+    replaced = replace_options(child, spec)
+    for note in parsed.notes:
+        _log.warning("%s: %s", parsed.uid, note)
+    if replaced:
+        _log.warning(
+            "%s: the scene's physics replaces options of %s: %s",
+            parsed.uid,
+            parsed.path,
+            "; ".join(replaced),
+        )
+    pos, quat = initial_pose(parsed.cfg)
+    frame = spec.worldbody.add_frame(pos=pos, quat=quat)
+    spec.attach(child, frame=frame, prefix=f"{parsed.uid}/")
+
+
+def _index_articulation(model: mujoco.MjModel, parsed: ParsedArticulation) -> EntityIndex:
+    prefix = f"{parsed.uid}/"
+    bodies = np.array([model.body(prefix + name).id for name in parsed.link_names], np.int64)
+    joints = np.array([model.joint(prefix + name).id for name in parsed.joint_names], np.int64)
+    own = [i for i in range(model.nu) if model.actuator(i).name.startswith(prefix)]
+    drives = {model.actuator(i).name: i for i in own}
+    driven = parsed.cfg.drive_pros.drive_type != "none"
+    root = int(model.body(prefix + parsed.root_link_name).id)
+    pos, quat = initial_pose(parsed.cfg)
+    free = -1 if parsed.fixed_base else int(model.body_jntadr[root])
+    return EntityIndex(
+        uid=parsed.uid,
+        kind="articulation",
+        body_ids=bodies,
+        root_body_id=root,
+        pos0=pos + quat_rotate(quat, parsed.root_pose[:3]),
+        quat0=quat_multiply(quat, parsed.root_pose[3:]),
+        geom_ids=np.flatnonzero(np.isin(model.geom_bodyid, bodies)).astype(np.int64),
+        mocap_id=int(model.body_mocapid[root]),
+        free_qpos_adr=int(model.jnt_qposadr[free]) if free >= 0 else -1,
+        free_qvel_adr=int(model.jnt_dofadr[free]) if free >= 0 else -1,
+        qpos_adr=model.jnt_qposadr[joints].astype(np.int64),
+        dof_adr=model.jnt_dofadr[joints].astype(np.int64),
+        actuator_ids=np.array(
+            [drives.get(prefix + n, -1) if driven else -1 for n in parsed.joint_names], np.int64
+        ),
+        own_actuator_ids=np.array([] if driven else own, np.int64),
+    )
+
+
+def _index_object(model: mujoco.MjModel, uid: str, cfg: RigidObjectCfg) -> EntityIndex:
+    body = int(model.body(uid).id)
+    pos, quat = initial_pose(cfg)
+    joint = int(model.body_jntadr[body])
+    return EntityIndex(
+        uid=uid,
+        kind="object",
+        body_ids=np.array([body], np.int64),
+        root_body_id=body,
+        pos0=pos,
+        quat0=quat,
+        geom_ids=np.array([model.geom(f"{uid}/geom").id], np.int64),
+        mocap_id=int(model.body_mocapid[body]),
+        free_qpos_adr=int(model.jnt_qposadr[joint]) if joint >= 0 else -1,
+        free_qvel_adr=int(model.jnt_dofadr[joint]) if joint >= 0 else -1,
+    )
+
+
+def _start(
+    model: mujoco.MjModel,
+    articulations: Sequence[ParsedArticulation],
+    entities: Mapping[str, EntityIndex],
+) -> mujoco.MjData:
+    """Return the scene as it starts, positions computed."""
+    data = mujoco.MjData(model)
+    for index in entities.values():
+        pose: F64 = np.concatenate([index.pos0, index.quat0])
+        if index.mocap_id >= 0:
+            data.mocap_pos[index.mocap_id], data.mocap_quat[index.mocap_id] = pose[:3], pose[3:]
+        elif index.free_qpos_adr >= 0:
+            data.qpos[index.free_qpos_adr : index.free_qpos_adr + 7] = pose
+    for parsed in articulations:
+        data.qpos[entities[parsed.uid].qpos_adr] = parsed.init_qpos
+    mujoco.mj_kinematics(model, data)
+    return data
