@@ -80,6 +80,12 @@ class EventManager(Manager[EventCfg]):
         for interval in self._intervals:
             interval.restart(env_ids)
 
+    def restart_global(self) -> None:
+        """Start the timers anew that all environments share: for a reset with a seed."""
+        for interval in self._intervals:
+            if interval.is_global:
+                interval.left[:] = 0
+
     def _fire(self, term: BuiltTerm[EventCfg], mode: str, env_ids: EnvIndex | None) -> None:
         self._term = term.name
         self._drawn = {}
@@ -125,7 +131,7 @@ class EventManager(Manager[EventCfg]):
 
 
 class _Interval:
-    """Control steps until an event fires: (N,), or (1,) for a global one."""
+    """Control steps until an event fires: (N,), or (1,) for a global one; 0 is not drawn yet."""
 
     def __init__(self, env: BaseEnv, term: BuiltTerm[EventCfg]) -> None:
         self.term = term
@@ -133,8 +139,7 @@ class _Interval:
         cfg = term.cfg
         self.is_global = cfg.is_global
         self.every_step = cfg.interval_range_s is None and cfg.interval_step == 1
-        self.left: NDArray[np.int64] = np.ones(1 if cfg.is_global else env.num_envs, np.int64)
-        self._draw(None)
+        self.left: NDArray[np.int64] = np.zeros(1 if cfg.is_global else env.num_envs, np.int64)
 
     def _draw(self, env_ids: EnvIndex | None) -> None:
         """Set the time to the next firing. A global timer uses environment 0's stream."""
@@ -150,6 +155,7 @@ class _Interval:
         self.left[where] = np.maximum(1, np.rint(seconds / self.env.step_dt)).astype(np.int64)
 
     def restart(self, env_ids: EnvIndex | None) -> None:
+        """Begin to count anew where an episode begins; a global timer runs on."""
         if not self.is_global and not self.every_step:
             self._draw(env_ids)
 
@@ -157,7 +163,11 @@ class _Interval:
         """Count one step; returns the environments that are due, None meaning all of them."""
         if self.every_step:
             return None if self.is_global else env_ids
-        if self.is_global or env_ids is None:
+        if self.is_global:
+            if self.left[0] == 0:
+                self._draw(None)
+            self.left -= 1
+        elif env_ids is None:
             self.left -= 1
         else:
             self.left[env_ids] -= 1

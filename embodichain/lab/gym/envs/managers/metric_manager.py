@@ -47,7 +47,7 @@ class MetricManager(Manager[MetricCfg]):
     """Reduces every metric over the episode so far.
 
     The values are float32, or bool where `reduce` is ``any`` or ``all``. The metric called
-    ``success`` is the task's success.
+    ``success`` is the task's success; it is evaluated before the others.
 
     Args:
         env: The environment; its scene is complete.
@@ -56,7 +56,9 @@ class MetricManager(Manager[MetricCfg]):
 
     def __init__(self, env: BaseEnv, cfgs: Mapping[str, MetricCfg]) -> None:
         super().__init__(env, "metrics", "metric", cfgs)
-        self._calls = [(name, t.call, t.cfg.reduce) for name, t in self.terms.items()]
+        # `success` first: other metrics may ask for it.
+        ordered = sorted(self.terms.items(), key=lambda item: item[0] != "success")
+        self._calls = [(name, t.call, t.cfg.reduce) for name, t in ordered]
         self._kept: dict[str, torch.Tensor] = {}
         self._count: torch.Tensor | None = None
         if self._calls:

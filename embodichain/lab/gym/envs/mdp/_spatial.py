@@ -8,14 +8,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import lazy_loader
-
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 
 if TYPE_CHECKING:
     import torch
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = ["distance", "norm", "pose", "position"]
 
@@ -36,8 +32,9 @@ def position(entity: ResolvedEntity) -> torch.Tensor:
 
 def norm(vectors: torch.Tensor) -> torch.Tensor:
     """Euclidean length of the rows, (N, K) -> (N,), summed from the first column on."""
-    total = torch.zeros_like(vectors[:, 0])
-    for column in vectors.unbind(1):
+    first, *others = vectors.unbind(1)
+    total = first * first
+    for column in others:
         total = total + column * column
     return total.sqrt()
 

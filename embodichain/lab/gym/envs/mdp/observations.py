@@ -166,8 +166,7 @@ def relative_position(
 @register_term("observation")
 def last_action(env: BaseEnv, obs: Any) -> torch.Tensor:
     """(N, A) the action of the last step, as given; zeros after a reset."""
-    action: torch.Tensor = env.last_action.clone()
-    return action
+    return env.last_action
 
 
 def _columns(values: torch.Tensor, entity: ResolvedEntity) -> torch.Tensor:

@@ -93,11 +93,13 @@ def within_distance(
 def success_reward(env: BaseEnv, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
     """1 where the task's success holds at this step, else 0. EmbodiChain's of the same name.
 
-    Success is ``info["success"]``: what the metric `success`, the terminations of kind success or
-    the environment's `evaluate` say; 0 where a task has none.
+    Success is the metric `success`; in a task without one, ``info["success"]``: what the
+    terminations of kind success or the environment's `evaluate` say.
     """
-    success = info.get("success")
-    return torch.zeros(env.num_envs) if success is None else success.to(torch.float32)
+    success = info.get("metrics", {}).get("success")
+    if success is None:
+        success = info.get("success")
+    return torch.zeros(env.num_envs) if success is None else (success != 0).to(torch.float32)
 
 
 @register_term("reward", "metric")

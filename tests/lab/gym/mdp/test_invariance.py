@@ -1,0 +1,141 @@
+"""Every registered term gives environment i the same bytes whatever the number of environments is.
+
+One task declares every built-in term at least once; a term that is registered and not in it fails
+the test, so that new terms are added here.
+"""
+
+import numpy as np
+import torch
+
+from embodichain.lab.gym.envs.cfg import (
+    ActionTermCfg,
+    EventCfg,
+    MetricCfg,
+    ObservationCfg,
+    RewardCfg,
+    TerminationCfg,
+)
+from embodichain.lab.gym.envs.managers import TERMS
+from tests.helpers.ur10_task import HOME
+
+ARM = {"entity_cfg": {"uid": "ur10"}}
+CUBE = {"entity_cfg": {"uid": "cube"}}
+GOAL = {"entity_cfg": {"uid": "goal"}}
+TOOL = {"uid": "ur10", "link_names": ["ee_link"]}
+PAIR = {"source_entity_cfg": TOOL, "target_entity_cfg": {"uid": "goal"}}
+BOX = [[-0.2, -0.2, -0.2], [0.2, 0.2, 0.2]]
+WIDE = [[-9, -9, -9], [9, 9, 9]]
+
+
+def joints(pattern: str) -> dict:
+    return {"entity_cfg": {"uid": "ur10", "joint_names": pattern}}
+
+
+ACTIONS = {
+    "joint_position": joints("Joint[12]"),
+    "default_offset_joint_position": {**joints("Joint[34]"), "scale": 0.3},
+    "relative_joint_position": {**joints("Joint[56]"), "scale": 0.05},
+}
+EVENTS = {
+    "place": EventCfg(
+        func="randomize_rigid_object_pose",
+        params={**CUBE, "position_range": BOX, "rotation_range": [[-99] * 3, [99] * 3]},
+    ),
+    "goal": EventCfg(
+        func="randomize_rigid_object_pose",
+        mode="interval",
+        interval_range_s=[0.04, 0.2],
+        params={**GOAL, "position_range": BOX, "relative_to": TOOL},
+    ),
+    "qpos": EventCfg(func="randomize_robot_qpos", params={**ARM, "qpos_range": [-0.1, 0.1]}),
+}
+OBSERVATIONS = {
+    "get_object_pose": CUBE,
+    "link_pose": {"entity_cfg": TOOL, "to_matrix": True},
+    "link_velocity": {"entity_cfg": TOOL},
+    "get_rigid_object_velocity": CUBE,
+    "joint_position": joints("Joint[246]"),
+    "joint_position_relative": ARM,
+    "joint_velocity": ARM,
+    "relative_position": PAIR,
+    "last_action": {},
+}
+REWARDS = {
+    "distance_between_objects": {**PAIR, "exponential": True, "sigma": 0.3},
+    "within_distance": {**PAIR, "threshold": 0.2},
+    "success_reward": {},
+    "joint_velocity_penalty": ARM,
+    "action_smoothness_penalty": {},
+}
+TERMINATIONS = {
+    "within_distance": {**PAIR, "threshold": 0.08},
+    "time_out": {"time_limit_s": 0.5},
+    "out_of_bounds": {**CUBE, "bounds": WIDE},
+}
+METRICS = {**REWARDS, **TERMINATIONS}
+
+
+def sections() -> dict:
+    return {
+        "actions": {k: ActionTermCfg(func=k, params=v) for k, v in ACTIONS.items()},
+        "events": EVENTS,
+        "observations": {k: ObservationCfg(func=k, params=v) for k, v in OBSERVATIONS.items()},
+        "rewards": {k: RewardCfg(func=k, params=v, weight=0.3) for k, v in REWARDS.items()},
+        "terminations": {k: TerminationCfg(func=k, params=v) for k, v in TERMINATIONS.items()},
+        "metrics": {
+            **{k: MetricCfg(func=k, params=v, reduce="mean") for k, v in METRICS.items()},
+            "success": MetricCfg(
+                func="within_distance", reduce="any", params={**PAIR, "threshold": 0.2}
+            ),
+        },
+    }
+
+
+def rollout(make, num_envs: int) -> list[list[np.ndarray]]:
+    """Arrays of the first min(N, 3) environments, step by step."""
+    env = make(num_envs=num_envs, max_episode_steps=9, **sections())
+    count = min(num_envs, 3)
+    obs, _ = env.reset()
+    manager = env.observation_manager
+    found = [[manager.flatten(obs)[:count].numpy(), env.sim.engine.rows[:count].copy()]]
+    for step in range(20):
+        if step == 4:  # a partial reset of environment 0
+            obs, _ = env.reset(options={"reset_ids": [0]})
+        wave = 0.3 * np.sin(0.7 * step + np.arange(64)[:, None] + np.arange(6)[None, :])
+        wave[:, :2] += HOME[:2]
+        action = torch.from_numpy(wave[:num_envs].astype(np.float32))
+        obs, reward, terminated, truncated, info = env.step(action)
+        row = [manager.flatten(obs), reward, terminated, truncated, info["success"]]
+        row += [*info["rewards"].values(), *info["episode_sums"].values()]
+        row += list(info["metrics"].values())
+        found.append([v[:count].numpy() for v in row] + [env.sim.engine.rows[:count].copy()])
+    return found
+
+
+def test_bytes_do_not_depend_on_the_number_of_environments(make) -> None:
+    wide = rollout(make, 64)
+    assert any(step[2].any() for step in wide[1:]), "no episode ended: the test lost its point"
+    for num_envs in (1, 3):
+        narrow = rollout(make, num_envs)
+        for step, (a, b) in enumerate(zip(narrow, wide, strict=True)):
+            for item, (x, y) in enumerate(zip(a, b, strict=True)):
+                same = x.tobytes() == y[: len(x)].tobytes()
+                assert same, f"N={num_envs}, step {step}, item {item}"
+
+
+def test_every_registered_builtin_term_takes_part() -> None:
+    used = {
+        "action": set(ACTIONS),
+        "event": {e.func for e in EVENTS.values()},
+        "observation": set(OBSERVATIONS),
+        "reward": set(REWARDS),
+        "termination": set(TERMINATIONS),
+        "metric": set(METRICS),
+    }
+    for kind, names in used.items():
+        builtin = {
+            name
+            for name, spec in TERMS[kind].items()
+            if spec.func.__module__.startswith("embodichain.")
+        }
+        assert names == builtin, kind
