@@ -110,10 +110,11 @@ def _read_mjcf(path: Path) -> ModelFile:
 
 
 def _name_elements(spec: mujoco.MjSpec) -> None:
-    """Name bodies, joints and actuators that the file leaves without a name."""
+    """Name bodies, joints, geoms and actuators that the file leaves without a name."""
     for what, elements in (
         ("body", spec.bodies),
         ("joint", spec.joints),
+        ("geom", spec.geoms),
         ("actuator", spec.actuators),
     ):
         taken = {element.name for element in elements}
@@ -132,6 +133,7 @@ def _read_urdf(path: Path, source: bytes, drop_visual_meshes: bool) -> ModelFile
         spec = mujoco.MjSpec.from_string(urdf.text)
     except MUJOCO_ERRORS as error:
         raise _fail(path, error, urdf) from error
+    _name_elements(spec)
     notes = list(urdf.notes)
     if urdf.estimated:
         notes.append(

@@ -44,13 +44,12 @@ def read_joints(model: mujoco.MjModel, velocity_limits: Mapping[str, float]) -> 
     limited = model.jnt_limited[ids].astype(np.bool_)[:, None]
     limits = np.where(limited, model.jnt_range[ids], [[-np.inf, np.inf]])
     velocity = np.array([velocity_limits.get(name, np.inf) for name in names], np.float64)
-    damping = np.asarray(model.dof_damping, np.float64).reshape(model.nv, -1)[:, 0]
     return FileJoints(
         names=names,
         qpos_limits=limits,
         qvel_limits=velocity,
         qf_limits=_effort_limits(model, ids),
-        damping=damping[dofs].copy(),
+        damping=model.dof_damping[dofs].copy(),
         friction=model.dof_frictionloss[dofs].copy(),
         armature=model.dof_armature[dofs].copy(),
         inertia=model.dof_M0[dofs].copy(),
