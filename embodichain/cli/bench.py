@@ -1,0 +1,155 @@
+"""`embodichain bench`: control steps/s of a task beside the bare batch of the same model.
+
+The bare arm is `mujoco.batch.Batch.step` with nothing bound: C threads over the same simulations,
+under the same controls. Both arms live in one process and take turns, so that the ratio holds
+where the machine's speed wanders.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+from embodichain.cli import exits
+from embodichain.cli.arguments import VerbParser, add_common, print_json, split_overrides
+from embodichain.cli.tables import print_table
+from embodichain.cli.verbs import VERBS
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = ["main"]
+
+_ACTIONS = 16  # drawn before the clock starts: the policy's cost is not the environment's
+_ROUND_SECONDS = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One size. Speeds are control steps/s summed over environments.
+
+    Attributes:
+        num_envs: N.
+        steps_per_s: Median over rounds of the task's environment.
+        slowest: Slowest round of it.
+        fastest: Fastest round of it.
+        bare_steps_per_s: Median of the bare batch.
+        ratio: Median over rounds of the two speeds' ratio.
+    """
+
+    num_envs: int
+    steps_per_s: float
+    slowest: float
+    fastest: float
+    bare_steps_per_s: float
+    ratio: float
+
+
+def main(arguments: list[str]) -> int:
+    """Measure every size that was asked for."""
+    parser = VerbParser(VERBS["bench"])
+    parser.add_argument("overrides", nargs="*", metavar="key=value")
+    parser.add_argument("--rounds", type=int, default=7, help="rounds of each arm (7)")
+    add_common(parser, config_dir=True)
+    options = parser.parse(arguments)
+    if options.rounds < 1:
+        raise ConfigError(f"--rounds must be at least 1, got {options.rounds}")
+    sizes, overrides = _sizes(split_overrides(options.overrides))
+    configs = [_resolved(overrides, size, options.config_dir) for size in sizes]
+    results = [_measure(config, options.rounds) for config in configs]
+    if options.json:
+        facts = {"task": configs[0].task_name, "rounds": options.rounds}
+        print_json({**facts, "results": [asdict(result) for result in results]})
+    else:
+        print_table(f"{configs[0].task_name}, control steps/s", [asdict(r) for r in results])
+    return exits.OK
+
+
+def _sizes(overrides: list[str]) -> tuple[list[int | None], list[str]]:
+    """Take ``num_envs=1,64`` out of the overrides; None stands for the task's own number."""
+    given = [o for o in overrides if o.startswith("num_envs=")]
+    if not given:
+        return [None], overrides
+    words = given[-1].removeprefix("num_envs=").split(",")
+    if not all(word.strip().isdecimal() and int(word) > 0 for word in words):
+        message = f"must be one or more positive integers, got {given[-1]!r}"
+        raise ConfigError([Problem("num_envs", message, "As in num_envs=1,64,1024")])
+    return [int(word) for word in words], [o for o in overrides if o not in given]
+
+
+def _resolved(overrides: list[str], size: int | None, config_dir: str | None) -> Any:
+    from embodichain.config.resolve import resolve
+
+    own = [] if size is None else [f"num_envs={size}"]
+    return resolve([*overrides, *own, "record=none"], "run", config_dir=config_dir)
+
+
+def _measure(config: Any, rounds: int) -> Result:
+    """Build both arms, then let them take turns."""
+    from embodichain.config.make import make_env
+
+    env = make_env(config)
+    try:
+        task, bare = _arms(env, config)
+        steps = _steps_per_round(task)
+        speeds = [(_speed(task, steps), _speed(bare, steps)) for _ in range(rounds)]
+    finally:
+        env.close()
+    ours = [env.num_envs * a for a, _ in speeds]
+    return Result(
+        env.num_envs,
+        median(ours),
+        min(ours),
+        max(ours),
+        env.num_envs * median(b for _, b in speeds),
+        median(a / b for a, b in speeds),
+    )
+
+
+def _arms(env: BaseEnv, config: Any) -> tuple[Callable[[int], None], Callable[[int], None]]:
+    """The environment under actions drawn beforehand, and the bare batch under their controls."""
+    from mujoco import batch as mjbatch
+
+    from embodichain.cli.policies import policy_of
+
+    policy = policy_of(config.root, env)
+    obs, _ = env.reset()
+    engine = env.sim.engine
+    actions, controls = [], []
+    for _ in range(_ACTIONS):
+        actions.append(policy(obs, env))
+        obs, *_ = env.step(actions[-1])
+        controls.append(engine.state("ctrl").copy())
+    batch = mjbatch.Batch(
+        engine.model, env.num_envs, nthread=engine.num_threads, persistent=engine.persistent
+    )
+    batch.state[:] = engine.rows
+    column = batch.state[:, engine.component("ctrl")]
+    nstep = env.sim_steps_per_control
+
+    def task(step: int) -> None:
+        env.step(actions[step % _ACTIONS])
+
+    def bare(step: int) -> None:
+        column[:] = controls[step % _ACTIONS]
+        batch.step(nstep=nstep)
+
+    return task, bare
+
+
+def _steps_per_round(arm: Callable[[int], None]) -> int:
+    """How many steps take about a third of a second; the first ones warm up."""
+    _speed(arm, 4)
+    return max(8, int(_speed(arm, 8) * _ROUND_SECONDS))
+
+
+def _speed(arm: Callable[[int], None], steps: int) -> float:
+    """Calls a second."""
+    start = time.perf_counter()
+    for step in range(steps):
+        arm(step)
+    return steps / (time.perf_counter() - start)

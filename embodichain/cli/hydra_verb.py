@@ -1,0 +1,153 @@
+"""What `run` and `train` share: flags and positionals become overrides, mistakes come before Hydra.
+
+Hydra knows no verbs. Its own `main` does the work (multirun, launchers, `--cfg`, `--info`), called
+with the verb's rest of the command line; exceptions pass through it to our one report.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
+from typing import Literal
+
+from embodichain.cli import exits
+from embodichain.cli.arguments import VerbParser, split_overrides
+from embodichain.cli.jobs import check
+from embodichain.cli.verbs import VERBS, Verb
+from embodichain.utils.errors import ConfigError
+
+__all__ = ["call_hydra", "call_verb"]
+
+_MOST_CHECKED_JOBS = 64
+_INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
+
+
+def call_verb(name: Literal["run", "train"], job: Callable[[], None], arguments: list[str]) -> int:
+    """Parse, check every job's config, then let Hydra call `job` once or once a sweep's point.
+
+    Args:
+        name: The verb.
+        job: A function decorated with `hydra.main`.
+        arguments: What stands after the verb.
+
+    Raises:
+        ConfigError: Wrong flags, or mistakes in the config of any job: nothing has started.
+    """
+    options = _parser(VERBS[name]).parse(arguments)
+    overrides = _overrides(options)
+    with _searching(options.config_dir):
+        relaxed = _relaxed(overrides)
+        if options.cfg is not None or options.info is not None:
+            _check_composes(name, overrides)
+        elif options.multirun:
+            for point in _points(relaxed):
+                check(name, point, point, options.config_dir)
+        else:
+            check(name, overrides, relaxed, options.config_dir)
+        call_hydra(f"embodichain {name}", job, [*_flags(options), *relaxed])
+    return exits.OK
+
+
+def call_hydra(program: str, job: Callable[[], None], arguments: list[str]) -> None:
+    """Call a `hydra.main` function with these arguments; its exceptions come out as they are."""
+    with _process(program, arguments):
+        job()
+
+
+def _parser(verb: Verb) -> VerbParser:
+    parser = VerbParser(verb)
+    parser.add_argument("overrides", nargs="*", metavar="key=value", help="any key of the config")
+    own = parser.add_argument_group("output")
+    own.add_argument("--quiet", "-q", action="store_true", help="no progress, no table")
+    own.add_argument("--json", action="store_true", help="one JSON object on stdout, nothing else")
+    own.add_argument("--traceback", action="store_true", help="show where an error happened")
+    hydra = parser.add_argument_group("config (Hydra's)")
+    hydra.add_argument("--multirun", "-m", action="store_true", help="one job for each value")
+    hydra.add_argument("--cfg", "-c", choices=("job", "hydra", "all"), help="print the config")
+    hydra.add_argument("--resolve", action="store_true", help="with --cfg: resolve interpolations")
+    hydra.add_argument("--package", "-p", metavar="KEY", help="with --cfg: only this part")
+    hydra.add_argument(
+        "--info", "-i", nargs="?", const="all", choices=_INFO, help="print how it was composed"
+    )
+    hydra.add_argument(
+        "--config-dir", "-cd", metavar="DIR", help="search this folder for YAML first"
+    )
+    return parser
+
+
+def _overrides(options: argparse.Namespace) -> list[str]:
+    """What was typed as overrides, our flags as keys.
+
+    A sweep's workers see overrides only, so everything they must know is one.
+    """
+    flags = [f"{name}=true" for name in ("quiet", "json", "traceback") if getattr(options, name)]
+    return [*split_overrides(options.overrides), *flags]
+
+
+def _flags(options: argparse.Namespace) -> list[str]:
+    """Hydra's flags, before the overrides, which is the only order that its parser takes."""
+    flags = ["--multirun"] if options.multirun else []
+    flags += ["--resolve"] if options.resolve else []
+    for name in ("cfg", "package", "info"):
+        value = getattr(options, name)
+        if value is not None:
+            flags += [f"--{name}", value]
+    return flags
+
+
+def _searching(config_dir: str | None) -> AbstractContextManager[None]:
+    from embodichain.config.search_path import user_configs
+
+    return user_configs(config_dir)
+
+
+def _relaxed(overrides: list[str]) -> list[str]:
+    """Overrides as Hydra's own `main` takes them, which refuses keys that no file spells out."""
+    from embodichain.config.hydra_state import config_loader
+    from embodichain.config.overrides import relax
+
+    with config_loader() as loader:
+        return relax(overrides, loader)
+
+
+def _check_composes(name: str, overrides: list[str]) -> None:
+    """Raise what is wrong with overrides and files, not with values: for printing the config."""
+    from embodichain.config.compose import compose
+
+    composed = compose(overrides, name)
+    if composed.problems:
+        raise ConfigError(composed.problems)
+
+
+def _points(overrides: Sequence[str]) -> Iterator[list[str]]:
+    """The overrides of each job of a sweep, at most the first 64 of them.
+
+    Sweepers other than Hydra's own may give ranges another meaning: their jobs check themselves.
+    """
+    from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+
+    if any(o.startswith("hydra/sweeper=") for o in overrides):
+        return
+    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    for batch in BasicSweeper.split_arguments(parsed, max_batch_size=_MOST_CHECKED_JOBS)[:1]:
+        yield from (list(job) for job in batch)
+
+
+@contextmanager
+def _process(program: str, arguments: list[str]) -> Iterator[None]:
+    """The process as Hydra wants it: its arguments in `sys.argv`, exceptions not printed by it."""
+    argv, full = sys.argv, os.environ.get("HYDRA_FULL_ERROR")
+    sys.argv = [program, *arguments]
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    try:
+        yield
+    finally:
+        sys.argv = argv
+        if full is None:
+            del os.environ["HYDRA_FULL_ERROR"]
+        else:
+            os.environ["HYDRA_FULL_ERROR"] = full

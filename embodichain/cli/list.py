@@ -1,0 +1,108 @@
+"""`embodichain list`: which tasks, robots and terms there are. Imports no simulator, no torch."""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from embodichain.cli import exits
+from embodichain.cli.arguments import VerbParser, add_common, print_json
+from embodichain.cli.tables import print_table
+from embodichain.cli.verbs import VERBS
+from embodichain.utils.errors import ConfigError
+from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    from hydra.plugins.config_source import ConfigSource
+
+__all__ = ["main"]
+
+Rows = list[dict[str, Any]]
+
+
+def main(arguments: list[str]) -> int:
+    """List what is asked for, as a table or as JSON."""
+    parser = VerbParser(VERBS["list"])
+    parser.add_argument("what", nargs="?", metavar="tasks|robots|terms")
+    add_common(parser, config_dir=True)
+    options = parser.parse(arguments)
+    lister = _LISTERS.get(options.what)
+    if lister is None:
+        if options.what is None:
+            raise ConfigError(f"list what? One of: {', '.join(_LISTERS)}")
+        hint = did_you_mean(options.what, _LISTERS)
+        raise ConfigError(f"nothing called '{options.what}' to list.{hint} {', '.join(_LISTERS)}")
+    rows = lister(options)
+    if options.json:
+        print_json({options.what: rows})
+    else:
+        print_table(options.what, rows)
+    return exits.OK
+
+
+def _tasks(options: argparse.Namespace) -> Rows:
+    """Every option of the group `task`, wherever it is searched; a broken file is listed too."""
+    from embodichain.config.hydra_state import config_loader
+
+    with config_loader(options.config_dir) as loader:
+        sources = loader.get_sources()
+        names = loader.get_group_options("task")
+        places = {n: next(s for s in sources if s.is_config(f"task/{n}")) for n in names}
+        return [
+            {
+                "name": name,
+                "what": _description(source, f"task/{name}"),
+                "from": "embodichain" if source.provider == "main" else source.provider,
+            }
+            for name, source in places.items()
+        ]
+
+
+def _description(source: ConfigSource, path: str) -> str:
+    import yaml
+    from omegaconf import DictConfig
+
+    try:
+        config = source.load_config(path).config
+    except yaml.YAMLError:
+        return f"(malformed YAML: embodichain validate task={path.removeprefix('task/')})"
+    return str(config.get("description", "")) if isinstance(config, DictConfig) else ""
+
+
+def _robots(options: argparse.Namespace) -> Rows:
+    from embodichain.data import list_robots
+
+    return [
+        {"name": asset.name, "format": asset.format, "from": asset.source}
+        for asset in list_robots()
+    ]
+
+
+def _terms(options: argparse.Namespace) -> Rows:
+    from embodichain.lab.gym.envs.managers.registry import KINDS, TERMS
+
+    return [
+        {
+            "kind": kind,
+            "name": name,
+            "params": ", ".join(_parameter(parameter) for parameter in spec.params.values()),
+            "what": (spec.doc.splitlines() or [""])[0],
+        }
+        for kind in KINDS
+        for name, spec in sorted(TERMS[kind].items())
+    ]
+
+
+def _parameter(parameter: inspect.Parameter) -> str:
+    """``name`` where a value must be given, else ``name=default``."""
+    required = parameter.default is inspect.Parameter.empty
+    return parameter.name if required else f"{parameter.name}={parameter.default}"
+
+
+_LISTERS: dict[str, Callable[[argparse.Namespace], Rows]] = {
+    "tasks": _tasks,
+    "robots": _robots,
+    "terms": _terms,
+}

@@ -1,0 +1,71 @@
+"""The log file of a run, and warnings on stderr. Everything else on the terminal is not a log."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+__all__ = ["log_to"]
+
+_FORMAT = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
+_SHOWN = ("embodichain", "py.warnings")  # other packages' loggers go to the file only
+
+
+@contextmanager
+def log_to(path: Path) -> Iterator[logging.Logger]:
+    """Write Python's logging and warnings to a file; show our warnings on stderr.
+
+    An exception that leaves the context is written with its traceback, and goes on.
+
+    Args:
+        path: A new file, or one to append to.
+    """
+    root = logging.getLogger()
+    level = root.level
+    file = logging.FileHandler(path, encoding="utf-8")
+    file.setFormatter(logging.Formatter(_FORMAT))
+    screen = logging.StreamHandler()
+    screen.setLevel(logging.WARNING)
+    screen.addFilter(_is_ours)
+    screen.setFormatter(_OneLine())
+    show = warnings.showwarning
+    logging.captureWarnings(True)
+    root.addHandler(file)
+    root.addHandler(screen)
+    root.setLevel(logging.INFO)
+    log = logging.getLogger("embodichain.run")
+    try:
+        yield log
+    except BaseException as error:
+        # To the file only: the report on the terminal is one line and comes later.
+        record = log.makeRecord(
+            log.name, logging.ERROR, __file__, 0, "ended by %s", (type(error).__name__,), None
+        )
+        record.exc_info = (type(error), error, error.__traceback__)
+        file.emit(record)
+        raise
+    finally:
+        logging.captureWarnings(False)
+        warnings.showwarning = show
+        root.setLevel(level)
+        root.removeHandler(screen)
+        root.removeHandler(file)
+        file.close()
+
+
+def _is_ours(record: logging.LogRecord) -> bool:
+    return record.name.startswith(_SHOWN)
+
+
+class _OneLine(logging.Formatter):
+    """``warning: MESSAGE``, without the source line that Python adds to its warnings."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """Return one line, two for an exception."""
+        text = record.getMessage()
+        if record.name == "py.warnings":  # FILE:LINE: CATEGORY: MESSAGE, then the source line
+            text = text.split("Warning: ", 1)[-1].splitlines()[0]
+        return f"{record.levelname.lower()}: {text}"

@@ -1,0 +1,141 @@
+"""`embodichain replay`: what a log holds; with --verify, whether physics agrees with every bit."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import asdict
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from embodichain.cli import exits
+from embodichain.cli.arguments import VerbParser, add_common, print_json
+from embodichain.cli.tables import print_facts, print_table
+from embodichain.cli.verbs import VERBS
+from embodichain.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from embodichain.recording.summary import Episode, LogSummary
+    from embodichain.recording.verify_report import VerifyReport
+
+__all__ = ["main"]
+
+LOG_NAME = "rollout.mcap"
+_MOST_EPISODES = 20
+
+
+def main(arguments: list[str]) -> int:
+    """Print what is in a log, or verify it."""
+    parser = VerbParser(VERBS["replay"])
+    parser.add_argument("file", metavar="FILE", help="a log, a run's folder, or `last`")
+    parser.add_argument("--verify", action="store_true", help="simulate again and compare")
+    parser.add_argument("--env", type=int, metavar="I", help="only this environment")
+    parser.add_argument("--episode", type=int, metavar="K", help="only this episode, from 0")
+    parser.add_argument("--quiet", "-q", action="store_true", help="no progress, no report")
+    add_common(parser)
+    options = parser.parse(arguments)
+    path = _log_of(options.file)
+    return _verify(path, options) if options.verify else _inspect(path, options)
+
+
+def _log_of(name: str) -> Path:
+    """The log that is meant: a file, the one in a run's folder, or the newest run's.
+
+    Raises:
+        ConfigError: There is no run yet, or its folder has no log.
+    """
+    path = Path("outputs", "latest") if name == "last" else Path(name)
+    if name == "last" and not path.exists():
+        raise ConfigError(f"there is no run yet ({path} does not exist): embodichain run task=NAME")
+    if not path.is_dir():
+        return path
+    log = path.resolve() / LOG_NAME
+    if not log.exists():
+        raise ConfigError(f"{path.resolve()} has no {LOG_NAME}: it was run with record=none")
+    return log
+
+
+def _inspect(path: Path, options: argparse.Namespace) -> int:
+    from embodichain.recording import inspect
+
+    summary = inspect(path)
+    episodes = [e for e in summary.episodes if _is_wanted(e, options)]
+    for warning in summary.warnings:
+        sys.stderr.write(f"warning: {path}: {warning}\n")
+    if options.json:
+        print_json(_summary_data(summary, episodes))
+    elif not options.quiet:
+        _print_summary(summary, episodes)
+    return exits.OK
+
+
+def _is_wanted(episode: Episode, options: argparse.Namespace) -> bool:
+    right_env = options.env is None or episode.env == options.env
+    return right_env and (options.episode is None or episode.episode == options.episode)
+
+
+def _summary_data(summary: LogSummary, episodes: list[Episode]) -> dict[str, Any]:
+    return {
+        **{name: value for name, value in asdict(summary).items() if name != "episodes"},
+        "messages": summary.messages,
+        "duration_s": summary.duration_s,
+        "mean_reward": summary.mean_reward,
+        "episodes": [asdict(episode) for episode in episodes],
+    }
+
+
+def _print_summary(summary: LogSummary, episodes: list[Episode]) -> None:
+    header = summary.header
+    started = datetime.fromtimestamp(header.start_ns / 1e9)
+    state = "complete" if summary.complete else "INCOMPLETE"
+    facts: list[tuple[str, Any]] = [
+        ("task", header.task),
+        ("recorded", f"{started:%Y-%m-%d %H:%M:%S}, MuJoCo {header.mujoco_version}"),
+        ("environments", f"{header.num_envs}, seed {header.seed}"),
+        ("steps", f"{summary.steps} control steps = {summary.duration_s:.2f} s simulated"),
+        ("episodes ended", f"{len(summary.episodes)}"),
+        ("mean return", summary.mean_reward),
+        ("file", f"{state}, {summary.nbytes / 1e6:.2f} MB, {summary.messages} messages"),
+        ("attachments", list(summary.attachments)),
+        ("verifiable", "yes" if not header.unverifiable else f"no: {header.unverifiable}"),
+    ]
+    print_facts(str(summary.path), facts)
+    print_table("channels", [asdict(channel) for channel in summary.channels])
+    print_table("episodes", [asdict(episode) for episode in episodes[:_MOST_EPISODES]])
+    if len(episodes) > _MOST_EPISODES:
+        sys.stdout.write(f"... and {len(episodes) - _MOST_EPISODES} more: --env, --json\n")
+
+
+def _verify(path: Path, options: argparse.Namespace) -> int:
+    from embodichain.cli.progress import ProgressDisplay
+    from embodichain.recording import verify
+
+    quiet = options.quiet or options.json
+    with ProgressDisplay("verify", None, "steps", quiet=quiet) as display:
+
+        def progress(steps: int) -> None:
+            if display.due:
+                display.show(steps, {})
+
+        report = verify(path, options.env, options.episode, progress=progress)
+    if options.json:
+        print_json(asdict(report))
+    elif not options.quiet or not report.ok:
+        _print_report(report)
+    return exits.OK if report.ok else exits.FAILED
+
+
+def _print_report(report: VerifyReport) -> None:
+    """One line when all is well, else what differs first and what else is wrong."""
+    what = f"{report.steps} control steps of {report.envs} environments"
+    if report.ok:
+        sys.stdout.write(f"verified: {what}, every bit as recorded\n")
+        return
+    sys.stderr.write(f"NOT verified: {report.path}, {what} compared\n")
+    if report.difference is not None:
+        sys.stderr.write(f"  first difference: {report.difference}\n")
+    for problem in report.problems:
+        sys.stderr.write(f"  {problem}\n")
+    for name, error in report.largest_error.items():
+        sys.stderr.write(f"  largest error of {name}: {error:.3g}\n")

@@ -1,0 +1,154 @@
+"""`embodichain run`: build a task, play a policy in it, keep what happened in a run folder.
+
+The loop is `rollout`, what Hydra does around it `hydra_verb`; this is the story from one config to
+one summary.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import hydra
+from omegaconf import DictConfig
+
+from embodichain.cli.exits import Interrupted
+from embodichain.cli.hydra_verb import call_verb
+from embodichain.cli.jobs import Job, started
+from embodichain.cli.stopping import StopFlag
+
+if TYPE_CHECKING:
+    from embodichain.cli.rollout import Outcome
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.recording import McapRecorder
+
+__all__ = ["job", "main"]
+
+SUMMARY_FILE = "summary.json"
+_PICTURE_SIZE = (1280, 960)
+_log = logging.getLogger(__name__)
+
+
+def main(arguments: list[str]) -> int:
+    """Run once, or once for each point of a sweep."""
+    return call_verb("run", job, arguments)
+
+
+@hydra.main(version_base="1.3", config_path="pkg://embodichain.conf", config_name="run")
+def job(composed: DictConfig) -> float | None:
+    """One run; what Hydra calls. Returns the mean return, which a sweeper may optimise."""
+    with started("run") as run, StopFlag() as stop:
+        summary = _run(run, stop)
+        if summary["status"] == "interrupted":
+            raise Interrupted(f"interrupted ({stop.stopped}); {run.folder} is complete up to there")
+        mean: float | None = (summary["return"] or {}).get("mean")
+        return mean
+
+
+def _run(run: Job, stop: StopFlag) -> dict[str, Any]:
+    """Build, play, close, sum up; a failure is kept in `summary.json` too."""
+    from embodichain.cli.summary import print_summary, summarize
+
+    root = run.root
+    facts: dict[str, Any] = {
+        "task": run.resolved.task_name,
+        "folder": str(run.folder),
+        "seed": root.seed,
+        "policy": root.policy if isinstance(root.policy, (str, type(None))) else root.policy.func,
+    }
+    if not root.quiet and not root.json:
+        sys.stderr.write(f"{facts['task']}: {run.folder}\n")
+    try:
+        outcome, log = _simulate(run, stop)
+    except Exception as error:
+        _write_summary(run.folder, {**facts, "status": "failed", "error": repr(error)})
+        raise
+    if log is not None:
+        facts |= {"log": str(log), "log_bytes": log.stat().st_size}
+    summary = summarize(outcome, facts)
+    _write_summary(run.folder, summary)
+    _log.info("summary: %s", json.dumps(summary, default=str))
+    if root.json:
+        from embodichain.cli.arguments import print_json
+
+        print_json(summary)
+    elif not root.quiet:
+        print_summary(summary)
+    return summary
+
+
+def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
+    """The rollout from build to close, and where its log is."""
+    from embodichain.cli.policies import policy_of
+    from embodichain.cli.progress import ProgressDisplay
+    from embodichain.cli.rollout import play
+    from embodichain.config.make import make_env
+
+    root = run.root
+    episodes = root.episodes or 1
+    env = make_env(run.resolved, run_dir=run.folder)
+    try:
+        policy = policy_of(root, env)
+        recorder = _record(run, env)
+        obs, _ = env.reset()
+        _picture(env, run.folder / "scene.png")
+        label, total = run.resolved.task_name, env.num_envs * episodes
+        with ProgressDisplay(label, total, "episodes", quiet=root.quiet or root.json) as display:
+            outcome = play(
+                env,
+                policy,
+                obs,
+                episodes=episodes,
+                max_steps=root.max_steps,
+                display=display,
+                stop=stop,
+            )
+    finally:
+        env.close()  # finishes the log too
+    return outcome, recorder.stats.path if recorder is not None else None
+
+
+def _record(run: Job, env: BaseEnv) -> McapRecorder | None:
+    """Attach the log, unless the config wants none."""
+    if run.root.record.format == "none":
+        return None
+    from embodichain.config.freeze import dump_yaml
+    from embodichain.recording import McapRecorder
+
+    recorder = McapRecorder(
+        run.folder / "rollout.mcap",
+        env,
+        config=dump_yaml(run.resolved.tree),
+        overrides=dump_yaml(list(run.resolved.overrides)),
+        options=run.root.record,
+        task=run.resolved.task_name,
+    )
+    env.add_observer(recorder)
+    return recorder
+
+
+def _picture(env: BaseEnv, path: Path) -> None:
+    """Draw the scene as it starts; a machine without OpenGL only warns."""
+    from PIL import Image
+
+    from embodichain.utils.errors import RenderError
+
+    width, height = _PICTURE_SIZE
+    try:
+        pixels = env.sim.render(0, width=width, height=height)
+    except RenderError as error:
+        _log.warning("no scene.png: %s", error)
+        return
+    temporary = path.with_name(f".{path.name}")
+    Image.fromarray(pixels).save(temporary, format="PNG")
+    temporary.replace(path)
+
+
+def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
+    from embodichain.cli.arguments import to_json
+    from embodichain.config.run_folder import write_atomically
+
+    write_atomically(folder / SUMMARY_FILE, to_json(summary, indent=2) + "\n")

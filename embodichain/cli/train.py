@@ -1,0 +1,90 @@
+"""`embodichain train`: learn a policy with Stable-Baselines3, keep it in a run folder.
+
+Learning itself is `embodichain.learning`; this starts it, shows it and sums it up.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+import hydra
+from omegaconf import DictConfig
+
+from embodichain.cli.exits import Interrupted
+from embodichain.cli.hydra_verb import call_verb
+from embodichain.cli.jobs import Job, started
+from embodichain.cli.stopping import StopFlag
+
+if TYPE_CHECKING:
+    from embodichain.cli.progress import ProgressDisplay
+    from embodichain.learning.episodes import TrainStatistics
+
+__all__ = ["job", "main"]
+
+
+def main(arguments: list[str]) -> int:
+    """Train once, or once for each point of a sweep."""
+    return call_verb("train", job, arguments)
+
+
+@hydra.main(version_base="1.3", config_path="pkg://embodichain.conf", config_name="train")
+def job(composed: DictConfig) -> float | None:
+    """One training; what Hydra calls. Returns the mean return, which a sweeper may optimise."""
+    with started("train") as run, StopFlag() as stop:
+        summary = _train(run, stop)
+        _show(run, summary)
+        if summary["status"] == "interrupted":
+            raise Interrupted(f"interrupted ({stop.stopped}); what was learned is in {run.folder}")
+        mean: float | None = summary["mean_return"]
+        return mean
+
+
+def _train(run: Job, stop: StopFlag) -> dict[str, Any]:
+    """Learn until it ends or somebody stops it; returns what `summary.json` holds."""
+    from embodichain.cli.progress import ProgressDisplay
+    from embodichain.learning.train import SUMMARY_FILE, train
+
+    root = run.root
+    quiet = root.quiet or root.json
+    if not quiet:
+        sys.stderr.write(f"{run.resolved.task_name}: {run.folder}\n")
+    total = root.total_timesteps
+    with ProgressDisplay(run.resolved.task_name, total, "steps", quiet=quiet) as display:
+
+        def progress(statistics: TrainStatistics) -> None:
+            if stop.stopped is not None:
+                raise Interrupted
+            if display.due:
+                _show_progress(display, statistics)
+
+        # Interrupted: checkpoint and summary are written by then; the job says so and leaves.
+        with suppress(Interrupted):
+            train(run.resolved, run.folder, progress)
+    summary: dict[str, Any] = json.loads((run.folder / SUMMARY_FILE).read_text())
+    return {**summary, "folder": str(run.folder)}
+
+
+def _show_progress(display: ProgressDisplay, statistics: TrainStatistics) -> None:
+    facts = {"steps/s": f"{statistics.env_steps_per_second:,.0f}"}
+    facts["episodes"] = str(statistics.episodes)
+    if statistics.mean_return is not None:
+        facts["return"] = f"{statistics.mean_return:.3g}"
+    if statistics.success_rate is not None:
+        facts["success"] = f"{statistics.success_rate:.0%}"
+    display.show(statistics.env_steps, facts)
+
+
+def _show(run: Job, summary: dict[str, Any]) -> None:
+    """The closing table, or JSON."""
+    if run.root.json:
+        from embodichain.cli.arguments import print_json
+
+        print_json(summary)
+    elif not run.root.quiet:
+        from embodichain.cli.tables import print_facts
+
+        task = str(summary["task"])
+        print_facts(task, [(k.replace("_", " "), v) for k, v in summary.items() if k != "task"])

@@ -1,0 +1,157 @@
+"""The table of verbs: name, what it does in one line, examples. Imports no verb.
+
+Each verb is the module `embodichain.cli.NAME` with ``main(arguments) -> int``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["EXIT_CODES", "VERBS", "Verb", "overview"]
+
+
+@dataclass(frozen=True, slots=True)
+class Verb:
+    """One verb of the command line.
+
+    Attributes:
+        name: What people type; also the module's name.
+        summary: One line for the overview.
+        usage: Arguments after the verb.
+        examples: Arguments and what they do, for `--help`.
+        overrides: Whether it takes ``key=value`` overrides, and so completes them.
+    """
+
+    name: str
+    summary: str
+    usage: str
+    examples: tuple[tuple[str, str], ...]
+    overrides: bool = False
+
+    def epilog(self) -> str:
+        """The examples as `--help` shows them."""
+        width = max(len(arguments) for arguments, _ in self.examples)
+        lines = (f"  embodichain {a:<{width}}   {what}" for a, what in self.examples)
+        return "\n".join(["examples:", *lines])
+
+
+_RUN = Verb(
+    "run",
+    "Run a task: simulate, show progress, write a log.",
+    "[task=NAME] [key=value ...] [options]",
+    (
+        ("run task=random_reach num_envs=4", "as the task suggests, four environments"),
+        ("run task=random_reach episodes=2 seed=1 record=none", "two episodes each, no log"),
+        ("run task=random_reach task.physics.physics_dt=0.005", "change any value of the task"),
+        ("run task=reach policy=outputs/latest", "play what was trained there"),
+        ("run -m task=random_reach seed=0,1", "a sweep: one run for each seed"),
+        ("run task=random_reach --cfg job", "print the config, run nothing"),
+    ),
+    overrides=True,
+)
+_TRAIN = Verb(
+    "train",
+    "Train a policy with Stable-Baselines3.",
+    "[task=NAME] [key=value ...] [options]",
+    (
+        ("train task=reach", "as the task suggests"),
+        ("train task=reach total_timesteps=8192", "shorter"),
+        ("train task=reach algo.learning_rate=3e-4 seed=1", "another learning rate and seed"),
+        ("train -m task=reach seed=0,1,2", "a sweep: one training for each seed"),
+    ),
+    overrides=True,
+)
+_REPLAY = Verb(
+    "replay",
+    "Say what a log holds; with --verify simulate it again and compare every bit.",
+    "FILE|last [options]",
+    (
+        ("replay last", "the newest run's log"),
+        ("replay last --verify", "simulate it again from the file alone"),
+        ("replay last --verify --env 2 --episode 0", "only that environment and episode"),
+        ("replay outputs/latest/rollout.mcap --json", "what it holds, for scripts"),
+    ),
+)
+_BENCH = Verb(
+    "bench",
+    "Measure control steps/s beside the bare batch of the same model.",
+    "task=NAME [num_envs=1,64,1024] [key=value ...] [options]",
+    (
+        ("bench task=random_reach num_envs=1,64,1024", "three sizes"),
+        ("bench task=push_cube num_envs=64 --rounds 3 --json", "quicker, for scripts"),
+    ),
+    overrides=True,
+)
+_LIST = Verb(
+    "list",
+    "List tasks, robots or terms.",
+    "tasks|robots|terms [options]",
+    (
+        ("list tasks", "every task that task=NAME finds"),
+        ("list robots", "robot files that a task can name"),
+        ("list terms", "functions for events, observations, rewards, ..."),
+    ),
+)
+_SHOW = Verb(
+    "show",
+    "Show a task: resolved config, scene, spaces, terms.",
+    "task=NAME [key=value ...] [options]",
+    (
+        ("show task=reach", "everything"),
+        ("show task=reach --config", "only the resolved config, as YAML"),
+        ("show task=reach --json", "everything, for scripts"),
+    ),
+    overrides=True,
+)
+_VALIDATE = Verb(
+    "validate",
+    "Check a task and print every mistake; runs nothing.",
+    "[--config-dir DIR] task=NAME [key=value ...] | FILE",
+    (
+        ("validate task=reach", "a task that ships with embodichain"),
+        ("validate task=reach task.max_episode_steps=50", "with overrides"),
+        ("validate --config-dir my_conf task=random_reach", "with a folder of yours"),
+    ),
+    overrides=True,
+)
+_DOCTOR = Verb(
+    "doctor",
+    "Check this machine: versions, threads, rendering, disk, optional parts.",
+    "[options]",
+    (("doctor", "a table, with what to do where something is missing"), ("doctor --json", "")),
+)
+
+VERBS: dict[str, Verb] = {
+    verb.name: verb for verb in (_RUN, _TRAIN, _REPLAY, _BENCH, _LIST, _SHOW, _VALIDATE, _DOCTOR)
+}
+
+EXIT_CODES = "exit codes: 0 ok, 1 the run failed, 2 wrong input, 130 interrupted"
+
+
+def overview() -> str:
+    """The text of `embodichain --help`."""
+    lines = [f"  {verb.name:<10}{verb.summary}" for verb in VERBS.values()]
+    return "\n".join(
+        [
+            "usage: embodichain VERB [arguments]",
+            "",
+            "One YAML tree is one robot experiment: scene, task, learning, and a log that replays.",
+            "",
+            "verbs:",
+            *lines,
+            "",
+            "options:",
+            "  -h, --help              this text; `embodichain VERB --help` for one verb",
+            "  --version               versions of embodichain, Python and MuJoCo",
+            "  -sc install=bash        completion for bash (zsh, fish); to switch it on, type",
+            '                          eval "$(embodichain -sc install=bash)"',
+            "",
+            "examples:",
+            "  embodichain run task=random_reach num_envs=4",
+            "  embodichain replay last --verify",
+            "  embodichain list tasks",
+            "",
+            EXIT_CODES,
+            "",
+        ]
+    )

@@ -1,0 +1,65 @@
+import re
+
+import pytest
+
+import embodichain
+from embodichain.cli import main
+from embodichain.cli.verbs import VERBS
+
+
+@pytest.mark.parametrize("arguments", [[], ["--help"], ["-h"], ["help"]])
+def test_overview_names_every_verb(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 0
+    text = capsys.readouterr().out
+    assert all(re.search(rf"^  {verb} +\w", text, re.MULTILINE) for verb in VERBS)
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith(f"embodichain {embodichain.__version__} (Python ")
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_help_of_every_verb_shows_its_options_and_examples(
+    verb: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([verb, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert f"usage: embodichain {verb}" in text
+    assert "--json" in text
+    for example, what in VERBS[verb].examples:
+        assert f"embodichain {example}" in text
+        assert what in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["ru"], "unknown verb 'ru'. Did you mean 'run'? Verbs: run, train, "),
+        (["zzz"], "unknown verb 'zzz'. Verbs: run, train, "),
+        (["--verbose"], "unknown option '--verbose'."),
+        (["task=reach", "seed=1"], "a verb comes first: embodichain run task=reach seed=1"),
+        (["-m", "seed=1,2"], "a verb comes first: embodichain run -m seed=1,2"),
+        (["run", "--qiet"], "unknown option --qiet. Did you mean '--quiet'?"),
+        (["list", "tasks", "--jsn"], "unknown option --jsn. Did you mean '--json'?"),
+        (["list"], "list what? One of: tasks, robots, terms"),
+        (["list", "task"], "nothing called 'task' to list. Did you mean 'tasks'?"),
+        (["list", "tasks", "robots"], "unrecognized arguments: robots"),
+        (["run", "one", "two"], "one task at a time: one, two."),
+        (["-sc", "instal=bash"], "-sc takes install=SHELL or uninstall=SHELL"),
+        (["bench", "task=reach", "num_envs=1,x"], "num_envs: must be one or more positive"),
+        (["bench", "task=reach", "--rounds", "0"], "--rounds must be at least 1, got 0"),
+        (["bench", "task=reach", "--rounds", "many"], "argument --rounds: invalid int value"),
+        (["replay"], "the following arguments are required: FILE"),
+    ],
+)
+def test_what_was_mistyped_is_named_with_exit_code_2(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert err.startswith(f"error: {message}")
+    assert "Traceback" not in err
+    assert out == ""
