@@ -1,0 +1,126 @@
+"""What a log carries beside its messages, so that it can be read and replayed alone."""
+
+from __future__ import annotations
+
+import io
+import json
+import platform
+import zipfile
+from collections.abc import Mapping, Sequence
+from hashlib import blake2b
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import mujoco
+import numpy as np
+import yaml
+
+from embodichain.recording.writer import McapThread
+
+__all__ = [
+    "Attachment",
+    "attach_all",
+    "load_mjb",
+    "load_mjz",
+    "model_bytes",
+    "model_digest",
+    "overrides_yaml",
+    "scene_archive",
+    "versions",
+]
+
+Attachment = tuple[str, str, bytes]
+"""Name, media type and content."""
+
+_PACKAGES = (
+    "embodichain",
+    "gymnasium",
+    "mcap",
+    "mujoco",
+    "numpy",
+    "stable-baselines3",
+    "torch",
+)
+
+
+def model_bytes(model: mujoco.MjModel) -> bytes:
+    """The compiled model in MuJoCo's binary format, exact to the bit."""
+    buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, buffer)
+    return buffer.tobytes()
+
+
+def model_digest(mjb: bytes) -> str:
+    """Names a model in the log's metadata."""
+    return blake2b(mjb, digest_size=16).hexdigest()
+
+
+def load_mjb(data: bytes) -> mujoco.MjModel:
+    """Load what `model_bytes` made.
+
+    Raises:
+        ValueError: If this MuJoCo does not read it.
+    """
+    return mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": data})
+
+
+def scene_archive(spec: mujoco.MjSpec) -> bytes:
+    """The scene as MJZ: XML (6 digits) and the assets it names, for any MuJoCo to open."""
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("model.xml", spec.to_xml())
+        for name, content in spec.assets.items():
+            archive.writestr(name, content)
+    return buffer.getvalue()
+
+
+def load_mjz(data: bytes) -> mujoco.MjModel:
+    """Compile what `scene_archive` made.
+
+    Raises:
+        ValueError: If it is not such an archive, or does not compile.
+    """
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        assets = {name: archive.read(name) for name in archive.namelist()}
+    return mujoco.MjModel.from_xml_string(assets.pop("model.xml").decode(), assets)
+
+
+def versions() -> dict[str, str]:
+    """Versions of what decides a run's bytes."""
+    found = {"python": platform.python_version(), "platform": platform.platform()}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def overrides_yaml(overrides: str | Sequence[str]) -> str:
+    """Command-line overrides as a YAML list; text is taken as it is."""
+    if isinstance(overrides, str):
+        return overrides
+    return yaml.safe_dump(list(overrides), allow_unicode=True)
+
+
+def attach_all(
+    file: McapThread,
+    mjb: bytes,
+    spec: mujoco.MjSpec | None,
+    config: str,
+    overrides: str | Sequence[str],
+    layout: Mapping[str, Any],
+    time_ns: int,
+) -> None:
+    """Write every attachment; runs on the background thread."""
+    attachments: list[Attachment] = [
+        ("model.mjb", "application/octet-stream", mjb),
+        ("config.yaml", "application/yaml", config.encode()),
+        ("overrides.yaml", "application/yaml", overrides_yaml(overrides).encode()),
+        ("foxglove_layout.json", "application/json", json.dumps(layout, indent=1).encode()),
+        ("versions.json", "application/json", json.dumps(versions(), indent=1).encode()),
+    ]
+    if spec is not None:
+        attachments.insert(1, ("scene.mjz", "application/zip", scene_archive(spec)))
+    for name, media_type, data in attachments:
+        file.attach(name, media_type, data, time_ns)

@@ -1,0 +1,105 @@
+"""Which columns of a state row are written, and what each column is called.
+
+Applied forces are inputs that nobody writes in most tasks: 51 of 123 columns for an arm with a
+free cube. They stay out of the file until the first write that is not zero; from there on rows are
+whole, which a message says by its width.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from embodichain.lab.sim.engine.base import F64, Write
+
+__all__ = ["INPUTS_ALWAYS_ZERO", "RowColumns", "column_name", "spread"]
+
+INPUTS_ALWAYS_ZERO = ("qfrc_applied", "xfrc_applied")
+
+
+class RowColumns:
+    """The columns in use; starts narrow, becomes whole at the first applied force.
+
+    Args:
+        layout: Component name to its columns within a row.
+    """
+
+    def __init__(self, layout: Mapping[str, slice]) -> None:
+        self.layout = dict(layout)
+        self.nstate = max(cols.stop for cols in self.layout.values())
+        self.kept = _complement([self.layout[n] for n in INPUTS_ALWAYS_ZERO], self.nstate)
+        self.ranges = self.kept
+        self.width = _width(self.kept)
+
+    @property
+    def whole(self) -> bool:
+        """Whether every column is written."""
+        return bool(self.width == self.nstate)
+
+    def widen(self) -> None:
+        """Write whole rows from now on."""
+        self.ranges = [(0, self.nstate)]
+        self.width = self.nstate
+
+    def heed(self, write: Write) -> None:
+        """Widen if a write leaves something in a column that was left out."""
+        if self.whole or write.op != "state" or write.values is None:
+            return
+        if write.field in INPUTS_ALWAYS_ZERO:
+            if write.values.view(np.uint64).any():
+                self.widen()
+        elif write.field == "row":
+            full = isinstance(write.columns, slice) and write.columns == slice(None)
+            if not full or not self.narrow_enough(write.values):
+                self.widen()
+
+    def narrow_enough(self, rows: F64) -> bool:
+        """Whether the columns that are left out are all +0 in these whole rows."""
+        left_out = [self.layout[name] for name in INPUTS_ALWAYS_ZERO]
+        words = np.ascontiguousarray(rows).view(np.uint64)
+        return not any(words[:, cols].any() for cols in left_out)
+
+    def take(self, rows: F64) -> F64:
+        """Copy the columns in use of whole rows, (n, nstate) -> (n, width), contiguous."""
+        out = np.empty((len(rows), self.width))
+        at = 0
+        for start, stop in self.ranges:
+            out[:, at : at + stop - start] = rows[:, start:stop]
+            at += stop - start
+        return out
+
+
+def spread(kept: list[tuple[int, int]], narrow: F64, nstate: int) -> F64:
+    """Whole rows of what was written, (n, width) -> (n, nstate); columns left out are zero."""
+    if narrow.shape[1] == nstate:
+        return narrow
+    out = np.zeros((len(narrow), nstate))
+    at = 0
+    for start, stop in kept:
+        out[:, start:stop] = narrow[:, at : at + stop - start]
+        at += stop - start
+    return out
+
+
+def _width(ranges: list[tuple[int, int]]) -> int:
+    return sum(stop - start for start, stop in ranges)
+
+
+def _complement(holes: list[slice], size: int) -> list[tuple[int, int]]:
+    """Half-open ranges of [0, size) outside the holes; at least one, if perhaps empty."""
+    keep = np.ones(size + 1, np.bool_)
+    for hole in holes:
+        keep[hole] = False
+    keep[size] = False
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], keep]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)] or [(0, 0)]
+
+
+def column_name(layout: Mapping[str, Any], column: int) -> str:
+    """``qpos[3]`` for a column of a row."""
+    for name, cols in layout.items():
+        if cols.start <= column < cols.stop:
+            return f"{name}[{column - cols.start}]"
+    return f"column {column}"

@@ -1,0 +1,1 @@
+"""What people look at: Foxglove's own schemas, filled for a few environments."""

@@ -1,0 +1,254 @@
+"""Bytes of our own messages, and back.
+
+Encoders return parts (bytes and arrays) that the writer thread joins, so that the thread that steps
+the simulation copies nothing twice. `schemas` declares the fields; tests hold both together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.envs.observers import EventRecord
+from embodichain.lab.sim.engine.base import F64, EnvIndex
+from embodichain.recording import wire
+from embodichain.recording.mcap_file import Part
+
+__all__ = [
+    "Calls",
+    "State",
+    "StepOutcome",
+    "WriteRecord",
+    "encode_call",
+    "encode_event",
+    "encode_state",
+    "encode_step",
+    "encode_write",
+    "stamp",
+    "write_head",
+]
+
+
+@dataclass(frozen=True, slots=True)
+class Calls:
+    """A physics call: its number, where it ran, and the hash of what it returned."""
+
+    step: int
+    call: int
+    env_ids: EnvIndex | None
+    hashes: NDArray[np.uint64]
+    failed: EnvIndex | None
+
+    @classmethod
+    def decode(cls, data: bytes) -> Calls:
+        """Read a `PhysicsCall`."""
+        f = wire.parse(data)
+        return cls(_uint(f, 1), _uint(f, 2), _ids(f, 3), wire.unpack(f, 4, "<u8"), _ids(f, 5))
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """A decoded `BatchedState`; `rows` is (n, width) and shares the message's bytes."""
+
+    step: int
+    call: int
+    nstep: int
+    env_ids: EnvIndex | None
+    rows: F64
+
+    @classmethod
+    def decode(cls, data: bytes) -> State:
+        """Read a `BatchedState`.
+
+        Raises:
+            WireError: If the bytes are not one.
+        """
+        f = wire.parse(data)
+        flat, n, width = wire.unpack(f, 4, "<f8"), _uint(f, 2), _uint(f, 3)
+        if flat.size != n * width:
+            raise wire.WireError(f"{flat.size} numbers where {n} rows of {width} were announced")
+        return cls(_uint(f, 1), _uint(f, 5), _uint(f, 6), _ids(f, 7), flat.reshape(n, width))
+
+
+@dataclass(frozen=True, slots=True)
+class StepOutcome:
+    """A decoded `Step`."""
+
+    step: int
+    action: F64
+    reward: F64
+    terminated: NDArray[np.bool_]
+    truncated: NDArray[np.bool_]
+    episode_ids: NDArray[np.int64]
+    physics: Calls
+
+    @classmethod
+    def decode(cls, data: bytes) -> StepOutcome:
+        """Read a `Step`.
+
+        Raises:
+            WireError: If the bytes are not one.
+        """
+        f = wire.parse(data)
+        step, n, width = _uint(f, 1), _uint(f, 3), _uint(f, 4)
+        action = wire.unpack(f, 5, "<f8")
+        if action.size != n * width:
+            raise wire.WireError(f"{action.size} numbers where {n} actions of {width} are")
+        calls = Calls(step, _uint(f, 2), None, wire.unpack(f, 10, "<u8"), _ids(f, 11))
+        return cls(
+            step,
+            action.reshape(n, width),
+            wire.unpack(f, 6, "<f8"),
+            wire.unpack(f, 7, "?"),
+            wire.unpack(f, 8, "?"),
+            wire.unpack(f, 9, "<i8"),
+            calls,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class WriteRecord:
+    """A decoded `Write`; `values` is flat, (n * k,)."""
+
+    step: int
+    call: int
+    op: str
+    field: str
+    env_ids: EnvIndex | None
+    columns: NDArray[np.int64] | slice
+    values: F64
+
+    @classmethod
+    def decode(cls, data: bytes) -> WriteRecord:
+        """Read a `Write`."""
+        f = wire.parse(data)
+        columns = wire.unpack(f, 7, "<u4")
+        return cls(
+            _uint(f, 1),
+            _uint(f, 2),
+            _text(f, 4),
+            _text(f, 5),
+            _ids(f, 6),
+            columns.astype(np.int64) if columns.size else slice(None),
+            wire.unpack(f, 8, "<f8"),
+        )
+
+
+def _uint(fields: wire.Fields, number: int) -> int:
+    values = fields.get(number)
+    if not values:
+        return 0
+    if not isinstance(values[-1], int):
+        raise wire.WireError(f"field {number} is not an integer")
+    return values[-1]
+
+
+def _text(fields: wire.Fields, number: int) -> str:
+    values = fields.get(number)
+    return bytes(values[-1]).decode() if values else ""
+
+
+def _ids(fields: wire.Fields, number: int) -> EnvIndex | None:
+    ids = wire.unpack(fields, number, "<u4")
+    return ids.astype(np.int64) if ids.size else None
+
+
+def _env_ids(field: int, ids: EnvIndex | None) -> bytes:
+    return b"" if ids is None else wire.array(field, ids, "<u4")
+
+
+def stamp(step: int, call: int) -> bytes:
+    """What `Step`, `PhysicsCall`, `Write` and `Event` begin with."""
+    return wire.uint(1, step) + wire.uint(2, call)
+
+
+@lru_cache(maxsize=64)
+def _shape(n: int, width: int) -> bytes:
+    return wire.uint(2, n) + wire.uint(3, width) + wire.packed(4, 8 * n * width)
+
+
+def encode_state(
+    step: int, rows: F64, call: int, nstep: int, env_ids: EnvIndex | None
+) -> tuple[Part, ...]:
+    """`BatchedState` of contiguous (n, width) rows, which are kept, not copied."""
+    tail = wire.uint(5, call) + wire.uint(6, nstep) + _env_ids(7, env_ids)
+    return wire.uint(1, step) + _shape(*rows.shape), rows, tail
+
+
+def encode_step(
+    step: int,
+    action: F64,
+    reward: NDArray[Any],
+    terminated: NDArray[np.bool_],
+    truncated: NDArray[np.bool_],
+    episode_ids: NDArray[np.int64],
+    physics: Calls | None,
+) -> tuple[Part, ...]:
+    """`Step`: what went in and came out of one control step."""
+    n = len(reward)
+    width = action.size // n
+    doubles, words = 8 * n, wire.packed(9, 8 * n)
+    head = stamp(step, physics.call if physics else 0) + wire.uint(3, n) + wire.uint(4, width)
+    parts: list[Part] = [
+        head + wire.packed(5, doubles * width),
+        np.ascontiguousarray(action, "<f8"),
+        wire.packed(6, doubles),
+        np.ascontiguousarray(reward, "<f8"),
+        wire.flags(7, terminated) + wire.flags(8, truncated) + words,
+        np.ascontiguousarray(episode_ids, "<i8"),
+    ]
+    if physics is not None:
+        parts += [wire.packed(10, doubles), physics.hashes]
+        if physics.failed is not None:
+            parts.append(_env_ids(11, physics.failed))
+    return tuple(parts)
+
+
+def encode_call(call: Calls) -> tuple[Part, ...]:
+    """`PhysicsCall`: one that is not its control step's own."""
+    return (
+        stamp(call.step, call.call) + _env_ids(3, call.env_ids),
+        wire.array(4, call.hashes, "<u8") + _env_ids(5, call.failed),
+    )
+
+
+def write_head(
+    phase: str, op: str, field: str, columns: NDArray[np.int64] | None
+) -> tuple[bytes, bytes]:
+    """What stays the same in every `Write` to the same place: before and after the environments.
+
+    Args:
+        phase: ``start``, ``before_physics`` or ``after_physics``.
+        op: As in `Write`.
+        field: As in `Write`.
+        columns: (k,) columns; None is all of them.
+    """
+    before = wire.text(3, phase) + wire.text(4, op) + wire.text(5, field)
+    return before, b"" if columns is None else wire.array(7, columns, "<u4")
+
+
+def encode_write(
+    when: bytes, head: tuple[bytes, bytes], env_ids: EnvIndex | None, values: F64 | None
+) -> tuple[Part, ...]:
+    """`Write`, with its `stamp` and `write_head`. Contiguous values are kept, not copied."""
+    start = when + head[0] + _env_ids(6, env_ids) + head[1]
+    if values is None:
+        return (start,)
+    data = np.ascontiguousarray(values, "<f8")
+    return start + wire.packed(8, data.nbytes), data
+
+
+def encode_event(when: bytes, event: EventRecord) -> tuple[Part, ...]:
+    """`Event`, with its `stamp`: a term, where it fired, and what it drew."""
+    start = when + wire.text(3, event.term) + wire.text(4, event.mode) + _env_ids(5, event.env_ids)
+    parts = [start]
+    for name, drawn in event.drawn.items():
+        values = np.asarray(drawn)
+        shape = b"".join(map(wire.varint, values.shape))
+        body = wire.text(1, name) + wire.text(2, shape) + wire.array(3, values, "<f8")
+        parts.append(wire.text(6, body))
+    return tuple(parts)

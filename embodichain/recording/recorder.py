@@ -1,0 +1,244 @@
+"""`McapRecorder`: watches an environment and writes its log.
+
+It only collects and hands over: what replay needs is `state_log`, what people look at is
+`foxglove.views`, the file is `writer`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import mujoco
+
+from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
+from embodichain.lab.sim.engine.base import Engine, EnvIndex, PhysicsEvent, Write
+from embodichain.recording import state_log
+from embodichain.recording.attachments import attach_all, model_bytes, model_digest
+from embodichain.recording.columns import RowColumns
+from embodichain.recording.foxglove.layout import foxglove_layout
+from embodichain.recording.foxglove.views import Views
+from embodichain.recording.header import METADATA, METADATA_END, Header, why_unverifiable
+from embodichain.recording.mcap_file import Part
+from embodichain.recording.options import RecordLike, RecordOptions, check_options
+from embodichain.recording.writer import Job, McapThread, Message
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = ["McapRecorder", "RecordStats"]
+
+BATCH_STEPS, BATCH_SECONDS = 16, 0.05
+"""Small steps are handed over in batches: waking the other thread costs more than writing them."""
+BATCH_BYTES = 2**19
+QUEUE_BYTES = 64 * 2**20
+"""About how much may wait for the disk before the simulation waits too."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordStats:
+    """What a recorder has written.
+
+    Attributes:
+        path: The file.
+        steps: Control steps.
+        nbytes: Size of the file so far.
+    """
+
+    path: Path
+    steps: int
+    nbytes: int
+
+
+class McapRecorder(StepObserver):
+    """Records an environment from now on; attach it with `env.add_observer` at once.
+
+    Build it before the first `env.reset()`. The simulation's state at that moment, its randomized
+    model fields included, is written first, so a log that starts later verifies as well.
+
+    Args:
+        path: A new file. Its folder must exist; ``foxglove_layout.json`` is put beside it.
+        env: The environment.
+        config: The resolved config as YAML text.
+        overrides: The command line's overrides.
+        options: What to record.
+        task: The task's name.
+
+    Raises:
+        ConfigError: If an option is not allowed.
+        FileExistsError: If `path` exists.
+    """
+
+    def __init__(
+        self,
+        path: str | Path,
+        env: BaseEnv,
+        config: str = "",
+        overrides: str | Sequence[str] = (),
+        options: RecordLike | None = None,
+        task: str = "",
+    ) -> None:
+        options = RecordOptions() if options is None else options
+        check_options(options, env.num_envs)
+        engine = env.sim.engine
+        columns = RowColumns(_layout(engine))
+        self._period_ns = round(env.step_dt * 1e9)
+        self._start_ns = time.time_ns()
+        self._pending: list[Message | Job] = []
+        self._step = 0
+        step_bytes = 8 * env.num_envs * columns.nstate
+        self._batch_steps = max(1, min(BATCH_STEPS, BATCH_BYTES // step_bytes))
+        self._handed_over = (0, time.monotonic())
+        depth = max(4, min(256, QUEUE_BYTES // (3 * step_bytes * self._batch_steps)))
+        self._file = McapThread(Path(path), options.compression, depth)
+        self._closed = False
+        self._log = (
+            state_log.StateLog(engine, columns, env.sim_steps_per_control, self._emit)
+            if options.state == "all"
+            else None
+        )
+        self._views = Views(env, options, self._emit, self._pending.append, self._now)
+        self._engine = engine
+        self._begin(env, options, columns, config, overrides, task)
+
+    def _begin(
+        self,
+        env: BaseEnv,
+        options: RecordLike,
+        columns: RowColumns,
+        config: str,
+        overrides: str | Sequence[str],
+        task: str,
+    ) -> None:
+        """Queue attachments and metadata, then what the simulation is now."""
+        model, spec, start_ns = env.sim.engine.model, env.sim.scene.spec, self._start_ns
+        layout_file = Path(self._file.path).with_name("foxglove_layout.json")
+        layout = foxglove_layout(model, options.view_envs)
+        mjb = model_bytes(model)
+        header = Header(
+            task=task,
+            seed=int(env.seed_value),
+            num_envs=env.num_envs,
+            control_dt=float(env.step_dt),
+            physics_dt=float(env.physics_dt),
+            substeps=int(env.sim_steps_per_control),
+            start_ns=start_ns,
+            mujoco_version=mujoco.__version__,
+            model=model_digest(mjb),
+            state=options.state,
+            state_sig=int(mujoco.mjtState.mjSTATE_INTEGRATION),
+            nstate=columns.nstate,
+            columns=columns.kept,
+            layout={name: (s.start, s.stop) for name, s in columns.layout.items()},
+            view_envs=[int(i) for i in options.view_envs],
+            unverifiable=why_unverifiable(model, options.state),
+        )
+        channels = dict(state_log.CHANNELS) if self._log else {}
+        channels |= self._views.channels
+
+        def write_head(file: McapThread) -> None:
+            attach_all(file, mjb, spec, config, overrides, layout, start_ns)
+            file.metadata(METADATA, header.to_metadata())
+            for topic, schema in channels.items():
+                file.channel(topic, schema)
+            if not layout_file.exists():
+                _write_json(layout_file, layout)
+
+        self._pending.append(write_head)
+        model_fields = self._engine.state_dict()["model"]
+        if self._log is not None:
+            self._log.start(model_fields)
+        self._views.start(model_fields)
+        self._hand_over()
+
+    def _now(self) -> int:
+        return self._start_ns + self._step * self._period_ns
+
+    def _emit(self, topic: str, parts: tuple[Part, ...]) -> None:
+        self._pending.append((topic, self._now(), parts))
+
+    def _hand_over_when_due(self) -> None:
+        step, when = self._handed_over
+        if self._step - step >= self._batch_steps or time.monotonic() - when > BATCH_SECONDS:
+            self._hand_over()
+
+    def _hand_over(self) -> None:
+        self._handed_over = self._step, time.monotonic()
+        batch = self._pending[:]
+        self._pending.clear()
+        self._file.put(batch)
+
+    @property
+    def stats(self) -> RecordStats:
+        """What has been written so far."""
+        return RecordStats(self._file.path, self._step, self._file.path.stat().st_size)
+
+    def on_write(self, env: BaseEnv, write: Write) -> None:
+        """Something outside physics was written to the simulation."""
+        if self._log is not None:
+            self._log.on_write(write)
+        if write.op == "model":
+            self._views.on_model_write(write)
+
+    def on_physics(self, env: BaseEnv, event: PhysicsEvent) -> None:
+        """Physics is about to step, or has just stepped."""
+        if self._log is not None:
+            self._log.on_physics(event)
+        if event.phase == "before" and event.env_ids is None:
+            self._views.on_rows(self._step, event.rows)
+
+    def on_event(self, env: BaseEnv, event: EventRecord) -> None:
+        """A term of the event manager fired."""
+        if self._log is not None:
+            self._log.on_event(event)
+
+    def on_reset(self, env: BaseEnv, env_ids: EnvIndex) -> None:
+        """Environments were reset."""
+        self._views.on_reset(env_ids)
+
+    def on_step(self, env: BaseEnv, step: StepRecord) -> None:
+        """A control step ended."""
+        if self._log is not None:
+            self._log.on_step(step)
+        self._views.on_step(self._step, step)
+        self._step += 1
+        self._hand_over_when_due()
+
+    def on_close(self, env: BaseEnv) -> None:
+        """The environment closes."""
+        self.close()
+
+    def close(self) -> None:
+        """Write the last rows and finish the file. A second call does nothing.
+
+        Raises:
+            OSError: If the file could not be written.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        if self._log is not None:
+            self._log.close()
+        self._views.close(self._step, self._engine.rows)
+        steps = str(self._step)
+        self._pending.append(lambda file: file.metadata(METADATA_END, {"steps": steps}))
+        try:
+            self._hand_over()
+        finally:
+            self._file.close()
+
+
+def _layout(engine: Engine) -> dict[str, slice]:
+    from embodichain.lab.sim.engine.cpu import row_layout
+
+    return row_layout(engine.model)
+
+
+def _write_json(path: Path, content: object) -> None:
+    import json
+
+    with path.open("x") as stream:
+        json.dump(content, stream, indent=1)

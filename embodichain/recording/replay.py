@@ -1,0 +1,199 @@
+"""`inspect` says what is in a log; `verify` simulates it again, from the file alone.
+
+No term, no task and no user's code takes part: the model is in the file, and so is everything that
+was written to the simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.engine.base import EnvIndex
+from embodichain.recording.attachments import load_mjb, load_mjz, model_digest
+from embodichain.recording.header import Header, LogError
+from embodichain.recording.messages import StepOutcome
+from embodichain.recording.reader import LogReader
+from embodichain.recording.resimulate import ActiveSteps, Found, Resimulation
+from embodichain.recording.summary import LogSummary, summarize
+from embodichain.recording.verify_report import VerifyReport
+from embodichain.recording.wire import WireError
+from embodichain.utils.errors import ConfigError
+
+__all__ = ["inspect", "verify"]
+
+Progress = Callable[[int], None]
+
+
+def inspect(path: str | Path) -> LogSummary:
+    """What is in a log; a broken one is read up to where it is good, and its `warnings` say so.
+
+    Raises:
+        ConfigError: If the file is missing, empty or not MCAP.
+        LogError: If it is not a log of embodichain's.
+    """
+    return summarize(path)
+
+
+def verify(
+    path: str | Path,
+    env: int | None = None,
+    episode: int | None = None,
+    num_threads: int = 0,
+    progress: Progress | None = None,
+) -> VerifyReport:
+    """Simulate a log again and compare every row, bit for bit.
+
+    Args:
+        path: The log.
+        env: Only this environment; None is all.
+        episode: Only this episode of every environment looked at; None is all.
+        num_threads: Physics threads; 0 is all cores. No result depends on it.
+        progress: Called with the number of control steps done.
+
+    Raises:
+        ConfigError: If the file is missing, empty or not MCAP, or `env` or `episode` is not in it.
+        LogError: If it is not a log of embodichain's.
+    """
+    path = Path(path)
+    header, attachments = _head(path)
+    selected = _select(header, env)
+    if header.unverifiable:
+        return VerifyReport(path, False, 0, len(selected), problems=[header.unverifiable])
+    model, exact, problems = _model(header, attachments)
+    if model is None:
+        return VerifyReport(path, False, 0, len(selected), problems=problems)
+    active = _everything(len(selected)) if episode is None else _episode(path, selected, episode)
+    simulation = Resimulation(header, model, selected, active, exact, num_threads)
+    return _follow(path, simulation, len(selected), problems, progress)
+
+
+def _head(path: Path) -> tuple[Header, dict[str, bytes]]:
+    """What precedes the first message."""
+    with LogReader(path) as reader:
+        for _ in reader.messages():
+            break
+        return reader.require_header(), reader.attachments
+
+
+def _select(header: Header, env: int | None) -> EnvIndex:
+    if env is None:
+        return np.arange(header.num_envs, dtype=np.int64)
+    if not 0 <= env < header.num_envs:
+        raise ConfigError(f"no environment {env} in the log: there are 0 to {header.num_envs - 1}")
+    return np.array([env], np.int64)
+
+
+def _model(
+    header: Header, attachments: dict[str, bytes]
+) -> tuple[mujoco.MjModel | None, bool, list[str]]:
+    """The model to simulate, whether it is the recorded one to the bit, and what is wrong."""
+    if header.mujoco_version != mujoco.__version__:
+        return _approximate_model(header, attachments)
+    mjb = attachments.get("model.mjb")
+    if mjb is None:
+        return None, False, ["the log has no attachment model.mjb"]
+    if model_digest(mjb) != header.model:
+        return None, False, ["the attachment model.mjb is not the model that was recorded"]
+    try:
+        model = load_mjb(mjb)
+    except ValueError as error:
+        return None, False, [f"the attachment model.mjb cannot be loaded: {error}"]
+    return _check_size(header, model, exact=True, problems=[])
+
+
+def _approximate_model(
+    header: Header, attachments: dict[str, bytes]
+) -> tuple[mujoco.MjModel | None, bool, list[str]]:
+    problem = (
+        f"recorded with MuJoCo {header.mujoco_version}, this is {mujoco.__version__}: "
+        f"bit-exact replay needs mujoco=={header.mujoco_version}"
+    )
+    archive = attachments.get("scene.mjz")
+    if archive is None:
+        return None, False, [problem, "the log has no attachment scene.mjz to fall back to"]
+    try:
+        model = load_mjz(archive)
+    except (KeyError, OSError, ValueError) as error:
+        return None, False, [problem, f"the attachment scene.mjz cannot be loaded: {error}"]
+    problem += "; simulated approximately from scene.mjz (its XML has 6 digits)"
+    return _check_size(header, model, exact=False, problems=[problem])
+
+
+def _check_size(
+    header: Header, model: mujoco.MjModel, exact: bool, problems: list[str]
+) -> tuple[mujoco.MjModel | None, bool, list[str]]:
+    size = mujoco.mj_stateSize(model, header.state_sig)
+    if size == header.nstate:
+        return model, exact, problems
+    wrong = f"the model has {size} numbers of state, the rows have {header.nstate}"
+    return None, exact, [*problems, wrong]
+
+
+def _everything(n: int) -> ActiveSteps:
+    mask = np.ones(n, np.bool_)
+    return lambda step: mask
+
+
+def _episode(path: Path, selected: EnvIndex, episode: int) -> ActiveSteps:
+    """Steps that belong to an episode of the selected environments, found in a pass of its own."""
+    masks: list[NDArray[np.bool_]] = []
+    last = -1
+    with LogReader(path) as reader:
+        for topic, message in reader.messages():
+            if topic == "/sim/step":
+                ids = StepOutcome.decode(message.data).episode_ids[selected]
+                masks.append(ids == episode)
+                last = max(last, int(ids.max()))
+    if not any(mask.any() for mask in masks):
+        raise ConfigError(f"no episode {episode} in the log: there are 0 to {last}")
+    nothing = np.zeros(len(selected), np.bool_)
+    return lambda step: masks[step] if step < len(masks) else nothing
+
+
+def _follow(
+    path: Path,
+    simulation: Resimulation,
+    envs: int,
+    problems: list[str],
+    progress: Progress | None,
+) -> VerifyReport:
+    handlers = {
+        "/sim/write": simulation.on_write,
+        "/sim/state": simulation.on_state,
+        "/sim/step": simulation.on_step,
+        "/sim/physics": simulation.on_call,
+    }
+    difference = None
+    with LogReader(path) as reader:
+        try:
+            for topic, message in reader.messages():
+                handler = handlers.get(topic)
+                if handler is not None:
+                    handler(message.data)
+                    if progress is not None and topic == "/sim/step":
+                        progress(simulation.steps)
+            simulation.finish()
+        except Found as found:
+            difference = found.difference
+        except (LogError, WireError) as error:
+            problems = [*problems, f"after step {simulation.steps - 1}: {error}"]
+        else:
+            problems = [*problems, *_end(reader, simulation.steps)]
+    ok = difference is None and not problems
+    return VerifyReport(
+        path, ok, simulation.steps, envs, difference, problems, simulation.largest_error
+    )
+
+
+def _end(reader: LogReader, steps: int) -> list[str]:
+    """What is missing at the end of a log."""
+    if not reader.complete:
+        return [f"the log ends after step {steps - 1}: {reader.damage or 'its end is missing'}"]
+    if not reader.finished:
+        return [f"the log ends after step {steps - 1}: the recorder did not close it"]
+    return []

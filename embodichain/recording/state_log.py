@@ -1,0 +1,175 @@
+"""The channels that replay reads: `/sim/state`, `step`, `physics`, `write` and `event`.
+
+Physics calls are counted. Every one is preceded by the rows it receives (`/sim/state`) and followed
+by a hash of the rows it returned. A write belongs before the call whose number it carries, so
+
+    simulate(state of call c) = hash of call c
+    result of call c, then the writes of call c + 1 = state of call c + 1
+
+hold for every row, also when a reset event steps physics to let things settle. Normally there is
+one call a control step, and its hash travels in `/sim/step`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.envs.observers import EventRecord, StepRecord
+from embodichain.lab.sim.engine.base import Engine, PhysicsEvent, Write
+from embodichain.recording.columns import RowColumns
+from embodichain.recording.hashing import RowHash
+from embodichain.recording.mcap_file import Part
+from embodichain.recording.messages import (
+    Calls,
+    encode_call,
+    encode_event,
+    encode_state,
+    encode_step,
+    encode_write,
+    stamp,
+    write_head,
+)
+
+__all__ = ["CHANNELS", "StateLog"]
+
+CHANNELS = {
+    "/sim/state": "embodichain.BatchedState",
+    "/sim/step": "embodichain.Step",
+    "/sim/physics": "embodichain.PhysicsCall",
+    "/sim/write": "embodichain.Write",
+    "/sim/event": "embodichain.Event",
+}
+
+Emit = Callable[[str, tuple[Part, ...]], None]
+
+
+class StateLog:
+    """Turns what an engine reports into messages.
+
+    Args:
+        engine: What is recorded.
+        columns: Columns of a row that are written.
+        substeps: Physics steps of an ordinary control step.
+        emit: Called with a topic and the parts of a message.
+    """
+
+    def __init__(self, engine: Engine, columns: RowColumns, substeps: int, emit: Emit) -> None:
+        self._engine = engine
+        self._columns = columns
+        self._substeps = substeps
+        self._emit = emit
+        self._hash = RowHash(columns.nstate)
+        self.step = 0
+        self.call = 0
+        self._own: Calls | None = None  # the call whose hash `/sim/step` will carry
+        self._after_physics = False
+        self._stamp = stamp(0, 0)
+        self._heads: dict[object, tuple[bytes, bytes]] = {}
+
+    def start(self, model_fields: Mapping[str, NDArray[Any]]) -> None:
+        """Write what the simulation is before anything happens: model fields, then whole rows."""
+        for field, values in model_fields.items():
+            self._write("model", field, np.asarray(values, np.float64))
+        if model_fields:
+            self._write("set_const", "", None)
+        rows = self._engine.rows.copy()
+        if not self._columns.narrow_enough(rows):
+            self._columns.widen()
+        self._write("state", "row", rows)
+
+    def _write(self, op: str, field: str, values: NDArray[np.float64] | None) -> None:
+        head = write_head("start", op, field, None)
+        self._emit("/sim/write", encode_write(self._stamp, head, None, values))
+
+    def on_write(self, write: Write) -> None:
+        """A write outside physics; one that touches no environment leaves no message."""
+        if write.op == "forward" or (write.env_ids is not None and not len(write.env_ids)):
+            return
+        self._columns.heed(write)
+        columns = write.columns
+        columns_key: object = columns.tobytes() if isinstance(columns, np.ndarray) else str(columns)
+        key = (self._after_physics, write.op, write.field, columns_key)
+        head = self._heads.get(key)
+        if head is None:
+            head = self._heads[key] = self._head(write)
+        parts = encode_write(self._stamp, head, write.env_ids, write.values)
+        self._emit("/sim/write", parts)
+
+    def _head(self, write: Write) -> tuple[bytes, bytes]:
+        phase = "after_physics" if self._after_physics else "before_physics"
+        return write_head(phase, write.op, write.field, _columns(write, self._width_of))
+
+    def _width_of(self, write: Write) -> int:
+        if write.op == "model":
+            owner: Any = self._engine.model
+            *path, name = write.field.split(".")
+            for part in path:
+                owner = getattr(owner, part)
+            size: int = np.size(getattr(owner, name))
+            return size
+        if write.field == "row":
+            return self._columns.nstate
+        component = self._engine.component(write.field)
+        width: int = component.stop - component.start
+        return width
+
+    def on_physics(self, event: PhysicsEvent) -> None:
+        """Copy the rows before a call, hash them after it."""
+        rows, ids = event.rows, event.env_ids
+        if ids is not None:
+            rows = rows[ids]
+        if event.phase == "before":
+            taken = self._columns.take(rows)
+            self._emit("/sim/state", encode_state(self.step, taken, self.call, event.nstep, ids))
+            return
+        hashes = self._hash(rows, self._columns.ranges)
+        done = Calls(self.step, self.call, ids, hashes, event.failed)
+        self.call += 1
+        self._stamp = stamp(self.step, self.call)
+        self._after_physics = True
+        if self._own is None and ids is None and event.nstep == self._substeps:
+            self._own = done
+        else:
+            self._emit("/sim/physics", encode_call(done))
+
+    def on_event(self, event: EventRecord) -> None:
+        """A term of the event manager fired."""
+        self._emit("/sim/event", encode_event(self._stamp, event))
+
+    def on_step(self, step: StepRecord) -> None:
+        """A control step ended."""
+        parts = encode_step(
+            self.step,
+            step.action,
+            step.reward,
+            step.terminated,
+            step.truncated,
+            step.episode_ids,
+            self._own,
+        )
+        self._emit("/sim/step", parts)
+        self._own = None
+        self._after_physics = False
+        self.step += 1
+        self._stamp = stamp(self.step, self.call)
+
+    def close(self) -> None:
+        """Write the last rows; a step that was left in the middle keeps its hash."""
+        if self._own is not None:
+            self._emit("/sim/physics", encode_call(self._own))
+            self._own = None
+        taken = self._columns.take(self._engine.rows)
+        self._emit("/sim/state", encode_state(self.step, taken, self.call, 0, None))
+
+
+def _columns(write: Write, width_of: Callable[[Write], int]) -> NDArray[np.int64] | None:
+    """Columns as indices; None for all of them."""
+    if not isinstance(write.columns, slice):
+        return write.columns
+    if write.values is None or write.columns == slice(None):
+        return None
+    return np.arange(width_of(write), dtype=np.int64)[write.columns]

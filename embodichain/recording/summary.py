@@ -1,0 +1,172 @@
+"""`LogSummary`: what is in a log, gathered in one pass."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from embodichain.recording.header import Header
+from embodichain.recording.messages import StepOutcome
+from embodichain.recording.reader import LogReader
+
+__all__ = ["ChannelInfo", "Episode", "LogSummary", "summarize"]
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelInfo:
+    """One channel of a log."""
+
+    topic: str
+    schema: str
+    encoding: str
+    messages: int
+
+
+@dataclass(frozen=True, slots=True)
+class Episode:
+    """An episode that ended within the log.
+
+    Attributes:
+        env: The environment.
+        episode: Its episode id, from 0 within the environment.
+        steps: Control steps within the log.
+        total_reward: Sum of rewards over them, undiscounted.
+        terminated: Whether it ended by itself; else by a limit.
+    """
+
+    env: int
+    episode: int
+    steps: int
+    total_reward: float
+    terminated: bool
+
+
+@dataclass(frozen=True, slots=True)
+class LogSummary:
+    """What is in a log.
+
+    Attributes:
+        path: The file.
+        nbytes: Its size.
+        header: What was recorded and how.
+        channels: By topic.
+        steps: Control steps.
+        episodes: Episodes that ended, in order of their ends.
+        attachments: Name to size in bytes.
+        compressions: Compressions of its chunks.
+        complete: Whether the file has its end and everything that was announced.
+        warnings: What is missing or damaged, one line each; empty for a complete log.
+    """
+
+    path: Path
+    nbytes: int
+    header: Header
+    channels: list[ChannelInfo]
+    steps: int
+    episodes: list[Episode]
+    attachments: dict[str, int]
+    compressions: list[str]
+    complete: bool
+    warnings: list[str] = field(default_factory=list)
+
+    @property
+    def messages(self) -> int:
+        """Messages in all channels."""
+        return sum(channel.messages for channel in self.channels)
+
+    @property
+    def duration_s(self) -> float:
+        """Simulated seconds."""
+        return self.steps * self.header.control_dt
+
+    @property
+    def mean_reward(self) -> float | None:
+        """Mean over ended episodes of their summed reward; None without one."""
+        if not self.episodes:
+            return None
+        return float(np.mean([episode.total_reward for episode in self.episodes]))
+
+
+class _Episodes:
+    """Adds up rewards until episodes end."""
+
+    def __init__(self, num_envs: int) -> None:
+        self._sums = np.zeros(num_envs)
+        self._lengths = np.zeros(num_envs, np.int64)
+        self.ended: list[Episode] = []
+
+    def add(self, step: StepOutcome) -> None:
+        self._sums += step.reward
+        self._lengths += 1
+        for env in np.flatnonzero(step.terminated | step.truncated).tolist():
+            self.ended.append(
+                Episode(
+                    env,
+                    int(step.episode_ids[env]),
+                    int(self._lengths[env]),
+                    float(self._sums[env]),
+                    bool(step.terminated[env]),
+                )
+            )
+            self._sums[env] = self._lengths[env] = 0
+
+
+def summarize(path: str | Path) -> LogSummary:
+    """Read a log once and return what is in it; a broken one up to where it is readable.
+
+    Raises:
+        ConfigError: If the file is missing, empty or not MCAP.
+        LogError: If it is not a log of embodichain's.
+    """
+    counts: Counter[str] = Counter()
+    steps = 0
+    episodes: _Episodes | None = None
+    with LogReader(Path(path)) as reader:
+        for topic, message in reader.messages():
+            counts[topic] += 1
+            if topic == "/sim/step":
+                steps += 1
+                if episodes is None:
+                    episodes = _Episodes(reader.require_header().num_envs)
+                episodes.add(StepOutcome.decode(message.data))
+            elif topic == "/sim/state" and not reader.header:
+                reader.require_header()
+        header = reader.require_header()
+        channels = [
+            ChannelInfo(
+                channel.topic,
+                reader.schemas[channel.schema_id].name if channel.schema_id else "",
+                channel.message_encoding,
+                counts[channel.topic],
+            )
+            for channel in sorted(reader.channels.values(), key=lambda c: c.topic)
+        ]
+        return LogSummary(
+            path=reader.path,
+            nbytes=reader.path.stat().st_size,
+            header=header,
+            channels=channels,
+            steps=steps,
+            episodes=episodes.ended if episodes else [],
+            attachments={name: len(data) for name, data in reader.attachments.items()},
+            compressions=sorted(reader.compressions),
+            complete=reader.complete and reader.finished,
+            warnings=_warnings(reader, steps),
+        )
+
+
+def _warnings(reader: LogReader, steps: int) -> list[str]:
+    warnings = []
+    if not reader.complete:
+        warnings.append(
+            f"incomplete: {reader.damage or 'its end is missing'}; "
+            f"what follows step {steps - 1} is lost"
+            if steps
+            else f"incomplete: {reader.damage}"
+        )
+    elif not reader.finished:
+        warnings.append("the recorder did not close this log: it may lack its last steps")
+    return warnings

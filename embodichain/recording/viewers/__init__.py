@@ -1,0 +1,1 @@
+"""Windows onto a running environment, as observers of its steps."""

@@ -1,0 +1,148 @@
+"""One background thread that compresses and writes an MCAP file.
+
+The simulation hands over batches of messages and goes on; when the disk is slower than physics, it
+waits (the queue is bounded, nothing is dropped). What a message means is known elsewhere.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import BinaryIO
+
+from embodichain.recording.mcap_file import McapFile, Part
+from embodichain.recording.schemas import descriptor_set
+
+__all__ = ["Job", "McapThread", "Message"]
+
+FLUSH_SECONDS = 1.0
+"""What a killed process loses at most."""
+
+Message = tuple[str, int, tuple[Part, ...]]
+"""Topic, log time in ns, and the parts of the payload."""
+Job = Callable[["McapThread"], None]
+"""Work for the background thread; it may register channels and write."""
+
+
+class McapThread:
+    """A file that is written beside the simulation.
+
+    Args:
+        path: A new file; an existing one is never overwritten.
+        compression: ``lz4``, ``zstd`` or ``none``.
+        depth: Batches that may wait in the queue.
+
+    Raises:
+        FileExistsError: If `path` exists.
+    """
+
+    def __init__(self, path: Path, compression: str, depth: int) -> None:
+        self.path = path
+        self._stream: BinaryIO = path.open("xb")
+        self._writer = McapFile(self._stream, compression, library="embodichain")
+        self._queue: queue.Queue[list[Message | Job] | None] = queue.Queue(depth)
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._error: BaseException | None = None
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="mcap-writer", daemon=True)
+        self._thread.start()
+
+    # -- called by the simulation's thread -------------------------------------------------------
+
+    def put(self, batch: list[Message | Job]) -> None:
+        """Hand over messages and jobs, in order; waits while the queue is full.
+
+        Raises:
+            OSError: If the file could not be written; the log ends there.
+        """
+        while True:
+            self._raise_error()
+            try:
+                self._queue.put(batch, timeout=1.0)
+            except queue.Full:
+                continue
+            return
+
+    def close(self) -> None:
+        """Write what waits, the index and the end of the file. A second call does nothing."""
+        if self._closed:
+            return
+        self._closed = True
+        while self._thread.is_alive():
+            try:
+                self._queue.put(None, timeout=1.0)
+                break
+            except queue.Full:
+                continue
+        self._thread.join()
+        self._raise_error()
+
+    def _raise_error(self) -> None:
+        if self._error is not None:
+            raise OSError(f"the log {self.path} could not be written") from self._error
+
+    # -- called by the background thread ---------------------------------------------------------
+
+    def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
+        """Declare a channel once.
+
+        Args:
+            topic: Its name.
+            schema: ``embodichain.NAME`` or ``foxglove.NAME``.
+            data: The schema's FileDescriptorSet, where it is this run's own.
+        """
+        if topic in self._channels:
+            return
+        if schema not in self._schemas:
+            self._schemas[schema] = self._writer.schema(
+                schema, data if data is not None else descriptor_set(schema)
+            )
+        self._channels[topic] = self._writer.channel(topic, self._schemas[schema])
+
+    def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
+        """Add an attachment."""
+        self._writer.attachment(name, media_type, data, time_ns)
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Add a metadata record."""
+        self._writer.metadata(name, values)
+
+    def write(self, topic: str, time_ns: int, parts: Iterable[Part]) -> None:
+        """Add a message to a declared channel."""
+        self._writer.message(self._channels[topic], time_ns, parts)
+
+    def _run(self) -> None:
+        try:
+            self._loop()
+            self._writer.finish()
+        except BaseException as error:  # noqa: BLE001  (`put` and `close` raise it)
+            self._error = error
+        finally:
+            self._stream.close()
+            while self._error is not None and not self._queue.empty():
+                self._queue.get_nowait()  # nobody must wait for a dead writer
+
+    def _loop(self) -> None:
+        due = time.monotonic() + FLUSH_SECONDS
+        waiting = False
+        while True:
+            try:
+                batch = self._queue.get(timeout=max(0.0, due - time.monotonic()))
+            except queue.Empty:
+                batch = []
+            if batch is None:
+                return
+            for item in batch:
+                if isinstance(item, tuple):
+                    self.write(*item)
+                else:
+                    item(self)
+            waiting = waiting or bool(batch)
+            if time.monotonic() >= due:
+                if waiting:
+                    self._writer.flush()
+                due, waiting = time.monotonic() + FLUSH_SECONDS, False
