@@ -1,0 +1,226 @@
+"""Algorithms by name, and their arguments checked against their signatures before anything runs.
+
+Which arguments a task suggests stands in its YAML; how training runs, in `train.py`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import types
+import typing
+from collections.abc import Callable, Mapping
+from typing import Any, Union
+
+import stable_baselines3
+import torch
+from pydantic import TypeAdapter, ValidationError
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.policies import ActorCriticPolicy
+from stable_baselines3.common.vec_env import VecEnv
+
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = [
+    "ACTIVATIONS",
+    "ALGORITHMS",
+    "OPTIMIZERS",
+    "algorithm_class",
+    "build_algorithm",
+    "check_arguments",
+]
+
+ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": stable_baselines3.PPO}
+"""What ``algo.name`` may be."""
+
+ACTIVATIONS: dict[str, type[torch.nn.Module]] = {
+    "elu": torch.nn.ELU,
+    "gelu": torch.nn.GELU,
+    "leaky_relu": torch.nn.LeakyReLU,
+    "relu": torch.nn.ReLU,
+    "silu": torch.nn.SiLU,
+    "tanh": torch.nn.Tanh,
+}
+"""What ``policy_kwargs.activation_fn`` may be."""
+
+OPTIMIZERS: dict[str, type[torch.optim.Optimizer]] = {
+    "adam": torch.optim.Adam,
+    "adamw": torch.optim.AdamW,
+    "rmsprop": torch.optim.RMSprop,
+    "sgd": torch.optim.SGD,
+}
+"""What ``policy_kwargs.optimizer_class`` may be."""
+
+_NAMED: dict[str, Mapping[str, Any]] = {
+    "activation_fn": ACTIVATIONS,
+    "optimizer_class": OPTIMIZERS,
+}
+# Arguments that somebody else gives; what to use instead.
+_OURS = {
+    "env": "the environment is the task's",
+    "seed": "it stands at the root: seed=N",
+    "device": "it stands at the root: device=NAME",
+    "verbose": "the command shows progress itself",
+    "tensorboard_log": "not available yet",
+    "rollout_buffer_class": "not available yet",
+    "_init_setup_model": "the network is always built",
+}
+_POLICY_OURS = {
+    "observation_space": "it is the task's",
+    "action_space": "it is the task's",
+    "lr_schedule": "use algo.learning_rate",
+    "use_sde": "use algo.use_sde",
+    "features_extractor_class": "not available yet",
+}
+_WORDS: dict[Any, str] = {
+    int: "an integer",
+    float: "a number",
+    bool: "true or false",
+    str: "text",
+    type(None): "null",
+    dict: "a map",
+    list: "a list",
+}
+
+
+def algorithm_class(name: str) -> type[BaseAlgorithm]:
+    """Return an algorithm by name.
+
+    Raises:
+        ConfigError: If there is none; lists them.
+    """
+    found = ALGORITHMS.get(name)
+    if found is None:
+        message = f"unknown algorithm {name!r}; allowed: {', '.join(ALGORITHMS)}"
+        raise ConfigError([Problem("algo.name", message, did_you_mean(name, ALGORITHMS).strip())])
+    return found
+
+
+def check_arguments(name: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Check an algorithm's arguments and turn names into the classes they mean.
+
+    Args:
+        name: The algorithm.
+        arguments: Keyword arguments of its class, as a config gives them.
+
+    Returns:
+        The arguments to construct it with; ``policy`` is always there.
+
+    Raises:
+        ConfigError: Every mistake, with paths below ``algo``.
+    """
+    values = {"policy": "MlpPolicy", **arguments}
+    problems: list[Problem] = []
+    policy = values.pop("policy")
+    if policy != "MlpPolicy":
+        message = f"observations are one flat vector: only 'MlpPolicy' fits, got {policy!r}"
+        problems.append(Problem("algo.policy", message))
+    kwargs = values.pop("policy_kwargs", None) or {}
+    algorithm = algorithm_class(name)
+    values, found = _check_call(algorithm, values, _OURS, "algo")
+    problems += found
+    if not isinstance(kwargs, Mapping):
+        problems.append(Problem("algo.policy_kwargs", f"needs a map, got {kwargs!r}"))
+        raise ConfigError(problems)
+    kwargs, found = _check_policy_kwargs(dict(kwargs))
+    problems += found
+    if problems:
+        raise ConfigError(problems)
+    return {"policy": policy, **values, "policy_kwargs": kwargs}
+
+
+def build_algorithm(
+    name: str, arguments: Mapping[str, Any], vec_env: VecEnv, seed: int | None
+) -> BaseAlgorithm:
+    """Construct an algorithm on an environment.
+
+    Args:
+        name: The algorithm.
+        arguments: What `check_arguments` returned.
+        vec_env: The environment it learns in.
+        seed: Of the networks, the exploration and the environment's next reset; seeds the global
+            generators of Python, numpy and torch, because Stable-Baselines3 draws from them.
+
+    Raises:
+        ConfigError: If the algorithm refuses its arguments.
+    """
+    algorithm: Callable[..., BaseAlgorithm] = algorithm_class(name)
+    try:
+        return algorithm(env=vec_env, seed=seed, device="cpu", **arguments)
+    except (AssertionError, TypeError, ValueError) as error:  # how SB3 refuses
+        raise ConfigError([Problem("algo", f"{name} refuses this: {error}")]) from error
+
+
+def _check_policy_kwargs(kwargs: dict[str, Any]) -> tuple[dict[str, Any], list[Problem]]:
+    path = "algo.policy_kwargs"
+    problems: list[Problem] = []
+    for key, table in _NAMED.items():
+        if key not in kwargs:
+            continue
+        name = kwargs[key]
+        if isinstance(name, str) and name in table:
+            kwargs[key] = table[name]
+            continue
+        message = f"unknown name {name!r}; allowed: {', '.join(table)}"
+        problems.append(Problem(f"{path}.{key}", message, did_you_mean(str(name), table).strip()))
+        del kwargs[key]
+    values, found = _check_call(ActorCriticPolicy, kwargs, _POLICY_OURS, path)
+    found += _check_layers(values.get("net_arch"), f"{path}.net_arch")
+    return values, problems + found
+
+
+def _check_layers(layers: Any, path: str) -> list[Problem]:
+    """SB3 ignores unknown parts of a map, and fails late on empty layers."""
+    parts = layers if isinstance(layers, dict) else {"": layers or []}
+    unknown = [key for key in parts if key not in ("", "pi", "vf")]
+    problems = [
+        Problem(f"{path}.{key}", "unknown part; allowed: pi (policy), vf (value)")
+        for key in unknown
+    ]
+    for key, widths in parts.items():
+        if any(width < 1 for width in widths):
+            at = f"{path}.{key}" if key else path
+            problems.append(Problem(at, f"layers need a width of at least 1, got {widths}"))
+    return problems
+
+
+def _check_call(
+    function: Callable[..., Any],
+    arguments: Mapping[str, Any],
+    ours: Mapping[str, str],
+    path: str,
+) -> tuple[dict[str, Any], list[Problem]]:
+    """Check arguments against a signature: names, then types.
+
+    Returns:
+        The values as the annotations ask for them, and every mistake.
+    """
+    parameters = inspect.signature(function).parameters
+    allowed = [name for name in parameters if name not in ours]
+    values: dict[str, Any] = {}
+    problems: list[Problem] = []
+    for name, value in arguments.items():
+        at = f"{path}.{name}"
+        if name in ours:
+            problems.append(Problem(at, f"cannot be set here: {ours[name]}"))
+        elif name not in parameters:
+            message = f"unknown argument; allowed: {', '.join(allowed)}"
+            hint = did_you_mean(name, allowed).strip()
+            problems.append(Problem(at, message, hint))
+        else:
+            annotation = parameters[name].annotation
+            try:
+                values[name] = TypeAdapter(annotation).validate_python(value)
+            except ValidationError:
+                problems.append(Problem(at, f"needs {_words(annotation)}, got {value!r}"))
+    return values, problems
+
+
+def _words(annotation: Any) -> str:
+    """What an annotation allows in a config: callables and classes cannot be written there."""
+    if typing.get_origin(annotation) in (Union, types.UnionType):
+        words = [_words(member) for member in typing.get_args(annotation)]
+        return " or ".join(word for word in words if word)
+    if typing.get_origin(annotation) is list:
+        return f"a list of {_words(typing.get_args(annotation)[0]).removeprefix('an ')}s"
+    return _WORDS.get(typing.get_origin(annotation) or annotation, "")

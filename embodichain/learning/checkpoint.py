@@ -1,0 +1,103 @@
+"""Checkpoints: zip files of Stable-Baselines3 with a note of what made them, written atomically.
+
+How a checkpoint acts is in `policy.py`. Finding one and reading its note runs no code of it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from stable_baselines3.common.base_class import BaseAlgorithm
+
+__all__ = ["CHECKPOINTS", "FINAL", "find_checkpoint", "read_note", "save_checkpoint"]
+
+CHECKPOINTS = "checkpoints"
+"""Folder of checkpoints in a run folder."""
+FINAL = "final.zip"
+NOTE = "embodichain"
+"""Key of the note in the zip's ``data``: an attribute, which Stable-Baselines3 saves as JSON."""
+_MEMBERS = ("data", "policy.pth")
+
+
+def save_checkpoint(model: BaseAlgorithm, path: Path, note: Mapping[str, Any]) -> None:
+    """Write a model under a temporary name, then rename it: readers see all of it or none.
+
+    Args:
+        model: The model; gets the note as an attribute.
+        path: Where to; the folder is made.
+        note: What a reader must know before loading: plain JSON with ``algo`` and ``group``.
+
+    Raises:
+        OSError: It cannot be written (the disk is full); nothing is left behind.
+    """
+    setattr(model, NOTE, dict(note))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with temporary.open("wb") as stream:
+            model.save(stream)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def find_checkpoint(path: str | Path) -> Path:
+    """Return the checkpoint that a path means: the file, or the final one of a run folder.
+
+    Raises:
+        ConfigError: If there is none; says what was looked for.
+    """
+    given = Path(path)
+    if given.is_file():
+        return given
+    if given.is_dir():
+        found = given / CHECKPOINTS / FINAL
+        if found.is_file():
+            return found
+        message = f"{given} holds no {CHECKPOINTS}/{FINAL}: it is no finished training's folder"
+        raise ConfigError([Problem("policy", message)])
+    raise ConfigError([Problem("policy", f"there is no file or folder {str(given)!r}")])
+
+
+def read_note(path: Path) -> dict[str, Any]:
+    """Read a checkpoint's note without running anything that the file holds.
+
+    Returns:
+        The note; for a file that Stable-Baselines3 itself wrote, ``algo`` from the arguments in it
+        and ``group`` ``policy``.
+
+    Raises:
+        ConfigError: If the file cannot be read or is no checkpoint of a known algorithm.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            missing = [name for name in _MEMBERS if name not in archive.namelist()]
+            if missing:
+                raise _wrong(path, f"it has no {' and no '.join(missing)}")
+            data = json.loads(archive.read("data"))
+    except (zipfile.BadZipFile, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise _wrong(path, str(error)) from error
+    except OSError as error:
+        raise ConfigError([Problem("policy", f"cannot read {path}: {error}")]) from error
+    note = data.get(NOTE) if isinstance(data, dict) else None
+    if isinstance(note, dict):
+        return note
+    if isinstance(data, dict) and {"clip_range", "n_epochs"} <= data.keys():
+        return {"algo": "ppo", "group": "policy"}
+    raise _wrong(path, "it does not say which algorithm made it")
+
+
+def _wrong(path: Path, why: str) -> ConfigError:
+    message = f"{path} is no policy of Stable-Baselines3: {why}"
+    return ConfigError([Problem("policy", message)])

@@ -1,0 +1,100 @@
+"""What a learner sees of an environment: one flat observation vector, actions within [-1, 1].
+
+The environment's own spaces are built in `lab.gym`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike, NDArray
+
+from embodichain.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = ["ActionScale", "flat_observation", "observation_box"]
+
+F32 = NDArray[np.float32]
+
+
+class ActionScale:
+    """Maps actions in [-1, 1] to the bounds of an action space, end to end.
+
+    Learners want bounds that are finite, symmetric and of the size of their noise. The ends are
+    met exactly: -1 is `low` and 1 is `high`, to the bit. Where the bounds are [-1, 1] already,
+    nothing is computed.
+
+    Args:
+        space: Action space of one environment.
+
+    Attributes:
+        space: Box of the learner, (A,) in [-1, 1].
+
+    Raises:
+        ConfigError: If the space is no Box (A,) with finite bounds.
+    """
+
+    def __init__(self, space: Any) -> None:
+        if not isinstance(space, spaces.Box) or len(space.shape) != 1:
+            raise ConfigError(f"learning needs a Box (A,) as action space, got {space}")
+        self._low = np.asarray(space.low, np.float32)
+        self._high = np.asarray(space.high, np.float32)
+        finite = np.isfinite(self._low) & np.isfinite(self._high)
+        if not finite.all():
+            columns = np.flatnonzero(~finite).tolist()
+            raise ConfigError(f"learning needs finite action bounds; columns {columns} have none")
+        self._identity = bool((self._low == -1).all() and (self._high == 1).all())
+        self.space = spaces.Box(-1.0, 1.0, space.shape, np.float32)
+
+    def __call__(self, actions: ArrayLike) -> F32:
+        """Return (N, A) actions of the environment, in memory of their own.
+
+        Args:
+            actions: (N, A), meant to lie in [-1, 1]; what lies outside is scaled like the rest.
+
+        Raises:
+            ValueError: If the shape is wrong.
+        """
+        scaled = np.array(actions, np.float32)
+        if scaled.ndim != 2 or scaled.shape[1:] != self._low.shape:
+            raise ValueError(f"actions must have shape (N, {len(self._low)}), got {scaled.shape}")
+        if self._identity:
+            return scaled
+        # low + (a + 1) * (high - low) / 2 would miss `high` by a rounding.
+        half = np.float32(0.5)
+        result: F32 = half * ((1 - scaled) * self._low + (1 + scaled) * self._high)
+        return result
+
+
+def observation_box(env: BaseEnv, group: str) -> spaces.Box:
+    """Return the space of one environment's flat observation: (K,), unbounded.
+
+    Args:
+        env: The environment.
+        group: The observation group.
+
+    Raises:
+        ConfigError: If no observation is in the group; lists the groups.
+    """
+    try:
+        names = env.observation_manager.group_terms(group)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+    width = 0
+    for name in names:
+        space: Any = env.single_observation_space
+        for key in name.split("/"):
+            space = space[key]
+        width += math.prod(space.shape)
+    return spaces.Box(-np.inf, np.inf, (width,), np.float32)
+
+
+def flat_observation(env: BaseEnv, obs: Any, group: str) -> F32:
+    """Return (N, K) an observation's group as one vector a row, in memory of its own."""
+    flat: F32 = env.observation_manager.flatten(obs, group).numpy(force=True)
+    return flat

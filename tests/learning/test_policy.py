@@ -1,0 +1,152 @@
+"""Checkpoints and what acts from them; the model is trained on an environment that counts."""
+
+import json
+import random
+import zipfile
+
+import numpy as np
+import pytest
+import torch
+
+from embodichain.learning import SB3VecEnv, find_checkpoint, load_policy
+from embodichain.learning.algorithms import build_algorithm, check_arguments
+from embodichain.learning.checkpoint import read_note, save_checkpoint
+from embodichain.utils.errors import ConfigError
+from tests.learning.counting import CountingEnv
+
+NOTE = {"algo": "ppo", "group": "policy", "task": "counting"}
+
+
+def make_model(seed=0, **env_options):
+    arguments = {"n_steps": 4, "batch_size": 8, "policy_kwargs": {"log_std_init": 0.0}}
+    vec_env = SB3VecEnv(CountingEnv([0, 3], **env_options))
+    return build_algorithm("ppo", check_arguments("ppo", arguments), vec_env, seed)
+
+
+@pytest.fixture
+def model():
+    return make_model().learn(16)
+
+
+@pytest.fixture
+def run_dir(model, tmp_path):
+    save_checkpoint(model, tmp_path / "run/checkpoints/final.zip", NOTE)
+    return tmp_path / "run"
+
+
+def test_policy_acts_as_the_model_does(model, run_dir):
+    env = CountingEnv([0, 3], low=-3.0, high=1.0)
+    obs, _ = env.reset()
+    actions = load_policy(run_dir, env)(obs, env)
+    means, _ = model.predict(np.float32([[0, 0, 0], [1, 0, 0]]), deterministic=True)
+    assert actions.dtype == torch.float32
+    np.testing.assert_allclose(actions.numpy(), 2 * means - 1, atol=1e-6)
+
+
+def test_policy_is_deterministic_unless_asked(run_dir):
+    env = CountingEnv([0, 3])
+    obs, _ = env.reset()
+    certain, drawn = load_policy(run_dir), load_policy(run_dir, deterministic=False)
+    assert torch.equal(certain(obs, env), certain(obs, env))
+    assert not torch.equal(drawn(obs, env), drawn(obs, env))
+
+
+def test_loading_draws_and_seeds_nothing(run_dir):
+    def states():
+        return random.random(), np.random.random(), torch.rand(1).item()  # noqa: NPY002
+
+    generators = (random.getstate(), np.random.get_state(), torch.get_rng_state())  # noqa: NPY002
+    expected = states()
+    random.setstate(generators[0])
+    np.random.set_state(generators[1])  # noqa: NPY002
+    torch.set_rng_state(generators[2])
+    load_policy(run_dir)
+    assert states() == expected
+
+
+def test_a_zip_of_stable_baselines_itself_is_played(model, tmp_path):
+    model.save(tmp_path / "mine.zip")
+    env = CountingEnv([0])
+    assert load_policy(tmp_path / "mine.zip", env)(env.reset()[0], env).shape == (1, 2)
+
+
+def test_note_is_plain_json(run_dir):
+    path = find_checkpoint(run_dir)
+    with zipfile.ZipFile(path) as archive:
+        assert json.loads(archive.read("data"))["embodichain"] == NOTE
+    assert read_note(path) == NOTE
+
+
+def test_failed_save_leaves_the_old_file(model, run_dir, monkeypatch):
+    path = run_dir / "checkpoints/final.zip"
+    before = path.read_bytes()
+
+    def fail(stream):
+        stream.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(model, "save", fail)
+    with pytest.raises(OSError, match="No space left"):
+        save_checkpoint(model, path, NOTE)
+    assert path.read_bytes() == before
+    assert [p.name for p in path.parent.iterdir()] == ["final.zip"]
+
+
+def other_file(tmp_path, what):
+    path = tmp_path / "policy.zip"
+    if what == "missing":
+        return path
+    if what == "text":
+        path.write_text("not a zip")
+        return path
+    if what == "folder":
+        path.mkdir()
+        return path
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("data" if what != "foreign zip" else "readme", "{}")
+        archive.writestr("policy.pth", b"")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("what", "message"),
+    [
+        ("missing", "there is no file or folder"),
+        ("text", "is no policy of Stable-Baselines3: File is not a zip file"),
+        ("folder", "holds no checkpoints/final.zip"),
+        ("foreign zip", "it has no data"),
+        ("no algorithm", "does not say which algorithm made it"),
+    ],
+)
+def test_what_is_no_policy(tmp_path, what, message):
+    path = other_file(tmp_path, what)
+    with pytest.raises(ConfigError, match=message) as caught:
+        load_policy(path)
+    assert str(path) in str(caught.value)
+    assert caught.value.problems[0].path == "policy"
+
+
+def test_truncated_and_damaged_files(run_dir):
+    path = find_checkpoint(run_dir)
+    whole = path.read_bytes()
+    for size in (0, 100, len(whole) // 2, len(whole) - 10):
+        path.write_bytes(whole[:size])
+        with pytest.raises(ConfigError):
+            load_policy(path)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("data", json.dumps({"embodichain": NOTE}))
+        archive.writestr("policy.pth", b"\x80")
+    with pytest.raises(ConfigError, match=r"cannot be loaded"):
+        load_policy(path)
+
+
+def test_policy_of_another_task_names_both_shapes(run_dir):
+    env = CountingEnv([0])
+    flatten = env.observation_manager.flatten
+    env.observation_manager.group_terms = lambda group: ("time",)
+    env.observation_manager.flatten = lambda obs, group: flatten(obs, group)[:, 1:]
+    with pytest.raises(ConfigError, match=r"has observations \(3,\), this task has \(2,\)"):
+        load_policy(run_dir, env)
+    late = load_policy(run_dir)
+    with pytest.raises(ConfigError, match=r"has observations \(3,\), this task has \(2,\)"):
+        late(env.reset()[0], env)
