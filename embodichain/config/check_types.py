@@ -120,9 +120,7 @@ def _clean(loc: Loc, kind: str, data: Any) -> Loc:
     clean: list[str | int] = []
     for i, part in enumerate(loc):
         last = i == len(loc) - 1
-        if isinstance(data, dict) and part in data:
-            data = data[part]
-        elif isinstance(data, list) and isinstance(part, int) and part < len(data):
+        if _holds(data, part):
             data = data[part]
         elif not (last and kind == "missing"):
             continue
@@ -130,6 +128,12 @@ def _clean(loc: Loc, kind: str, data: Any) -> Loc:
     if kind.startswith("union_tag"):
         clean.append("shape_type")
     return tuple(clean)
+
+
+def _holds(data: Any, part: str | int) -> bool:
+    if isinstance(data, dict):
+        return part in data
+    return isinstance(data, list) and isinstance(part, int) and part < len(data)
 
 
 def _repair(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> bool:

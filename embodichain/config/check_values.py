@@ -1,4 +1,4 @@
-"""The checks of root values that types cannot express: device, policy, suggestions, what is to come.
+"""What types cannot express: devices, policies, suggestions, and what is not available yet.
 
 No torch: what a device or a policy can do is known by name here.
 """
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from embodichain.config.check_types import check_types, show_value
+from embodichain.config.plugins import require_registered
 from embodichain.config.schema import SUGGESTED_KEYS, RootCfg
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.policies import resolve_policy
@@ -40,6 +41,9 @@ def check_task(task: EnvCfg) -> list[Problem]:
     if steps < 1 and steps != -1:
         message = f"must be at least 1, or -1 for no limit, got {steps}"
         problems.append(Problem("task.max_episode_steps", message))
+    if task.id is not None:
+        reason = require_registered(task.id)
+        problems += [Problem("task.id", reason)] if reason else []
     if task.sensors:
         problems.append(Problem("task.sensors", "not available yet; leave it out"))
     return problems

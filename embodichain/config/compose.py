@@ -78,7 +78,7 @@ def compose(
         parsed = parse(lines, loader)
         try:
             config, files = _load(loader, config_name, parsed.for_hydra)
-            chosen = _algorithm(config, parsed.values)
+            chosen = _algorithm(config, parsed.values, loader.get_group_options("algo"))
             if chosen is not None:  # the group was left at null: load what it means
                 config, files = _load(loader, config_name, (*parsed.for_hydra, f"algo={chosen}"))
         except (HydraException, yaml.YAMLError) as error:
@@ -103,7 +103,7 @@ def from_hydra() -> Composed:
     job = HydraConfig.get()
     sources = [s.path for s in job.runtime.config_sources if s.provider == "--config-dir"]
     lines = [*job.overrides.hydra, *job.overrides.task]
-    return compose(lines, job.job.config_name, sources[0] if sources else None)
+    return compose(lines, job.job.config_name or "run", sources[0] if sources else None)
 
 
 def list_options(group: str, config_dir: str | Path | None = None) -> list[str]:
@@ -131,14 +131,19 @@ def _load(
     return config, files
 
 
-def _algorithm(config: DictConfig, values: Sequence[Override]) -> str | None:
-    """The option of `algo` that a null choice means: named by a key, suggested, else ppo."""
+def _algorithm(
+    config: DictConfig, values: Sequence[Override], options: Sequence[str]
+) -> str | None:
+    """The option of `algo` that a null choice means: named by a key, suggested, else ppo.
+
+    A name that is no option is left for the check of types to report where it stands.
+    """
     if config.hydra.runtime.choices.get("algo", "") is not None:
         return None
     named = [o.value() for o in values if o.key_or_group == "algo.name"]
     suggested = OmegaConf.select(config, "task.suggested.train.algo.name")
     written = OmegaConf.select(config, "algo.name")
-    return str(next((name for name in (*named, written, suggested) if name), DEFAULT_ALGORITHM))
+    return next((n for n in (*named, written, suggested) if n in options), DEFAULT_ALGORITHM)
 
 
 def _folder(schema: str, path: str) -> Path | None:

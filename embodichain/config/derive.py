@@ -43,9 +43,10 @@ def fill(tree: Mapping[str, Any], verb: Verb, chosen: Chosen | None = None) -> d
         if filled.get(key) is None and suggested.get(key) is not None:
             filled[key] = suggested[key]
     algo, mine = filled.get("algo"), suggested.get("algo")
-    if verb == "train" and isinstance(algo, dict) and isinstance(mine, dict) and chosen:
-        if mine.get("name", algo.get("name")) == algo.get("name"):
-            filled["algo"] = _merged(algo, mine, "algo", chosen)
+    if chosen is None or not (isinstance(algo, dict) and isinstance(mine, dict)):
+        return filled
+    if mine.get("name", algo.get("name")) == algo.get("name"):
+        filled["algo"] = _merged(algo, mine, "algo", chosen)
     return filled
 
 

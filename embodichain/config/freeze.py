@@ -1,4 +1,4 @@
-"""Deep immutable copies of config trees, and their text: the same tree always gives the same bytes."""
+"""Deep immutable copies of config trees, and their text: one tree always gives the same bytes."""
 
 from __future__ import annotations
 
@@ -31,9 +31,15 @@ def thaw(value: Any) -> Any:
 
 def dump_yaml(value: Any) -> str:
     """Return a tree as YAML: keys in their order, no aliases, lists of values on one line."""
-    return yaml.dump(
-        thaw(value), Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100, default_flow_style=None
+    text: str = yaml.dump(
+        thaw(value),
+        Dumper=_Dumper,
+        sort_keys=False,
+        allow_unicode=True,
+        width=100,
+        default_flow_style=None,
     )
+    return text
 
 
 class _Dumper(yaml.SafeDumper):

@@ -32,7 +32,7 @@ def explain(error: HydraException | yaml.YAMLError, loader: ConfigLoader) -> lis
         return [_no_such_config(error, loader)]
     cause = error.__cause__ or error
     lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
-    key = next((line.split(":", 1)[1].strip() for line in lines if line.startswith("full_key:")), "")
+    key = next((line[9:].strip() for line in lines if line.startswith("full_key:")), "")
     text = lines[0] if lines else type(cause).__name__
     return [LocatedProblem(key, text, source=COMMAND_LINE)]
 

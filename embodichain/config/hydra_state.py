@@ -1,10 +1,11 @@
-"""One door to Hydra: a config loader of this package's tree, Hydra's global state kept as it was."""
+"""One door to Hydra: a config loader of this package's tree; its global state is kept."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 from hydra import initialize_config_module
@@ -22,7 +23,7 @@ VERSION_BASE = "1.3"
 
 # Hydra keeps these as process-wide singletons, and there is one process.
 _lock = threading.RLock()
-_STATE = (GlobalHydra, JobRuntime, VersionBase)
+_STATE: tuple[type, ...] = (GlobalHydra, JobRuntime, VersionBase)
 
 
 @contextmanager
@@ -35,9 +36,9 @@ def config_loader(config_dir: str | Path | None = None) -> Iterator[ConfigLoader
     Raises:
         ConfigError: `config_dir` does not exist.
     """
-    with _lock, _kept_state(), user_configs(config_dir):
-        with initialize_config_module(CONFIG_MODULE, "embodichain", VERSION_BASE):
-            yield GlobalHydra.instance().config_loader()
+    started = partial(initialize_config_module, CONFIG_MODULE, "embodichain", VERSION_BASE)
+    with _lock, _kept_state(), user_configs(config_dir), started():
+        yield GlobalHydra.instance().config_loader()
 
 
 @contextmanager

@@ -66,7 +66,8 @@ def _limits(annotation: Any) -> dict[str, int]:
     if typing.get_origin(annotation) is Annotated:
         for field in typing.get_args(annotation)[1:]:
             for limit in getattr(field, "metadata", ()):
-                limits |= {k: getattr(limit, k) for k in ("min_length", "max_length") if hasattr(limit, k)}
+                names = [k for k in ("min_length", "max_length") if hasattr(limit, k)]
+                limits |= {name: getattr(limit, name) for name in names}
     elif typing.get_origin(annotation) in (Union, types.UnionType):
         for member in typing.get_args(annotation):
             limits |= _limits(member)
@@ -87,14 +88,15 @@ def _step(annotation: Any, part: str | int, child: Any) -> Any:
 
 
 def _select(annotation: Any, value: Any) -> Any:
-    """The member of a union that a value is meant for: by its tag, else the first that is a class."""
+    """The member of a union that a value is meant for: by its tag, else the first class."""
     members = [m for m in _members(annotation) if m is not type(None)]
     if len(members) > 1 and isinstance(value, Mapping):
         tag = value.get("shape_type")
         for member in members:
             if _is_config(member) and tag is not None and _tag(member) == tag:
                 return member
-        return next((m for m in members if _is_config(m) or typing.get_origin(m) is dict), members[0])
+        maps = [m for m in members if _is_config(m) or typing.get_origin(m) is dict]
+        return maps[0] if maps else members[0]
     return members[0] if len(members) == 1 else annotation
 
 

@@ -76,9 +76,9 @@ class Locator:
         parts = path.split(".")
         best, source = -1.0, ""
         for file in self.files:
-            depth, line = _find(file, parts)
-            if depth >= best and line:
-                best, source = depth, f"{display_path(file.path)}:{line}"
+            known, line = _find(file, parts)
+            if known >= best and line:
+                best, source = known, f"{display_path(file.path)}:{line}"
         for override in self.overrides:
             depth = _depth_of_override(override, parts)
             if depth > 0 and depth >= best:

@@ -111,10 +111,8 @@ def apply_values(config: DictConfig, overrides: Iterable[Override]) -> list[Loca
         except KeyError as error:
             problems.append(LocatedProblem(key, str(error.args[0]), source=COMMAND_LINE))
         except (OmegaConfBaseException, TypeError, ValueError) as error:
-            reason = str(error).splitlines()[0]
-            problems.append(
-                LocatedProblem(key, f"cannot apply {override.input_line}: {reason}", source=COMMAND_LINE)
-            )
+            message = f"cannot apply {override.input_line}: {str(error).splitlines()[0]}"
+            problems.append(LocatedProblem(key, message, source=COMMAND_LINE))
     return problems
 
 
@@ -124,7 +122,8 @@ def _delete(config: DictConfig, key: str) -> None:
     if not isinstance(parent, DictConfig) or name not in parent:
         siblings = [str(k) for k in parent] if isinstance(parent, DictConfig) else []
         there = f"; there are: {', '.join(siblings)}." if siblings else ""
-        raise KeyError(f"cannot delete it: there is no such key{there}{did_you_mean(name, siblings)}")
+        hint = did_you_mean(name, siblings)
+        raise KeyError(f"cannot delete it: there is no such key{there}{hint}")
     del parent[name]
 
 

@@ -40,7 +40,7 @@ class _Walk:
     def mapping(self, config: DictConfig, path: str) -> dict[str, Any]:
         result: dict[str, Any] = {}
         for key in config:
-            where = f"{path}.{key}" if path else str(key)
+            where = f"{path}.{key!s}" if path else str(key)
             if key in _INSTANTIATE:
                 self._report(where, f"{key} is not used here: name a function with func: NAME")
             elif self._readable(config, key, where):

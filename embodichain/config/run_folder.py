@@ -175,4 +175,3 @@ def _point_latest(root: Path, folder: Path) -> None:
     temporary = root / f".{LATEST}.{folder.parent.name}.{folder.name}"
     temporary.symlink_to(folder.relative_to(root), target_is_directory=True)
     os.replace(temporary, link)
-

@@ -65,13 +65,13 @@ def check_tree(
         lost: Paths that are known to be wrong; nothing more is said of them.
         allow_import: Whether ``package.module:function`` may be imported.
     """
-    tree = copy.deepcopy(dict(tree))
+    rest = copy.deepcopy(dict(tree))
     for path in lost:
-        _remove(tree, path)
-    problems = check_suggested(tree)
+        _remove(rest, path)
+    problems = check_suggested(rest)
     for problem in problems:
-        _remove(tree, ".".join(problem.path.split(".")[:4]))  # task.suggested.VERB.KEY
-    types = check_types(fill(tree, verb, chosen))
+        _remove(rest, ".".join(problem.path.split(".")[:4]))  # task.suggested.VERB.KEY
+    types = check_types(fill(rest, verb, chosen))
     problems += types.problems
     missing = [*lost, *types.pruned]
     if types.root is not None:

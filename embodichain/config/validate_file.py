@@ -1,0 +1,64 @@
+"""Checking one YAML file where it lies: a task, another group's option, or a dumped config."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import yaml
+
+from embodichain.config.compose import compose
+from embodichain.config.derive import Verb
+from embodichain.config.hydra_errors import explain_yaml
+from embodichain.config.locate import ConfigFile, Locator, display_path
+from embodichain.config.problems import LocatedProblem
+from embodichain.config.validate import check_tree, validate
+
+__all__ = ["validate_file"]
+
+_GROUPS = ("task", "sim", "record", "viewer", "algo", "experiment")
+_ANY_TASK = "task=random_reach"
+
+
+def validate_file(path: str | Path, verb: Verb = "run") -> list[LocatedProblem]:
+    """Return every mistake of a file; empty is good.
+
+    A file with a map ``task`` in it is a whole config, as run folders hold; one in a folder named
+    like a group is an option of that group; any other is a task.
+
+    Args:
+        path: The file.
+        verb: Whose suggested values count.
+    """
+    file = Path(path)
+    if not file.is_file():
+        return [LocatedProblem("", f"no such file: {path}")]
+    try:
+        parsed = ConfigFile.read(file, "")
+        tree = yaml.safe_load(file.read_text(encoding="utf-8"))
+    except yaml.YAMLError as error:
+        return [explain_yaml(error, file)]
+    except (OSError, UnicodeDecodeError) as error:
+        return [LocatedProblem("", f"cannot be read: {error}", source=display_path(file))]
+    if isinstance(tree, dict) and isinstance(tree.get("task"), dict):
+        source = Locator([parsed]).source
+        found = check_tree(tree, verb)
+        return [LocatedProblem(p.path, p.message, p.hint, source(p.path)) for p in found]
+    return _validate_option(file.resolve(), verb)
+
+
+def _validate_option(file: Path, verb: Verb) -> list[LocatedProblem]:
+    group = file.parent.name
+    if group in _GROUPS:
+        return _composed(group, file.stem, file.parent.parent, verb)
+    with tempfile.TemporaryDirectory() as folder:
+        link = Path(folder, "task", file.name).with_suffix(".yaml")
+        link.parent.mkdir()
+        link.symlink_to(file)
+        return _composed("task", file.stem, Path(folder), verb)
+
+
+def _composed(group: str, name: str, folder: Path, verb: Verb) -> list[LocatedProblem]:
+    lines = [f"{group}={name}"] if group == "task" else [_ANY_TASK, f"{group}={name}"]
+    verb = "train" if group == "algo" else verb
+    return validate(compose(lines, verb, folder), verb)
