@@ -16,6 +16,7 @@ __all__ = ["CAMERA", "GROUND", "add_ground", "add_lights", "aim_camera", "set_lo
 
 CAMERA = "default"
 GROUND = "default_plane"
+SUN = "default"
 
 _PALETTE = (
     (0.86, 0.36, 0.26),
@@ -26,7 +27,7 @@ _PALETTE = (
 )
 _FULL_INTENSITY = 30.0
 _FOVY = 40.0
-_VIEW = np.array([1.0, -0.75, 0.5])
+_VIEW = np.array([1.0, -0.8, 0.32])
 """From the scene towards the camera: front, right, above."""
 _LIGHTS = {
     "point": mujoco.mjtLightType.mjLIGHT_POINT,
@@ -43,6 +44,7 @@ def set_look(spec: mujoco.MjSpec) -> None:
     visual.global_.fovy = _FOVY
     visual.quality.shadowsize = 4096
     visual.map.znear, visual.map.zfar = 0.01, 60.0
+    visual.map.fogstart, visual.map.fogend = 6.0, 20.0
     visual.headlight.ambient = [0.32, 0.33, 0.35]
     visual.headlight.diffuse = [0.38, 0.38, 0.38]
     visual.headlight.specular = [0.05, 0.05, 0.05]
@@ -107,7 +109,7 @@ def add_lights(spec: mujoco.MjSpec, lights: Mapping[str, LightCfg]) -> None:
     """Add the declared lights, or a sun with soft shadows if there are none."""
     if not lights:
         spec.worldbody.add_light(
-            name="default",
+            name=SUN,
             type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
             pos=[0.0, 0.0, 6.0],
             dir=[-0.35, 0.45, -1.0],
@@ -138,7 +140,7 @@ def aim_camera(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData) 
     """
     center, radius = _bounds(model, data)
     back = _VIEW / np.linalg.norm(_VIEW)
-    distance = 1.15 * radius / np.sin(np.radians(_FOVY / 2))
+    distance = radius / np.sin(np.radians(_FOVY / 2))
     pos = center + distance * back
     right = np.cross([0.0, 0.0, 1.0], back)
     right /= np.linalg.norm(right)
@@ -150,8 +152,18 @@ def aim_camera(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData) 
     camera.pos0[:], camera.poscom0[:], camera.mat0[:] = pos, pos, matrix.reshape(9)
     written = spec.camera(CAMERA)
     written.pos, written.quat = pos, quat
+    _aim_sun(spec, model, center, radius)
     for stat in (model.stat, spec.stat):
         stat.extent, stat.center = max(2.0 * radius, 1.0), center
+
+
+def _aim_sun(spec: mujoco.MjSpec, model: mujoco.MjModel, center: F64, radius: float) -> None:
+    """Move the default light close: its shadow map spans what lies around its position."""
+    sun = spec.light(SUN)
+    if sun is not None:
+        light = model.light(SUN)
+        light.pos[:] = sun.pos = center - 2.0 * radius * light.dir
+        light.pos0[:] = light.poscom0[:] = light.pos
 
 
 def _bounds(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[F64, float]:
