@@ -39,13 +39,12 @@ class SceneRenderer:
     """
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
-        if sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
-            os.environ.setdefault("MUJOCO_GL", "egl")
         self.size = (width, height)
         self._cameras = [model.camera(i).name for i in range(model.ncam)]
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
         model.vis.global_.offheight = max(model.vis.global_.offheight, height)
         try:
+            _choose_library()
             self._renderer = mujoco.Renderer(model, height=height, width=width)
         except (ImportError, AttributeError, OSError, RuntimeError, mujoco.FatalError) as error:
             raise RenderError(f"no picture can be made here ({error}); {_HINT}") from error
@@ -70,3 +69,18 @@ class SceneRenderer:
     def close(self) -> None:
         """Free the OpenGL context."""
         self._renderer.close()
+
+
+def _choose_library() -> None:
+    """Take EGL where there is no display.
+
+    MuJoCo reads MUJOCO_GL when it is imported, which has happened long since; without it, it took
+    GLFW, which needs a display.
+    """
+    headless = not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+    if not sys.platform.startswith("linux") or os.environ.get("MUJOCO_GL") or not headless:
+        return
+    from mujoco.egl import GLContext
+    from mujoco.rendering.classic import gl_context
+
+    gl_context.GLContext = GLContext
