@@ -159,7 +159,7 @@ class EnvAssembly(EnvBasics):
     def _build_observations(self, kwargs: dict[str, Any]) -> None:
         count = self.cfg.num_envs
         saved = self.streams.state_dict()
-        first = self.get_obs(**kwargs)
+        first = self._observe(kwargs)
         self.streams.load_state_dict(saved)  # looking once does not count
         self._memory = ObservationMemory(first, count)
         self.single_observation_space = observation_space(first)
@@ -174,6 +174,6 @@ class EnvAssembly(EnvBasics):
         logger.warning("headless is False but there is no display here: running headless")
         self.cfg.sim_cfg.headless = True
 
-    def get_obs(self, **kwargs: Any) -> EnvObs:
-        """See `embodichain.lab.gym.envs.outcome.EnvOutcome`."""
+    def _observe(self, kwargs: dict[str, Any]) -> EnvObs:
+        """Defined in `outcome.py`."""
         raise NotImplementedError

@@ -105,10 +105,13 @@ def _missing(sim: SimulationManager, uid: str) -> bool:
     return uid not in sim.asset_uids
 
 
-def _at(path: str, error: ConfigError) -> ConfigError:
-    """The same mistakes, seen from the root of the config."""
+def _at(path: str, uid: str, error: ConfigError) -> ConfigError:
+    """The same mistakes, seen from the root of the config instead of from the entity."""
     return ConfigError(
-        [Problem(f"{path}.{p.path}" if p.path else path, p.message, p.hint) for p in error.problems]
+        [
+            Problem(f"{path}.{p.path.removeprefix(uid).strip('.')}".strip("."), p.message, p.hint)
+            for p in error.problems
+        ]
     )
 
 
@@ -129,7 +132,7 @@ def add_declared_robots(sim: SimulationManager, cfg: EnvCfg) -> Robot | None:
         try:
             robot = sim.add_robot(robot_cfg) if _missing(sim, uid) else sim.get_robot(uid)
         except ConfigError as error:
-            raise _at(path, error) from error
+            raise _at(path, uid, error) from error
         first = first or robot
     return first
 
@@ -152,7 +155,7 @@ def add_declared_scene(sim: SimulationManager, cfg: EnvCfg) -> None:
                 try:
                     add(entity_cfg)
                 except ConfigError as error:
-                    raise _at(f"{section}.{uid}", error) from error
+                    raise _at(f"{section}.{uid}", uid, error) from error
 
 
 def drive_robot(robot: Robot | None, joint_ids: list[int], action: EnvAction) -> None:

@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict
 
-__all__ = ["ObservationMemory", "leaves_of"]
+__all__ = ["ObservationMemory", "as_float32", "leaves_of"]
 
 logger = logging.getLogger(__name__)
 
@@ -31,6 +31,16 @@ def leaves_of(obs: TensorDict) -> dict[tuple[str, ...], torch.Tensor]:
     return found
 
 
+def as_float32(obs: TensorDict) -> TensorDict:
+    """Give every floating point entry of a nested observation the type float32, in place."""
+    for key, value in obs.items():
+        if isinstance(value, TensorDict):
+            as_float32(value)
+        elif value.dtype is not torch.float32 and value.is_floating_point():
+            obs[key] = value.to(torch.float32)
+    return obs
+
+
 class ObservationMemory:
     """Knows the structure of an environment's observations.
 
@@ -44,17 +54,10 @@ class ObservationMemory:
         leaves = {path: leaf for path, leaf in leaves_of(obs).items() if leaf.is_floating_point()}
         self.paths = list(leaves)
         self._matrix = [leaf.ndim == 2 for leaf in leaves.values()]
-        self._wide = [path for path, leaf in leaves.items() if leaf.dtype != torch.float32]
         widths = [leaf.numel() // num_envs for leaf in leaves.values()]
         self._ends = np.cumsum(widths).tolist()
-        self.flat = self.flatten(self.as_float32(obs))
+        self.flat = self.flatten(obs)
         """(N, W) float32 copy of the last observation: `remember` and `merge` set it."""
-
-    def as_float32(self, obs: TensorDict) -> TensorDict:
-        """Return the observation with every floating point entry in float32."""
-        for path in self._wide:
-            obs.set(path, obs.get(path).to(torch.float32))
-        return obs
 
     def flatten(self, obs: TensorDict) -> torch.Tensor:
         """Return (N, W) copies of all floating point entries, side by side.

@@ -15,6 +15,7 @@ from tensordict import TensorDict
 from embodichain.lab.gym.envs.assembly import EnvAssembly
 from embodichain.lab.gym.envs.autoreset import blanked
 from embodichain.lab.gym.envs.flags import Flags, Mask, mask_of
+from embodichain.lab.gym.envs.observation_memory import as_float32
 from embodichain.lab.sim.engine.base import F64
 from embodichain.lab.sim.types import EnvAction, EnvObs
 
@@ -55,7 +56,7 @@ class EnvOutcome(EnvAssembly):
         obs = self.get_obs(**kwargs)
         if self._observes and not self._terms_observed:
             obs = self.observation_manager.compute(obs)
-        return self._memory.as_float32(obs)
+        return as_float32(obs)
 
     @property
     def observation_paths(self) -> list[tuple[str, ...]]:
@@ -156,7 +157,7 @@ class EnvOutcome(EnvAssembly):
         sums = self.reward_manager.episode_sums
         for name, total in sums.items():
             sums[name] = torch.where(rows, self._sums[name], total)
-        info["episode_sums"] = dict(sums)
+        info["episode_sums"] = {name: total.clone() for name, total in sums.items()}
         flags.success &= ~mask
         flags.fail &= ~mask
         if flags.time_out is not None:

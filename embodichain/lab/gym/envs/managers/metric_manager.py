@@ -99,7 +99,7 @@ class MetricManager(Manager[MetricCfg]):
             elif value.dtype != torch.float32:
                 value = value.to(torch.float32)
             kept = self._kept[name] = _JOIN[reduce](self._kept[name], value)
-            metrics[name] = kept / self._count if reduce == "mean" else kept
+            metrics[name] = kept / self._count if reduce == "mean" else kept.clone()
         self._checked = True
         success = metrics.get("success")
         if success is None or success.dtype == torch.bool:

@@ -82,7 +82,8 @@ class RewardManager(Manager[RewardCfg]):
             sums[name] = self.episode_sums[name] + weighted
         self._checked = True
         self.episode_sums = sums
-        info["rewards"], info["episode_sums"] = values, dict(sums)
+        info["rewards"] = values
+        info["episode_sums"] = {name: total.clone() for name, total in sums.items()}
         return rewards
 
     def reset(self, env_ids: EnvIndex | None) -> None:
