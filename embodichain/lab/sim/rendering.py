@@ -26,6 +26,20 @@ _HINT = (
 )
 
 
+def _choose_opengl() -> None:
+    """Use EGL where there is no display and the user chose nothing.
+
+    MuJoCo chooses when it is imported, from MUJOCO_GL, and takes GLFW by default, which needs a
+    display. Importing EGL for everyone would slow every start, so the class is exchanged here.
+    """
+    headless = sys.platform.startswith("linux") and not os.environ.get("DISPLAY")
+    if headless and not os.environ.get("MUJOCO_GL"):
+        from mujoco.egl import GLContext
+        from mujoco.rendering.classic import gl_context
+
+        gl_context.GLContext = GLContext
+
+
 class SceneRenderer:
     """An off-screen renderer of one size.
 

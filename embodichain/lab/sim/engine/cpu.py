@@ -108,7 +108,7 @@ class CpuEngine:
         self._batch.reset(stage=_STAGE_NONE)
         self._rows: F64 = self._batch.state
         self._layout = row_layout(model)
-        self._views = {name: self._rows[:, cols] for name, cols in self._layout.items()}
+        self._views: dict[str, F64] = {name: self._rows[:, cols] for name, cols in self._layout.items()}
         self._default_row: F64 = self._rows[0].copy()
         self._derived: dict[str, F64] = {}
         self._acc: dict[str, tuple[F64, F64]] = {}
@@ -144,7 +144,7 @@ class CpuEngine:
 
     def derived(self, name: str) -> F64:
         """(N, ...) position- or velocity-stage field, fresh for every environment."""
-        array = self._derived.get(name)
+        array: F64 | None = self._derived.get(name)
         if array is None:
             array = self._derived[name] = self._batch.bind(name)
             self._any_dirty = self._all_dirty = True

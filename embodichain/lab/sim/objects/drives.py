@@ -79,7 +79,8 @@ class Drives:
         gain = np.divide(
             self.damping[where], stiffness, out=np.zeros_like(stiffness), where=stiffness > 0
         )
-        return gain * self.target_qvel[where]
+        lead: F64 = gain * self.target_qvel[where]
+        return lead
 
     def read_target_qpos(self) -> F64:
         """(N, D) position targets; the joint's position where there is no drive."""
