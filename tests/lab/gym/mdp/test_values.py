@@ -186,14 +186,14 @@ def test_time_out_counts_this_step(make) -> None:
     assert truncated == [[False] * 3, [False] * 3, [True] * 3] * 2
 
 
-def test_out_of_bounds_for_an_object_that_fell(make) -> None:
+def test_out_of_bounds(make) -> None:
     bounds = [[-1, -1, 0], [1, 1, 1]]
-    fell = TerminationCfg(func="out_of_bounds", params={**CUBE, "bounds": bounds})
-    env = make(terminations={"fell": fell})
+    gone = TerminationCfg(func="out_of_bounds", params={**CUBE, "bounds": bounds})
+    env = make(terminations={"gone": gone})
     env.reset()
     cube = env.sim.get_asset("cube")
     pose = cube.get_local_pose()
-    pose[1, 0], pose[2, 2] = 1.5, -0.5
+    pose[1, 0], pose[2, 2] = 1.5, 1.2
     cube.set_local_pose(pose)
     terminated = env.step(env.robot.get_qpos(target=True))[2]
     assert terminated.tolist() == [False, True, True]

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from pydantic import GetCoreSchemaHandler, TypeAdapter, ValidationError
@@ -69,6 +70,12 @@ class ResolvedEntity:
         if len(self.link_names) > 1:
             raise ConfigError(f"one link of {self.uid!r} is wanted, got {list(self.link_names)}")
         return self.link_names[0] if self.link_names else None
+
+    @cached_property
+    def link_body(self) -> int | None:
+        """MuJoCo body id of the one picked link, or None for the root."""
+        name = self.link_name
+        return None if name is None else int(self.asset.body_of(name))
 
 
 def resolve_entity(

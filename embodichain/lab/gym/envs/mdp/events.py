@@ -11,6 +11,7 @@ from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Box3
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.mdp import _spatial
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, quat_multiply
 
@@ -83,7 +84,10 @@ class RandomizeRigidObjectPose(Term):
         if self._box is not None:
             pos = env.event_manager.draw("position", (3,), *self._box, env_ids)
         if self._near is not None:
-            pos = _origin(self._near, env_ids) + (0.0 if self._box is None else pos)
+            origin = _spatial.position(self._near)
+            pos = (origin if env_ids is None else origin[env_ids]) + (
+                0.0 if self._box is None else pos
+            )
         if self._turn is not None:
             angles = env.event_manager.draw("rotation", (3,), *self._turn, env_ids)
             turn = euler_xyz_to_quat(angles)
@@ -91,16 +95,6 @@ class RandomizeRigidObjectPose(Term):
         self._asset.write_pose(pos, quat, env_ids)
         if self._stop is not None:
             self._stop(env_ids)
-
-
-def _origin(entity: ResolvedEntity, env_ids: EnvIndex | None) -> F64:
-    """(n, 3) float64 current position of the picked link, else of the root."""
-    asset, link = entity.asset, entity.link_name
-    if link is None:
-        pos: F64 = asset.read_pose()[0]
-    else:
-        pos = asset.engine.derived("xpos")[:, asset.body_of(link)]
-    return pos if env_ids is None else pos[env_ids]
 
 
 @register_term("event", name="randomize_robot_qpos")

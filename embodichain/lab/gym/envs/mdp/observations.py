@@ -160,7 +160,8 @@ def relative_position(
         source_entity_cfg: An entity, or a link of one.
         target_entity_cfg: Likewise.
     """
-    return _spatial.position(target_entity_cfg) - _spatial.position(source_entity_cfg)
+    source, target = _spatial.position(source_entity_cfg), _spatial.position(target_entity_cfg)
+    return _spatial.tensor(target - source)
 
 
 @register_term("observation")

@@ -8,6 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader
+import numpy as np
 
 from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Positive
@@ -60,7 +61,9 @@ def distance_between_objects(
         use_xy_only: Whether heights are ignored.
     """
     d = _spatial.distance(source_entity_cfg, target_entity_cfg, use_xy_only)
-    return torch.exp(d * d * (-0.5 / (sigma * sigma))) if exponential else -d
+    if not exponential:
+        return _spatial.tensor(-d)
+    return torch.exp(_spatial.tensor(d * d * (-0.5 / (sigma * sigma))))
 
 
 @register_term("reward", "metric", "termination")
@@ -86,7 +89,8 @@ def within_distance(
         threshold: Metres.
         use_xy_only: Whether heights are ignored.
     """
-    return _spatial.distance(source_entity_cfg, target_entity_cfg, use_xy_only) < threshold
+    d = _spatial.distance(source_entity_cfg, target_entity_cfg, use_xy_only)
+    return _spatial.tensor(d < threshold)
 
 
 @register_term("reward", "metric")
@@ -115,8 +119,9 @@ def joint_velocity_penalty(
         info: Unused.
         entity_cfg: The robot; its joint names or control parts pick joints.
     """
-    qvel = entity_cfg.asset.body_data.qvel
-    return -_spatial.norm(qvel if entity_cfg.all_joints else qvel[:, list(entity_cfg.joint_ids)])
+    qvel = entity_cfg.asset.read_qvel()
+    picked = qvel if entity_cfg.all_joints else qvel[:, list(entity_cfg.joint_ids)]
+    return _spatial.tensor(-_spatial.norm(picked))
 
 
 @register_term("reward", "metric", name="action_smoothness_penalty")
@@ -135,8 +140,8 @@ class ActionSmoothnessPenalty(Term):
     ) -> torch.Tensor:
         """The penalty of this step."""
         previous = action if self._previous is None else self._previous
-        value = -_spatial.norm(action - previous)
-        value = torch.where(self._fresh, 0.0, value)
+        change = (action - previous).numpy().astype(np.float64)
+        value = torch.where(self._fresh, 0.0, _spatial.tensor(-_spatial.norm(change)))
         self._previous = action.clone()
         self._fresh = torch.zeros_like(self._fresh)
         return value

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import lazy_loader
+import numpy as np
 
 from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Box3, Positive
@@ -19,8 +19,6 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.base_env import BaseEnv
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = ["OutOfBounds", "time_out"]
 
@@ -54,10 +52,9 @@ class OutOfBounds(Term):
 
     def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity, bounds: Box3) -> None:
         self._entity = entity_cfg
-        self._low, self._high = torch.tensor(bounds, dtype=torch.float32)
+        self._low, self._high = np.asarray(bounds, np.float64)
 
     def __call__(self, env: BaseEnv, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
         """(N,) bool."""
         position = _spatial.position(self._entity)
-        outside: torch.Tensor = ((position < self._low) | (position > self._high)).any(dim=1)
-        return outside
+        return _spatial.tensor(((position < self._low) | (position > self._high)).any(axis=1))
