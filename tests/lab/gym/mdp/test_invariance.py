@@ -123,6 +123,29 @@ def test_bytes_do_not_depend_on_the_number_of_environments(make) -> None:
                 assert same, f"N={num_envs}, step {step}, item {item}"
 
 
+def test_a_restored_environment_continues_to_the_byte(make) -> None:
+    env = make(num_envs=3, max_episode_steps=9, **sections())
+    env.reset()
+    action = torch.from_numpy(np.tile(env.action_manager.home(), (3, 1)).astype(np.float32)) + 0.1
+
+    def run() -> list[bytes]:
+        found = []
+        for _ in range(12):
+            obs, reward, _, _, info = env.step(action)
+            row = [env.observation_manager.flatten(obs), reward, *info["metrics"].values()]
+            row += list(info["episode_sums"].values())
+            found += [v.numpy().tobytes() for v in row] + [env.sim.engine.rows.tobytes()]
+        return found
+
+    for _ in range(4):
+        env.step(action)
+    saved = env.state_dict()
+    first = run()
+    run()
+    env.load_state_dict(saved)
+    assert run() == first
+
+
 def test_every_registered_builtin_term_takes_part() -> None:
     used = {
         "action": set(ACTIONS),

@@ -25,13 +25,15 @@ def _ordered(value: Sequence[Sequence[float]]) -> Sequence[Sequence[float]]:
     return value
 
 
-def _ordered_pair(value: list[float]) -> list[float]:
+def _ordered_pair(value: Sequence[float]) -> Sequence[float]:
     if value[0] > value[1]:
         raise ValueError(f"low {value[0]} exceeds high {value[1]}")
     return value
 
 
-Range = Annotated[list[Finite], Field(min_length=2, max_length=2), AfterValidator(_ordered_pair)]
+Range = Annotated[
+    Sequence[Finite], Field(min_length=2, max_length=2), AfterValidator(_ordered_pair)
+]
 """[low, high]."""
 Box3 = Annotated[list[Vec3], Field(min_length=2, max_length=2), AfterValidator(_ordered)]
 """[[x, y, z] low, [x, y, z] high]."""

@@ -110,7 +110,7 @@ class DefaultOffsetJointPosition(_JointPositionTerm):
         env: BaseEnv,
         entity_cfg: ResolvedEntity,
         scale: float | list[float] = 1.0,
-        clip: Range = [-1.0, 1.0],  # noqa: B006  (read only)
+        clip: Range = (-1.0, 1.0),
         offset: float | list[float] = 0.0,
     ) -> None:
         super().__init__(entity_cfg)
@@ -158,7 +158,7 @@ class RelativeJointPosition(_JointPositionTerm):
         env: BaseEnv,
         entity_cfg: ResolvedEntity,
         scale: float | list[float] = 1.0,
-        clip: Range = [-1.0, 1.0],  # noqa: B006  (read only)
+        clip: Range = (-1.0, 1.0),
     ) -> None:
         super().__init__(entity_cfg)
         count = len(self._ids)
