@@ -20,7 +20,7 @@ from embodichain.lab.sim.compiler.drives import apply_drives, resolve_drives
 from embodichain.lab.sim.compiler.files import ModelFile, compile_quietly, locate, read_model
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.initial import Keyframe, read_keyframe, resolve_qpos
-from embodichain.lab.sim.compiler.joints import Mimics, movable_joints, read_joints, read_mimics
+from embodichain.lab.sim.compiler.joints import movable_joints, read_joints, read_mimics
 from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
 from embodichain.lab.sim.compiler.names import match
 from embodichain.lab.sim.compiler.pose import initial_pose

@@ -82,12 +82,8 @@ def resolve_drives(
     stiffness = value("stiffness", np.full(count, 1e4))
     damping = value("damping", np.full(count, 1e3))
     velocity = value("max_velocity", np.full(count, 1e10))
-    if isinstance(cfg.max_effort, str):
+    if cfg.max_effort == "file":
         effort = joints.qf_limits.copy()
-        if cfg.max_effort != "file":
-            problems.append(
-                Problem("max_effort", f'a number, a map or "file", got {cfg.max_effort!r}')
-            )
     else:
         effort = value("max_effort", np.full(count, 1e10))
     effort = np.where(effort >= NO_EFFORT_LIMIT, np.inf, effort)

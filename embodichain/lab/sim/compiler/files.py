@@ -17,7 +17,7 @@ from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
 from embodichain.lab.sim.compiler.urdf import PreparedUrdf, prepare_urdf
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["ModelFile", "compile_quietly", "read_model", "locate"]
+__all__ = ["ModelFile", "compile_quietly", "locate", "read_model"]
 
 _MEND = "balanceinertia, boundmass 1e-6, boundinertia 1e-9"
 
@@ -72,10 +72,9 @@ def read_model(path: Path) -> ModelFile:
         return _read_mjcf(path)
     if root.tag != "robot":
         raise ConfigError(
-            f"{path}: neither URDF nor MJCF: the root element is <{root.tag}>, not <robot> or <mujoco>"
+            f"{path}: neither URDF nor MJCF: its root is <{root.tag}>, not <robot> or <mujoco>"
         )
-    file = _read_urdf(path, source, drop_visual_meshes=False)
-    return file
+    return _read_urdf(path, source, drop_visual_meshes=False)
 
 
 def compile_quietly(spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -137,7 +136,8 @@ def _read_urdf(path: Path, source: bytes, drop_visual_meshes: bool) -> ModelFile
     notes = list(urdf.notes)
     if urdf.estimated:
         notes.append(
-            f"{path}: links {', '.join(urdf.estimated)} have no <inertial>: taken from their shapes at 1000 kg/m^3"
+            f"{path}: links {', '.join(urdf.estimated)} have no <inertial>: taken from their "
+            "shapes at 1000 kg/m^3"
         )
     for link in urdf.massless:
         body = spec.body(link)

@@ -1,4 +1,4 @@
-"""An articulation's initial state: the config's joint positions, else the file's keyframe, else zeros."""
+"""An articulation's initial state: the config's positions, else the file's keyframe, else zeros."""
 
 from __future__ import annotations
 
@@ -83,8 +83,7 @@ def resolve_qpos(
     ):
         if not given[i] and (keyframe is None or given[parent]):
             qpos[i] = slope * qpos[parent] + offset
-    if not problems:
-        problems += _outside(qpos, given, joints)
+    problems += _outside(qpos, given, joints)
     # Only what was given is held to the limits; rounding beyond them is taken back.
     return np.where(given, np.clip(qpos, low, high), qpos), problems
 
@@ -127,6 +126,7 @@ def _outside(qpos: F64, given: Any, joints: FileJoints) -> list[Problem]:
     for i in np.flatnonzero(given):
         low, high = joints.qpos_limits[i]
         if not low - _TOLERANCE <= qpos[i] <= high + _TOLERANCE:  # also catches NaN
-            message = f"joint {joints.names[i]!r} starts at {qpos[i]:g}, outside its limits [{low:g}, {high:g}]"
+            name, limits = joints.names[i], f"[{low:g}, {high:g}]"
+            message = f"joint {name!r} starts at {qpos[i]:g}, outside its limits {limits}"
             found.append(Problem("init_qpos", message))
     return found

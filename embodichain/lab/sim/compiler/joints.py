@@ -1,4 +1,4 @@
-"""What a compiled file says of its joints: names, limits, mimics. Read from an `MjModel`, no config."""
+"""What a compiled file says of its joints: names, limits, mimics. No config here."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Mimics:
 
 
 def movable_joints(model: mujoco.MjModel) -> Ids:
-    """Return the ids of hinge and slide joints, in qpos order. Ball and free joints are not in it."""
+    """Return the ids of hinge and slide joints, in qpos order, without ball and free joints."""
     return np.flatnonzero(np.isin(model.jnt_type, _JOINT_TYPES)).astype(np.int64)
 
 
@@ -57,7 +57,7 @@ def read_joints(model: mujoco.MjModel, velocity_limits: Mapping[str, float]) -> 
 
 
 def _effort_limits(model: mujoco.MjModel, ids: Ids) -> F64:
-    """Return each joint's limit: its own, else that of an actuator on it; inf where there is none."""
+    """Return each joint's limit: its own, else that of an actuator on it, else inf."""
     limits: F64 = np.full(model.njnt, np.inf)
     for actuator in range(model.nu):
         joint = int(model.actuator_trnid[actuator, 0])
@@ -71,7 +71,7 @@ def _effort_limits(model: mujoco.MjModel, ids: Ids) -> F64:
 
 
 def _actuator_limit(model: mujoco.MjModel, actuator: int) -> float:
-    """Return the largest force of an actuator before its gear: forcerange, or a motor's ctrlrange."""
+    """Return an actuator's largest force before its gear: forcerange, or a motor's ctrlrange."""
     if model.actuator_forcelimited[actuator]:
         return float(np.abs(model.actuator_forcerange[actuator]).max())
     motor = (

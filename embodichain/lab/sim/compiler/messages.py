@@ -1,4 +1,4 @@
-"""MuJoCo's error texts, made readable: one line, with the file's own line number where there is one.
+"""MuJoCo's error texts, made readable: one line, and the line of the file if it names one.
 
 Raised by callers as `ConfigError`; nothing here parses models.
 """
@@ -30,7 +30,7 @@ def as_line(
 
     Args:
         error: What MuJoCo raised.
-        line_of: Maps a line of the text MuJoCo read to one of the user's file; None: they are the same.
+        line_of: Maps a line of the text MuJoCo read to one of the user's file; None: the same.
     """
     text = str(error).strip()
     found = _LINE.search(text)

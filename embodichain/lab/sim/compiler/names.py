@@ -1,4 +1,4 @@
-"""Names in configs against names in models: full-match regexes, with messages that list what exists."""
+"""Names in configs against names in models: regexes, and messages that list what exists."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where an entity stands at first: one position and quaternion out of a config's several ways to say it."""
+"""Where an entity stands at first: one pose out of a config's several ways to say it."""
 
 from __future__ import annotations
 

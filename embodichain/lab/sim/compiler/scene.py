@@ -55,6 +55,8 @@ def compile_scene(
     articulations: Sequence[ParsedArticulation],
     objects: Mapping[str, RigidObjectCfg],
     lights: Mapping[str, LightCfg],
+    *,
+    report: bool = True,
 ) -> CompiledScene:
     """Compile one model; everything of an entity is named ``uid/NAME`` in it.
 
@@ -66,6 +68,7 @@ def compile_scene(
         articulations: Robots and other articulations.
         objects: Rigid objects by uid.
         lights: Lights by uid.
+        report: Whether to log those warnings.
 
     Raises:
         ConfigError: If names clash, an object is wrong, or MuJoCo refuses the model.
@@ -85,7 +88,10 @@ def compile_scene(
         if parsed.cfg.disable_self_collision:
             masked += 1
             separate(child, masked)
-        _attach(spec, child, parsed)
+        notes = _attach(spec, child, parsed)
+        if report:
+            for note in notes:
+                _log.warning("%s: %s", parsed.uid, note)
     for number, (uid, cfg) in enumerate(objects.items()):
         add_object(spec, uid, cfg, number)
     try:
@@ -122,20 +128,19 @@ def _check(
         raise ConfigError(problems)
 
 
-def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, parsed: ParsedArticulation) -> None:
+def _attach(
+    spec: mujoco.MjSpec, child: mujoco.MjSpec, parsed: ParsedArticulation
+) -> tuple[str, ...]:
+    """Attach an articulation at its pose; return what a user should be told."""
     replaced = replace_options(child, spec)
-    for note in parsed.notes:
-        _log.warning("%s: %s", parsed.uid, note)
+    notes = parsed.notes
     if replaced:
-        _log.warning(
-            "%s: the scene's physics replaces options of %s: %s",
-            parsed.uid,
-            parsed.path,
-            "; ".join(replaced),
-        )
+        what = "; ".join(replaced)
+        notes = (*notes, f"the scene's physics replaces options of {parsed.path}: {what}")
     pos, quat = initial_pose(parsed.cfg)
     frame = spec.worldbody.add_frame(pos=pos, quat=quat)
     spec.attach(child, frame=frame, prefix=f"{parsed.uid}/")
+    return notes
 
 
 def _index_articulation(model: mujoco.MjModel, parsed: ParsedArticulation) -> EntityIndex:

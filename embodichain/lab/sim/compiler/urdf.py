@@ -1,4 +1,4 @@
-"""URDF text made ready for MuJoCo: import flags, absolute mesh paths, visuals it cannot read left out.
+"""URDF text made ready for MuJoCo: import flags, absolute mesh paths, no unreadable visuals.
 
 `prepare_urdf` changes text only; MuJoCo parses the result in `files`.
 """
@@ -29,10 +29,10 @@ class PreparedUrdf:
 
     Attributes:
         text: XML for MuJoCo.
-        lines: For each element of `text` in document order, its line in the user's file; None: ours.
+        lines: For each element of `text`, in order, its line in the user's file; None: ours.
         velocity_limits: Joint name -> rad/s or m/s, where the file has one.
-        massless: Links without an inertial that nothing moves by itself (fixed joint, or root): URDF
-            says they have no mass.
+        massless: Links without an inertial that no joint moves (fixed joint, or root): by URDF's
+            rule they have no mass.
         estimated: Links without an inertial that move: their mass comes from their shapes.
         notes: What was left out, one line each.
     """
@@ -74,8 +74,8 @@ def prepare_urdf(
         drop_visual_meshes: Leave every visual mesh out, not only those in formats MuJoCo lacks.
 
     Raises:
-        ConfigError: If the file has no links, needs xacro, or names meshes that do not exist or, for
-            collision, that MuJoCo cannot read.
+        ConfigError: If the file has no links, needs xacro, names meshes that do not exist, or
+            collision meshes that MuJoCo cannot read.
     """
     written = element_lines(source)
     line_of = {element: line for element, (_, line) in zip(root.iter(), written, strict=True)}
@@ -144,8 +144,9 @@ def _prepare_mesh(mesh: ET.Element, kind: str, link: str, meshes: _Meshes) -> bo
         meshes.problems.append(
             Problem(
                 "",
-                f"{meshes.path}: collision mesh {uri!r} of link {link!r} is {suffix or 'of no format'}, which MuJoCo "
-                f"cannot read; convert it to one of: {', '.join(MESH_SUFFIXES)}",
+                f"{meshes.path}: collision mesh {uri!r} of link {link!r} has format "
+                f"{suffix or 'none'}, which MuJoCo cannot read; convert it to one of: "
+                f"{', '.join(MESH_SUFFIXES)}",
             )
         )
         return True

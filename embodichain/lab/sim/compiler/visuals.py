@@ -87,7 +87,7 @@ def add_ground(spec: mujoco.MjSpec) -> None:
 
 
 def surface(spec: mujoco.MjSpec, uid: str, cfg: VisualMaterialCfg | None, number: int) -> str:
-    """Add an object's material and return its name; without a config it gets a colour of its own."""
+    """Add an object's material and return its name; without a config, a colour of its own."""
     name = f"{uid}/material"
     if cfg is None:
         rgba = [*_PALETTE[number % len(_PALETTE)], 1.0]

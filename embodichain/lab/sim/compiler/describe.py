@@ -1,0 +1,129 @@
+"""`describe`: every mistake in a task's scene, found before anything is simulated. No torch."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from embodichain.lab.sim.cfg import ArticulationCfg, LightCfg, RigidObjectCfg, RobotCfg
+from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
+from embodichain.lab.sim.compiler.collision import MAX_MASKED
+from embodichain.lab.sim.compiler.declaration import (
+    Declared,
+    SceneDeclaration,
+    check_names,
+    declared,
+)
+from embodichain.lab.sim.compiler.objects import check_object
+from embodichain.lab.sim.compiler.pose import initial_pose
+from embodichain.lab.sim.compiler.references import check_references
+from embodichain.lab.sim.compiler.scene import compile_scene
+from embodichain.utils.errors import ConfigError, Problem
+
+__all__ = ["describe", "parse_scene"]
+
+_NOT_YET = ("sensors", "commands", "curriculum")
+
+
+def describe(cfg: SceneDeclaration) -> list[Problem]:
+    """Check what a task declares of its scene: files, names, poses, joints, sizes, references.
+
+    Args:
+        cfg: The task (`EnvCfg`).
+
+    Returns:
+        Every mistake, with paths relative to the task; empty if the scene compiles. A user's
+        mistake raises nothing.
+    """
+    entities = declared(cfg)
+    parsed, problems = parse_scene(entities)
+    problems = check_names(entities) + problems
+    problems += [
+        Problem(section, "not available yet; leave it out")
+        for section in _NOT_YET
+        if getattr(cfg, section)
+    ]
+    problems += check_references(cfg, _known(entities, parsed), open_scene=cfg.id is not None)
+    return problems or _compile(cfg, entities, parsed)
+
+
+def parse_scene(
+    entities: list[Declared],
+) -> tuple[dict[str, ParsedArticulation], list[Problem]]:
+    """Return the articulations that could be read, by path, and every mistake in any entity."""
+    parsed: dict[str, ParsedArticulation] = {}
+    problems: list[Problem] = []
+    masked = 0
+    for entity in entities:
+        found: list[Problem] = []
+        if isinstance(entity.cfg, ArticulationCfg):
+            articulation, found = parse_with_problems(entity.uid, entity.cfg)
+            found = _not_yet(entity.cfg) + found
+            if articulation is not None:
+                parsed[entity.path] = articulation
+            masked += entity.cfg.disable_self_collision
+            if entity.cfg.disable_self_collision and masked == MAX_MASKED + 1:
+                message = (
+                    f"at most {MAX_MASKED} articulations of a scene can set it, this is one more"
+                )
+                found.append(Problem("disable_self_collision", message))
+        elif isinstance(entity.cfg, RigidObjectCfg):
+            found = check_object(entity.cfg)
+        elif isinstance(entity.cfg, LightCfg):
+            found = _check_light(entity.cfg)
+        problems += [Problem(f"{entity.path}.{p.path}", p.message, p.hint) for p in found]
+    return parsed, problems
+
+
+def _not_yet(cfg: ArticulationCfg) -> list[Problem]:
+    if not isinstance(cfg, RobotCfg):
+        return []
+    return [
+        Problem(key, f"{what} is not available yet; leave it out")
+        for key, what in (("urdf_cfg", "URDF assembly"), ("solver_cfg", "IK"))
+        if getattr(cfg, key) is not None
+    ]
+
+
+def _check_light(cfg: LightCfg) -> list[Problem]:
+    problems: list[Problem] = []
+    try:
+        initial_pose(cfg)
+    except ConfigError as error:
+        problems += error.problems
+    color, direction = np.asarray(cfg.color, np.float64), np.asarray(cfg.direction, np.float64)
+    if not ((color >= 0) & (color <= 1)).all():
+        problems.append(Problem("color", f"RGB in [0, 1], got {color.tolist()}"))
+    if not cfg.intensity >= 0:
+        problems.append(Problem("intensity", f"must not be negative, got {cfg.intensity}"))
+    if not (np.isfinite(direction).all() and np.linalg.norm(direction) > 1e-9):
+        problems.append(Problem("direction", f"must not be zero, got {direction.tolist()}"))
+    return problems
+
+
+def _known(
+    entities: list[Declared], parsed: Mapping[str, ParsedArticulation]
+) -> dict[str, ParsedArticulation | str | None]:
+    known: dict[str, ParsedArticulation | str | None] = {}
+    for entity in entities:
+        value: Any = parsed.get(entity.path)
+        if isinstance(entity.cfg, RigidObjectCfg):
+            value = "rigid object"
+        elif isinstance(entity.cfg, LightCfg):
+            value = "light"
+        known.setdefault(entity.uid, value)
+    return known
+
+
+def _compile(
+    cfg: SceneDeclaration, entities: list[Declared], parsed: Mapping[str, ParsedArticulation]
+) -> list[Problem]:
+    """Compile what passed every check: what MuJoCo still refuses, such as a broken mesh file."""
+    objects = {e.uid: e.cfg for e in entities if isinstance(e.cfg, RigidObjectCfg)}
+    try:
+        compile_scene(cfg.sim_cfg, [*parsed.values()], objects, {}, report=False)
+    except ConfigError as error:
+        return list(error.problems)
+    return []
