@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -15,10 +15,7 @@ import numpy as np
 from embodichain.utils.errors import RenderError
 from embodichain.utils.suggest import did_you_mean
 
-if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.cpu import CpuEngine
-
-__all__ = ["SceneRenderer"]
+__all__ = ["Drawable", "SceneRenderer"]
 
 _HINT = (
     "off-screen rendering needs EGL: `apt-get install libegl1 libgl1-mesa-dri` (Debian, Ubuntu), "
@@ -40,6 +37,13 @@ def _choose_opengl() -> None:
         gl_context.GLContext = GLContext
 
 
+class Drawable(Protocol):
+    """What can be drawn: an engine, or a state that was kept of one."""
+
+    def data_of(self, env_id: int) -> mujoco.MjData:
+        """One environment's state, every derived field computed."""
+
+
 class SceneRenderer:
     """An off-screen renderer of one size.
 
@@ -58,13 +62,13 @@ class SceneRenderer:
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
         model.vis.global_.offheight = max(model.vis.global_.offheight, height)
         try:
-            _choose_library()
+            _choose_opengl()
             self._renderer = mujoco.Renderer(model, height=height, width=width)
         except (ImportError, AttributeError, OSError, RuntimeError, mujoco.FatalError) as error:
             raise RenderError(f"no picture can be made here ({error}); {_HINT}") from error
 
     def draw(
-        self, engine: CpuEngine, env_id: int, camera: str | int
+        self, engine: Drawable, env_id: int, camera: str | int
     ) -> np.ndarray[Any, np.dtype[np.uint8]]:
         """Return (height, width, 3) RGB of one environment; changes nothing of it.
 
@@ -83,18 +87,3 @@ class SceneRenderer:
     def close(self) -> None:
         """Free the OpenGL context."""
         self._renderer.close()
-
-
-def _choose_library() -> None:
-    """Take EGL where there is no display.
-
-    MuJoCo reads MUJOCO_GL when it is imported, which has happened long since; without it, it took
-    GLFW, which needs a display.
-    """
-    headless = not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-    if not sys.platform.startswith("linux") or os.environ.get("MUJOCO_GL") or not headless:
-        return
-    from mujoco.egl import GLContext
-    from mujoco.rendering.classic import gl_context
-
-    gl_context.GLContext = GLContext
