@@ -28,7 +28,7 @@ class RowColumns:
 
     def __init__(self, layout: Mapping[str, slice]) -> None:
         self.layout = dict(layout)
-        self.nstate = max(cols.stop for cols in self.layout.values())
+        self.nstate: int = max(cols.stop for cols in self.layout.values())
         self.kept = _complement([self.layout[n] for n in INPUTS_ALWAYS_ZERO], self.nstate)
         self.ranges = self.kept
         self.width = _width(self.kept)

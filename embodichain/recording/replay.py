@@ -181,7 +181,7 @@ def _follow(
         except Found as found:
             difference = found.difference
         except (LogError, WireError) as error:
-            problems = [*problems, f"after step {simulation.steps - 1}: {error}"]
+            problems = [*problems, f"after {simulation.steps} steps: {error}"]
         else:
             problems = [*problems, *_end(reader, simulation.steps)]
     ok = difference is None and not problems
@@ -192,8 +192,9 @@ def _follow(
 
 def _end(reader: LogReader, steps: int) -> list[str]:
     """What is missing at the end of a log."""
+    where = f"after step {steps - 1}" if steps else "before its first step was complete"
     if not reader.complete:
-        return [f"the log ends after step {steps - 1}: {reader.damage or 'its end is missing'}"]
+        return [f"the log ends {where}: {reader.damage or 'its end is missing'}"]
     if not reader.finished:
-        return [f"the log ends after step {steps - 1}: the recorder did not close it"]
+        return [f"the log ends {where}: the recorder did not close it"]
     return []

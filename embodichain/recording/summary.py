@@ -159,14 +159,10 @@ def summarize(path: str | Path) -> LogSummary:
 
 
 def _warnings(reader: LogReader, steps: int) -> list[str]:
-    warnings = []
     if not reader.complete:
-        warnings.append(
-            f"incomplete: {reader.damage or 'its end is missing'}; "
-            f"what follows step {steps - 1} is lost"
-            if steps
-            else f"incomplete: {reader.damage}"
-        )
-    elif not reader.finished:
-        warnings.append("the recorder did not close this log: it may lack its last steps")
-    return warnings
+        why = reader.damage or "its end is missing"
+        where = f"what followed step {steps - 1} is missing" if steps else "no step is in it"
+        return [f"incomplete: {why}; {where}"]
+    if not reader.finished:
+        return ["the recorder did not close this log: its last steps may be missing"]
+    return []

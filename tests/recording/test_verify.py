@@ -1,29 +1,273 @@
+import shutil
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
 import pytest
 
-from embodichain.recording import McapRecorder, verify
-from tests.recording.scene import SmallEnv
+from embodichain.recording import verify
+from embodichain.recording.attachments import load_mjb, model_bytes, model_digest
+from embodichain.recording.columns import RowColumns
+from embodichain.recording.messages import State, StepOutcome
+from embodichain.recording.options import RecordOptions
+from embodichain.utils.errors import ConfigError
+from tests.recording.rewrite import rewrite
+from tests.recording.scene import MODEL
 
 
-@pytest.fixture
-def record(tmp_path):
-    """Records a run of the small environment, returns the file."""
-
-    def run(name="log.mcap", steps=20, options=None, before=0, **kwargs):
-        env = SmallEnv(**kwargs)
-        for _ in range(before):
-            env.reset()
-            env.step()
-        recorder = McapRecorder(tmp_path / name, env, "seed: 0\n", ["seed=0"], options, "small")
-        env.add_observer(recorder)
-        env.reset()
-        for _ in range(steps):
-            env.step()
-        env.close()
-        return tmp_path / name
-
-    return run
-
-
-def test_a_log_verifies(record):
-    report = verify(record())
+@pytest.mark.parametrize(
+    "case",
+    [
+        {},
+        {"num_envs": 1},
+        {"num_envs": 5, "threads": 2},
+        {"settle": 25},
+        {"settle": 4},  # as long as a control step's own physics
+        {"push": True},  # rows become whole in the middle
+        {"before": 4},  # starts with randomized masses
+        {"before": 5, "push": True},  # starts with an applied force
+        {"steps": 0},
+    ],
+    ids=str,
+)
+def test_a_log_verifies(record, case):
+    report = verify(record(**case))
     assert report.ok, str(report)
+    assert report.steps == case.get("steps", 20)
+    assert report.envs == case.get("num_envs", 3)
+    assert report.difference is None
+
+
+def test_a_diverging_environment_verifies(record, poison):
+    report = verify(record(env=poison))
+    assert report.ok, str(report)
+
+
+def test_one_environment_and_one_episode(record):
+    path = record(settle=6)
+    assert verify(path, env=2).envs == 1
+    for env in range(3):
+        assert verify(path, env=env).ok
+    # environment 0 has episodes of 7 steps, 1 of 8, 2 of 9
+    assert verify(path, env=0, episode=1).steps == 7
+    assert verify(path, env=2, episode=1).steps == 9
+    assert verify(path, episode=1).steps == 18 - 7  # steps 7 to 17
+    assert verify(path, env=1, episode=2).steps == 4  # cut by the end of the log
+    assert verify(path, env=1, episode=2).ok
+
+
+@pytest.mark.parametrize("arguments", [{"env": 3}, {"env": -1}, {"episode": 9}])
+def test_what_is_not_in_the_log(record, arguments):
+    with pytest.raises(ConfigError, match=r"there are 0 to 2"):
+        verify(record(), **arguments)
+
+
+class Flip:
+    """Changes one bit of one number of one row of the state message of a step."""
+
+    def __init__(self, step, env, column, bit=0):
+        self.step, self.env, self.column, self.bit = step, env, column, bit
+
+    def __call__(self, topic, data):
+        if topic != "/sim/state":
+            return data
+        state = State.decode(data)
+        if state.step != self.step:
+            return data
+        changed = state.rows.copy()
+        changed.view(np.uint64)[self.env, self.column] ^= np.uint64(1) << np.uint64(self.bit)
+        return data.replace(state.rows.tobytes(), changed.tobytes())
+
+
+@pytest.mark.parametrize(
+    ("column", "bit", "field"), [(1, 0, "qpos[0]"), (3, 63, "qpos[2]"), (0, 7, "time[0]")]
+)
+def test_a_changed_bit_of_a_state_is_named(record, tmp_path, column, bit, field):
+    path = rewrite(record(), tmp_path / "bad.mcap", message=Flip(11, 1, column, bit))
+    report = verify(path)
+    assert not report.ok
+    assert (report.difference.step, report.difference.env) == (11, 1)
+    assert report.difference.field == field
+    assert f"step 11, environment 1, {field}" in str(report)
+    # other environments and episodes are none the worse
+    assert verify(path, env=0).ok
+    assert not verify(path, env=1).ok
+    assert verify(path, env=1, episode=0).ok  # steps 0 to 7
+    # the episode it is in: the row is not its first, so it is compared
+    assert verify(path, env=1, episode=1).difference.field == field
+
+
+def test_a_changed_bit_where_an_episode_is_entered_shows_in_the_hash(record, tmp_path):
+    # step 8 is the first of environment 1's second episode: that row is taken over
+    path = rewrite(record(), tmp_path / "bad.mcap", message=Flip(8, 1, 1, 40))
+    difference = verify(path, env=1, episode=1).difference
+    assert difference.step == 8
+    assert verify(path, env=1).difference.field == "qpos[0]"
+
+
+def test_another_model_differs_from_the_first_step(record, tmp_path):
+    other = load_mjb(model_bytes(MODEL))
+    other.actuator_gainprm[0, 0] *= 1 + 1e-12
+    mjb = model_bytes(other)
+
+    def metadata(name, values):
+        return {**values, "model": model_digest(mjb)} if name == "embodichain" else values
+
+    path = rewrite(
+        record(),
+        tmp_path / "bad.mcap",
+        attachment=lambda name, data: mjb if name == "model.mjb" else data,
+        metadata=metadata,
+    )
+    report = verify(path)
+    assert not report.ok
+    assert report.difference.step == 0
+    assert report.difference.field.startswith(("qpos", "qvel", "qacc_warmstart"))
+
+
+def test_a_swapped_attachment_is_not_the_recorded_model(record, tmp_path):
+    path = rewrite(
+        record(),
+        tmp_path / "bad.mcap",
+        attachment=lambda name, data: data[:-1] + b"\x5a" if name == "model.mjb" else data,
+    )
+    report = verify(path)
+    assert not report.ok
+    assert report.steps == 0
+    assert report.problems == ["the attachment model.mjb is not the model that was recorded"]
+
+
+def test_a_changed_write_is_found(record, tmp_path):
+    seen = []
+
+    def message(topic, data):
+        if topic == "/sim/write" and b"mocap_pos" in data:
+            seen.append(data)
+            if len(seen) == 6:
+                return data[:-1] + bytes([data[-1] ^ 0x40])
+        return data
+
+    report = verify(rewrite(record(), tmp_path / "bad.mcap", message=message))
+    # the sixth write follows the physics of step 5: the row of step 6 shows it
+    assert (report.difference.step, report.difference.env) == (6, 2)
+    assert report.difference.field == "mocap_pos[5]"
+
+
+def test_a_changed_hash_is_found(record, tmp_path):
+    def message(topic, data):
+        if topic == "/sim/step":
+            outcome = StepOutcome.decode(data)
+            if outcome.step == 4:
+                hashes = outcome.physics.hashes.copy()
+                hashes[2] ^= np.uint64(1)
+                return data.replace(outcome.physics.hashes.tobytes(), hashes.tobytes())
+        return data
+
+    difference = verify(rewrite(record(), tmp_path / "bad.mcap", message=message)).difference
+    assert (difference.step, difference.env, difference.field) == (4, 2, "hash")
+
+
+@pytest.mark.parametrize("topic", ["/sim/state", "/sim/write", "/sim/step", "/sim/physics"])
+def test_a_message_that_is_no_message(record, tmp_path, topic):
+    def message(this, data):
+        return data[: len(data) - 3] if this == topic else data
+
+    report = verify(rewrite(record(settle=3), tmp_path / "bad.mcap", message=message))
+    assert not report.ok
+    assert report.difference is not None or report.problems
+
+
+def test_a_cut_file_says_where_it_ends(record, tmp_path):
+    path = record(steps=60, options=RecordOptions(compression="none"), num_envs=100)
+    cut = tmp_path / "cut.mcap"
+    data = path.read_bytes()
+    cut.write_bytes(data[: len(data) * 2 // 3])
+    report = verify(cut)
+    assert not report.ok
+    assert 10 < report.steps < 60
+    assert report.problems == [
+        f"the log ends after step {report.steps - 1}: "
+        "the file ends early: it was not closed, or cut"
+    ]
+
+
+def test_a_flipped_byte_breaks_a_checksum(record, tmp_path):
+    data = bytearray(record(options=RecordOptions(compression="none")).read_bytes())
+    at = data.rindex(b"mocap_pos") + 40
+    data[at] ^= 1
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(data)
+    report = verify(bad)
+    assert not report.ok
+    assert "a chunk is damaged: its checksum is wrong" in report.problems[0]
+
+
+def test_another_mujoco_is_approximate_and_says_so(record, tmp_path):
+    def metadata(name, values):
+        return {**values, "mujoco_version": "4.9.9"} if name == "embodichain" else values
+
+    report = verify(rewrite(record(), tmp_path / "other.mcap", metadata=metadata))
+    assert not report.ok
+    assert report.steps == 20
+    assert report.difference is None
+    assert "bit-exact replay needs mujoco==4.9.9" in report.problems[0]
+    assert 0 <= report.largest_error["qpos"] < 1e-3
+    assert "approximate only" in str(report)
+
+
+def test_a_log_without_states_cannot_be_verified(record):
+    report = verify(record(options=RecordOptions(state="none")))
+    assert not report.ok
+    assert report.problems == ["no states were recorded (record.state: none)"]
+
+
+@pytest.mark.parametrize("option", ['<flag sleep="enable"/>'], ids=["sleep"])
+def test_models_that_hide_state_are_marked(record, option):
+    xml = mujoco.MjSpec.from_string(
+        f"<mujoco><option>{option}</option><worldbody><body><freejoint/><geom size='.1'/></body>"
+        "</worldbody></mujoco>"
+    )
+    from embodichain.recording.header import why_unverifiable
+
+    assert "sleep" in why_unverifiable(xml.compile(), "all")
+    assert why_unverifiable(MODEL, "all") == ""
+
+
+def test_verifies_in_another_process_from_an_empty_folder(record, tmp_path):
+    folder = tmp_path / "elsewhere"
+    folder.mkdir()
+    path = shutil.copy(record(settle=2), tmp_path / "moved.mcap")
+    code = f"from embodichain.recording import verify; print(verify({str(path)!r}).ok)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "True\n", done.stderr
+    assert list(folder.iterdir()) == []
+
+
+def test_the_number_of_threads_does_not_matter(record):
+    path = record(num_envs=4)
+    assert verify(path, num_threads=1).ok
+    assert verify(path, num_threads=3).ok
+
+
+def test_progress_is_told(record):
+    steps = []
+    verify(record(), progress=steps.append)
+    assert steps == list(range(1, 21))
+
+
+def test_whole_rows_begin_at_the_first_applied_force(record):
+    from embodichain.recording.reader import LogReader
+
+    with LogReader(record(push=True)) as reader:
+        widths = [
+            State.decode(m.data).rows.shape[1]
+            for topic, m in reader.messages()
+            if topic == "/sim/state"
+        ]
+        header = reader.require_header()
+    narrow = RowColumns(header.slices()).width
+    assert widths == [narrow] * 3 + [header.nstate] * 18
+    assert narrow == header.nstate - MODEL.nv - 6 * MODEL.nbody

@@ -1,0 +1,225 @@
+import json
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+from mcap.reader import make_reader
+
+from embodichain.recording import McapRecorder, inspect
+from embodichain.recording.attachments import load_mjb, load_mjz
+from embodichain.recording.messages import State, StepOutcome, WriteRecord
+from embodichain.recording.options import RecordOptions
+from embodichain.utils.errors import ConfigError
+from tests.recording.scene import MODEL, SmallEnv
+
+
+def messages(path, topic):
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        return [(m.log_time, m.data) for _, _, m in reader.iter_messages(topics=[topic])]
+
+
+def test_recording_changes_nothing(tmp_path):
+    def run(recorded):
+        env = SmallEnv(settle=5, push=True)
+        if recorded:
+            options = RecordOptions(view_envs=(0, 1, 2), view_hz=1000)
+            env.add_observer(McapRecorder(tmp_path / "log.mcap", env, options=options))
+        env.reset()
+        rows = []
+        for _ in range(20):
+            env.step()
+            rows.append(env.sim.engine.rows.tobytes())
+        env.close()
+        return rows
+
+    assert run(recorded=True) == run(recorded=False)
+
+
+def test_rows_are_those_that_physics_receives(tmp_path):
+    env = SmallEnv()
+    seen = []
+
+    class Watcher:
+        def on_physics(self, event):
+            if event.phase == "before":
+                seen.append(event.rows.copy())
+
+        def on_write(self, write): ...
+
+    recorder = McapRecorder(tmp_path / "log.mcap", env, options=RecordOptions(compression="zstd"))
+    env.add_observer(recorder)
+    env.sim.engine.listeners.append(Watcher())
+    env.reset()
+    for _ in range(10):
+        env.step()
+    seen.append(env.sim.engine.rows.copy())
+    recorder.close()
+    kept = np.ones(seen[0].shape[1], bool)
+    for name in ("qfrc_applied", "xfrc_applied"):
+        kept[env.sim.engine.component(name)] = False
+    found = [State.decode(data) for _, data in messages(tmp_path / "log.mcap", "/sim/state")]
+    assert [s.step for s in found] == list(range(11))
+    assert [s.nstep for s in found] == [4] * 10 + [0]
+    for state, rows in zip(found, seen, strict=True):
+        assert state.rows.tobytes() == rows[:, kept].tobytes()
+
+
+def test_steps_hold_what_went_in_and_came_out(tmp_path, record):
+    path = record(steps=12)
+    steps = [StepOutcome.decode(data) for _, data in messages(path, "/sim/step")]
+    assert [s.step for s in steps] == list(range(12))
+    done = np.array([s.truncated for s in steps])
+    assert np.argwhere(done).tolist() == [[6, 0], [7, 1], [8, 2]]
+    assert [s.episode_ids.tolist() for s in steps[6:9]] == [[0, 0, 0], [1, 0, 0], [1, 1, 0]]
+    env = SmallEnv()
+    env.reset()
+    env.step()
+    assert steps[0].reward.tolist() == pytest.approx(
+        -np.abs(env.sim.engine.state("qpos")[:, :2]).sum(1)
+    )
+
+
+def test_every_write_is_there(tmp_path, record):
+    path = record(steps=8)
+    writes = [WriteRecord.decode(data) for _, data in messages(path, "/sim/write")]
+    assert [(w.op, w.field) for w in writes[:8]] == [
+        ("state", "row"),  # what the simulation was
+        ("reset", "row"),
+        ("model", "body_mass"),
+        ("set_const", ""),
+        ("state", "qpos"),
+        ("state", "ctrl"),
+        ("state", "mocap_pos"),
+        ("state", "ctrl"),
+    ]
+    goal = writes[6]
+    assert goal.columns.tolist() == [3, 4, 5]
+    assert goal.env_ids is None
+    assert goal.values.size == 9
+    again = [w for w in writes if w.op == "reset"][1]
+    assert (again.step, again.env_ids.tolist()) == (6, [0])
+
+
+def test_log_time_is_start_plus_steps(record):
+    path = record(steps=10)
+    start = inspect(path).header.start_ns
+    times = [time for time, _ in messages(path, "/sim/state")]
+    assert times == [start + step * 20_000_000 for step in range(11)]
+    assert start > 1_700_000_000_000_000_000
+
+
+def test_attachments_come_first_and_load(record):
+    from mcap.records import Attachment, Chunk, Metadata
+    from mcap.stream_reader import StreamReader
+
+    path = record()
+    with path.open("rb") as stream:
+        records = [
+            r
+            for r in StreamReader(stream, emit_chunks=True).records
+            if isinstance(r, Attachment | Chunk | Metadata)
+        ]
+    assert [r.name for r in records[:7]] == [
+        "model.mjb",
+        "scene.mjz",
+        "config.yaml",
+        "overrides.yaml",
+        "foxglove_layout.json",
+        "versions.json",
+        "embodichain",
+    ]
+    found = {r.name: r.data for r in records[:6]}
+    assert load_mjb(found["model.mjb"]).nbody == MODEL.nbody
+    archived = load_mjz(found["scene.mjz"])
+    assert archived.nq == MODEL.nq
+    assert np.allclose(archived.geom_size, MODEL.geom_size, atol=1e-5)
+    assert found["config.yaml"] == b"seed: 0\n"
+    assert yaml.safe_load(found["overrides.yaml"]) == ["seed=0"]
+    assert json.loads(found["versions.json"])["mujoco"] == mujoco.__version__
+    layout = path.with_name("foxglove_layout.json")
+    assert json.loads(layout.read_text()) == json.loads(found["foxglove_layout.json"])
+
+
+def test_the_header_says_what_it_takes_to_read_rows(record):
+    header = inspect(record(num_envs=2)).header
+    assert (header.task, header.seed, header.num_envs) == ("small", 0, 2)
+    assert (header.control_dt, header.physics_dt, header.substeps) == (0.02, 0.005, 4)
+    assert header.state_sig == int(mujoco.mjtState.mjSTATE_INTEGRATION)
+    assert header.nstate == mujoco.mj_stateSize(MODEL, header.state_sig)
+    assert header.layout["qpos"] == (1, 1 + MODEL.nq)
+    assert header.unverifiable == ""
+
+
+def test_a_summary_counts_episodes_and_rewards(record):
+    path = record(steps=20)
+    summary = inspect(path)
+    assert summary.complete
+    assert summary.warnings == []
+    assert summary.steps == 20
+    assert summary.duration_s == pytest.approx(0.4)
+    assert [(e.env, e.episode, e.steps) for e in summary.episodes] == [
+        (0, 0, 7), (1, 0, 8), (2, 0, 9), (0, 1, 7), (1, 1, 8), (2, 1, 9),
+    ]  # fmt: skip
+    steps = [StepOutcome.decode(data) for _, data in messages(path, "/sim/step")]
+    first = sum(s.reward[0] for s in steps[:7])
+    assert summary.episodes[0].total_reward == pytest.approx(first)
+    assert not summary.episodes[0].terminated
+    counts = {c.topic: c.messages for c in summary.channels}
+    assert counts["/sim/state"] == 21
+    assert counts["/sim/step"] == 20
+    assert summary.messages == sum(counts.values())
+
+
+def test_an_existing_file_is_never_overwritten(record):
+    path = record(steps=1)
+    before = path.read_bytes()
+    with pytest.raises(FileExistsError):
+        record(steps=1)
+    assert path.read_bytes() == before
+
+
+def test_closing_twice_is_closing_once(tmp_path):
+    env = SmallEnv()
+    recorder = McapRecorder(tmp_path / "log.mcap", env)
+    env.add_observer(recorder)
+    env.reset()
+    env.step()
+    recorder.close()
+    data = (tmp_path / "log.mcap").read_bytes()
+    recorder.close()
+    env.close()
+    assert (tmp_path / "log.mcap").read_bytes() == data
+    assert recorder.stats.nbytes == len(data)
+    assert recorder.stats.steps == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"state": "al"}, "record.state: 'al' is not one of all, none. Did you mean 'all'?"),
+        ({"state": "keyframes"}, "record.state: 'keyframes' is not available yet; all or none"),
+        (
+            {"compression": "lz5"},
+            "record.compression: 'lz5' is not one of lz4, zstd, none. Did you mean 'lz4'?",
+        ),
+        ({"view_hz": 0}, "record.view_hz: 0 must be positive (1/s, simulated)"),
+        (
+            {"view_envs": [0, 3, -1]},
+            "record.view_envs: [3, -1] do not exist: there are environments 0 to 2",
+        ),
+    ],
+)
+def test_wrong_options(tmp_path, options, message):
+    with pytest.raises(ConfigError) as error:
+        McapRecorder(tmp_path / "log.mcap", SmallEnv(), options=RecordOptions(**options))
+    assert str(error.value) == message
+    assert not (tmp_path / "log.mcap").exists()
+
+
+def test_all_wrong_options_are_listed(tmp_path):
+    options = RecordOptions(state="x", compression="y", view_hz=-1, view_envs=[9])
+    with pytest.raises(ConfigError) as error:
+        McapRecorder(tmp_path / "log.mcap", SmallEnv(), options=options)
+    assert len(error.value.problems) == 4
