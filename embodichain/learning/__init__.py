@@ -1,7 +1,8 @@
 """Stable-Baselines3 on the batched environment: vector environment, training, learned policies.
 
 What a task is stands in `lab.gym`; which algorithm trains it, in the config. Names are found on
-first use: torch and Stable-Baselines3 are imported with the modules, not with this package.
+first use: torch and Stable-Baselines3 come with the modules, not with this package. Training itself
+is `embodichain.learning.train.train`: a function of its module's name, here, would hide the module.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ import lazy_loader
 if TYPE_CHECKING:
     from embodichain.learning.checkpoint import find_checkpoint
     from embodichain.learning.policy import LearnedPolicy, load_policy
-    from embodichain.learning.train import TrainSummary, train
     from embodichain.learning.vec_env import SB3VecEnv
 
 __getattr__, __dir__, _ = lazy_loader.attach(
@@ -21,7 +21,6 @@ __getattr__, __dir__, _ = lazy_loader.attach(
     submod_attrs={
         "checkpoint": ["find_checkpoint"],
         "policy": ["LearnedPolicy", "load_policy"],
-        "train": ["TrainSummary", "train"],
         "vec_env": ["SB3VecEnv"],
     },
 )
@@ -29,8 +28,6 @@ __getattr__, __dir__, _ = lazy_loader.attach(
 __all__ = [
     "LearnedPolicy",
     "SB3VecEnv",
-    "TrainSummary",
     "find_checkpoint",
     "load_policy",
-    "train",
 ]

@@ -1,0 +1,171 @@
+"""From a config to a checkpoint that plays; two updates with tiny sizes."""
+
+import dataclasses
+import json
+import zipfile
+
+import numpy as np
+import pytest
+import torch
+
+from embodichain.config import make_env, resolve
+from embodichain.learning import load_policy
+from embodichain.learning.checkpoint import read_note
+from embodichain.learning.train import TORCH_THREADS, train
+from embodichain.utils.errors import ConfigError
+
+TINY = (
+    "task=reach",
+    "task.max_episode_steps=5",
+    "num_envs=4",
+    "algo.n_steps=8",
+    "algo.batch_size=16",
+    "algo.n_epochs=2",
+    "sim.num_threads=1",
+)
+TWO_UPDATES = 2 * 4 * 8
+FILES = {"summary.json", "checkpoints/final.zip"}
+
+
+def config(*overrides):
+    return resolve([*TINY, f"total_timesteps={TWO_UPDATES}", "seed=1", *overrides], "train")
+
+
+def files(folder):
+    return {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+
+
+def parameters(folder):
+    policy = load_policy(folder).model.policy
+    return torch.cat([p.detach().flatten() for p in policy.parameters()])
+
+
+def test_two_updates_make_a_checkpoint_that_plays(tmp_path):
+    resolved = config()
+    seen = []
+
+    def progress(statistics):
+        seen.append((statistics.env_steps, statistics.episodes, statistics.mean_return))
+
+    summary = train(resolved, tmp_path, progress)
+    assert files(tmp_path) == FILES
+    assert summary.env_steps == TWO_UPDATES
+    assert [steps for steps, _, _ in seen] == list(range(4, TWO_UPDATES + 1, 4))
+    assert seen[3][2] is None and seen[4][1] == 4 and seen[-1][1] == summary.episodes == 12
+    env = make_env(resolved)
+    try:
+        policy = load_policy(tmp_path, env)
+        obs, _ = env.reset()
+        for _ in range(6):
+            obs, reward, *_ = env.step(policy(obs, env))
+        assert torch.isfinite(reward).all()
+    finally:
+        env.close()
+
+
+def test_summary_says_what_happened(tmp_path):
+    summary = train(config(), tmp_path)
+    assert json.loads((tmp_path / "summary.json").read_text()) == dataclasses.asdict(summary)
+    assert (summary.task, summary.algo, summary.seed, summary.num_envs) == ("reach", "ppo", 1, 4)
+    assert summary.status == "finished"
+    assert summary.success_rate is not None and 0 <= summary.success_rate <= 1
+    assert summary.mean_return is not None and np.isfinite(summary.mean_return)
+    assert summary.train_seconds > 0
+    rate = summary.env_steps / summary.train_seconds
+    assert summary.env_steps_per_second == pytest.approx(rate)
+    note = {"algo": "ppo", "group": "policy", "task": "reach", "env_steps": TWO_UPDATES}
+    assert read_note(tmp_path / summary.checkpoint) == note
+
+
+def test_the_algorithms_arguments_are_used(tmp_path):
+    kwargs = "algo.policy_kwargs={net_arch: [8], activation_fn: relu, log_std_init: -1.5}"
+    train(config(kwargs, "algo.gamma=0.5"), tmp_path)
+    with zipfile.ZipFile(tmp_path / "checkpoints/final.zip") as archive:
+        data = json.loads(archive.read("data"))
+    assert data["gamma"] == 0.5 and data["n_steps"] == 8
+    network = load_policy(tmp_path).model.policy
+    assert [type(m).__name__ for m in network.mlp_extractor.policy_net] == ["Linear", "ReLU"]
+    assert network.mlp_extractor.policy_net[0].out_features == 8
+    np.testing.assert_allclose(network.log_std.detach().numpy(), -1.5, atol=0.1)
+
+
+def test_seed_decides_everything(tmp_path):
+    folders = [tmp_path / name for name in ("first", "again", "other")]
+    for folder, seed in zip(folders, (1, 1, 2), strict=True):
+        folder.mkdir()
+        torch.rand(3)  # what was drawn before does not matter
+        train(config(f"seed={seed}"), folder)
+    first, again, other = map(parameters, folders)
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+
+
+def test_threads_of_torch_are_given_back(tmp_path):
+    torch.set_num_threads(2)
+    try:
+        during = []
+        train(config(), tmp_path, lambda _: during.append(torch.get_num_threads()))
+        assert set(during) == {TORCH_THREADS}
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(1)
+
+
+def test_ctrl_c_saves_what_was_learned(tmp_path):
+    def interrupt(statistics):
+        if statistics.env_steps == 40:  # in the second rollout
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(config(), tmp_path, interrupt)
+    assert files(tmp_path) == FILES
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert (summary["status"], summary["env_steps"]) == ("interrupted", 40)
+    untrained = tmp_path / "untrained"
+    untrained.mkdir()
+
+    def interrupt_at_once(statistics):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(config(), untrained, interrupt_at_once)
+    assert not torch.equal(parameters(tmp_path), parameters(untrained))  # the first update is there
+
+
+def test_a_failure_leaves_no_checkpoint(tmp_path):
+    def fail(statistics):
+        raise RuntimeError("broken")
+
+    with pytest.raises(RuntimeError, match="broken"):
+        train(config(), tmp_path, fail)
+    assert files(tmp_path) == set()
+
+
+def change(resolved, **root):
+    """A config that `resolve` would not let through, as Python users can make one."""
+    changed = dataclasses.replace(resolved.root, **root)
+    return type("Changed", (), {"root": changed, "task_name": "reach"})()
+
+
+def test_mistakes_are_told_together_and_nothing_is_written(tmp_path):
+    resolved = config("algo.policy_kwargs={net_arch: [0], activatio_fn: relu}")
+    broken = change(resolved, total_timesteps=None, seed=2**40, resume="last")
+    with pytest.raises(ConfigError) as caught:
+        train(broken, tmp_path)
+    problems = {p.path: p for p in caught.value.problems}
+    assert set(problems) == {
+        "total_timesteps",
+        "seed",
+        "resume",
+        "algo.policy_kwargs.net_arch",
+        "algo.policy_kwargs.activatio_fn",
+    }
+    assert problems["algo.policy_kwargs.activatio_fn"].hint == "Did you mean 'activation_fn'?"
+    assert files(tmp_path) == set()
+
+
+def test_a_task_that_cannot_be_learned_says_why(tmp_path):
+    overrides = ["~task.observations.qpos", "~task.observations.qvel", "~task.observations.to_goal"]
+    with pytest.raises(ConfigError, match="no observation is in group 'policy'; there are: none"):
+        train(config(*overrides, "~task.observations.action"), tmp_path)
+    assert files(tmp_path) == set()
