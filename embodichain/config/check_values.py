@@ -14,6 +14,7 @@ from embodichain.config.check_types import check_types, show_value
 from embodichain.config.plugins import require_registered
 from embodichain.config.schema import SUGGESTED_KEYS, RootCfg
 from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.gym.envs.managers.check import SECTIONS
 from embodichain.lab.gym.policies import resolve_policy
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -44,6 +45,11 @@ def check_task(task: EnvCfg) -> list[Problem]:
     if task.id is not None:
         reason = require_registered(task.id)
         problems += [Problem("task.id", reason)] if reason else []
+    for section in SECTIONS:
+        for name, term in getattr(task, section).items():
+            if term.func == "":
+                path = f"task.{section}.{name}.func"
+                problems.append(Problem(path, "missing value: the name of a function"))
     if task.sensors:
         problems.append(Problem("task.sensors", "not available yet; leave it out"))
     return problems

@@ -11,21 +11,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.types import Override
-from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from embodichain.config import plain
-from embodichain.config.hydra_errors import explain
+from embodichain.config.hydra_errors import COMPOSING, explain
 from embodichain.config.hydra_state import config_loader
 from embodichain.config.locate import ConfigFile, Locator
 from embodichain.config.overrides import ParsedOverrides, apply_values, parse
 from embodichain.config.problems import LocatedProblem
-from embodichain.config.search_path import folder_of
+from embodichain.config.search_path import folder_of_source
 
 __all__ = ["Composed", "compose", "from_hydra", "list_options"]
 
@@ -81,7 +79,7 @@ def compose(
             chosen = _algorithm(config, parsed.values, loader.get_group_options("algo"))
             if chosen is not None:  # the group was left at null: load what it means
                 config, files = _load(loader, config_name, (*parsed.for_hydra, f"algo={chosen}"))
-        except (HydraException, yaml.YAMLError) as error:
+        except COMPOSING as error:
             found = [] if _follows(error, parsed) else explain(error, loader)
             problems = (*parsed.problems, *found)
             return Composed(config_name, lines, {}, {}, Locator([]), problems, usable=False)
@@ -117,7 +115,7 @@ def _load(
 ) -> tuple[DictConfig, list[ConfigFile]]:
     """The merged config, and the files behind it in the order of merging, without Hydra's."""
     config = loader.load_configuration(config_name, list(for_hydra), RunMode.RUN)
-    folders = [_folder(s.schema, s.path) for s in config.hydra.runtime.config_sources]
+    folders = [folder_of_source(s.schema, s.path) for s in config.hydra.runtime.config_sources]
     defaults = loader.compute_defaults_list(config_name, list(for_hydra), RunMode.RUN)
     files: list[ConfigFile] = []
     for default in defaults.defaults:
@@ -144,12 +142,6 @@ def _algorithm(
     suggested = OmegaConf.select(config, "task.suggested.train.algo.name")
     written = OmegaConf.select(config, "algo.name")
     return next((n for n in (*named, written, suggested) if n in options), DEFAULT_ALGORITHM)
-
-
-def _folder(schema: str, path: str) -> Path | None:
-    if schema == "file":
-        return Path(path)
-    return folder_of(path) if schema == "pkg" and not path.startswith("hydra") else None
 
 
 def _follows(error: Exception, parsed: ParsedOverrides) -> bool:

@@ -11,20 +11,30 @@ from hydra.errors import HydraException, MissingConfigException
 
 from embodichain.config.locate import display_path
 from embodichain.config.problems import COMMAND_LINE, LocatedProblem
+from embodichain.config.search_path import folder_of_source
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["explain", "explain_yaml"]
+__all__ = ["COMPOSING", "explain", "explain_yaml"]
 
 
-def explain(error: HydraException | yaml.YAMLError, loader: ConfigLoader) -> list[LocatedProblem]:
+COMPOSING = (HydraException, yaml.YAMLError, UnicodeDecodeError, OSError)
+"""What composing may raise because of the user's files."""
+
+
+def explain(error: Exception, loader: ConfigLoader) -> list[LocatedProblem]:
     """Describe an error of composing.
 
     Args:
-        error: What was raised.
+        error: One of `COMPOSING`.
         loader: Knows groups, options and places.
     """
     if isinstance(error, yaml.YAMLError):
         return [explain_yaml(error)]
+    if isinstance(error, UnicodeDecodeError):
+        return [LocatedProblem("", "not UTF-8 text", source=name) for name in _not_utf8(loader)]
+    if isinstance(error, OSError) and not isinstance(error, HydraException):
+        name = display_path(Path(str(error.filename)))
+        return [LocatedProblem("", f"cannot be read: {error.strerror}", source=name)]
     unchosen = re.search(r"You must specify '([^']+)'", str(error))
     if unchosen:
         return [_unchosen(unchosen[1], loader)]
@@ -46,6 +56,8 @@ def explain_yaml(error: yaml.YAMLError, path: Path | None = None) -> LocatedProb
     if mark is not None:
         name = where or (display_path(Path(mark.name)) if Path(mark.name).is_file() else mark.name)
         where = f"{name}:{mark.line + 1}"
+    if reason.startswith("could not determine a constructor for the tag"):
+        reason = f"tags are not used here, found {reason.split()[-1]}"
     detail = f"{reason} ({context})" if context else reason
     return LocatedProblem("", f"malformed YAML: {detail}", source=where)
 
@@ -66,3 +78,23 @@ def _no_such_config(error: MissingConfigException, loader: ConfigLoader) -> Loca
         return LocatedProblem("", f"there is no config '{name}'{place}", source=COMMAND_LINE)
     message = f"unknown option {option!r}{place}; {group} is one of: {', '.join(options)}."
     return LocatedProblem(group, message, did_you_mean(option, options).strip(), COMMAND_LINE)
+
+
+def _not_utf8(loader: ConfigLoader) -> list[str]:
+    """The files of the search path that cannot be read as text: the error does not name its own."""
+    folders = [folder_of_source(source.scheme(), source.path) for source in loader.get_sources()]
+    return [
+        display_path(path)
+        for folder in folders
+        if folder is not None
+        for path in sorted(folder.rglob("*.yaml"))
+        if not _is_utf8(path)
+    ]
+
+
+def _is_utf8(path: Path) -> bool:
+    try:
+        path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        return False
+    return True

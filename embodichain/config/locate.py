@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from os.path import commonprefix
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import yaml
 from hydra.core.override_parser.types import Override
@@ -41,10 +41,23 @@ class ConfigFile:
         """Read a file.
 
         Raises:
-            yaml.YAMLError: It is malformed.
+            yaml.YAMLError: It is malformed, or has a tag (``!!python/...``, ``!!set``).
         """
-        with path.open(encoding="utf-8") as stream:
+        with path.open(encoding="utf-8") as stream:  # a stream's name stands in error marks
+            if "!" in stream.read():
+                stream.seek(0)
+                _refuse_tags(stream)
+            stream.seek(0)
             return cls(path, package, yaml.compose(stream, Loader=yaml.CSafeLoader))
+
+
+def _refuse_tags(stream: TextIO) -> None:
+    for event in yaml.parse(stream, Loader=yaml.CSafeLoader):
+        tag = getattr(event, "tag", None)
+        if tag is not None:
+            raise yaml.MarkedYAMLError(
+                problem=f"tags are not used here, found {tag}", problem_mark=event.start_mark
+            )
 
 
 def display_path(path: Path) -> str:

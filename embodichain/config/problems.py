@@ -22,6 +22,14 @@ class LocatedProblem(Problem):
 
     source: str = ""
 
+    @classmethod
+    def of(cls, problem: Problem, source: str) -> LocatedProblem:
+        """Give a problem its place; a hint begins a sentence of its own."""
+        message = problem.message.rstrip()
+        if problem.hint and not message.endswith((".", "?", "!")):
+            message += "."
+        return cls(problem.path, message, problem.hint.strip(), source)
+
     def __str__(self) -> str:
         """Return ``source: path: message hint``."""
         text = Problem.__str__(self)

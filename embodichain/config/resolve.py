@@ -95,6 +95,6 @@ def resolve_tree(
     """
     problems = check_tree(tree, verb, allow_import=allow_import)
     if problems:
-        raise ConfigError([LocatedProblem(p.path, p.message, p.hint, source) for p in problems])
+        raise ConfigError([LocatedProblem.of(p, source) for p in problems])
     settled = derive.settle(derive.fill(tree, verb), verb)
     return Resolved(freeze(settled), (), task_name)

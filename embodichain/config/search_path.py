@@ -20,7 +20,7 @@ from hydra.plugins.search_path_plugin import SearchPathPlugin
 
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["CONFIG_MODULE", "folder_of", "user_configs"]
+__all__ = ["CONFIG_MODULE", "folder_of_source", "user_configs"]
 
 CONFIG_MODULE = "embodichain.conf"
 ENTRY_POINTS = "embodichain.conf"
@@ -48,9 +48,15 @@ def user_configs(config_dir: str | Path | None) -> Iterator[None]:
         _config_dir.reset(token)
 
 
-def folder_of(module: str) -> Path:
-    """Return the folder of a package with YAML."""
+def _folder_of(module: str) -> Path:
     return Path(str(resources.files(module)))
+
+
+def folder_of_source(scheme: str, path: str) -> Path | None:
+    """Return the folder of a place in a search path; None for Hydra's own and for no folder."""
+    if scheme == "file":
+        return Path(path)
+    return _folder_of(path) if scheme == "pkg" and not path.startswith("hydra") else None
 
 
 class EmbodichainSearchPath(SearchPathPlugin):
@@ -61,7 +67,7 @@ class EmbodichainSearchPath(SearchPathPlugin):
         paths = [element.path or "" for element in search_path.get_path()]
         if f"pkg://{CONFIG_MODULE}" not in paths:
             return
-        own = folder_of(CONFIG_MODULE).resolve()
+        own = _folder_of(CONFIG_MODULE).resolve()
         here = Path("conf").resolve()
         for provider, folder in (("./conf", here), ("--config-dir", _config_dir.get())):
             if folder is not None and folder.is_dir() and folder != own:

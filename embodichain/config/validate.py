@@ -18,7 +18,7 @@ from embodichain.config.check_values import check_root, check_suggested, check_t
 from embodichain.config.compose import Composed
 from embodichain.config.derive import Chosen, Verb, fill
 from embodichain.config.introspect import is_named_map, type_at
-from embodichain.config.problems import LocatedProblem
+from embodichain.config.problems import COMMAND_LINE, LocatedProblem
 from embodichain.config.schema import RootCfg
 from embodichain.lab.gym.envs.managers.check import check_terms
 from embodichain.utils.errors import Problem
@@ -44,8 +44,14 @@ def validate(composed: Composed, verb: Verb = "run") -> list[LocatedProblem]:
     lost = [p.path for p in (*problems, *unknown)]
     chosen = composed.locator.chosen
     found = [*unknown, *check_tree(composed.tree, verb, chosen=chosen, lost=lost)]
-    locate = composed.locator.source
-    return problems + [LocatedProblem(p.path, p.message, p.hint, locate(p.path)) for p in found]
+    return problems + [LocatedProblem.of(p, _source(p.path, composed)) for p in found]
+
+
+def _source(path: str, composed: Composed) -> str:
+    """Where a key was set; a root key that is still null was set by nobody."""
+    if "." not in path and composed.tree.get(path) is None:
+        return COMMAND_LINE
+    return composed.locator.source(path)
 
 
 def check_tree(
@@ -88,12 +94,14 @@ def _check_meaning(
     if verb == "train" and root.total_timesteps is None:
         message = "missing value: set it, or task.suggested.train.total_timesteps"
         problems.append(Problem("total_timesteps", message))
+    known = {p.path for p in problems}
     in_task = check_terms(root.task, allow_import=allow_import)
     if not any(_ENTITY.fullmatch(path) for path in missing):
         from embodichain.lab.sim.compiler import describe  # imports MuJoCo: only when needed
 
         in_task += describe(root.task)
-    return problems + [Problem(_in_task(p.path), p.message, p.hint) for p in in_task]
+    found = [Problem(_in_task(p.path), p.message, p.hint) for p in in_task]
+    return problems + [p for p in found if p.path not in known]
 
 
 def _unknown_entries(composed: Composed) -> list[Problem]:

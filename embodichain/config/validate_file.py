@@ -43,7 +43,7 @@ def validate_file(path: str | Path, verb: Verb = "run") -> list[LocatedProblem]:
     if isinstance(tree, dict) and isinstance(tree.get("task"), dict):
         source = Locator([parsed]).source
         found = check_tree(tree, verb)
-        return [LocatedProblem(p.path, p.message, p.hint, source(p.path)) for p in found]
+        return [LocatedProblem.of(p, source(p.path)) for p in found]
     return _validate_option(file.resolve(), verb)
 
 
