@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from embodichain.lab.gym.envs.cfg import ActionTermCfg
+from embodichain.lab.gym.envs.managers import ActionTerm
 from embodichain.lab.sim.cfg import JointDrivePropertiesCfg, RobotCfg
 from embodichain.utils.errors import ConfigError
 from tests.helpers.ur10_task import HOME, UR10
@@ -128,3 +129,31 @@ def test_joints_without_a_drive_are_refused(make) -> None:
 def test_without_terms_nothing_is_owned(make) -> None:
     manager = make().action_manager
     assert (len(manager), manager.action_dim, manager.names) == (0, 0, ())
+
+
+def test_a_users_term(make) -> None:
+    class Twist(ActionTerm):
+        def __init__(self, env, size: float) -> None:
+            self.low, self.high = np.full(2, -size), np.full(2, size)
+            self.got = []
+
+        def apply(self, action) -> None:
+            self.got.append(action.clone())
+
+    env = make(actions={"twist": ActionTermCfg(func=Twist, params={"size": 2.0}), "arm": arm()})
+    assert env.single_action_space.shape == (8,)
+    assert env.action_manager.names[:3] == ("twist/0", "twist/1", "arm/Joint1")
+    env.reset()
+    action = torch.rand(3, 8)
+    env.step(action)
+    assert torch.equal(env.action_manager.terms["twist"].instance.got[0], action[:, :2])
+    assert env.action_manager.home()[:2].tolist() == [0.0, 0.0]
+
+
+def test_a_term_without_bounds(make) -> None:
+    class Loose(ActionTerm):
+        def __init__(self, env) -> None:
+            pass
+
+    with pytest.raises(ConfigError, match="must set low and high"):
+        make(actions={"a": ActionTermCfg(func=Loose)})

@@ -138,7 +138,7 @@ def test_beside_the_parameters() -> None:
         "observations.c.name",
         "observations.d.name",
     ]
-    assert "must be a class with apply(action)" in found[0]
+    assert "must be a subclass of ActionTerm" in found[0]
     assert "nothing to modify is called 'bb'" in found[5]
 
 

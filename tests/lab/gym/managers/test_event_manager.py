@@ -195,11 +195,13 @@ def test_all_mistakes_come_at_once_with_their_paths(make) -> None:
                 "c": EventCfg(
                     func="randomize_rigid_object_pose", params={"entity_cfg": {"uid": "ur10"}}
                 ),
+                "d": EventCfg(func=note, mode="interval", interval_range_s=[2.0, 1.0]),
             }
         )
     paths = [p.path for p in caught.value.problems]
-    assert paths == [
+    assert sorted(paths) == [
         "events.a.params.entity_cfg",
         "events.b.params.entity_cfg.uid",
         "events.c.params.entity_cfg.uid",
+        "events.d.interval_range_s",
     ]

@@ -127,3 +127,15 @@ def test_classes_are_reset(make) -> None:
 def test_an_unknown_term_is_an_error_at_build(make) -> None:
     with pytest.raises(ConfigError, match="Did you mean 'last_action'?"):
         make(observations={"a": ObservationCfg(func="last_actions")})
+
+
+def test_modifying_what_is_not_there_is_an_error_at_build(make) -> None:
+    with pytest.raises(ConfigError) as caught:
+        make(
+            observations={
+                "a": term(1.0),
+                "b": ObservationCfg(func=lambda env, data: data, mode="modify", name="robot/qpoz"),
+            }
+        )
+    assert caught.value.problems[0].path == "observations.b.name"
+    assert "Did you mean 'robot/qpos'?" in str(caught.value)

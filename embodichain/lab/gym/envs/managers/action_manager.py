@@ -6,7 +6,7 @@ The terms themselves are in `envs/mdp/actions.py`.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +82,9 @@ class ActionManager(Manager[ActionTermCfg]):
         lows: list[NDArray[np.float32]] = [np.zeros(0, np.float32)]
         highs: list[NDArray[np.float32]] = [np.zeros(0, np.float32)]
         for name, term in self.terms.items():
+            if not hasattr(term.instance, "low") or not hasattr(term.instance, "high"):
+                message = f"{term.spec.label} must set low and high"
+                raise ConfigError([Problem(f"actions.{name}.func", message)])
             low, high = (np.asarray(b, np.float32) for b in (term.instance.low, term.instance.high))
             width = int(term.instance.action_dim)
             if low.shape != (width,) or high.shape != (width,) or not _bounded(low, high):
@@ -102,7 +105,7 @@ class ActionManager(Manager[ActionTermCfg]):
         found: list[str] = []
         for name, term in self.terms.items():
             width = self.slices[name].stop - self.slices[name].start
-            columns = getattr(term.instance, "names", ()) or tuple(map(str, range(width)))
+            columns = term.instance.names or tuple(map(str, range(width)))
             found += [f"{name}/{column}" for column in columns]
         return tuple(found)
 
@@ -128,19 +131,6 @@ class ActionManager(Manager[ActionTermCfg]):
         for name, term in self.terms.items():
             held[:, self.slices[name]] = term.instance.hold()
         return held
-
-    def describe(self) -> list[dict[str, Any]]:
-        """One row a term, for tables: name, func, dim, low, high."""
-        return [
-            {
-                "name": name,
-                "func": term.spec.name,
-                "dim": term.instance.action_dim,
-                "low": term.instance.low,
-                "high": term.instance.high,
-            }
-            for name, term in self.terms.items()
-        ]
 
 
 def _bounded(low: NDArray[np.float32], high: NDArray[np.float32]) -> bool:

@@ -6,14 +6,15 @@ manager's file.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg, TermCfg
-from embodichain.lab.gym.envs.managers.check import check_params
-from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec, resolve_term
+from embodichain.lab.gym.envs.managers.check import check_term
+from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -91,12 +92,9 @@ class Manager(Generic[C]):
         self.terms: dict[str, BuiltTerm[C]] = {}
         for name, cfg in cfgs.items():
             try:
-                self.terms[name] = _build(env, kind, name, cfg)
+                self.terms[name] = _build(env, kind, name, cfg, f"{section}.{name}")
             except ConfigError as error:
-                problems += [
-                    Problem(f"{section}.{name}.{p.path}".rstrip("."), p.message, p.hint)
-                    for p in error.problems
-                ]
+                problems += error.problems
         if problems:
             raise ConfigError(problems)
         instances = {n: t.instance for n, t in self.terms.items() if t.instance is not None}
@@ -121,37 +119,37 @@ class Manager(Generic[C]):
             term.load_state_dict(state["terms"][name])
 
 
-def _build(env: BaseEnv, kind: Kind, name: str, cfg: C) -> BuiltTerm[C]:
-    try:
-        spec = resolve_term(kind, cfg.func)
-    except ConfigError as error:
-        raise ConfigError([Problem("func", p.message, p.hint) for p in error.problems]) from error
-    values, problems = check_params(spec, cfg.params, "params")
-    if problems:
+def _build(env: BaseEnv, kind: Kind, name: str, cfg: C, path: str) -> BuiltTerm[C]:
+    spec, values, problems = check_term(kind, cfg, path)
+    if spec is None or problems:
         raise ConfigError(problems)
-    params = {key: _resolved(env, value, f"params.{key}") for key, value in values.items()}
+    where = f"{path}.params"
+    params = {key: _resolved(env, value, f"{where}.{key}") for key, value in values.items()}
     if not spec.is_class:
         bound = partial(spec.func, **params) if params else spec.func
         return BuiltTerm(name, cfg, spec, bound)
-    try:
+    with _under(where):
         instance = spec.func(env, **params)
-    except ConfigError as error:
-        raise ConfigError(
-            [Problem(f"params.{p.path}".rstrip("."), p.message, p.hint) for p in error.problems]
-        ) from error
     call = instance.apply if kind == "action" else instance
     return BuiltTerm(name, cfg, spec, call, instance)
+
+
+@contextmanager
+def _under(path: str) -> Iterator[None]:
+    """Put a path before those of a ConfigError."""
+    try:
+        yield
+    except ConfigError as error:
+        raise ConfigError(
+            [Problem(f"{path}.{p.path}".rstrip("."), p.message, p.hint) for p in error.problems]
+        ) from error
 
 
 def _resolved(env: BaseEnv, value: Any, path: str) -> Any:
     """Replace references to entities, also within lists and maps, by what they mean."""
     if isinstance(value, SceneEntityCfg):
-        try:
+        with _under(path):
             return resolve_entity(env.sim, value)
-        except ConfigError as error:
-            raise ConfigError(
-                [Problem(f"{path}.{p.path}", p.message, p.hint) for p in error.problems]
-            ) from error
     if isinstance(value, (list, tuple)):
         return type(value)(_resolved(env, v, f"{path}.{i}") for i, v in enumerate(value))
     if isinstance(value, dict):

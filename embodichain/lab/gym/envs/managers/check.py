@@ -18,7 +18,7 @@ from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec, resolve_t
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["SECTIONS", "check_params", "check_terms"]
+__all__ = ["SECTIONS", "check_params", "check_term", "check_terms"]
 
 SECTIONS: dict[str, Kind] = {
     "actions": "action",
@@ -47,19 +47,37 @@ def check_terms(cfg: EnvCfg, *, allow_import: bool = True) -> list[Problem]:
     problems: list[Problem] = []
     for section, kind in SECTIONS.items():
         for name, term in getattr(cfg, section).items():
-            path = f"{section}.{name}"
-            problems += _check_fields(path, term)
-            try:
-                spec = resolve_term(kind, term.func, allow_import=allow_import)
-            except ConfigError as error:
-                problems += [Problem(f"{path}.func", p.message, p.hint) for p in error.problems]
-                continue
-            problems += _check_class(f"{path}.func", spec)
-            problems += check_params(spec, term.params, f"{path}.params")[1]
+            problems += check_term(kind, term, f"{section}.{name}", allow_import=allow_import)[2]
     for section in _NOT_YET:
         if getattr(cfg, section):
             problems.append(Problem(section, "not available yet; leave it out"))
     return problems + _check_modifiers(cfg)
+
+
+def check_term(
+    kind: Kind, term: TermCfg, path: str, *, allow_import: bool = True
+) -> tuple[TermSpec | None, dict[str, Any], list[Problem]]:
+    """Check one declared term.
+
+    Args:
+        kind: The manager that runs it.
+        term: Its declaration.
+        path: Its key path, for messages.
+        allow_import: See `check_terms`.
+
+    Returns:
+        The function or class behind it (None if there is none), its parameters as `check_params`
+        returns them, and every mistake.
+    """
+    problems = _check_fields(path, term)
+    try:
+        spec = resolve_term(kind, term.func, allow_import=allow_import)
+    except ConfigError as error:
+        found = [Problem(f"{path}.func", p.message, p.hint) for p in error.problems]
+        return None, {}, problems + found
+    problems += _check_class(f"{path}.func", spec)
+    values, found = check_params(spec, term.params, f"{path}.params")
+    return spec, values, problems + found
 
 
 def _check_fields(path: str, term: TermCfg) -> list[Problem]:
@@ -83,8 +101,10 @@ def _check_fields(path: str, term: TermCfg) -> list[Problem]:
 
 def _check_class(path: str, spec: TermSpec) -> list[Problem]:
     if spec.kind == "action":
-        if not spec.is_class or not hasattr(spec.func, "apply"):
-            return [Problem(path, f"action term {spec.name!r} must be a class with apply(action)")]
+        from embodichain.lab.gym.envs.managers.action_manager import ActionTerm
+
+        if not (isinstance(spec.func, type) and issubclass(spec.func, ActionTerm)):
+            return [Problem(path, f"{spec.label} must be a subclass of ActionTerm")]
     elif spec.is_class and "__call__" not in dir(spec.func):
         return [Problem(path, f"class {spec.name!r} must define __call__")]
     return []

@@ -12,6 +12,7 @@ import lazy_loader
 
 from embodichain.lab.gym.envs.cfg import ObservationCfg
 from embodichain.lab.gym.envs.managers.base import BuiltTerm, Manager
+from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -115,6 +116,8 @@ class _Entry:
         self._shape: torch.Size | None = None
 
     def compute(self, env: BaseEnv, obs: EnvObs) -> None:
+        if self._modify and self._shape is None:
+            self._find(obs)
         value = self.term.call(env, obs[self.path] if self._modify else obs)
         if self._shape is None:
             self._check(value)
@@ -125,6 +128,20 @@ class _Entry:
         if value.dtype == torch.float64:
             value = value.to(torch.float32)
         obs.set(self.path, value)
+
+    def _find(self, obs: EnvObs) -> None:
+        known = [k if isinstance(k, str) else "/".join(k) for k in obs.keys(True, True)]
+        wanted = "/".join(self.path)
+        if wanted not in known:
+            raise ConfigError(
+                [
+                    Problem(
+                        f"observations.{self.term.name}.name",
+                        f"nothing to modify is called {wanted!r}; before it: {', '.join(known)}",
+                        did_you_mean(wanted, known).strip(),
+                    )
+                ]
+            )
 
     def _check(self, value: Any) -> None:
         name, want = self.term.name, f"a tensor of shape ({self._num_envs}, ...)"
