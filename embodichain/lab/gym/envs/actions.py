@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -64,7 +65,8 @@ class ActionCheck:
             raise ValueError(f"action is on {action.device}; this environment is on {self._device}")
         if action.requires_grad:
             action = action.detach()
-        return action, self._finite(action.numpy().astype(np.float64).reshape(self._num_envs, -1))
+        given = action.numpy().astype(np.float64)
+        return action, self._finite(given if given.ndim == 2 else given.reshape(len(given), -1))
 
     def _wanted(self) -> str:
         return f"({self._num_envs}, ...)" if self._shape is None else f"{tuple(self._shape)}"
@@ -83,7 +85,7 @@ class ActionCheck:
     @staticmethod
     def _finite(values: F64) -> F64:
         # The sum is the cheap question; it may overflow, so the exact one follows.
-        if not np.isfinite(np.add.reduce(values, None)) and not np.isfinite(values).all():
+        if not math.isfinite(np.add.reduce(values, None)) and not np.isfinite(values).all():
             rows = np.flatnonzero(~np.isfinite(values).all(axis=1))
             raise ValueError(f"action is not finite in environments {rows[:8].tolist()}")
         return values

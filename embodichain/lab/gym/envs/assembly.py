@@ -30,7 +30,11 @@ from embodichain.lab.gym.envs.managers.metric_manager import MetricManager
 from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
 from embodichain.lab.gym.envs.managers.reward_manager import RewardManager
 from embodichain.lab.gym.envs.managers.termination_manager import TerminationManager
-from embodichain.lab.gym.envs.observation_memory import ObservationMemory
+from embodichain.lab.gym.envs.observation_memory import (
+    ObservationMemory,
+    as_float32,
+    leaves_of,
+)
 from embodichain.lab.gym.utils.spaces import joint_space, observation_space
 from embodichain.lab.sim.types import EnvObs
 from embodichain.lab.sim.viewer import has_display
@@ -154,12 +158,17 @@ class EnvAssembly(EnvBasics):
         space = self.single_action_space
         self.action_space = batch_space(space, count)
         self._check_action = ActionCheck(space, count, self.device)
-        self._last_action = np.zeros((count, gym.spaces.utils.flatdim(space)), np.float32)
+        self._last_action = np.zeros((count, gym.spaces.utils.flatdim(space)))
 
     def _build_observations(self, kwargs: dict[str, Any]) -> None:
         count = self.cfg.num_envs
         saved = self.streams.state_dict()
-        first = self._observe(kwargs)
+        first = self._observed(kwargs)
+        self._wide_obs = any(
+            leaf.is_floating_point() and leaf.dtype != torch.float32
+            for leaf in leaves_of(first).values()
+        )
+        as_float32(first)
         self.streams.load_state_dict(saved)  # looking once does not count
         self._memory = ObservationMemory(first, count)
         self.single_observation_space = observation_space(first)
@@ -174,6 +183,6 @@ class EnvAssembly(EnvBasics):
         logger.warning("headless is False but there is no display here: running headless")
         self.cfg.sim_cfg.headless = True
 
-    def _observe(self, kwargs: dict[str, Any]) -> EnvObs:
+    def _observed(self, kwargs: dict[str, Any]) -> EnvObs:
         """Defined in `outcome.py`."""
         raise NotImplementedError

@@ -135,6 +135,7 @@ class BaseEnv(EnvOutcome):
         self.sim.reset_objects_state(where, excluded_uids=self._detached_uids_for_reset)
         for manager in self._resetting:
             manager.reset(where)
+        self._last_action = self._last_action.copy()  # observers may keep the one of the step
         self._last_action[ids] = 0.0
         self._initialize_episode(torch.from_numpy(ids.copy()), **options)
         if self._has_events:
@@ -157,9 +158,8 @@ class BaseEnv(EnvOutcome):
         flat = memory.flatten(obs)
         if saved is not None:
             seeding.rewind(self.streams, saved, stay)
-            rows = torch.from_numpy(stay)
-            obs = memory.with_rows(obs, memory.flat, rows)
-            flat = torch.where(rows[:, None], memory.flat, flat)
+            obs = memory.with_rows(obs, memory.flat, stay)
+            flat = np.where(stay[:, None], memory.flat, flat)
         memory.flat, obs = memory.made_finite(flat, obs)
         return obs
 
@@ -235,7 +235,7 @@ class BaseEnv(EnvOutcome):
         if self._episode_ids[0] < 0:
             raise gym.error.ResetNeeded("call reset() before the first step()")
         action, given = self._check_action(action)
-        self._last_action = given.astype(np.float32)
+        self._last_action = given
         return action, given
 
     def _act(self, action: EnvAction) -> EnvAction:

@@ -71,7 +71,7 @@ class EnvBasics(EnvHooks, gym.Env[EnvObs, EnvAction]):
     observation_space: gym.Space[Any]
     _elapsed: NDArray[np.int32]
     _episode_ids: NDArray[np.int64]
-    _last_action: NDArray[np.float32]
+    _last_action: NDArray[np.float64]
     _limit: int
     _detached_uids_for_reset: list[str]
     _camera_group_ids: list[int]
@@ -145,7 +145,7 @@ class EnvBasics(EnvHooks, gym.Env[EnvObs, EnvAction]):
     @property
     def last_action(self) -> torch.Tensor:
         """(N, A) float32 action as last given to `step`; zeros after a reset. A copy."""
-        return torch.from_numpy(self._last_action.copy())
+        return to_tensor(self._last_action)
 
     # -- random numbers ------------------------------------------------------------------------
 

@@ -19,6 +19,9 @@ __all__ = ["ObservationMemory", "as_float32", "leaves_of"]
 
 logger = logging.getLogger(__name__)
 
+F32 = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
 
 def leaves_of(obs: TensorDict) -> dict[tuple[str, ...], torch.Tensor]:
     """Return the tensors of a nested observation by path, in its own order."""
@@ -33,56 +36,62 @@ def leaves_of(obs: TensorDict) -> dict[tuple[str, ...], torch.Tensor]:
 
 def as_float32(obs: TensorDict) -> TensorDict:
     """Give every floating point entry of a nested observation the type float32, in place."""
-    for key, value in obs.items():
-        if isinstance(value, TensorDict):
-            as_float32(value)
-        elif value.dtype is not torch.float32 and value.is_floating_point():
-            obs[key] = value.to(torch.float32)
+    for path, leaf in leaves_of(obs).items():
+        if leaf.is_floating_point() and leaf.dtype is not torch.float32:
+            obs.set(path, leaf.to(torch.float32))
     return obs
 
 
 class ObservationMemory:
     """Knows the structure of an environment's observations.
 
+    Everything is numpy here: between physics steps the caches are cold, and every part of torch
+    that a step does not touch is a part that need not be fetched.
+
     Args:
         obs: The first observation; later ones have its entries (others are ignored).
         num_envs: N.
+
+    Attributes:
+        paths: The floating point entries, in order.
+        flat: (N, W) float32, all of them side by side as last observed.
     """
 
     def __init__(self, obs: TensorDict, num_envs: int) -> None:
         self._num_envs = num_envs
         leaves = {path: leaf for path, leaf in leaves_of(obs).items() if leaf.is_floating_point()}
         self.paths = list(leaves)
-        self._matrix = [leaf.ndim == 2 for leaf in leaves.values()]
-        widths = [leaf.numel() // num_envs for leaf in leaves.values()]
-        self._ends = np.cumsum(widths).tolist()
-        self.flat = self.flatten(obs)
-        """(N, W) float32 copy of the last observation: `remember` and `merge` set it."""
+        self._places = [(path, leaf.ndim == 2) for path, leaf in leaves.items()]
+        self._ends = np.cumsum([leaf.numel() // num_envs for leaf in leaves.values()]).tolist()
+        self.flat: F32 = self.flatten(obs)
 
-    def flatten(self, obs: TensorDict) -> torch.Tensor:
+    def flatten(self, obs: TensorDict) -> F32:
         """Return (N, W) copies of all floating point entries, side by side.
 
         Raises:
             KeyError: If an entry of the first observation is missing.
         """
-        parts: list[torch.Tensor] = []
-        for path, matrix in zip(self.paths, self._matrix, strict=True):
+        parts: list[F32] = []
+        for path, matrix in self._places:
             leaf: Any = obs
             for key in path:
                 leaf = leaf[key]
-            parts.append(leaf if matrix else leaf.reshape(self._num_envs, -1))
-        return torch.cat(parts, dim=1) if parts else torch.zeros(self._num_envs, 0)
+            array = leaf.numpy()
+            parts.append(array if matrix else array.reshape(self._num_envs, -1))
+        if not parts:
+            return np.zeros((self._num_envs, 0), np.float32)
+        return np.concatenate(parts, axis=1)
 
     @staticmethod
-    def bad_rows(flat: torch.Tensor) -> NDArray[np.bool_] | None:
-        """Return which rows hold a number that is not finite, or None if all are finite."""
+    def bad_rows(flat: F32) -> Mask | None:
+        """Return which rows of (N, W) hold a number that is not finite; None if all are finite."""
         # The sum is the cheap question; it may overflow, so the exact one follows.
-        if math.isfinite(flat.sum().item()):
+        if math.isfinite(np.add.reduce(flat, None)):
             return None
-        bad: NDArray[np.bool_] = ~torch.isfinite(flat).all(dim=1).numpy()
+        bad: Mask = ~np.isfinite(flat).all(axis=1)
         return bad if bad.any() else None
 
-    def made_finite(self, flat: torch.Tensor, obs: TensorDict) -> tuple[torch.Tensor, TensorDict]:
+    def made_finite(self, flat: F32, obs: TensorDict) -> tuple[F32, TensorDict]:
         """Zero rows that are not finite right after a reset, and log them.
 
         There is no earlier observation of that episode to fall back on. The environment is found
@@ -92,11 +101,10 @@ class ObservationMemory:
         if bad is None:
             return flat, obs
         logger.error("not finite after a reset: environments %s", np.flatnonzero(bad)[:8].tolist())
-        rows = torch.from_numpy(bad)
-        flat = torch.where(rows[:, None], torch.zeros(()), flat)
-        return flat, self.with_rows(obs, flat, rows)
+        flat = np.where(bad[:, None], np.float32(0), flat)
+        return flat, self.with_rows(obs, flat, bad)
 
-    def with_rows(self, obs: TensorDict, flat: torch.Tensor, rows: torch.Tensor) -> TensorDict:
+    def with_rows(self, obs: TensorDict, flat: F32, rows: Mask) -> TensorDict:
         """Return an observation some of whose rows are taken from a flat copy.
 
         Args:
@@ -107,9 +115,9 @@ class ObservationMemory:
         merged = obs.clone(recurse=False)
         start = 0
         for path, end in zip(self.paths, self._ends, strict=True):
-            leaf = obs.get(path)
-            kept = flat[:, start:end].reshape(leaf.shape)
+            leaf: Any = obs.get(path)
+            kept = flat[:, start:end].reshape(tuple(leaf.shape))
             mask = rows.reshape(-1, *[1] * (leaf.ndim - 1))
-            merged.set(path, torch.where(mask, kept, leaf))
+            merged.set(path, torch.from_numpy(np.where(mask, kept, leaf.numpy())))
             start = end
         return merged

@@ -5,17 +5,16 @@ The order in which this is asked for is in `BaseEnv.step`.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 import torch
-from tensordict import TensorDict
 
 from embodichain.lab.gym.envs.assembly import EnvAssembly
 from embodichain.lab.gym.envs.autoreset import blanked
 from embodichain.lab.gym.envs.flags import Flags, Mask, mask_of
 from embodichain.lab.gym.envs.observation_memory import as_float32
+from embodichain.lab.gym.utils.tensordicts import unchecked
 from embodichain.lab.sim.engine.base import F64
 from embodichain.lab.sim.types import EnvAction, EnvObs
 
@@ -36,27 +35,34 @@ class EnvOutcome(EnvAssembly):
             Batch size N; ``obs["robot"]`` holds ``qpos``, ``qvel``, ``qf``, (N, A) float32 each.
         """
         batch, device = self._batch, self.sim.device
-        obs = TensorDict({}, batch_size=batch, device=device)
+        entries: dict[str, Any] = {}
         if self.robot is not None:
             qpos, qvel, qf = self.robot.proprioception(self._joints)
-            obs["robot"] = TensorDict({"qpos": qpos, "qvel": qvel, "qf": qf}, batch, device)
+            entries["robot"] = unchecked({"qpos": qpos, "qvel": qvel, "qf": qf}, batch, device)
+        obs: EnvObs = unchecked(entries, batch, device)
         if self.sensors:
             obs["sensor"] = self._get_sensor_obs(**kwargs)
-        obs = self._extend_obs(obs, **kwargs)
-        if obs is None:
+        extended: EnvObs | None = self._extend_obs(obs, **kwargs)
+        if extended is None:
             raise TypeError(f"{type(self).__name__}._extend_obs must return the observation")
+        obs = extended
         if self._observes:
             obs = self.observation_manager.compute(obs)
         self._terms_observed = True
         return obs
 
-    def _observe(self, kwargs: dict[str, Any]) -> EnvObs:
-        """`get_obs`, with observation terms even if an override left them out; float32."""
+    def _observed(self, kwargs: dict[str, Any]) -> EnvObs:
+        """`get_obs`, with observation terms even if an override left them out."""
         self._terms_observed = False
         obs = self.get_obs(**kwargs)
         if self._observes and not self._terms_observed:
             obs = self.observation_manager.compute(obs)
-        return as_float32(obs)
+        return obs
+
+    def _observe(self, kwargs: dict[str, Any]) -> EnvObs:
+        """The observation as it is handed out: float32."""
+        obs = self._observed(kwargs)
+        return as_float32(obs) if self._wide_obs else obs
 
     @property
     def observation_paths(self) -> list[tuple[str, ...]]:
@@ -99,7 +105,7 @@ class EnvOutcome(EnvAssembly):
     def _reward(self, obs: EnvObs, action: EnvAction, info: Info) -> torch.Tensor:
         """Rewards of `get_reward`, plus those of the terms, after `_extend_reward`."""
         count = self.cfg.num_envs
-        reward = torch.zeros(count)
+        reward = torch.from_numpy(np.zeros(count, np.float32))
         if self._pays:
             reward = self._checked_reward(self.get_reward(obs, action, info), "get_reward")
         self._sums = self.reward_manager.episode_sums
@@ -129,26 +135,22 @@ class EnvOutcome(EnvAssembly):
         bad = memory.bad_rows(flat)
         if bad is not None:
             mask = bad if mask is None else mask | bad
-        if (self._pays or self._repays or self._has_rewards) and not math.isfinite(
-            reward.sum().item()
-        ):
-            bad = ~torch.isfinite(reward).numpy()
-            mask = bad if mask is None else mask | bad
+        if self._pays or self._repays or self._has_rewards:
+            bad = memory.bad_rows(reward.numpy()[:, None])
+            if bad is not None:
+                mask = bad if mask is None else mask | bad
         if mask is not None and self._pending is not None:
             mask = mask & ~self._pending  # they are being reset anyway
         if mask is not None and mask.any():
             rows = torch.from_numpy(mask)
-            flat = torch.where(rows[:, None], last, flat)
-            obs = memory.with_rows(obs, flat, rows)
+            flat = np.where(mask[:, None], last, flat)
+            obs = memory.with_rows(obs, flat, mask)
             reward = torch.where(rows, torch.zeros(()), reward)
             info = self._quarantine(info, flags, mask, rows)
             self._dump.write(self.run_dir, mask, self.control_step + 1, given)
         memory.flat = flat
-        info["diverged"] = (
-            torch.zeros(len(given), dtype=torch.bool)
-            if flags.diverged is None
-            else torch.from_numpy(flags.diverged.copy())
-        )
+        diverged = np.zeros(len(given), np.bool_) if flags.diverged is None else flags.diverged
+        info["diverged"] = torch.from_numpy(diverged)
         return obs, reward, info
 
     def _quarantine(self, info: Info, flags: Flags, mask: Mask, rows: torch.Tensor) -> Info:
@@ -162,7 +164,7 @@ class EnvOutcome(EnvAssembly):
         flags.fail &= ~mask
         if flags.time_out is not None:
             flags.time_out = flags.time_out & ~mask
-        flags.diverged = mask.copy()
+        flags.diverged = mask
         self._success[mask] = False
         return info
 

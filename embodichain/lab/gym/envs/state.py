@@ -27,7 +27,7 @@ def save(env: BaseEnv) -> dict[str, Any]:
         "last_action": env._last_action.copy(),
         "success": env._success.copy(),
         "pending": None if env._pending is None else env._pending.copy(),
-        "observation": env._memory.flat.clone(),
+        "observation": env._memory.flat.copy(),
     }
 
 
@@ -52,4 +52,4 @@ def load(env: BaseEnv, saved: dict[str, Any]) -> None:
     env._last_action = saved["last_action"].copy()
     env._success = saved["success"].copy()
     env._pending = None if saved["pending"] is None else saved["pending"].copy()
-    env._memory.flat = saved["observation"].clone()
+    env._memory.flat = saved["observation"].copy()

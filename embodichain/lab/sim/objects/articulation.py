@@ -97,7 +97,7 @@ class Articulation(NamedJoints):
             arrays = tuple(a[:, joint_ids] for a in arrays)  # type: ignore[assignment]
         out = np.empty((3, *arrays[0].shape), np.float32)
         out[0], out[1], out[2] = arrays
-        return torch.from_numpy(out).unbind(0)
+        return tuple(map(torch.from_numpy, out))
 
     def link_velocity(self, body: int) -> torch.Tensor:
         """(N, 6) linear velocity of a body's origin, then angular velocity, world axes.
