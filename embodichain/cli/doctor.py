@@ -35,6 +35,7 @@ _OPTIONAL = {
 }
 _LOW_DISK_GB = 2.0
 _BALL = "<mujoco><worldbody><light pos='0 0 3'/><geom size='.1'/></worldbody></mujoco>"
+_NO_PICTURE = "apt-get install libegl1 libgl1-mesa-dri, or set MUJOCO_GL to what works here"
 _RENDER = "from embodichain.cli.doctor import render_once; render_once()"
 
 
@@ -90,23 +91,18 @@ def _threads() -> Iterator[Check]:
 
 def _rendering() -> Iterator[Check]:
     """A tiny picture, in a process of its own: a broken driver may take it down."""
-    backend = os.environ.get("MUJOCO_GL", "not set: chosen by embodichain")
     try:
         done = subprocess.run(
             [sys.executable, "-c", _RENDER], capture_output=True, text=True, timeout=60, check=False
         )
     except subprocess.TimeoutExpired:
-        yield Check("rendering", "warn", "no picture within 60 s", _no_picture(backend))
+        yield Check("rendering", "warn", "no picture within 60 s", _NO_PICTURE)
         return
     if done.returncode == 0:
         yield Check("rendering", "ok", done.stdout.strip())
     else:
         lines = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
-        yield Check("rendering", "warn", lines[-1], _no_picture(backend))
-
-
-def _no_picture(backend: str) -> str:
-    return f"apt-get install libegl1 libgl1-mesa-dri (MUJOCO_GL: {backend})"
+        yield Check("rendering", "warn", lines[-1], _NO_PICTURE)
 
 
 def render_once() -> None:
@@ -120,10 +116,12 @@ def render_once() -> None:
     renderer = SceneRenderer(model, 64, 48)
     picture = renderer.draw(CpuEngine(model, 1), 0, -1)
     renderer.close()
-    backend = os.environ.get("MUJOCO_GL", "glfw")
+    from mujoco.rendering.classic import gl_context
+
+    backend = gl_context.GLContext.__module__.rpartition(".")[2]
     if picture.max() == picture.min():
-        raise RuntimeError(f"MUJOCO_GL={backend} draws an empty picture")
-    sys.stdout.write(f"off screen with MUJOCO_GL={backend}")
+        raise RuntimeError(f"{backend} draws an empty picture")
+    sys.stdout.write(f"off screen, with {backend}")
 
 
 def _display() -> Iterator[Check]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -15,7 +16,7 @@ from typing import Literal
 
 from embodichain.cli import exits
 from embodichain.cli.arguments import VerbParser, split_overrides
-from embodichain.cli.jobs import check
+from embodichain.cli.jobs import COMMAND_VARIABLE, check, failure
 from embodichain.cli.verbs import VERBS, Verb
 from embodichain.utils.errors import ConfigError
 
@@ -47,7 +48,11 @@ def call_verb(name: Literal["run", "train"], job: Callable[[], None], arguments:
                 check(name, point, point, options.config_dir)
         else:
             check(name, overrides, relaxed, options.config_dir)
+        os.environ[COMMAND_VARIABLE] = shlex.join(["embodichain", name, *arguments])
         call_hydra(f"embodichain {name}", job, [*_flags(options), *relaxed])
+    error = failure()
+    if error is not None:
+        raise error
     return exits.OK
 
 

@@ -7,19 +7,20 @@ from __future__ import annotations
 
 import os
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from embodichain.cli.logs import log_to
+from embodichain.cli.stopping import StopFlag
 
 if TYPE_CHECKING:
     from embodichain.config.resolve import Resolved, Verb
     from embodichain.config.schema import RootCfg
 
-__all__ = ["COMMAND_VARIABLE", "LOG_FILE", "Job", "check", "started"]
+__all__ = ["COMMAND_VARIABLE", "LOG_FILE", "Job", "check", "execute", "failure"]
 
 LOG_FILE = "run.log"
 COMMAND_VARIABLE = "EMBODICHAIN_COMMAND"
@@ -27,6 +28,7 @@ COMMAND_VARIABLE = "EMBODICHAIN_COMMAND"
 
 # Configs that were checked before Hydra started, by their overrides as Hydra gives them to a job.
 _checked: dict[tuple[str, ...], Resolved] = {}
+_failures: list[Exception] = []
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,22 +66,43 @@ def check(
     _checked[key] = resolve(overrides, verb, config_dir=config_dir)
 
 
-@contextmanager
-def started(verb: Verb) -> Iterator[Job]:
-    """Give a job that Hydra has called its config and its folder, and log what happens within.
+def execute(verb: Verb, body: Callable[[Job, StopFlag], float | None]) -> float | None:
+    """Do what a job is for; this is what Hydra calls, by way of the verb's decorated function.
+
+    Args:
+        verb: Whose job it is.
+        body: Gets the job and a flag that says when to stop; returns what a sweeper may optimise.
 
     Raises:
-        ConfigError: The config is wrong, or no folder can be made.
+        Exception: Whatever `body` raises, in a sweep. Of a single run it is kept for `failure`:
+            Hydra would print about it.
     """
+    try:
+        with _started(verb) as job, StopFlag() as stop:
+            return body(job, stop)
+    except Exception as error:
+        if _is_sweep():
+            raise
+        _failures.append(error)
+        return None
+
+
+def failure() -> Exception | None:
+    """Return what ended the single run of this process, once."""
+    return _failures.pop() if _failures else None
+
+
+@contextmanager
+def _started(verb: Verb) -> Iterator[Job]:
+    """Give a job its config and its folder, and log what happens within."""
     from hydra.core.hydra_config import HydraConfig
-    from hydra.types import RunMode
 
     from embodichain.config.run_folder import adopt, claim, write_record
 
     hydra = HydraConfig.get()
     resolved = _pinned(_resolved(verb, hydra.overrides.task))
     root = resolved.root
-    if hydra.mode == RunMode.MULTIRUN:
+    if _is_sweep():
         folder = adopt(hydra.runtime.output_dir)
     else:
         folder = claim(root.output_dir, resolved.task_name)
@@ -89,6 +112,13 @@ def started(verb: Verb) -> Iterator[Job]:
         log.info("command: %s", command)
         yield Job(resolved, root, folder)
         log.info("done")
+
+
+def _is_sweep() -> bool:
+    from hydra.core.hydra_config import HydraConfig
+    from hydra.types import RunMode
+
+    return HydraConfig.get().mode == RunMode.MULTIRUN
 
 
 def _resolved(verb: Verb, overrides: Sequence[str]) -> Resolved:

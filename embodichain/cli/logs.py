@@ -11,7 +11,6 @@ from pathlib import Path
 __all__ = ["log_to"]
 
 _FORMAT = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
-_SHOWN = ("embodichain", "py.warnings")  # other packages' loggers go to the file only
 
 
 @contextmanager
@@ -57,7 +56,10 @@ def log_to(path: Path) -> Iterator[logging.Logger]:
 
 
 def _is_ours(record: logging.LogRecord) -> bool:
-    return record.name.startswith(_SHOWN)
+    """Whether people should see it: from us or from the user's own code, not from packages."""
+    if record.name == "py.warnings":
+        return "site-packages" not in record.getMessage().split(": ", 1)[0]
+    return record.name.startswith("embodichain")
 
 
 class _OneLine(logging.Formatter):

@@ -35,10 +35,10 @@ def report(error: BaseException, *, full: bool = False) -> int:
 
 
 def _mistakes(error: ConfigError) -> str:
-    """Every mistake, one paragraph each."""
-    texts = str(error).splitlines() or ["wrong input"]
+    """Every mistake, one paragraph each; what a mistake lists is indented below it."""
     if len(error.problems) < 2:
-        return "\n".join([f"error: {texts[0]}", *texts[1:]])
+        return f"error: {error}"
+    texts = (str(problem).replace("\n", "\n    ") for problem in error.problems)
     return "\n".join([f"{len(error.problems)} mistakes:", *(f"  {text}" for text in texts)])
 
 

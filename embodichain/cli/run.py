@@ -17,7 +17,7 @@ from omegaconf import DictConfig
 
 from embodichain.cli.exits import Interrupted
 from embodichain.cli.hydra_verb import call_verb
-from embodichain.cli.jobs import Job, started
+from embodichain.cli.jobs import Job, execute
 from embodichain.cli.stopping import StopFlag
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 __all__ = ["job", "main"]
 
 SUMMARY_FILE = "summary.json"
-_PICTURE_SIZE = (1280, 960)
 _log = logging.getLogger(__name__)
 
 
@@ -40,15 +39,10 @@ def main(arguments: list[str]) -> int:
 @hydra.main(version_base="1.3", config_path="pkg://embodichain.conf", config_name="run")
 def job(composed: DictConfig) -> float | None:
     """One run; what Hydra calls. Returns the mean return, which a sweeper may optimise."""
-    with started("run") as run, StopFlag() as stop:
-        summary = _run(run, stop)
-        if summary["status"] == "interrupted":
-            raise Interrupted(f"interrupted ({stop.stopped}); {run.folder} is complete up to there")
-        mean: float | None = (summary["return"] or {}).get("mean")
-        return mean
+    return execute("run", _run)
 
 
-def _run(run: Job, stop: StopFlag) -> dict[str, Any]:
+def _run(run: Job, stop: StopFlag) -> float | None:
     """Build, play, close, sum up; a failure is kept in `summary.json` too."""
     from embodichain.cli.summary import print_summary, summarize
 
@@ -77,11 +71,14 @@ def _run(run: Job, stop: StopFlag) -> dict[str, Any]:
         print_json(summary)
     elif not root.quiet:
         print_summary(summary)
-    return summary
+    if outcome.status == "interrupted":
+        raise Interrupted(f"interrupted ({stop.stopped}); {run.folder} is complete up to there")
+    return outcome.statistics.mean("return")
 
 
 def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
     """The rollout from build to close, and where its log is."""
+    from embodichain.cli.picture import StartPicture
     from embodichain.cli.policies import policy_of
     from embodichain.cli.progress import ProgressDisplay
     from embodichain.cli.rollout import play
@@ -90,11 +87,12 @@ def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
     root = run.root
     episodes = root.episodes or 1
     env = make_env(run.resolved, run_dir=run.folder)
+    start: StartPicture | None = None
     try:
         policy = policy_of(root, env)
         recorder = _record(run, env)
         obs, _ = env.reset()
-        _picture(env, run.folder / "scene.png")
+        start = StartPicture(env)
         label, total = run.resolved.task_name, env.num_envs * episodes
         with ProgressDisplay(label, total, "episodes", quiet=root.quiet or root.json) as display:
             outcome = play(
@@ -108,6 +106,8 @@ def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
             )
     finally:
         env.close()  # finishes the log too
+        if start is not None:
+            start.draw(run.folder / "scene.png")
     return outcome, recorder.stats.path if recorder is not None else None
 
 
@@ -128,23 +128,6 @@ def _record(run: Job, env: BaseEnv) -> McapRecorder | None:
     )
     env.add_observer(recorder)
     return recorder
-
-
-def _picture(env: BaseEnv, path: Path) -> None:
-    """Draw the scene as it starts; a machine without OpenGL only warns."""
-    from PIL import Image
-
-    from embodichain.utils.errors import RenderError
-
-    width, height = _PICTURE_SIZE
-    try:
-        pixels = env.sim.render(0, width=width, height=height)
-    except RenderError as error:
-        _log.warning("no scene.png: %s", error)
-        return
-    temporary = path.with_name(f".{path.name}")
-    Image.fromarray(pixels).save(temporary, format="PNG")
-    temporary.replace(path)
 
 
 def _write_summary(folder: Path, summary: dict[str, Any]) -> None:

@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 
 from embodichain.cli.exits import Interrupted
 from embodichain.cli.hydra_verb import call_verb
-from embodichain.cli.jobs import Job, started
+from embodichain.cli.jobs import Job, execute
 from embodichain.cli.stopping import StopFlag
 
 if TYPE_CHECKING:
@@ -33,16 +33,20 @@ def main(arguments: list[str]) -> int:
 @hydra.main(version_base="1.3", config_path="pkg://embodichain.conf", config_name="train")
 def job(composed: DictConfig) -> float | None:
     """One training; what Hydra calls. Returns the mean return, which a sweeper may optimise."""
-    with started("train") as run, StopFlag() as stop:
-        summary = _train(run, stop)
-        _show(run, summary)
-        if summary["status"] == "interrupted":
-            raise Interrupted(f"interrupted ({stop.stopped}); what was learned is in {run.folder}")
-        mean: float | None = summary["mean_return"]
-        return mean
+    return execute("train", _train)
 
 
-def _train(run: Job, stop: StopFlag) -> dict[str, Any]:
+def _train(run: Job, stop: StopFlag) -> float | None:
+    """Learn, then show what was learned."""
+    summary = _learn(run, stop)
+    _show(run, summary)
+    if summary["status"] == "interrupted":
+        raise Interrupted(f"interrupted ({stop.stopped}); what was learned is in {run.folder}")
+    mean: float | None = summary["mean_return"]
+    return mean
+
+
+def _learn(run: Job, stop: StopFlag) -> dict[str, Any]:
     """Learn until it ends or somebody stops it; returns what `summary.json` holds."""
     from embodichain.cli.progress import ProgressDisplay
     from embodichain.learning.train import SUMMARY_FILE, train

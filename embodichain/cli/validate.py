@@ -26,14 +26,16 @@ def main(arguments: list[str]) -> int:
     options = parser.parse(arguments)
     words = options.overrides
     from embodichain.config.compose import compose
-    from embodichain.config.validate import validate, validate_file
+    from embodichain.config.validate import validate
 
     verb: Verb = "train" if options.train else "run"
     files = [word for word in words if _is_file(word)]
     if files:
         if len(words) > 1:
             raise ConfigError(f"either one file or overrides: {' '.join(words)}")
-        name, problems = files[0], validate_file(Path(files[0]))
+        from embodichain.config.validate_file import validate_file
+
+        name, problems = files[0], validate_file(Path(files[0]), verb)
     else:
         if not words:
             raise ConfigError("validate what? task=NAME or a file: `embodichain list tasks`")

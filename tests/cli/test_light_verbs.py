@@ -96,7 +96,8 @@ def test_validate_lists_every_mistake_with_its_place(capsys: pytest.CaptureFixtu
     assert main(["validate", "task=wrong", "num_env=4"]) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    first, *rest = err.splitlines()
+    first, *lines = err.splitlines()
+    rest = [line for line in lines if not line.startswith("    ")]
     assert first == f"{len(rest)} mistakes:"
     for words in (
         ("command line", "num_env", "Did you mean 'num_envs'?"),

@@ -103,8 +103,8 @@ def test_same_seed_same_run(finished, embodichain, tmp_path: Path) -> None:
     assert {k: summary[k] for k in same} == {k: first[k] for k in same}
     assert not (folder_of(tmp_path) / "rollout.mcap").exists()
     assert "log" not in summary
-    assert re.search(r"^ episodes +6 of 6 \(2 environments\)", again.stdout, re.MULTILINE)
-    assert re.search(r"^ FPS +[\d,]+ environment steps/s", again.stdout, re.MULTILINE)
+    assert re.search(r"^ +episodes +6 of 6 \(2 environments\)", again.stdout, re.MULTILINE)
+    assert re.search(r"^ +FPS +[\d,]+ environment steps/s", again.stdout, re.MULTILINE)
     assert "random_reach: outputs/" in again.stderr
 
 
