@@ -19,7 +19,7 @@ VISUAL_GROUP = 2
 COLLISION_GROUP = 3
 """Group of collision shapes of links that have visual ones: not drawn."""
 MAX_MASKED = 30
-"""Articulations without self-collision in one scene: a bit of contype each, bit 0 is all others'."""
+"""Articulations without self-collision in one scene: a contype bit each; bit 0 is all others'."""
 _HULL_VERTICES = 64
 _ALL_BITS = 0x7FFFFFFF
 

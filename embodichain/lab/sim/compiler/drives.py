@@ -116,8 +116,8 @@ def _per_joint(
     """Spread a number or a map over the joints; appends to `problems`."""
     out = default.copy()
     if not isinstance(value, Mapping):
-        out[:] = _number(value, key, problems)
-        return out
+        number = _number(value, key, problems)
+        return out if number is None else np.full_like(out, number)
     for name, entry in sorted(value.items(), key=lambda item: item[0] in parts):
         path = f"{key}.{name}"
         if name in parts:
@@ -129,18 +129,21 @@ def _per_joint(
                 hint = wrong[0].hint or did_you_mean(name, parts).strip()
                 wrong = [Problem(path, message, hint)]
             problems += wrong
-        out[list(ids)] = _number(entry, path, problems)
+        number = _number(entry, path, problems)
+        if number is not None:
+            out[list(ids)] = number
     return out
 
 
-def _number(value: Any, path: str, problems: list[Problem]) -> float:
+def _number(value: Any, path: str, problems: list[Problem]) -> float | None:
     try:
         number = float(value)
     except (TypeError, ValueError):
         problems.append(Problem(path, f"wants a number, got {value!r}"))
-        return 0.0
+        return None
     if not number >= 0.0:
         problems.append(Problem(path, f"must not be negative, got {number}"))
+        return None
     return number
 
 

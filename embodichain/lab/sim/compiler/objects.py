@@ -127,9 +127,10 @@ def _set_shape(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, uid: str, cfg: RigidOb
     if isinstance(shape, CubeCfg):
         geom.type, geom.size = _GEOM.mjGEOM_BOX, 0.5 * np.asarray(shape.size) * scale
     elif isinstance(shape, SphereCfg):
-        even = scale[0] == scale[1] == scale[2]
+        radii = shape.radius * scale
+        even = radii[0] == radii[1] == radii[2]
         geom.type = _GEOM.mjGEOM_SPHERE if even else _GEOM.mjGEOM_ELLIPSOID
-        geom.size = shape.radius * scale
+        geom.size = [radii[0], 0.0, 0.0] if even else radii
     elif isinstance(shape, (CylinderCfg, CapsuleCfg)):
         capsule = isinstance(shape, CapsuleCfg)
         geom.type = _GEOM.mjGEOM_CAPSULE if capsule else _GEOM.mjGEOM_CYLINDER

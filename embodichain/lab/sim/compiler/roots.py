@@ -35,7 +35,9 @@ def set_root(spec: mujoco.MjSpec, fixed: bool) -> tuple[mujoco.MjSpec, str]:
     """Make the root a mocap body or a free one; return the spec to use from now on and its name.
 
     A fixed base is a mocap body: its pose is then plain state, different in every environment. It
-    has no degrees of freedom, so physics is that of a body fixed to the world.
+    has no degrees of freedom, so physics is that of a body fixed to the world, but for one thing:
+    MuJoCo lets the children of a fixed body collide with it, and not those of a mocap body. Shapes
+    that overlap at the first joint therefore do no harm here.
 
     Raises:
         ConfigError: If the file holds nothing, or several bodies of which one floats.
