@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import json
 import platform
-import zipfile
 from collections.abc import Mapping, Sequence
 from hashlib import blake2b
 from importlib.metadata import PackageNotFoundError, version
@@ -15,17 +13,16 @@ import mujoco
 import numpy as np
 import yaml
 
+from embodichain.recording.archive import scene_archive
 from embodichain.recording.writer import McapThread
 
 __all__ = [
     "Attachment",
     "attach_all",
     "load_mjb",
-    "load_mjz",
     "model_bytes",
     "model_digest",
     "overrides_yaml",
-    "scene_archive",
     "versions",
 ]
 
@@ -62,27 +59,6 @@ def load_mjb(data: bytes) -> mujoco.MjModel:
         ValueError: If this MuJoCo does not read it.
     """
     return mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": data})
-
-
-def scene_archive(spec: mujoco.MjSpec) -> bytes:
-    """The scene as MJZ: XML (6 digits) and the assets it names, for any MuJoCo to open."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("model.xml", spec.to_xml())
-        for name, content in spec.assets.items():
-            archive.writestr(name, content)
-    return buffer.getvalue()
-
-
-def load_mjz(data: bytes) -> mujoco.MjModel:
-    """Compile what `scene_archive` made.
-
-    Raises:
-        ValueError: If it is not such an archive, or does not compile.
-    """
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        assets = {name: archive.read(name) for name in archive.namelist()}
-    return mujoco.MjModel.from_xml_string(assets.pop("model.xml").decode(), assets)
 
 
 def versions() -> dict[str, str]:

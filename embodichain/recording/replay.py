@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import EnvIndex
-from embodichain.recording.attachments import load_mjb, load_mjz, model_digest
+from embodichain.recording.archive import load_mjz
+from embodichain.recording.attachments import load_mjb, model_digest
 from embodichain.recording.header import Header, LogError
 from embodichain.recording.messages import StepOutcome
 from embodichain.recording.reader import LogReader
@@ -118,7 +119,7 @@ def _approximate_model(
         return None, False, [problem, "the log has no attachment scene.mjz to fall back to"]
     try:
         model = load_mjz(archive)
-    except (KeyError, OSError, ValueError) as error:
+    except ValueError as error:
         return None, False, [problem, f"the attachment scene.mjz cannot be loaded: {error}"]
     problem += "; simulated approximately from scene.mjz (its XML has 6 digits)"
     return _check_size(header, model, exact=False, problems=[problem])

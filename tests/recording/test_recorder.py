@@ -7,7 +7,8 @@ import yaml
 from mcap.reader import make_reader
 
 from embodichain.recording import McapRecorder, inspect
-from embodichain.recording.attachments import load_mjb, load_mjz
+from embodichain.recording.archive import load_mjz
+from embodichain.recording.attachments import load_mjb
 from embodichain.recording.messages import State, StepOutcome, WriteRecord
 from embodichain.recording.options import RecordOptions
 from embodichain.utils.errors import ConfigError
