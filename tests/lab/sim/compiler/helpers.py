@@ -48,7 +48,9 @@ GRIPPER_URDF = f"""<robot name="gripper">
 
 HOPPER_MJCF = """<mujoco model="hopper">
   <compiler angle="degree"/>
-  <option timestep="0.003" integrator="RK4" impratio="10"><flag contact="disable" energy="enable"/></option>
+  <option timestep="0.003" integrator="RK4" impratio="10">
+    <flag contact="disable" energy="enable"/>
+  </option>
   <default>
     <default class="limb"><joint damping="3" armature="0.02"/>
       <default class="foot"><geom rgba="1 0 0 1" friction="0.9"/></default>

@@ -234,8 +234,8 @@ def test_a_visual_mesh_that_cannot_be_read_is_left_out_with_one_warning(tmp_path
     assert scene.model.ngeom == 2  # the ground and the collision mesh
     assert scene.model.geom_group[1] < 3  # which is drawn
     assert [r.getMessage() for r in caplog.records] == [
-        f"m: {name}: 1 visual meshes left out (MuJoCo cannot read .dae); collision shapes are drawn "
-        "instead for links base"
+        f"m: {name}: 1 visual meshes left out (MuJoCo cannot read .dae); collision shapes are drawn"
+        " instead for links base"
     ]
 
 
@@ -285,7 +285,7 @@ BAD_FILES = {
     ),
     "empty.urdf": ('<robot name="x"/>', ": the robot has no <link>"),
     "xacro.urdf": (
-        '<robot name="x" xmlns:xacro="http://wiki.ros.org/xacro"><xacro:include filename="b"/></robot>',
+        '<robot name="x" xmlns:xacro="http://wiki.ros.org/xacro"><xacro:if value="1"/></robot>',
         ": xacro has to be expanded to URDF first: `xacro xacro.urdf`",
     ),
     "page.xml": ("<html/>", ": neither URDF nor MJCF: its root is <html>, not <robot> or <mujoco>"),
