@@ -88,7 +88,7 @@ class ObservationMemory:
         # The sum is the cheap question; it may overflow, so the exact one follows.
         if math.isfinite(np.add.reduce(flat, None)):
             return None
-        bad: Mask = ~np.isfinite(flat).all(axis=1)
+        bad: Mask = ~np.asarray(np.isfinite(flat).all(axis=1))
         return bad if bad.any() else None
 
     def made_finite(self, flat: F32, obs: TensorDict) -> tuple[F32, TensorDict]:
