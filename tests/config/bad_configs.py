@@ -1,0 +1,528 @@
+"""The table of `test_bad_configs`: what is wrong, and exactly what is said about it.
+
+Each case breaks one line of `conftest.GOOD`, or gives overrides, or both. {tasks}, {rewards} and
+{classes} stand for the names that exist, {cwd} for the working directory; a report that ends in
+... goes on.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Bad:
+    """One bad config.
+
+    Attributes:
+        old: What is replaced in the good task...
+        new: ...by this.
+        overrides: Given besides ``task=mine``.
+        says: The whole report, one line a mistake.
+        verb: ``run`` or ``train``.
+        task: What is chosen; None chooses nothing.
+    """
+
+    says: tuple[str, ...]
+    old: str = ""
+    new: str = ""
+    overrides: tuple[str, ...] = ()
+    verb: str = "run"
+    task: str | None = "mine"
+
+
+def bad(*says: str, **kwargs: Any) -> Bad:
+    """What is said, and the fields of `Bad`."""
+    return Bad(says, **kwargs)
+
+
+BAD = {
+    "unknown key in a task": bad(
+        "conf/task/mine.yaml:3: task.max_episode_step: unknown key; allowed: "
+        "sim_steps_per_control, ignore_terminations, max_episode_steps, description, id, "
+        "physics, decimation, episode_length_s, robot, robots, objects, articulations, "
+        "lights, sensors, actions, events, commands, observations, rewards, "
+        "terminations, metrics, curriculum, extensions, suggested. Did you mean "
+        "'max_episode_steps'?",
+        old="max_episode_steps: 50",
+        new="max_episode_step: 50",
+    ),
+    "unknown key in a robot": bad(
+        "conf/task/mine.yaml:7: task.robot.init_qps: unknown key; allowed: uid, "
+        "init_pos, init_rot, init_local_pose, init_quat, fpath, drive_pros, body_scale, "
+        "attrs, fix_base, disable_self_collision, init_qpos, sleep_threshold, "
+        "min_position_iters, min_velocity_iters, build_pk_chain, compute_uv, "
+        "use_usd_properties, control_parts, urdf_cfg, solver_cfg. Did you mean "
+        "'init_qpos'?",
+        old="  init_qpos: [0",
+        new="  init_qps: [0",
+    ),
+    "unknown key in a shape": bad(
+        "conf/task/mine.yaml:9: task.objects.ball.shape.size: unknown key; allowed: "
+        "shape_type, visual_material, radius, resolution.",
+        old="radius: 0.05",
+        new="radius: 0.05, size: [1, 1, 1]",
+    ),
+    "unknown key in a term": bad(
+        "conf/task/mine.yaml:21: task.events.move.interval_steps: unknown key; allowed: "
+        "func, params, mode, interval_step, interval_range_s, is_global. Did you mean "
+        "'interval_step'?",
+        old="    interval_step: 5",
+        new="    interval_steps: 5",
+    ),
+    "unknown key at the root": bad(
+        "command line: num_env: unknown key; allowed: task, sim, record, viewer, algo, "
+        "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, resume, "
+        "video, output_dir, quiet, json, traceback. Did you mean 'num_envs'?",
+        overrides=("num_env=4",),
+    ),
+    "a task's key at the root": bad(
+        "command line: rewards: unknown key; allowed: task, sim, record, viewer, algo, "
+        "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, resume, "
+        "video, output_dir, quiet, json, traceback. Did you mean 'task.rewards'?",
+        overrides=("rewards.near.weight=2",),
+    ),
+    "a root key in a task": bad(
+        "conf/task/mine.yaml:1: task.num_envs: not a key of a task; it stands at the "
+        "root: num_envs=N",
+        old="description: A small task.",
+        new="num_envs: 4",
+    ),
+    "simulation config in a task": bad(
+        "command line: task.sim_cfg: not a key of a task; use task.physics for the "
+        "physics and the group sim for how it runs",
+        overrides=("+task.sim_cfg.physics_dt=0.01",),
+    ),
+    "text for an integer": bad(
+        "command line: num_envs: expected an integer, got 'four'",
+        overrides=("num_envs=four",),
+    ),
+    "a fraction for an integer": bad(
+        "conf/task/mine.yaml:3: task.max_episode_steps: expected an integer, got 50.5",
+        old="max_episode_steps: 50",
+        new="max_episode_steps: 50.5",
+    ),
+    "text for a number": bad(
+        "conf/task/mine.yaml:26: task.rewards.near.weight: expected a number, got 'heavy'",
+        old="    weight: 0.5",
+        new="    weight: heavy",
+    ),
+    "a number for a map": bad(
+        "command line: task.objects.box: expected a map, got 3",
+        overrides=("task.objects.box=3",),
+    ),
+    "a number for a list": bad(
+        "conf/task/mine.yaml:14: task.objects.box.init_pos: expected a list, got 3",
+        old="    init_pos: [0.5, 0, 0.05]",
+        new="    init_pos: 3",
+    ),
+    "a list for a map": bad(
+        "conf/task/mine.yaml:7: task.robot.control_parts: expected a map, got ['a', 'b']",
+        old="  init_qpos: [0, -1, 1, 0, 0, 0]",
+        new="  control_parts: [a, b]",
+    ),
+    "text in a list of numbers": bad(
+        "conf/task/mine.yaml:13: task.objects.box.shape.size.1: expected a number, got 'wide'",
+        old="      size: [0.1, 0.1, 0.1]",
+        new="      size: [0.1, wide, 0.1]",
+    ),
+    "neither number nor map": bad(
+        "command line: task.robot.drive_pros.stiffness: expected a number or a map, got 'stiff'",
+        overrides=("task.robot.drive_pros.stiffness=stiff",),
+    ),
+    "neither number, map nor file": bad(
+        "command line: task.robot.drive_pros.max_effort: expected a number or a map or "
+        "'file', got 'fil'. Did you mean 'file'?",
+        overrides=("task.robot.drive_pros.max_effort=fil",),
+    ),
+    "wrong type in a map of joints": bad(
+        "command line: task.robot.drive_pros.damping.Joint1: expected a number, got 'soft'",
+        overrides=("task.robot.drive_pros.damping.Joint1=soft",),
+    ),
+    "a string for a switch": bad(
+        "command line: quiet: expected true or false, got 1",
+        overrides=(
+            "record=none",
+            "quiet=1",
+        ),
+    ),
+    "list too short": bad(
+        "conf/task/mine.yaml:14: task.objects.box.init_pos: expected 3 values, got 2: [0.5, 0]",
+        old="    init_pos: [0.5, 0, 0.05]",
+        new="    init_pos: [0.5, 0]",
+    ),
+    "list too long": bad(
+        "conf/task/mine.yaml:13: task.objects.box.shape.size: expected 3 values, got 4: "
+        "[0.1, 0.1, 0.1, 1]",
+        old="      size: [0.1, 0.1, 0.1]",
+        new="      size: [0.1, 0.1, 0.1, 1]",
+    ),
+    "wrong choice": bad(
+        "conf/task/mine.yaml:20: task.events.move.mode: expected one of 'startup', "
+        "'reset', 'interval', got 'intervall'. Did you mean 'interval'?",
+        old="    mode: interval",
+        new="    mode: intervall",
+    ),
+    "wrong choice in a group": bad(
+        "command line: record.compression: expected one of 'zstd', 'lz4', 'none', got "
+        "'zst'. Did you mean 'zstd'?",
+        overrides=("record.compression=zst",),
+    ),
+    "unknown shape": bad(
+        "conf/task/mine.yaml:12: task.objects.box.shape.shape_type: unknown shape "
+        "'Kube'; one of: Cube, Sphere, Cylinder, Capsule, Plane, Mesh. Did you mean "
+        "'Cube'?",
+        old="      shape_type: Cube",
+        new="      shape_type: Kube",
+    ),
+    "no shape_type": bad(
+        "conf/task/mine.yaml:11: task.objects.box.shape.shape_type: missing value; one "
+        "of: Cube, Sphere, Cylinder, Capsule, Plane, Mesh",
+        old="      shape_type: Cube\n",
+    ),
+    "too small": bad(
+        "command line: num_envs: must be at least 1, got 0",
+        overrides=("num_envs=0",),
+    ),
+    "not positive": bad(
+        "conf/task/mine.yaml:2: task.physics.physics_dt: must be greater than 0.0, got 0",
+        old="physics_dt: 0.005",
+        new="physics_dt: 0",
+    ),
+    "no such time limit": bad(
+        "conf/task/mine.yaml:3: task.max_episode_steps: must be at least 1, or -1 for no "
+        "limit, got 0",
+        old="max_episode_steps: 50",
+        new="max_episode_steps: 0",
+    ),
+    "negative episode count": bad(
+        "command line: episodes: must be at least 1, got -1",
+        overrides=("episodes=-1",),
+    ),
+    "out of range in an algorithm": bad(
+        "command line: algo.gamma: must be at most 1.0, got 1.5",
+        overrides=(
+            "algo.gamma=1.5",
+            "total_timesteps=1000",
+        ),
+        verb="train",
+    ),
+    "unknown argument of an algorithm": bad(
+        "command line: algo.learning_rte: unknown key; allowed: name, policy, "
+        "learning_rate, n_steps, batch_size, n_epochs, gamma, gae_lambda, clip_range, "
+        "clip_range_vf, normalize_advantage, ent_coef, vf_coef, max_grad_norm, "
+        "target_kl, use_sde, sde_sample_freq, stats_window_size, policy_kwargs. Did you "
+        "mean 'learning_rate'?",
+        overrides=(
+            "algo.learning_rte=0.1",
+            "total_timesteps=1000",
+        ),
+        verb="train",
+    ),
+    "unknown device": bad(
+        "command line: device: unknown device 'gpu'; allowed: cpu. Did you mean 'cpu'?",
+        overrides=("device=gpu",),
+    ),
+    "unavailable device": bad(
+        "command line: device: 'cuda:0' is not available: the CUDA engine comes later; "
+        "allowed: cpu",
+        overrides=("device=cuda:0",),
+    ),
+    "unknown policy": bad(
+        "command line: policy: unknown policy 'randon'; allowed: hold, random, "
+        "random_around_home, zero, package.module:function, or a path. Did you mean "
+        "'random'?",
+        overrides=("policy=randon",),
+    ),
+    "wrong parameter of a policy": bad(
+        "command line: policy.params.rnge: unknown parameter of policy "
+        "'random_around_home'; it takes range. Did you mean 'range'?",
+        overrides=("policy={func: random_around_home, params: {rnge: 1}}",),
+    ),
+    "no policy file": bad(
+        "command line: policy: no such file or folder: runs/old.zip",
+        overrides=("policy=runs/old.zip",),
+    ),
+    "not available yet": bad(
+        "command line: video: not available yet; leave it at null",
+        "command line: task.sensors: not available yet; leave it out",
+        "command line: task.commands: not available yet; leave it out",
+        overrides=(
+            "video=true",
+            "+task.sensors.cam={}",
+            "+task.commands.go={}",
+        ),
+    ),
+    "missing value": bad(
+        "conf/task/mine.yaml:6: task.robot.fpath: missing value (???): it must be set",
+        old="  fpath: UniversalRobots/UR10/UR10.urdf",
+        new="  fpath: ???",
+    ),
+    "no task": bad(
+        "command line: task: missing value: choose one with task=NAME; there are: {tasks}",
+        task=None,
+    ),
+    "no timesteps": bad(
+        "command line: total_timesteps: missing value: set it, or "
+        "task.suggested.train.total_timesteps",
+        verb="train",
+    ),
+    "unknown task": bad(
+        "command line: task: unknown option 'mein'; task is one of: {tasks}. Did you mean 'mine'?",
+        task="mein",
+    ),
+    "unknown option of a group": bad(
+        "command line: record: unknown option 'mcpa'; record is one of: mcap, none. Did "
+        "you mean 'mcap'?",
+        "command line: viewer: unknown option 'natve'; viewer is one of: native, none. "
+        "Did you mean 'native'?",
+        overrides=(
+            "record=mcpa",
+            "viewer=natve",
+        ),
+    ),
+    "malformed overrides": bad(
+        "command line: malformed override 'num_envs': missing EQUAL at '<EOF>'; expected "
+        "key=value, +key=value or ~key",
+        "command line: malformed override 'task.robot.init_qpos=[1,': no viable "
+        "alternative at input '[1,'; expected key=value, +key=value or ~key",
+        overrides=(
+            "num_envs",
+            "task.robot.init_qpos=[1,",
+        ),
+    ),
+    "a sweep without -m": bad(
+        "command line: num_envs: 'num_envs=1,2' is a sweep: add -m to run every value, "
+        "or write num_envs=[...] for a list",
+        overrides=("num_envs=1,2",),
+    ),
+    "deleting what is not there": bad(
+        "command line: task.events.mve: cannot delete it: there is no such key; there "
+        "are: move. Did you mean 'move'?",
+        overrides=("~task.events.mve",),
+    ),
+    "a misspelt term": bad(
+        "command line: task.rewards.naer: there is no 'naer' in task.rewards; there are: "
+        "near. Did you mean 'near'?",
+        overrides=("task.rewards.naer.weight=2",),
+    ),
+    "a misspelt object": bad(
+        "command line: task.objects.bax: there is no 'bax' in task.objects; there are: "
+        "ball, box. Did you mean 'box'?",
+        overrides=("task.objects.bax.init_pos=[0,0,1]",),
+    ),
+    "interpolation of nothing": bad(
+        "conf/task/mine.yaml:1: task.description: cannot resolve '${task.nme}': "
+        "Interpolation key 'task.nme' not found",
+        old="description: A small task.",
+        new="description: ${task.nme}",
+    ),
+    "no eval": bad(
+        "conf/task/mine.yaml:26: task.rewards.near.weight: cannot resolve '${eval:1+1}': "
+        "Unsupported interpolation type eval",
+        old="    weight: 0.5",
+        new="    weight: ${eval:1+1}",
+    ),
+    "no instantiation": bad(
+        "conf/task/mine.yaml:25: task.rewards.near._target_: _target_ is not used here: "
+        "name a function with func: NAME",
+        "conf/task/mine.yaml:24: task.rewards.near.func: missing value: the name of a function",
+        old="    func: within_distance",
+        new="    _target_: os.system",
+    ),
+    "malformed YAML": bad(
+        "conf/task/mine.yaml:6: malformed YAML: expected ',' or '}', but got ':' (while "
+        "parsing a flow mapping)",
+        old="robot:\n",
+        new="robot: {\n",
+    ),
+    "a tag": bad(
+        "conf/task/mine.yaml:1: malformed YAML: tags are not used here, found "
+        "'tag:yaml.org,2002:python/name:os.system'",
+        old="description: A small task.",
+        new="description: !!python/name:os.system x",
+    ),
+    "the same key twice": bad(
+        "conf/task/mine.yaml:10: malformed YAML: found duplicate key ball (while "
+        "constructing a mapping)",
+        old="  box:\n",
+        new="  ball:\n",
+    ),
+    "suggested values": bad(
+        "conf/task/mine.yaml:34: task.suggested.run.episode: unknown key; allowed: "
+        "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, video. "
+        "Did you mean 'episodes'?",
+        "conf/task/mine.yaml:34: task.suggested.run.num_envs: expected an integer, got 'two'",
+        old="{num_envs: 2, episodes: 3}",
+        new="{num_envs: two, episode: 3}",
+    ),
+    "unknown term": bad(
+        "conf/task/mine.yaml:25: task.rewards.near.func: unknown reward term "
+        "'within_distanc'; allowed: {rewards}, or "
+        "package.module:function. Did you mean 'within_distance'?",
+        old="    func: within_distance",
+        new="    func: within_distanc",
+    ),
+    "term of another kind": bad(
+        "conf/task/mine.yaml:25: task.rewards.near.func: 'last_action' is a term of kind "
+        "observation, not reward",
+        old="    func: within_distance",
+        new="    func: last_action",
+    ),
+    "unknown module of a term": bad(
+        "conf/task/mine.yaml:25: task.rewards.near.func: cannot import 'nowhere.at_all': "
+        "No module named 'nowhere'",
+        old="    func: within_distance",
+        new="    func: nowhere.at_all:reward",
+    ),
+    "unknown parameter": bad(
+        "conf/task/mine.yaml:30: task.rewards.near.params.treshold: unknown parameter of "
+        "reward term 'within_distance'; it takes source_entity_cfg, target_entity_cfg, "
+        "threshold, use_xy_only. Did you mean 'threshold'?",
+        "conf/task/mine.yaml:27: task.rewards.near.params.threshold: missing; reward "
+        "term 'within_distance' needs it",
+        "conf/task/mine.yaml:30: task.metrics.success.params.treshold: unknown parameter "
+        "of metric term 'within_distance'; it takes source_entity_cfg, "
+        "target_entity_cfg, threshold, use_xy_only. Did you mean 'threshold'?",
+        old="      threshold: 0.05",
+        new="      treshold: 0.05",
+    ),
+    "missing parameter": bad(
+        "conf/task/mine.yaml:27: task.rewards.near.params.threshold: missing; reward "
+        "term 'within_distance' needs it",
+        old="      threshold: 0.05\n",
+    ),
+    "wrong type of a parameter": bad(
+        "conf/task/mine.yaml:30: task.rewards.near.params.threshold: input should be a "
+        "valid number, unable to parse string as a number, got 'near'",
+        old="      threshold: 0.05",
+        new="      threshold: near",
+    ),
+    "bad range of a parameter": bad(
+        "conf/task/mine.yaml:30: task.rewards.near.params.threshold: input should be "
+        "greater than 0, got -1",
+        old="      threshold: 0.05",
+        new="      threshold: -1",
+    ),
+    "unknown entity": bad(
+        "conf/task/mine.yaml:22: task.events.move.params.entity_cfg.uid: no entity is "
+        "called 'bal'; there are: arm, ball, box. Did you mean 'ball'?",
+        old="{uid: ball}",
+        new="{uid: bal}",
+    ),
+    "unknown link": bad(
+        "conf/task/mine.yaml:28: task.rewards.near.params.source_entity_cfg.link_names: "
+        "no link of 'arm' matches 'ee_lnk'; there are: base_link, shoulder_link, "
+        "upper_arm_link, forearm_link, wrist_1_link, wrist_2_link, wrist_3_link, "
+        "ee_link. Did you mean 'ee_link'?",
+        "conf/task/mine.yaml:28: "
+        "task.metrics.success.params.source_entity_cfg.link_names: no link of 'arm' "
+        "matches 'ee_lnk'; there are: base_link, shoulder_link, upper_arm_link, "
+        "forearm_link, wrist_1_link, wrist_2_link, wrist_3_link, ee_link. Did you mean "
+        "'ee_link'?",
+        old="link_names: [ee_link]",
+        new="link_names: [ee_lnk]",
+    ),
+    "unknown joint": bad(
+        "conf/task/mine.yaml:16: task.actions.arm.params.entity_cfg.joint_names: no "
+        "joint of 'arm' matches 'Joint9'; there are: Joint1, Joint2, Joint3, Joint4, "
+        "Joint5, Joint6. Did you mean 'Joint1'?",
+        old="params: {entity_cfg: {uid: arm}}",
+        new="params: {entity_cfg: {uid: arm, joint_names: [Joint9]}}",
+    ),
+    "unknown joint of a drive": bad(
+        "command line: task.robot.drive_pros.stiffness.Joitn1: no joint matches "
+        "'Joitn1'; there are: Joint1, Joint2, Joint3, Joint4, Joint5, Joint6. Did you "
+        "mean 'Joint1'?",
+        overrides=("+task.robot.drive_pros.stiffness={Joitn1: 5}",),
+    ),
+    "unknown joint of a pose": bad(
+        "conf/task/mine.yaml:7: task.robot.init_qpos.Joint0: no joint matches 'Joint0'; "
+        "there are: Joint1, Joint2, Joint3, Joint4, Joint5, Joint6. Did you mean "
+        "'Joint1'?",
+        old="  init_qpos: [0, -1, 1, 0, 0, 0]",
+        new="  init_qpos: {Joint0: 1}",
+    ),
+    "wrong number of joints": bad(
+        "conf/task/mine.yaml:7: task.robot.init_qpos: wants 6 values, one for each joint "
+        "(Joint1, Joint2, Joint3, Joint4, Joint5, Joint6), got 3",
+        old="  init_qpos: [0, -1, 1, 0, 0, 0]",
+        new="  init_qpos: [0, -1, 1]",
+    ),
+    "the same uid twice": bad(
+        "conf/task/mine.yaml:10: task.objects.arm: uid 'arm' is taken by robot; every "
+        "entity needs its own",
+        old="  box:\n",
+        new="  arm:\n",
+    ),
+    "missing file": bad(
+        "conf/task/mine.yaml:6: task.robot.fpath: no file or folder for "
+        "'UniversalRobots/UR10/UR11.urdf'. Searched...",
+        old="UR10/UR10.urdf",
+        new="UR10/UR11.urdf",
+    ),
+    "malformed URDF": bad(
+        "conf/task/mine.yaml:6: task.robot.fpath: {cwd}/broken.urdf:1: not well-formed "
+        "XML: mismatched tag: line 1, column 33",
+        old="UniversalRobots/UR10/UR10.urdf",
+        new="broken.urdf",
+    ),
+    "unknown control part": bad(
+        "conf/task/mine.yaml:16: task.actions.arm.params.entity_cfg.control_parts: no "
+        "control part of 'arm' matches 'hand'; there are: none",
+        old="params: {entity_cfg: {uid: arm}}",
+        new="params: {entity_cfg: {uid: arm, control_parts: hand}}",
+    ),
+    "a quaternion of zero": bad(
+        "command line: task.objects.box.init_quat: a quaternion is zero or not finite; "
+        "wxyz with unit length is wanted, got [0.0, 0.0, 0.0, 0.0]",
+        overrides=("task.objects.box.init_quat=[0,0,0,0]",),
+    ),
+    "a shape without size": bad(
+        "conf/task/mine.yaml:9: task.objects.ball.shape.radius: must be positive metres, got -0.05",
+        old="radius: 0.05",
+        new="radius: -0.05",
+    ),
+    "negative mass": bad(
+        "command line: task.objects.box.attrs.mass: must be finite and not negative, got -1.0",
+        overrides=("task.objects.box.attrs.mass=-1",),
+    ),
+    "infinite position": bad(
+        "command line: task.robot.init_pos: wants 3 finite numbers, got [0.0, 0.0, inf]",
+        overrides=("task.robot.init_pos=[0,0,inf]",),
+    ),
+    "several at once": bad(
+        "command line: record: unknown option 'mcpa'; record is one of: mcap, none. Did "
+        "you mean 'mcap'?",
+        "command line: task.robot.foo: unknown key; allowed: uid, init_pos, init_rot, "
+        "init_local_pose, init_quat, fpath, drive_pros, body_scale, attrs, fix_base, "
+        "disable_self_collision, init_qpos, sleep_threshold, min_position_iters, "
+        "min_velocity_iters, build_pk_chain, compute_uv, use_usd_properties, "
+        "control_parts, urdf_cfg, solver_cfg.",
+        "command line: task.objects.box.shape.size: expected 3 values, got 2: [1, 2]",
+        "conf/task/mine.yaml:20: task.events.move.mode: expected one of 'startup', "
+        "'reset', 'interval', got 'intervall'. Did you mean 'interval'?",
+        "command line: num_envs: must be at least 1, got 0",
+        "command line: device: unknown device 'gpu'; allowed: cpu. Did you mean 'cpu'?",
+        "command line: task.rewards.near.func: unknown reward term 'within_distanc'; "
+        "allowed: {rewards}, or "
+        "package.module:function. Did you mean 'within_distance'?",
+        "command line: task.actions.arm.params.entity_cfg.uid: no entity is called "
+        "'amr'; there are: arm, ball, box. Did you mean 'arm'?",
+        old="    mode: interval",
+        new="    mode: intervall",
+        overrides=(
+            "num_envs=0",
+            "record=mcpa",
+            "task.objects.box.shape.size=[1,2]",
+            "task.rewards.near.func=within_distanc",
+            "task.actions.arm.params.entity_cfg.uid=amr",
+            "device=gpu",
+            "task.robot.foo=1",
+        ),
+    ),
+    "unknown class": bad(
+        "conf/task/mine.yaml:1: task.id: no registered class 'NoSuchEnv-v0'; there are: {classes}.",
+        old="description: A small task.",
+        new="id: NoSuchEnv-v0",
+    ),
+}
