@@ -31,7 +31,6 @@ _CORE = (
 _OPTIONAL = {
     "example-robot-data": "robots of example-robot-data: pip install 'embodichain[robots]'",
     "hydra-joblib-launcher": "sweeps in parallel: pip install hydra-joblib-launcher",
-    "tensorboard": "training curves: pip install tensorboard",
 }
 _LOW_DISK_GB = 2.0
 _BALL = "<mujoco><worldbody><light pos='0 0 3'/><geom size='.1'/></worldbody></mujoco>"

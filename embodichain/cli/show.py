@@ -1,6 +1,6 @@
 """`embodichain show`: a task as it would be run: config, scene, spaces, terms, observation vector.
 
-It builds the environment with few instances and prints what was built, so that nothing can differ.
+It builds the environment once and prints what was built, so that nothing can differ.
 """
 
 from __future__ import annotations
@@ -59,13 +59,17 @@ def main(arguments: list[str]) -> int:
 
 def _build(resolved: Resolved) -> dict[str, Any]:
     """Every table of one environment."""
+    import dataclasses
+
+    from embodichain.config.freeze import freeze
     from embodichain.config.make import make_env
 
-    env = make_env(resolved)
+    one = dataclasses.replace(resolved, tree=freeze({**resolved.tree, "num_envs": 1}))
+    env = make_env(one)
     try:
         model = env.sim.scene.model
         return {
-            "timing": _timing(env),
+            "timing": {**_timing(env), "environments": resolved.tree["num_envs"]},
             "bodies": _bodies(model),
             "joints": _joints(model),
             "actuators": _actuators(model),
@@ -84,7 +88,6 @@ def _timing(env: BaseEnv) -> dict[str, Any]:
         "physics step": f"{env.physics_dt:g} s",
         "control step": f"{env.step_dt:g} s ({env.sim_steps_per_control} physics steps)",
         "episode": "no limit" if endless else f"{limit} control steps = {limit * env.step_dt:g} s",
-        "environments": env.num_envs,
         "seed": env.seed_value,
     }
 

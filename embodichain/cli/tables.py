@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.table import Table
 
 __all__ = ["console", "number", "print_facts", "print_table"]
 
@@ -29,14 +30,14 @@ def print_table(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
     from rich.table import Table
 
     if not rows:
-        console().print(f"{title}: none")
+        sys.stdout.write(f"{title}: none\n\n")
         return
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for name in rows[0]:
         table.add_column(name, overflow="fold")
     for row in rows:
         table.add_row(*(number(row.get(name)) for name in rows[0]))
-    console().print(table)
+    _print(table)
 
 
 def print_facts(title: str, facts: Iterable[tuple[str, Any]]) -> None:
@@ -49,17 +50,25 @@ def print_facts(title: str, facts: Iterable[tuple[str, Any]]) -> None:
     table.add_column(overflow="fold")
     for name, value in facts:
         table.add_row(name, number(value))
-    console().print(table)
+    _print(table)
+
+
+def _print(table: Table) -> None:
+    """Print a table without the blanks that fill it up to its right edge."""
+    screen = console()
+    with screen.capture() as capture:
+        screen.print(table)
+    sys.stdout.write("\n".join(line.rstrip() for line in capture.get().splitlines()) + "\n")
 
 
 def number(value: Any) -> str:
-    """A value as a cell: floats with four digits, sequences with commas, None as a dash."""
+    """A value as a cell: floats with four digits or more, sequences with commas, None as a dash."""
     if value is None:
         return "-"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        return f"{value:.4g}"
+        return f"{value:,.0f}" if 1e3 <= abs(value) < 1e12 else f"{value:.4g}"
     if isinstance(value, (list, tuple)):
         return ", ".join(number(v) for v in value)
     return str(value)

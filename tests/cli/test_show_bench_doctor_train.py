@@ -1,0 +1,141 @@
+"""Verbs that build an environment, called in this process: torch is imported once for them all."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+
+from embodichain.cli import main
+
+
+def told(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, object]:
+    assert main([*arguments, "--json"]) == 0, capsys.readouterr().err
+    data: dict[str, object] = json.loads(capsys.readouterr().out)
+    return data
+
+
+def test_show_tells_what_is_built(capsys: pytest.CaptureFixture[str]) -> None:
+    data = told(capsys, "show", "task=reach", "num_envs=5", "task.rewards.near.weight=2")
+    assert data["task"] == "reach"
+    assert data["config"]["task"]["rewards"]["near"]["weight"] == 2
+    assert data["timing"]["environments"] == 5
+    assert data["timing"]["control step"] == "0.02 s (4 physics steps)"
+    bodies = {row["body"]: row for row in data["bodies"]}
+    assert bodies["ur10/shoulder_link"]["parent"] == "ur10/base_link"
+    assert bodies["goal"]["moved by"] == "code (mocap)"
+    joints = {row["joint"]: row for row in data["joints"]}
+    assert joints["ur10/Joint3"]["range"] == pytest.approx([-3.14159, 3.14159], abs=1e-4)
+    actuators = {row["actuator"]: row for row in data["actuators"]}
+    assert actuators["ur10/Joint1"]["stiffness"] == 500
+    assert actuators["ur10/Joint1"]["effort"] == [-330, 330]
+    spaces = {row["space"]: row for row in data["spaces"]}
+    assert (spaces["action"]["shape"], spaces["action"]["low"]) == ("(6,)", -1.0)
+    assert spaces["observation/to_goal"]["shape"] == "(3,)"
+    assert [row["term"] for row in data["rewards"]] == ["distance", "near"]
+    assert [(row["columns"], row["entry"]) for row in data["observation vector"]] == [
+        ("0:6", "qpos"),
+        ("6:12", "qvel"),
+        ("12:15", "to_goal"),
+        ("15:21", "action"),
+    ]
+
+
+def test_show_prints_tables_and_the_config_alone(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["show", "task=push_cube"]) == 0
+    text = capsys.readouterr().out
+    for title in ("timing", "bodies", "joints", "actuators", "spaces", "actions", "rewards"):
+        assert re.search(rf"^{title}$", text, re.MULTILINE), title
+    assert not re.search(r" $", text, re.MULTILINE)
+    assert main(["show", "task=push_cube", "--config", "seed=7"]) == 0
+    assert yaml.safe_load(capsys.readouterr().out)["seed"] == 7
+
+
+@pytest.mark.parametrize("task", ["random_reach", "push_cube"])
+def test_bench_measures_both_arms(task: str, capsys: pytest.CaptureFixture[str]) -> None:
+    data = told(capsys, "bench", f"task={task}", "num_envs=1,3", "--rounds", "2")
+    assert (data["task"], data["rounds"]) == (task, 2)
+    assert [row["num_envs"] for row in data["results"]] == [1, 3]
+    for row in data["results"]:
+        assert 0 < row["slowest"] <= row["steps_per_s"] <= row["fastest"]
+        assert row["bare_steps_per_s"] > 0
+        assert row["ratio"] > 0
+    assert list(Path().iterdir()) == []  # measuring leaves no run behind
+
+
+def test_doctor_looks_at_everything(capsys: pytest.CaptureFixture[str]) -> None:
+    checks = {check["part"]: check for check in told(capsys, "doctor")["checks"]}
+    assert {"mujoco", "torch", "threads", "rendering", "display", "disk", "CUDA"} <= set(checks)
+    assert checks["mujoco"]["found"].startswith("4.")
+    assert checks["disk"]["found"].endswith(str(Path("outputs").resolve()))
+
+
+def test_doctor_warns_about_global_random_numbers(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import torch
+
+    from embodichain.lab.gym.utils import registration
+
+    class Dicing:
+        def step(self, action: object) -> torch.Tensor:
+            return torch.rand(1)
+
+    spec = registration.EnvSpec("Dicing-v0", Dicing)
+    monkeypatch.setitem(registration.REGISTERED_ENVS, "Dicing-v0", spec)
+    checks = told(capsys, "doctor")["checks"]
+    found = [check for check in checks if check["part"] == "Dicing-v0"]
+    assert [check["state"] for check in found] == ["warn"]
+    assert "torch.rand (line" in found[0]["found"]
+    assert "env.rand" in found[0]["advice"]
+
+
+def test_train_writes_a_policy_that_run_plays(capsys: pytest.CaptureFixture[str]) -> None:
+    small = ("num_envs=4", "total_timesteps=64", "algo.n_steps=8", "algo.batch_size=16")
+    trained = told(capsys, "train", "task=reach", *small, "seed=1")
+    assert (trained["status"], trained["env_steps"], trained["seed"]) == ("finished", 64, 1)
+    folder = Path(str(trained["folder"]))
+    assert (folder / str(trained["checkpoint"])).is_file()
+    short = ("num_envs=2", "task.max_episode_steps=5", "record=none")
+    played = told(capsys, "run", "task=reach", "policy=last", *short)
+    assert played["status"] == "finished"
+    assert played["success_rate"] is not None
+    config = yaml.safe_load((Path(str(played["folder"])) / "config.yaml").read_text())
+    assert config["policy"] == str(folder.resolve())  # not `last`, which is another run by now
+    assert main(["run", "task=push_cube", f"policy={folder}", *short]) == 2
+    assert "this task has" in capsys.readouterr().err
+
+
+def test_max_steps_ends_a_run(capsys: pytest.CaptureFixture[str]) -> None:
+    data = told(capsys, "run", "task=push_cube", "num_envs=3", "max_steps=4", "record=none")
+    assert (data["status"], data["control_steps"], data["episodes"]) == ("max_steps", 4, 0)
+    assert data["return"] is None
+
+
+def test_without_opengl_a_run_only_warns(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import mujoco
+
+    def missing(*args: object, **kwargs: object) -> None:
+        raise ImportError("libEGL.so.1: cannot open shared object file")
+
+    monkeypatch.setattr(mujoco, "Renderer", missing)
+    short = ("num_envs=1", "max_steps=2", "record=none", "--json")
+    assert main(["run", "task=random_reach", *short]) == 0
+    out, err = capsys.readouterr()
+    assert err.startswith("warning: no scene.png: ")
+    assert "apt-get install libegl1" in err
+    assert not (Path(json.loads(out)["folder"]) / "scene.png").exists()
+
+
+def test_without_a_display_the_viewer_only_warns(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    short = ("num_envs=1", "max_steps=2", "record=none", "--json")
+    assert main(["run", "task=random_reach", "viewer=native", *short]) == 0
+    assert "warning: " in (err := capsys.readouterr().err)
+    assert "no display" in err
