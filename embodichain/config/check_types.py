@@ -75,19 +75,19 @@ def check_types(tree: Mapping[str, Any]) -> TypeCheck:
             problems[f"task.{name}"] = Problem(f"task.{name}", f"not a key of a task; {instead}")
     while True:  # each turn repairs or removes something, so it ends
         try:
-            root = _adapter().validate_json(json.dumps(data), strict=True)
+            root = _adapter().validate_json(json.dumps(data, default=str), strict=True)
             return TypeCheck(root, list(problems.values()), tuple(sorted(pruned)))
         except ValidationError as error:
             groups = _grouped(error.errors(include_url=False), data)
         for loc, errors in groups.items():
-            if not _repair(data, loc, errors):
-                path = ".".join(map(str, loc))
-                problems.setdefault(path, _problem(path, loc, errors, data))
-        for loc, errors in groups.items():
+            if _repair(data, loc, errors):
+                continue
+            path = ".".join(map(str, loc))
+            problems.setdefault(path, _problem(path, loc, errors, data))
             removed = _prune(data, loc, errors)
-            if removed == ("task",) or not removed:
-                return TypeCheck(None, list(problems.values()), (".".join(map(str, removed)),))
             pruned.add(".".join(map(str, removed)))
+            if removed in ((), ("task",)):
+                return TypeCheck(None, list(problems.values()), tuple(sorted(pruned)))
 
 
 def show_value(value: Any) -> str:

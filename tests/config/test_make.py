@@ -1,0 +1,98 @@
+"""Python's door: `embodichain.make`, the registered ids, and classes that a task names."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import pytest
+import torch
+
+import embodichain
+from embodichain.config import list_options
+from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.gym.utils.registration import register_env
+from embodichain.utils.errors import ConfigError
+from tests.config.conftest import WriteTask
+
+
+def test_make(write_task: WriteTask) -> None:
+    write_task()
+    env = embodichain.make("mine", num_envs=3, overrides=["seed=5", "task.max_episode_steps=7"])
+    try:
+        assert (env.num_envs, env.seed_value, env.max_episode_steps) == (3, 5, 7)
+        assert list(env.sim.robots) == ["arm"]
+        obs, _ = env.reset()
+        assert obs.batch_size == torch.Size([3])
+    finally:
+        env.close()
+
+
+def test_make_takes_the_environments_own_arguments(write_task: WriteTask) -> None:
+    write_task()
+    env = embodichain.make("mine", autoreset_mode="Disabled")
+    try:
+        assert env.num_envs == 2  # suggested
+        assert env.metadata["autoreset_mode"].value == "Disabled"
+    finally:
+        env.close()
+
+
+def test_make_says_what_is_wrong() -> None:
+    with pytest.raises(ConfigError, match="unknown option 'raech'.*Did you mean 'reach'"):
+        embodichain.make("raech")
+
+
+@pytest.mark.parametrize("task", list_options("task"))
+def test_every_yaml_task_is_registered(task: str) -> None:
+    import embodichain.tasks  # noqa: F401
+
+    env = gym.make(f"embodichain/{task}-v0", num_envs=2)
+    try:
+        obs, _ = env.reset(seed=0)
+        assert obs.batch_size == torch.Size([2])
+        action = torch.from_numpy(env.action_space.sample())
+        _, reward, *_ = env.step(action)
+        assert reward.shape == (2,)
+    finally:
+        env.close()
+
+
+def test_a_task_may_name_a_class(write_task: WriteTask) -> None:
+    @register_env("ConfigTest-v0", override=True)
+    class Mine(BaseEnv):
+        """One of its own."""
+
+    write_task("description: A small task.", "id: ConfigTest-v0")
+    env = embodichain.make("mine")
+    try:
+        assert type(env) is Mine
+        assert list(env.sim.rigid_objects) == ["ball", "box"]
+    finally:
+        env.close()
+
+
+def test_a_task_cannot_be_made_of_itself(write_task: WriteTask) -> None:
+    write_task("description: A small task.", "id: embodichain/reach-v0")
+    with pytest.raises(ConfigError, match="no registered class 'embodichain/reach-v0'"):
+        embodichain.make("mine")
+
+
+def test_a_package_brings_classes(tmp_path: Path, write_task: WriteTask) -> None:
+    site = tmp_path / "site"
+    info = site / "theirs-1.0.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: theirs\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[embodichain.tasks]\ntheirs = their_tasks\n")
+    (site / "their_tasks.py").write_text(
+        "from embodichain.lab.gym.utils.registration import register_env\n"
+        "register_env('Theirs-v0')(lambda cfg: cfg)\n"
+    )
+    write_task("description: A small task.", "id: Theirs-v0")
+    code = (
+        f"import sys; sys.path.insert(0, {str(site)!r})\n"
+        "import embodichain\n"
+        "print(embodichain.make('mine').id)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout == "Theirs-v0\n", done.stderr
