@@ -15,6 +15,7 @@ import mujoco
 from embodichain.data import DataNotFoundError, get_data_path
 from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
 from embodichain.lab.sim.compiler.urdf import PreparedUrdf, prepare_urdf
+from embodichain.lab.sim.engine.mujoco_log import install_log_handler
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["ModelFile", "compile_quietly", "locate", "read_model"]
@@ -66,6 +67,7 @@ def read_model(path: Path) -> ModelFile:
     Raises:
         ConfigError: If it is malformed; names the file and, where known, the line.
     """
+    install_log_handler()
     source = path.read_bytes()
     root = _parse_xml(path, source)
     if root.tag == "mujoco":
@@ -103,9 +105,24 @@ def _read_mjcf(path: Path) -> ModelFile:
         spec = mujoco.MjSpec.from_file(str(path))
         spec.compiler.fusestatic = False  # tool frames keep their bodies
         _name_elements(spec)
+        _make_absolute(spec, path.parent)
         return ModelFile(path, False, spec, compile_quietly(spec))
     except MUJOCO_ERRORS as error:
         raise _fail(path, error) from error
+
+
+def _make_absolute(spec: mujoco.MjSpec, folder: Path) -> None:
+    """Make file names of assets absolute, so that two files with a ``part.stl`` stay apart."""
+    for directory, assets in (
+        (spec.meshdir, spec.meshes),
+        (spec.texturedir, spec.textures),
+        (spec.meshdir, spec.hfields),
+    ):
+        for asset in assets:
+            # What an <include> in another folder names is left to MuJoCo.
+            path = folder / directory / asset.file
+            if asset.file and path.is_file():
+                asset.file = str(path.resolve())
 
 
 def _name_elements(spec: mujoco.MjSpec) -> None:

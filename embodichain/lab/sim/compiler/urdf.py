@@ -90,6 +90,7 @@ def prepare_urdf(
         _prepare_link(link, meshes)
     if meshes.problems:
         raise ConfigError(meshes.problems)
+    _drop_repeated_names(root)
     massless, estimated = _without_inertial(root)
     velocity = {
         joint.get("name", ""): float(value)
@@ -121,6 +122,16 @@ def _set_flags(root: ET.Element) -> None:
     if compiler is None:
         compiler = ET.SubElement(extension, "compiler")
     compiler.attrib.update(_FLAGS)
+
+
+def _drop_repeated_names(root: ET.Element) -> None:
+    """Take the name off shapes whose name another shape has: MuJoCo would only complain of it."""
+    seen: set[str] = set()
+    for shape in (*root.iter("visual"), *root.iter("collision")):
+        name = shape.get("name", "")
+        if name in seen:
+            shape.attrib.pop("name", None)
+        seen.add(name)
 
 
 def _prepare_link(link: ET.Element, meshes: _Meshes) -> None:

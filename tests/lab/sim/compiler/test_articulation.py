@@ -374,3 +374,26 @@ def test_every_mistake_is_reported_at_once():
 def test_what_is_not_available_yet_says_so(key):
     with pytest.raises(NotImplementedError, match=f"{key}.*not available yet"):
         parse_articulation("a", RobotCfg(fpath=UR10, **{key: object()}))
+
+
+def test_shapes_with_repeated_names_are_no_matter(tmp_path, capfd):
+    urdf = GRIPPER_URDF.replace("<visual>", '<visual name="x">').replace(
+        "<collision>", '<collision name="x">'
+    )
+    model = scene_of({"g": RobotCfg(fpath=write(tmp_path / "g.urdf", urdf))}).model
+    assert model.ngeom == 5
+    assert capfd.readouterr().err == ""
+
+
+def test_assets_of_an_mjcf_file_are_found_and_stay_apart(tmp_path):
+    xml = """<mujoco><compiler meshdir="assets"/><asset><mesh name="part" file="part.stl"/></asset>
+    <worldbody><body><geom type="mesh" mesh="part"/></body></worldbody></mujoco>"""
+    for uid, size in (("small", 0.1), ("large", 0.3)):
+        write(tmp_path / uid / "robot.xml", xml)
+        tetrahedron(tmp_path / uid / "assets/part.stl", size)
+    robots = {uid: RobotCfg(fpath=str(tmp_path / uid / "robot.xml")) for uid in ("small", "large")}
+    scene = scene_of(robots)
+    small, large = (scene.model.geom_rbound[scene.entities[uid].geom_ids[0]] for uid in robots)
+    assert large == pytest.approx(3 * small, rel=1e-6)
+    files = {mesh.file for mesh in scene.spec.meshes}
+    assert len(files) == 2
