@@ -114,7 +114,9 @@ def main() -> None:
                 env.step(home + task.rand("policy", (len(home),), -0.1, 0.1))
             seconds = time.perf_counter() - start
             steps = 100 * task.num_envs
-            print(f"Episode {episode}: {steps} steps in {seconds:.2f} s, FPS: {steps / seconds:.0f}")
+            print(
+                f"Episode {episode}: {steps} steps in {seconds:.2f} s, FPS: {steps / seconds:.0f}"
+            )
     finally:
         env.close()
 

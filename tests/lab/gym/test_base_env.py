@@ -361,7 +361,7 @@ def test_flags_of_another_shape_are_refused(make_env, hook):
 def test_without_a_robot(make_env):
     env = make_env(robot=None)
     obs, _ = env.reset()
-    assert env.robot is None and "robot" not in obs.keys()
+    assert env.robot is None and obs.get("robot") is None
     assert env.single_action_space.shape == (0,)
     env.step(torch.zeros(3, 0))
 
@@ -589,7 +589,7 @@ def test_detached_entities_stay_at_a_reset(make_env):
         env.add_detached_uids_for_reset(["cub"])
 
 
-# -- what is handed out belongs to the caller ----------------------------------------------------------
+# -- what is handed out belongs to the caller ------------------------------------------------------
 
 
 def test_changing_what_was_handed_out_changes_nothing(make_env):
