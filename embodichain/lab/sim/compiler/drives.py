@@ -86,6 +86,10 @@ def resolve_drives(
         effort = joints.qf_limits.copy()
     else:
         effort = value("max_effort", np.full(count, 1e10))
+    if not (effort > 0).all():
+        message = "must be positive; a joint that shall not push needs stiffness 0 instead"
+        problems.append(Problem("max_effort", message))
+        effort = np.where(effort > 0, effort, np.inf)
     effort = np.where(effort >= NO_EFFORT_LIMIT, np.inf, effort)
     friction = joints.friction.copy()
     if isinstance(cfg.friction, Mapping) or cfg.friction != 0:

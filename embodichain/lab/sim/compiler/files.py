@@ -68,7 +68,10 @@ def read_model(path: Path) -> ModelFile:
         ConfigError: If it is malformed; names the file and, where known, the line.
     """
     install_log_handler()
-    source = path.read_bytes()
+    try:
+        source = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     root = _parse_xml(path, source)
     if root.tag == "mujoco":
         return _read_mjcf(path)
@@ -91,7 +94,9 @@ def _parse_xml(path: Path, source: bytes) -> ET.Element:
         return ET.fromstring(source)
     except ET.ParseError as error:
         line = error.position[0]
-        raise ConfigError(f"{path}:{line}: not well-formed XML: {error}") from error
+        raise ConfigError(
+            f"{path}:{line}: not well-formed XML: {str(error).split(':')[0]}"
+        ) from error
 
 
 def _fail(path: Path, error: Exception, urdf: PreparedUrdf | None = None) -> ConfigError:

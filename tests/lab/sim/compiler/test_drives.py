@@ -135,6 +135,11 @@ def test_a_mimic_joint_follows_and_has_no_drive_of_its_own(tmp_path):
             {"armature": {"Joint1": -0.5}},
             "a.drive_pros.armature.Joint1: must not be negative, got -0.5",
         ),
+        (
+            {"max_effort": {"Joint[12]": 0.0}},
+            "a.drive_pros.max_effort: must be positive; a joint that shall not push needs "
+            "stiffness 0 instead",
+        ),
         ({"max_effort": "urdf"}, "a.drive_pros.max_effort: wants a number, got 'urdf'"),
     ],
 )
