@@ -207,11 +207,11 @@ class JointDrivePropertiesCfg:
     damping: PerJoint = 1e3
     """N m s/rad or N s/m; also the joint's own implicit damping."""
     max_effort: PerJoint | Literal["file"] = 1e10
-    """N m or N. "file" takes the limits of the URDF or MJCF; the default is no limit."""
+    """N m or N, positive. "file" takes the limits of the URDF or MJCF; 1e9 and more is no limit."""
     max_velocity: PerJoint = 1e10
     """No effect on the motion (MuJoCo has no velocity limit); read back as given."""
     friction: PerJoint = 0.0
-    """Dry friction loss, N m or N."""
+    """Dry friction loss, N m or N; 0 keeps the file's, a map with 0 clears it."""
     # ours
     armature: PerJoint | None = dataclasses.field(default=None, kw_only=True)
     """Reflected rotor inertia, kg m^2; None keeps the file's."""
@@ -227,11 +227,14 @@ class ArticulationCfg(ObjectBaseCfg):
     body_scale: Vec3 = (1.0, 1.0, 1.0)
     """Only (1, 1, 1) for now."""
     attrs: RigidBodyAttributesCfg = RigidBodyAttributesCfg()
-    """Friction and collision of all links; mass and inertia come from the file."""
+    """Friction and collision of all links (an MJCF file's friction stays unless changed here); mass
+    and inertia come from the file."""
     fix_base: bool = True
+    """Whether the root stands still, whatever the file says; False gives it a free joint."""
     disable_self_collision: bool = True
     init_qpos: Any = None
-    """(D,) values or {joint regex: value}; None is the file's keyframe, else zeros. rad or m."""
+    """(D,) values or {joint regex: value}, rad or m; None is the file's keyframe, else zeros moved
+    into the limits."""
     sleep_threshold: float = 0.005
     """No effect."""
     min_position_iters: int = 4

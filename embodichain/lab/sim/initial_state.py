@@ -39,6 +39,10 @@ def initial_row(
         qpos[np.asarray(index.qpos_adr, np.int64)] = start
         actuators = np.asarray(index.actuator_ids, np.int64)
         ctrl[actuators[actuators >= 0]] = start[actuators >= 0]
+        # Without drives the file's own actuators are kept, at its keyframe's controls.
+        own = np.asarray(index.own_actuator_ids, np.int64)
+        if len(own):
+            ctrl[own] = parsed.init_ctrl
     return row
 
 
@@ -56,7 +60,8 @@ def entity_columns(engine: Engine, index: EntityIndex) -> NDArray[np.int64]:
     parts += [start["qpos"] + np.asarray(index.qpos_adr, np.int64)]
     parts += [start[name] + dofs for name in ("qvel", "qacc_warmstart", "qfrc_applied")]
     actuators = np.asarray(index.actuator_ids, np.int64)
-    parts += [start["ctrl"] + actuators[actuators >= 0]]
+    own = np.asarray(index.own_actuator_ids, np.int64)
+    parts += [start["ctrl"] + actuators[actuators >= 0], start["ctrl"] + own]
     bodies = np.asarray(index.body_ids, np.int64)
     parts += [start["xfrc_applied"] + (6 * bodies[:, None] + np.arange(6)).reshape(-1)]
     return np.unique(np.concatenate(parts).astype(np.int64))

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from embodichain.lab.sim import SimulationManager, SimulationManagerCfg
-from embodichain.lab.sim.cfg import RigidObjectCfg, RobotCfg
+from embodichain.lab.sim.cfg import ArticulationCfg, RigidObjectCfg, RobotCfg
 from embodichain.lab.sim.objects import ClothObject, SoftObject
 from embodichain.utils.errors import ConfigError, DeviceError
 from tests.lab.sim.conftest import build
@@ -135,3 +135,22 @@ def test_what_is_not_here_yet_says_so(sim):
     for cls in (SoftObject, ClothObject):
         with pytest.raises(NotImplementedError):
             cls()
+
+
+def test_a_files_own_actuators_start_at_its_keyframe(tmp_path):
+    path = tmp_path / "arm.xml"
+    path.write_text(
+        '<mujoco><worldbody><body name="b"><joint name="j" axis="0 1 0"/>'
+        '<geom size=".1" mass="1"/></body></worldbody>'
+        '<actuator><motor name="m" joint="j"/></actuator>'
+        '<keyframe><key name="home" qpos="0.3" ctrl="0.7"/></keyframe></mujoco>'
+    )
+    sim = SimulationManager(SimulationManagerCfg(headless=True, num_envs=2))
+    sim.add_articulation(ArticulationCfg(uid="arm", fpath=str(path)))
+    assert sim.engine.state("ctrl").tolist() == [[0.7], [0.7]]
+    assert sim.engine.state("qpos").tolist() == [[0.3], [0.3]]
+    sim.engine.write("ctrl", 0.0)
+    sim.get_articulation("arm").reset(env_ids=[1])
+    assert sim.engine.state("ctrl").tolist() == [[0.0], [0.7]]
+    with pytest.raises(ValueError, match="no drive"):
+        sim.get_articulation("arm").set_qpos([0.1])
