@@ -51,11 +51,13 @@ class TypeCheck:
 
     Attributes:
         root: The config without what is wrong in it; None if there is no task to look at.
+        tree: What was checked, without what is wrong, whole floats made integers where asked for.
         problems: One for each wrong key.
         pruned: Paths that were left out of `root`.
     """
 
     root: RootCfg | None
+    tree: dict[str, Any]
     problems: list[Problem]
     pruned: tuple[str, ...]
 
@@ -76,7 +78,7 @@ def check_types(tree: Mapping[str, Any]) -> TypeCheck:
     while True:  # each turn repairs or removes something, so it ends
         try:
             root = _adapter().validate_json(json.dumps(data, default=str), strict=True)
-            return TypeCheck(root, list(problems.values()), tuple(sorted(pruned)))
+            return TypeCheck(root, data, list(problems.values()), tuple(sorted(pruned)))
         except ValidationError as error:
             groups = _grouped(error.errors(include_url=False), data)
         for loc, errors in groups.items():
@@ -87,7 +89,7 @@ def check_types(tree: Mapping[str, Any]) -> TypeCheck:
             removed = _prune(data, loc, errors)
             pruned.add(".".join(map(str, removed)))
             if removed in ((), ("task",)):
-                return TypeCheck(None, list(problems.values()), tuple(sorted(pruned)))
+                return TypeCheck(None, data, list(problems.values()), tuple(sorted(pruned)))
 
 
 def show_value(value: Any) -> str:

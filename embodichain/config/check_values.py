@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 from embodichain.config.check_types import check_types, show_value
-from embodichain.config.plugins import require_registered
 from embodichain.config.schema import SUGGESTED_KEYS, RootCfg
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.check import SECTIONS
@@ -30,6 +29,11 @@ def check_root(root: RootCfg, *, allow_import: bool = True) -> list[Problem]:
         allow_import: Whether a policy may be imported to read its signature.
     """
     problems = _check_device(root.device) + _check_policy(root, allow_import)
+    count = root.num_envs or 1
+    beyond = [i for i in root.record.view_envs if i >= count]
+    if beyond and root.record.format != "none":
+        message = f"no such environments: {beyond}; num_envs is {count}"
+        problems.append(Problem("record.view_envs", message))
     if root.video:
         problems.append(Problem("video", "not available yet; leave it at null"))
     return problems
@@ -43,6 +47,8 @@ def check_task(task: EnvCfg) -> list[Problem]:
         message = f"must be at least 1, or -1 for no limit, got {steps}"
         problems.append(Problem("task.max_episode_steps", message))
     if task.id is not None:
+        from embodichain.config.plugins import require_registered  # Gymnasium: only when needed
+
         reason = require_registered(task.id)
         problems += [Problem("task.id", reason)] if reason else []
     for section in SECTIONS:

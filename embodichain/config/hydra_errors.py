@@ -40,6 +40,11 @@ def explain(error: Exception, loader: ConfigLoader) -> list[LocatedProblem]:
         return [_unchosen(unchosen[1], loader)]
     if isinstance(error, MissingConfigException):
         return [_no_such_config(error, loader)]
+    twice = re.search(r"Multiple values for (\S+)\.|(\S+) appears more than once", str(error))
+    if twice:
+        group = twice[1] or twice[2]
+        message = f"an option is chosen already: write {group}=NAME, without +"
+        return [LocatedProblem(group, message, source=COMMAND_LINE)]
     cause = error.__cause__ or error
     lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
     key = next((line[9:].strip() for line in lines if line.startswith("full_key:")), "")

@@ -55,8 +55,9 @@ def _refuse_tags(stream: TextIO) -> None:
     for event in yaml.parse(stream, Loader=yaml.CSafeLoader):
         tag = getattr(event, "tag", None)
         if tag is not None:
+            mark: Any = event.start_mark  # libyaml's own class, of the same members
             raise yaml.MarkedYAMLError(
-                problem=f"tags are not used here, found {tag}", problem_mark=event.start_mark
+                problem=f"tags are not used here, found {tag}", problem_mark=mark
             )
 
 
@@ -94,9 +95,14 @@ class Locator:
                 best, source = known, f"{display_path(file.path)}:{line}"
         for override in self.overrides:
             depth = _depth_of_override(override, parts)
+            if depth == len(parts) - 0.5 and not self._is_map(parts):
+                depth = len(parts)  # the override made a map of a value
             if depth > 0 and depth >= best:
                 best, source = depth, COMMAND_LINE
         return source or COMMAND_LINE
+
+    def _is_map(self, parts: Sequence[str]) -> bool:
+        return any(isinstance(_node(file, parts), yaml.MappingNode) for file in self.files)
 
     def sets(self, path: str) -> bool:
         """Whether a file has this very key."""
@@ -120,6 +126,18 @@ def _find(file: ConfigFile, parts: Sequence[str]) -> tuple[int, int]:
         return 0, 0
     depth, line = _descend(file.root, parts[len(package) :])
     return len(common) + depth, line
+
+
+def _node(file: ConfigFile, parts: Sequence[str]) -> yaml.Node | None:
+    """The node of a path of plain keys, or None."""
+    package = file.package.split(".") if file.package else []
+    if list(parts[: len(package)]) != package:
+        return file.root if package[: len(parts)] == list(parts) else None
+    node = file.root
+    for part in parts[len(package) :]:
+        entry = _entry(node, part) if isinstance(node, yaml.MappingNode) else None
+        node = entry[1] if entry else None
+    return node
 
 
 def _descend(node: yaml.Node, parts: Sequence[str]) -> tuple[int, int]:

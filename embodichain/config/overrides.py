@@ -58,7 +58,9 @@ def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
         except HydraException as error:
             problems.append(_malformed(line, error))
             continue
-        if override.is_sweep_override():
+        if not override.key_or_group:
+            problems.append(_malformed(line, HydraException("the key is missing")))
+        elif override.is_sweep_override():
             problems.append(_sweep(override))
         elif _is_hydras(override):
             for_hydra.append(line)
@@ -152,9 +154,10 @@ def _check_option(override: Override, options: list[str]) -> LocatedProblem | No
     if override.is_delete():
         return None
     for option in chosen:
-        if option is not None and str(option) not in options:
+        name = "null" if option is None else str(option)
+        if name not in options:
             group = override.key_or_group
-            message = f"unknown option {str(option)!r}; {group} is one of: {', '.join(options)}."
-            hint = did_you_mean(str(option), options).strip()
+            message = f"unknown option {name!r}; {group} is one of: {', '.join(options)}."
+            hint = did_you_mean(name, options).strip()
             return LocatedProblem(group, message, hint, COMMAND_LINE)
     return None

@@ -68,7 +68,8 @@ def resolve(
     problems = validate(composed, verb)
     if problems:
         raise ConfigError(problems)
-    tree = derive.settle(derive.fill(composed.tree, verb, composed.locator.chosen), verb)
+    filled = derive.fill(composed.tree, verb, composed.locator.chosen)
+    tree = derive.settle(check_types(filled).tree, verb)
     name = composed.choices.get("task") or "task"
     return Resolved(freeze(tree), composed.overrides, name.rpartition("/")[2])
 
@@ -96,5 +97,5 @@ def resolve_tree(
     problems = check_tree(tree, verb, allow_import=allow_import)
     if problems:
         raise ConfigError([LocatedProblem.of(p, source) for p in problems])
-    settled = derive.settle(derive.fill(tree, verb), verb)
+    settled = derive.settle(check_types(derive.fill(tree, verb)).tree, verb)
     return Resolved(freeze(settled), (), task_name)

@@ -26,7 +26,7 @@ from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["check_tree", "validate"]
 
-_ENTITY = re.compile(r"task(\.(robot|(robots|objects|articulations)(\.[^.]+)?))?")
+_ENTITY = re.compile(r"task(\.(robot|(robots|objects|articulations)(\.[^.]+)?)(\.(uid|fpath))?)?")
 """Paths whose loss makes references to entities fail that are not wrong."""
 
 

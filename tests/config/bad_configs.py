@@ -462,7 +462,7 @@ BAD = {
     ),
     "malformed URDF": bad(
         "conf/task/mine.yaml:6: task.robot.fpath: {cwd}/broken.urdf:1: not well-formed "
-        "XML: mismatched tag: line 1, column 33",
+        "XML: mismatched tag",
         old="UniversalRobots/UR10/UR10.urdf",
         new="broken.urdf",
     ),
@@ -519,6 +519,31 @@ BAD = {
             "device=gpu",
             "task.robot.foo=1",
         ),
+    ),
+    "a map for an integer": bad(
+        "command line: num_envs: expected an integer, got {'x': 3}",
+        overrides=("num_envs.x=3",),
+    ),
+    "a map for a uid": bad(
+        "command line: task.robot.uid: expected text, got {'x': 3}",
+        overrides=("task.robot.uid.x=3",),
+    ),
+    "null for an option": bad(
+        "command line: viewer: unknown option 'null'; viewer is one of: native, none.",
+        overrides=("viewer=null",),
+    ),
+    "no key": bad(
+        "command line: malformed override '=3': the key is missing; expected key=value, "
+        "+key=value or ~key",
+        overrides=("=3",),
+    ),
+    "one more of what is there": bad(
+        "command line: sim: an option is chosen already: write sim=NAME, without +",
+        overrides=("+sim=default",),
+    ),
+    "looking at environments that are not there": bad(
+        "command line: record.view_envs: no such environments: [2, 9]; num_envs is 2",
+        overrides=("record.view_envs=[0,2,9]",),
     ),
     "unknown class": bad(
         "conf/task/mine.yaml:1: task.id: no registered class 'NoSuchEnv-v0'; there are: {classes}.",

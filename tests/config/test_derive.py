@@ -49,6 +49,7 @@ def test_suggested_algorithm_under_the_users(write_task: WriteTask) -> None:
     lines = ["task=mine", "algo.gamma=0.5", "algo.policy_kwargs.log_std_init=0"]
     resolved = resolve(lines, "train")
     assert resolved.root.total_timesteps == 1_000_000
+    assert type(resolved.tree["total_timesteps"]) is int
     assert resolved.root.algo is not None
     assert resolved.root.algo.arguments() == {
         "policy": "MlpPolicy",
