@@ -41,7 +41,7 @@ class ProgressDisplay:
     def __enter__(self) -> ProgressDisplay:
         if self._live:
             self._bar = _bar()
-            self._task = self._bar.add_task(self.label, total=self.total, facts="", unit=self.unit)
+            self._task = self._bar.add_task(self.label, total=self.total, facts="", count="")
             self._bar.start()
         return self
 
@@ -65,29 +65,30 @@ class ProgressDisplay:
         if self._quiet:
             return
         text = "  ".join(f"{name} {value}" for name, value in facts.items())
+        of = f"{done:,}/{self.total:,}" if self.total is not None else f"{done:,}"
+        count = f"{of} {self.unit}"
         if self._bar is not None:
-            self._bar.update(self._task, completed=done, facts=text)
+            self._bar.update(self._task, completed=done, facts=text, count=count)
             self._bar.refresh()
             self._due = time.perf_counter() + _LIVE_PERIOD
             return
-        of = f"{done}/{self.total}" if self.total is not None else str(done)
-        sys.stderr.write(f"{self.label}: {of} {self.unit}  {text}\n")
+        sys.stderr.write(f"{self.label}: {count}  {text}\n")
         sys.stderr.flush()
         self._due = time.perf_counter() + _LINE_PERIOD
 
 
 def _bar() -> Progress:
     """A bar that is drawn only when asked to: no thread competes with the simulation."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
-    from rich.progress import TimeElapsedColumn as Elapsed
+    from rich.progress import BarColumn, Progress, TextColumn
+    from rich.table import Column
 
+    whole = Column(no_wrap=True)
     return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=24),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[unit]}"),
-        TextColumn("{task.fields[facts]}"),
-        Elapsed(),
+        TextColumn("{task.description}", table_column=whole),
+        BarColumn(bar_width=None),  # takes what the facts leave
+        TextColumn("{task.fields[count]}", table_column=whole),
+        TextColumn("{task.fields[facts]}", table_column=whole),
         console=console(stderr=True),
         auto_refresh=False,
+        expand=True,
     )

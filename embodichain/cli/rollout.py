@@ -59,7 +59,7 @@ def play(
     display: ProgressDisplay,
     stop: StopFlag,
 ) -> Outcome:
-    """Step `env` with `policy` from `obs` until something ends it.
+    """Step `env` with `policy` from `obs` until something ends it; no faster than a window shows.
 
     Args:
         env: A batched environment that was just reset; it resets its environments itself.
@@ -86,6 +86,8 @@ def play(
         statistics.add(_array(reward), done, kept)
         if ended:
             policy.reset(np.flatnonzero(done))
+        if env.sim.is_window_open:  # for people who look on
+            time.sleep(max(0.0, start + statistics.steps * env.step_dt - time.perf_counter()))
         if display.due:
             display.show(*_progress(statistics, max_steps, time.perf_counter() - start))
     seconds = time.perf_counter() - start

@@ -42,11 +42,11 @@ def summarize(outcome: Outcome, facts: dict[str, Any]) -> dict[str, Any]:
 
 def print_summary(summary: dict[str, Any]) -> None:
     """Print the closing table."""
-    episodes = f"{summary['episodes']} of {summary['episodes_wanted']}"
+    episodes = f"{summary['episodes']:,} of {summary['episodes_wanted']:,}"
     rows: list[tuple[str, Any]] = [
         ("ended", _ended(summary)),
         ("episodes", f"{episodes} ({summary['num_envs']} environments)"),
-        ("control steps", f"{summary['control_steps']} in {summary['seconds']:.2f} s"),
+        ("control steps", f"{summary['control_steps']:,} in {summary['seconds']:.2f} s"),
         ("FPS", f"{summary['fps']:,.0f} environment steps/s"),
         ("return", _mean_spread(summary["return"])),
         ("length", _mean_spread(summary["length"])),
@@ -57,7 +57,9 @@ def print_summary(summary: dict[str, Any]) -> None:
     rows += [(f"reward {name}", value) for name, value in summary["rewards"].items()]
     if summary["diverged"]:
         rows.append(("diverged", f"{summary['diverged']} episodes"))
-    rows += [(name, summary[name]) for name in ("seed", "log", "folder") if summary.get(name)]
+    rows += [
+        (name, summary[name]) for name in ("seed", "log", "folder") if summary.get(name) is not None
+    ]
     print_facts(str(summary["task"]), rows)
 
 
