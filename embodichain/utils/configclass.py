@@ -1,8 +1,8 @@
 """`@configclass`: dataclasses whose mutable defaults are safe to write inline.
 
 The surface follows EmbodiChain's decorator of the same name: un-annotated members become fields,
-mutable defaults are deep-copied per instance, and `to_dict`, `replace`, `copy` and `validate` are
-added. Checking YAML against these classes lives in `embodichain.config`, not here.
+mutable defaults are deep-copied per instance, and `to_dict`, `from_dict`, `replace`, `copy` and
+`validate` are added. Checking YAML against these classes lives in `embodichain.config`, not here.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ def configclass(
         kw_only: Whether the class's own fields are keyword-only.
 
     Returns:
-        The dataclass, with `to_dict`, `replace`, `copy` and `validate` added unless it has them.
+        The dataclass, with `to_dict`, `from_dict`, `replace`, `copy` and `validate` added unless it
+        has them.
     """
     if cls is None:
         return lambda c: _process(c, kw_only)
@@ -58,7 +59,9 @@ def _process(cls: type[T], kw_only: bool) -> type[T]:
             if callable(value) or isinstance(value, dataclasses.Field):
                 continue
             annotations[name] = "Any" if value is None else type(value).__name__
-        if not isinstance(value, (*_PLAIN, dataclasses.Field)) and value is not MISSING:
+        if value is MISSING:  # stays unset until the user sets it: `validate` finds it
+            setattr(cls, name, dataclasses.field(default_factory=lambda: MISSING))
+        elif not isinstance(value, (*_PLAIN, dataclasses.Field)):
             setattr(cls, name, dataclasses.field(default_factory=_copier(value)))
     cls.__annotations__ = annotations
     result = dataclasses.dataclass(kw_only=kw_only)(cls)
@@ -119,7 +122,15 @@ def _missing(value: Any, path: str) -> list[str]:
     return [name for child, v in items for name in _missing(v, child)]
 
 
-_METHODS: dict[str, Callable[..., Any]] = {
+def _from_dict(cls: type[Any], init_dict: dict[str, Any]) -> Any:
+    """Build a config from nested plain values; ConfigError lists every mistake."""
+    from embodichain.utils.from_dict import from_dict  # pydantic: only when it is called
+
+    return from_dict(cls, init_dict)
+
+
+_METHODS: dict[str, Any] = {
+    "from_dict": classmethod(_from_dict),
     "to_dict": config_to_dict,
     "replace": _replace,
     "copy": _replace,

@@ -304,6 +304,15 @@ class MarkerCfg:
     arena_index: int = 0
 
 
+def __getattr__(name: str) -> Any:
+    """Configs of EmbodiChain's that cannot be used here yet, by name."""
+    from embodichain.lab.sim import unavailable
+
+    if name in unavailable.__all__:
+        return getattr(unavailable, name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
 def name_of(cfg: ObjectBaseCfg) -> str:
     """Return the uid of an entity, an articulation's falling back to its file's stem.
 

@@ -1,0 +1,94 @@
+"""Configs of EmbodiChain's that exist by name only: building one says what is not here yet."""
+
+from __future__ import annotations
+
+from typing import Any
+
+__all__ = [
+    "CameraCfg",
+    "ClothObjectCfg",
+    "ContactSensorCfg",
+    "GizmoCfg",
+    "RigidConstraintCfg",
+    "RigidObjectGroupCfg",
+    "SensorCfg",
+    "SoftObjectCfg",
+    "SolverCfg",
+    "StereoCameraCfg",
+    "URDFCfg",
+]
+
+
+class _UnavailableCfg:
+    """Raises NotImplementedError when built."""
+
+    what = "this"
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        raise NotImplementedError(f"{type(self).__name__}: {self.what} not available yet")
+
+
+class SoftObjectCfg(_UnavailableCfg):
+    """Not available: soft bodies come later."""
+
+    what = "soft bodies are"
+
+
+class ClothObjectCfg(_UnavailableCfg):
+    """Not available: cloth comes later."""
+
+    what = "cloth is"
+
+
+class RigidObjectGroupCfg(_UnavailableCfg):
+    """Not available: add objects one by one."""
+
+    what = "object groups are"
+
+
+class RigidConstraintCfg(_UnavailableCfg):
+    """Not available: welds come with their event terms."""
+
+    what = "rigid constraints are"
+
+
+class GizmoCfg(_UnavailableCfg):
+    """Not available: gizmos need the viewer they belong to."""
+
+    what = "gizmos are"
+
+
+class URDFCfg(_UnavailableCfg):
+    """Not available: assembling one URDF from components comes later."""
+
+    what = "URDF assembly is"
+
+
+class SolverCfg(_UnavailableCfg):
+    """Not available: IK solvers come later."""
+
+    what = "IK solvers are"
+
+
+class SensorCfg(_UnavailableCfg):
+    """Not available: sensors come later."""
+
+    what = "sensors are"
+
+
+class CameraCfg(_UnavailableCfg):
+    """Not available: cameras come later."""
+
+    what = "cameras are"
+
+
+class StereoCameraCfg(_UnavailableCfg):
+    """Not available: cameras come later."""
+
+    what = "cameras are"
+
+
+class ContactSensorCfg(_UnavailableCfg):
+    """Not available: contact sensors come later."""
+
+    what = "contact sensors are"
