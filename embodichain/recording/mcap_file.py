@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, BinaryIO
 
 import lz4.frame  # type: ignore[import-untyped]
@@ -38,6 +39,7 @@ COMPRESSORS: Mapping[str, Callable[[bytes], bytes]] = {
 
 # Opcode, record length, channel, sequence, log time, publish time.
 _MESSAGE = struct.Struct("<BQHIQQ")
+_RECORD_HEAD = 1 + 8
 _MESSAGE_FIXED = 2 + 4 + 8 + 8
 _FOOTER = struct.Struct("<BQQQ")
 
@@ -65,8 +67,9 @@ class McapFile:
         self._offset = 0
         self._chunk: list[Part] = []
         self._chunk_size = 0
-        self._times: list[int] = []
-        self._index: dict[int, list[int]] = {}
+        self._messages = 0
+        self._first = self._last = 0
+        self._index: defaultdict[int, list[int]] = defaultdict(list)
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
         self._chunk_index: list[records.ChunkIndex] = []
@@ -113,21 +116,23 @@ class McapFile:
         self._chunk.append(data)
         self._chunk_size += len(data)
 
-    def message(self, channel_id: int, time_ns: int, parts: Iterable[Part]) -> None:
+    def message(self, channel_id: int, time_ns: int, parts: Sequence[Part]) -> None:
         """Add a message; arrays must not change until the chunk is written."""
-        chunk = self._chunk
-        head = len(chunk)
-        chunk.append(b"")
-        size = 0
+        size = _MESSAGE_FIXED
         for part in parts:
-            size += len(part) if isinstance(part, bytes) else part.nbytes
-            chunk.append(part)
-        chunk[head] = _MESSAGE.pack(0x05, _MESSAGE_FIXED + size, channel_id, 0, time_ns, time_ns)
-        index = self._index.setdefault(channel_id, [])
-        index.append(time_ns)
-        index.append(self._chunk_size)
-        self._times.append(time_ns)
-        self._chunk_size += _MESSAGE.size + size
+            size += len(part) if type(part) is bytes else part.nbytes  # type: ignore[union-attr]
+        chunk = self._chunk
+        chunk.append(_MESSAGE.pack(Opcode.MESSAGE, size, channel_id, 0, time_ns, time_ns))
+        chunk.extend(parts)
+        self._index[channel_id] += (time_ns, self._chunk_size)
+        if not self._messages:
+            self._first = self._last = time_ns
+        elif time_ns > self._last:
+            self._last = time_ns
+        elif time_ns < self._first:
+            self._first = time_ns
+        self._messages += 1
+        self._chunk_size += _RECORD_HEAD + size
         if self._chunk_size > CHUNK_BYTES:
             self._close_chunk()
 
@@ -164,11 +169,11 @@ class McapFile:
         self._stream.flush()
 
     def _close_chunk(self) -> None:
-        if not self._times:
+        if not self._messages:
             return
         data = b"".join(self._chunk)  # type: ignore[arg-type]  # arrays are buffers
         packed = self._compress(data)
-        start, end = min(self._times), max(self._times)
+        start, end = self._first, self._last
         # The record's fields by hand: the library would copy the data twice more.
         name = self._name.encode()
         head = struct.pack("<QQQII", start, end, len(data), zlib.crc32(data), len(name)) + name
@@ -193,7 +198,7 @@ class McapFile:
         self._start = min(start, self._start) if len(self._chunk_index) > 1 else start
         self._end = max(end, self._end)
         self._chunk.clear()
-        self._times.clear()
+        self._messages = 0
         self._index.clear()
         self._chunk_size = 0
 

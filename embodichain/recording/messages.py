@@ -198,7 +198,11 @@ def encode_step(
         np.ascontiguousarray(action, "<f8"),
         wire.packed(6, doubles),
         np.ascontiguousarray(reward, "<f8"),
-        wire.flags(7, terminated) + wire.flags(8, truncated) + words,
+        wire.packed(7, n),
+        np.ascontiguousarray(terminated, np.bool_),
+        wire.packed(8, n),
+        np.ascontiguousarray(truncated, np.bool_),
+        words,
         np.ascontiguousarray(episode_ids, "<i8"),
     ]
     if physics is not None:

@@ -6,6 +6,7 @@ It only collects and hands over: what replay needs is `state_log`, what people l
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,7 +16,8 @@ from typing import TYPE_CHECKING
 import mujoco
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
-from embodichain.lab.sim.engine.base import Engine, EnvIndex, PhysicsEvent, Write
+from embodichain.lab.sim.engine.base import EnvIndex, PhysicsEvent, Write
+from embodichain.lab.sim.engine.cpu import row_layout
 from embodichain.recording import state_log
 from embodichain.recording.attachments import attach_all, model_bytes, model_digest
 from embodichain.recording.columns import RowColumns
@@ -84,7 +86,7 @@ class McapRecorder(StepObserver):
         options = RecordOptions() if options is None else options
         check_options(options, env.num_envs)
         engine = env.sim.engine
-        columns = RowColumns(_layout(engine))
+        columns = RowColumns(row_layout(engine.model))
         self._period_ns = round(env.step_dt * 1e9)
         self._start_ns = time.time_ns()
         self._pending: list[Message | Job] = []
@@ -231,14 +233,6 @@ class McapRecorder(StepObserver):
             self._file.close()
 
 
-def _layout(engine: Engine) -> dict[str, slice]:
-    from embodichain.lab.sim.engine.cpu import row_layout
-
-    return row_layout(engine.model)
-
-
 def _write_json(path: Path, content: object) -> None:
-    import json
-
     with path.open("x") as stream:
         json.dump(content, stream, indent=1)

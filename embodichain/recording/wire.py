@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 __all__ = [
     "WireError",
     "array",
-    "flags",
     "packed",
     "parse",
     "text",
@@ -69,11 +68,6 @@ def array(field: int, values: NDArray[Any], dtype: str) -> bytes:
     """A packed field of fixed-width numbers (``<f8``, ``<u8``, ``<i8``, ``<u4``)."""
     raw = np.ascontiguousarray(values, dtype).tobytes()
     return packed(field, len(raw)) + raw
-
-
-def flags(field: int, values: NDArray[np.bool_]) -> bytes:
-    """A bytes field with one byte, 0 or 1, an entry."""
-    return text(field, np.ascontiguousarray(values, np.bool_).tobytes())
 
 
 def _read_varint(data: memoryview, at: int) -> tuple[int, int]:

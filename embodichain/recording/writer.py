@@ -9,7 +9,7 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -111,7 +111,7 @@ class McapThread:
         """Add a metadata record."""
         self._writer.metadata(name, values)
 
-    def write(self, topic: str, time_ns: int, parts: Iterable[Part]) -> None:
+    def write(self, topic: str, time_ns: int, parts: Sequence[Part]) -> None:
         """Add a message to a declared channel."""
         self._writer.message(self._channels[topic], time_ns, parts)
 

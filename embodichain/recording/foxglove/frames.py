@@ -63,6 +63,6 @@ class Frames:
         """`FrameTransforms` of all environments, as bytes."""
         stamp = timestamp(time_ns)
         for transform in self._message.transforms:
-            transform.timestamp.CopyFrom(stamp)
+            transform.timestamp.seconds, transform.timestamp.nanos = stamp.seconds, stamp.nanos
         data: bytes = self._message.SerializeToString()
         return data

@@ -5,7 +5,7 @@ With a viewer's default layout only coordinate axes appear: scenes are hidden un
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -25,6 +25,8 @@ _PLOT = {
     "xAxisVal": "timestamp",
     "sidebarDimension": 240,
 }
+_ABOVE_FLOOR = 0.002
+"""Metres; a grid in the very plane of the floor flickers."""
 
 
 def foxglove_layout(model: mujoco.MjModel, view_envs: Sequence[int]) -> dict[str, Any]:
@@ -40,14 +42,21 @@ def foxglove_layout(model: mujoco.MjModel, view_envs: Sequence[int]) -> dict[str
         "3D!scene": {
             "followMode": "follow-none",
             "followTf": "world",
-            "scene": {"transforms": {"showLabel": False, "axisScale": 0, "lineWidth": 0}},
+            "scene": {
+                "transforms": {
+                    "showLabel": False,
+                    "axisScale": 0,
+                    "lineWidth": 0,
+                    "enablePreloading": True,  # right poses after a jump in time
+                }
+            },
             "cameraState": {
-                "distance": 4.0,
+                "distance": 2.0 * float(model.stat.extent),
                 "perspective": True,
                 "phi": 65,
                 "thetaOffset": 45,
                 "target": [0, 0, 0],
-                "targetOffset": [0, 0, 0.8],
+                "targetOffset": [float(x) for x in model.stat.center],
                 "targetOrientation": [0, 0, 0, 1],
                 "fovy": 45,
                 "near": 0.05,
@@ -65,19 +74,19 @@ def foxglove_layout(model: mujoco.MjModel, view_envs: Sequence[int]) -> dict[str
                     "divisions": 10,
                     "lineWidth": 1,
                     "color": "#248eff66",
-                    "position": [0, 0, 0],
+                    "position": [0, 0, _ABOVE_FLOOR],
                     "rotation": [0, 0, 0],
                 }
             },
         },
         "Plot!joints": _plot(
             "joint positions (rad, m)",
-            [
-                f'{first}/joint_states.joints[:]{{name=="{name}"}}.position'
+            {
+                name: f'{first}/joint_states.joints[:]{{name=="{name}"}}.position'
                 for name in Joints(model).names
-            ],
+            },
         ),
-        "Plot!reward": _plot("reward", [f"{first}/metrics.reward"]),
+        "Plot!reward": _plot("reward", {"reward": f"{first}/metrics.reward"}),
         "RosOut!log": {"searchTerms": [], "minLogLevel": 1, "topicToRender": "/log"},
     }
     return {
@@ -104,14 +113,18 @@ def foxglove_layout(model: mujoco.MjModel, view_envs: Sequence[int]) -> dict[str
     }
 
 
-def _plot(title: str, values: Sequence[str]) -> dict[str, Any]:
+def _plot(title: str, values: Mapping[str, str]) -> dict[str, Any]:
+    """A plot of message paths by label."""
     paths = [
         {
             "value": value,
+            "label": label,
             "enabled": True,
             "timestampMethod": "receiveTime",
             "color": _PALETTE[i % len(_PALETTE)],
         }
-        for i, value in enumerate(values)
+        for i, (label, value) in enumerate(values.items())
     ]
-    return {**_PLOT, "foxglovePanelTitle": title, "paths": paths}
+    # Foxglove's key, and that of its open fork Lichtblick.
+    titles = {"foxglovePanelTitle": title, "lichtblickPanelTitle": title}
+    return {**_PLOT, **titles, "paths": paths}

@@ -10,6 +10,8 @@ import struct
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import numpy as np
+
 from embodichain.lab.gym.envs.observers import StepRecord
 from embodichain.recording import wire
 
@@ -35,7 +37,7 @@ class Scalars:
         Raises:
             ValueError: If the step has other scalars than the first one.
         """
-        values = [float(value[env_id]) for _, value in _walk(step)]
+        values = [float(np.asarray(value)[env_id]) for _, value in _walk(step)]
         if len(values) != len(self.names):
             raise ValueError(f"{len(values)} scalars in a step; the first had {self.names}")
         return b"".join(

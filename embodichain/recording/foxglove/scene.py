@@ -77,8 +77,21 @@ def _rgba(model: mujoco.MjModel, geom: int) -> F64:
     """A geom's colour: its own, or its material's where its own is the default grey."""
     own, material = model.geom_rgba[geom], int(model.geom_matid[geom])
     if material >= 0 and np.array_equal(own, np.array([0.5, 0.5, 0.5, 1.0], np.float32)):
-        own = model.mat_rgba[material]
+        own = model.mat_rgba[material] * _texture_mean(model, material)
     return np.asarray(own, np.float64)
+
+
+def _texture_mean(model: mujoco.MjModel, material: int) -> F64:
+    """Mean RGBA of a material's texture: Foxglove's primitives have one colour. 1 without one."""
+    texture = int(model.mat_texid[material, int(mujoco.mjtTextureRole.mjTEXROLE_RGB)])
+    channels = int(model.tex_nchannel[texture]) if texture >= 0 else 0
+    mean = np.ones(4)
+    if channels >= 3:
+        start = int(model.tex_adr[texture])
+        size = int(model.tex_height[texture]) * int(model.tex_width[texture]) * channels
+        pixels = model.tex_data[start : start + size].reshape(-1, channels)
+        mean[:channels] = pixels.mean(axis=0) / 255
+    return mean
 
 
 def _color(model: mujoco.MjModel, geom: int) -> Any:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.observers import StepRecord
 from embodichain.lab.sim.engine.base import F64, EnvIndex, Write
+from embodichain.lab.sim.engine.cpu import row_layout
 from embodichain.recording.foxglove.frames import Frames
 from embodichain.recording.foxglove.joints import Joints
 from embodichain.recording.foxglove.messages import Log, timestamp
@@ -138,7 +139,7 @@ class Views:
     def on_step(self, step: int, record: StepRecord) -> None:
         """Write the numbers of viewed environments when due, and a line for what diverged."""
         diverged = record.info.get("diverged")
-        if diverged is not None:
+        if diverged is not None and record.terminated.any():  # to diverge is to terminate
             ids = np.flatnonzero(np.asarray(diverged))
             if len(ids):
                 self.say(f"environments {ids_text(ids)} diverged in step {step}", "WARNING")
@@ -173,6 +174,9 @@ class _Viewed:
         self._owned = False
         self.data = mujoco.MjData(model)
         self.joints = Joints(model)
+        layout, data = row_layout(model), self.data
+        fields = ("qpos", "qvel", "mocap_pos", "mocap_quat")
+        self._inputs = [(getattr(data, name), layout[name]) for name in fields]
         self._scene: Scene | None = None
         self._big = False
         root = f"/env_{env_id}"
@@ -190,8 +194,8 @@ class _Viewed:
 
     def place(self, row: F64) -> None:
         """Compute where every body is."""
-        state = mujoco.mjtState.mjSTATE_INTEGRATION
-        mujoco.mj_setState(self._model, self.data, row, state)
+        for target, columns in self._inputs:
+            target[...] = row[columns].reshape(target.shape)
         mujoco.mj_kinematics(self._model, self.data)
 
     def scene(self, time_ns: int) -> bytes | None:
