@@ -46,27 +46,32 @@ class ActionCheck:
             TypeError: If it is no floating tensor, array or TensorDict.
             ValueError: If its shape or device is wrong or a number is not finite.
         """
-        if isinstance(action, TensorDict):
-            return action, self._finite(self._flatten(action))
-        if isinstance(action, np.ndarray):
-            if not np.issubdtype(action.dtype, np.floating):
-                raise TypeError(f"actions are floating point numbers, got {action.dtype}")
-            action = torch.from_numpy(action.astype(np.float32))
-        elif not isinstance(action, torch.Tensor):
-            raise TypeError(f"an action is a tensor {self._wanted()}, got {type(action).__name__}")
-        shape = self._shape
-        if shape is not None and action.shape != shape or action.shape[:1] != (self._num_envs,):
+        # The usual case first: an isinstance check of another class costs more than the rest.
+        if not isinstance(action, torch.Tensor):
+            if isinstance(action, TensorDict):
+                return action, self._finite(self._flatten(action))
+            action = self._tensor(action)
+        if action.shape != self._shape and (
+            self._shape is not None or action.shape[:1] != (self._num_envs,)
+        ):
             raise ValueError(f"action must have shape {self._wanted()}, got {tuple(action.shape)}")
-        if not action.is_floating_point():
+        if not action.dtype.is_floating_point:
             raise TypeError(
                 f"an action is a floating point tensor {self._wanted()}, got {action.dtype}"
             )
-        if action.device.type != self._device.type:
+        if action.device != self._device:
             raise ValueError(f"action is on {action.device}; this environment is on {self._device}")
         if action.requires_grad:
             action = action.detach()
         given = action.numpy().astype(np.float64)
         return action, self._finite(given if given.ndim == 2 else given.reshape(len(given), -1))
+
+    def _tensor(self, action: Any) -> torch.Tensor:
+        if not isinstance(action, np.ndarray):
+            raise TypeError(f"an action is a tensor {self._wanted()}, got {type(action).__name__}")
+        if not np.issubdtype(action.dtype, np.floating):
+            raise TypeError(f"actions are floating point numbers, got {action.dtype}")
+        return torch.from_numpy(action.astype(np.float32))
 
     def _wanted(self) -> str:
         return f"({self._num_envs}, ...)" if self._shape is None else f"{tuple(self._shape)}"
