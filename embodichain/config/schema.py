@@ -56,7 +56,7 @@ class RecordCfg:
     format: Literal["mcap", "none"] = "mcap"
     state: Literal["all", "none"] = "all"
     """`all` keeps what `replay --verify` needs of every environment."""
-    compression: Literal["zstd", "lz4", "none"] = "zstd"
+    compression: Literal["zstd", "lz4", "none"] = "lz4"
     view_envs: list[Annotated[int, Field(ge=0)]] = [0]
     """Environments that people look at: transforms, shapes, joint states."""
     view_hz: Annotated[float, Field(gt=0)] = 10.0
