@@ -23,6 +23,8 @@ _MIX1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX2 = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
 _UNIT = 2.0**-53
+_BLOCK = 2048
+"""Numbers computed ahead at most: one small draw costs as much as a thousand numbers."""
 
 
 def _mix(z: U64) -> U64:
@@ -33,6 +35,23 @@ def _mix(z: U64) -> U64:
     z *= _MIX2
     z ^= z >> _S31
     return z
+
+
+def _unit(bits: U64) -> NDArray[np.float64]:
+    """The upper 53 bits as a number in [0, 1)."""
+    return (bits >> _S11).astype(np.float64) * _UNIT
+
+
+class _Block:
+    """Numbers of one stream for several draws of all environments, (draws, N, width)."""
+
+    __slots__ = ("counters", "unit", "used", "width")
+
+    def __init__(self, unit: NDArray[np.float64], width: int, counters: U64) -> None:
+        self.unit = unit
+        self.width = width
+        self.counters = counters
+        self.used = 0
 
 
 class RandomStreams:
@@ -49,6 +68,7 @@ class RandomStreams:
         self._keys: dict[str, U64] = {}
         self._counters: dict[str, U64] = {}
         self._steps: dict[int, U64] = {}
+        self._blocks: dict[str, _Block] = {}
 
     def _stream(self, name: str) -> tuple[U64, U64]:
         keys = self._keys.get(name)
@@ -63,6 +83,7 @@ class RandomStreams:
     def bits(self, name: str, width: int, env_ids: NDArray[np.int64] | None = None) -> U64:
         """Return (n, width) random 64-bit words and advance those environments' counters."""
         keys, counters = self._stream(name)
+        self._blocks.pop(name, None)
         steps = self._steps.get(width)
         if steps is None:
             steps = self._steps[width] = np.arange(1, width + 1, dtype=np.uint64) * _GAMMA
@@ -97,21 +118,43 @@ class RandomStreams:
         width = 1
         for size in shape:
             width *= size
-        unit = (self.bits(name, width, env_ids) >> _S11).astype(np.float64)
-        unit *= _UNIT
+        if env_ids is None:
+            unit = self._ahead(name, width)
+        else:
+            unit = _unit(self.bits(name, width, env_ids))
         if len(shape) != 1:
             unit = unit.reshape(len(unit), *shape)
         low = np.asarray(low, np.float64)
-        unit *= np.asarray(high, np.float64) - low
-        unit += low
-        return unit
+        values: NDArray[np.float64] = unit * (high - low)
+        values += low
+        return values
+
+    def _ahead(self, name: str, width: int) -> NDArray[np.float64]:
+        """(N, width) in [0, 1) for all environments, from a block computed for several draws.
+
+        The numbers are those of `bits`: a block only saves the cost of many small array operations.
+        It is dropped as soon as anything else moves a counter of its stream. Read only.
+        """
+        block = self._blocks.get(name)
+        if block is None or block.width != width or block.used == len(block.unit):
+            count = max(1, _BLOCK // max(1, self.num_envs * width))
+            keys, counters = self._stream(name)
+            draws = np.arange(count, dtype=np.uint64) * np.uint64(width)
+            start = keys + (counters + draws[:, None]) * _GAMMA
+            steps = np.arange(1, width + 1, dtype=np.uint64) * _GAMMA
+            unit = _unit(_mix(start[:, :, None] + steps))
+            block = self._blocks[name] = _Block(unit, width, counters)
+        rows: NDArray[np.float64] = block.unit[block.used]
+        block.used += 1
+        block.counters += np.uint64(width)
+        return rows
 
     def normal(
         self, name: str, shape: Sequence[int] = (), env_ids: NDArray[np.int64] | None = None
     ) -> NDArray[np.float64]:
         """Draw standard normal numbers by Box and Muller; returns (n, *shape) float64."""
         width = int(np.prod(shape, dtype=np.int64))
-        unit = (self.bits(name, 2 * width, env_ids) >> _S11).astype(np.float64) * _UNIT
+        unit = _unit(self.bits(name, 2 * width, env_ids))
         # Contiguous copies: numpy's transcendental kernels may round strided input differently.
         radius = np.sqrt(-2.0 * np.log1p(-np.ascontiguousarray(unit[:, :width])))
         angle = np.cos(2.0 * np.pi * np.ascontiguousarray(unit[:, width:]))
@@ -126,5 +169,6 @@ class RandomStreams:
         self.seed = int(state["seed"])
         self._keys.clear()
         self._counters.clear()
+        self._blocks.clear()
         for name, counters in state["counters"].items():
             self._stream(name)[1][:] = counters

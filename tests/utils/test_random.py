@@ -62,3 +62,31 @@ def test_state_continues():
     other.load_state_dict(streams.state_dict())
     assert other.uniform("a", (4,)).tobytes() == streams.uniform("a", (4,)).tobytes()
     assert other.uniform("new").tobytes() == streams.uniform("new").tobytes()
+
+
+def test_numbers_computed_ahead_are_the_same_numbers():
+    """Whole draws come from a block; partial draws, other widths and restores drop it."""
+    ahead, plain = RandomStreams(4, 3), RandomStreams(4, 3)
+    everyone = np.arange(3)
+    script = [
+        ("w", 2),
+        ("w", 2),
+        ("w", 3),
+        ("some", 2),
+        ("w", 2),
+        ("load", 0),
+        ("w", 2),
+        ("bits", 2),
+    ]
+    for kind, width in script * 3:
+        if kind == "w":
+            got = ahead.uniform("s", (width,))
+            want = plain.uniform("s", (width,), env_ids=everyone)
+        elif kind == "some":
+            got, want = (s.uniform("s", (width,), env_ids=np.array([0, 2])) for s in (ahead, plain))
+        elif kind == "bits":
+            got, want = ahead.bits("s", width), plain.bits("s", width)
+        else:
+            ahead.load_state_dict(ahead.state_dict())
+            continue
+        assert got.tobytes() == want.tobytes()
