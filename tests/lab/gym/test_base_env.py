@@ -17,7 +17,7 @@ from embodichain.lab.gym.envs.cfg import (
     TerminationCfg,
 )
 from embodichain.lab.sim.cfg import RigidObjectCfg, RobotCfg, SimulationManagerCfg
-from embodichain.utils.errors import ConfigError, DeviceError
+from embodichain.utils.errors import ConfigError, DeviceError, RenderError
 from tests.lab.gym.conftest import HOME, UR10, flat, home, jumping, marker, targets, task
 
 
@@ -458,6 +458,18 @@ def test_render_modes(make_env):
     assert env.render() is None
     with pytest.raises(ValueError, match="rgb_array"):
         make_env(env_kwargs={"render_mode": "human"})
+
+
+def test_rgb_array_gives_a_picture_and_changes_nothing(make_env):
+    env = make_env(env_kwargs={"render_mode": "rgb_array"})
+    env.reset()
+    rows = env.sim.engine.rows.copy()
+    try:
+        picture = env.render()
+    except RenderError as error:
+        pytest.skip(str(error))
+    assert picture.shape == (480, 640, 3) and picture.dtype == np.uint8 and picture.std() > 1
+    np.testing.assert_array_equal(env.sim.engine.rows, rows)
 
 
 def test_a_failed_build_leaves_nothing_behind(make_env):
