@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from embodichain.recording.attachments import model_digest
 from embodichain.recording.header import Header
 from embodichain.recording.messages import StepOutcome
 from embodichain.recording.reader import LogReader
@@ -159,10 +160,14 @@ def summarize(path: str | Path) -> LogSummary:
 
 
 def _warnings(reader: LogReader, steps: int) -> list[str]:
+    warnings = []
     if not reader.complete:
         why = reader.damage or "its end is missing"
         where = f"what followed step {steps - 1} is missing" if steps else "no step is in it"
-        return [f"incomplete: {why}; {where}"]
-    if not reader.finished:
-        return ["the recorder did not close this log: its last steps may be missing"]
-    return []
+        warnings.append(f"incomplete: {why}; {where}")
+    elif not reader.finished:
+        warnings.append("the recorder did not close this log: its last steps may be missing")
+    mjb = reader.attachments.get("model.mjb", b"")
+    if model_digest(mjb) != reader.require_header().model:
+        warnings.append("the attachment model.mjb is not the model that was recorded")
+    return warnings

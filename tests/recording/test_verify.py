@@ -1,12 +1,13 @@
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 
-from embodichain.recording import verify
+from embodichain.recording import inspect, verify
 from embodichain.recording.attachments import load_mjb, model_bytes, model_digest
 from embodichain.recording.columns import RowColumns
 from embodichain.recording.messages import State, StepOutcome
@@ -42,6 +43,7 @@ def test_a_log_verifies(record, case):
 def test_a_diverging_environment_verifies(record, poison):
     report = verify(record(env=poison))
     assert report.ok, str(report)
+    assert list(Path.cwd().iterdir()) == []  # MuJoCo's warnings went to nobody's folder
 
 
 def test_one_environment_and_one_episode(record):
@@ -135,7 +137,9 @@ def test_a_swapped_attachment_is_not_the_recorded_model(record, tmp_path):
     report = verify(path)
     assert not report.ok
     assert report.steps == 0
-    assert report.problems == ["the attachment model.mjb is not the model that was recorded"]
+    problem = "the attachment model.mjb is not the model that was recorded"
+    assert report.problems == [problem]
+    assert inspect(path).warnings == [problem]
 
 
 def test_a_changed_write_is_found(record, tmp_path):

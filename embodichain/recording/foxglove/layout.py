@@ -51,10 +51,10 @@ def foxglove_layout(model: mujoco.MjModel, view_envs: Sequence[int]) -> dict[str
                 }
             },
             "cameraState": {
-                "distance": 2.0 * float(model.stat.extent),
+                "distance": 1.8 * float(model.stat.extent),
                 "perspective": True,
                 "phi": 65,
-                "thetaOffset": 45,
+                "thetaOffset": 135,
                 "target": [0, 0, 0],
                 "targetOffset": [float(x) for x in model.stat.center],
                 "targetOrientation": [0, 0, 0, 1],
