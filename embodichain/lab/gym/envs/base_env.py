@@ -165,6 +165,8 @@ class BaseEnv(EnvOutcome):
 
     # -- step ----------------------------------------------------------------------------------
 
+    # A diverging environment's numbers may not fit float32: they become infinite, and are found.
+    @np.errstate(over="ignore")
     def step(self, action: EnvAction, **kwargs: Any) -> Step:  # type: ignore[override]
         """Advance all environments by one control step (K physics steps).
 
