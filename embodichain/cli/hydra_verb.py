@@ -1,24 +1,28 @@
 """What `run` and `train` share: flags and positionals become overrides, mistakes come before Hydra.
 
-Hydra knows no verbs. Its own `main` does the work (multirun, launchers, `--cfg`, `--info`), called
+Hydra knows no verbs. Its own `main` does multirun, launchers, `--cfg`, `--info`: it is called
 with the verb's rest of the command line; exceptions pass through it to our one report.
 """
 
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from embodichain.cli import exits
 from embodichain.cli.arguments import VerbParser, split_overrides
-from embodichain.cli.jobs import COMMAND_VARIABLE, check, failure
+from embodichain.cli.jobs import COMMAND_VARIABLE, given
 from embodichain.cli.verbs import VERBS, Verb
 from embodichain.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from embodichain.config.resolve import Resolved
 
 __all__ = ["call_hydra", "call_verb"]
 
@@ -26,8 +30,11 @@ _MOST_CHECKED_JOBS = 64
 _INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
 
 
-def call_verb(name: Literal["run", "train"], job: Callable[[], None], arguments: list[str]) -> int:
-    """Parse, check every job's config, then let Hydra call `job` once or once a sweep's point.
+def call_verb(name: Literal["run", "train"], job: Callable[..., None], arguments: list[str]) -> int:
+    """Parse, check every job's config, then call `job` once, or let Hydra do what it is asked for.
+
+    A single run needs Hydra no more once its config is composed; calling its `main` would compose
+    that twice again before the first step.
 
     Args:
         name: The verb.
@@ -39,24 +46,24 @@ def call_verb(name: Literal["run", "train"], job: Callable[[], None], arguments:
     """
     options = _parser(VERBS[name]).parse(arguments)
     overrides = _overrides(options)
+    os.environ[COMMAND_VARIABLE] = shlex.join(["embodichain", name, *arguments])
     with _searching(options.config_dir):
-        relaxed = _relaxed(overrides)
         if options.cfg is not None or options.info is not None:
             _check_composes(name, overrides)
         elif options.multirun:
-            for point in _points(relaxed):
-                check(name, point, point, options.config_dir)
+            for point in _points(overrides):
+                _resolve(name, point)
         else:
-            check(name, overrides, relaxed, options.config_dir)
-        os.environ[COMMAND_VARIABLE] = shlex.join(["embodichain", name, *arguments])
-        call_hydra(f"embodichain {name}", job, [*_flags(options), *relaxed])
-    error = failure()
-    if error is not None:
-        raise error
+            resolved = _resolve(name, overrides)
+            if not any(map(_is_hydras, overrides)):
+                with given(resolved):
+                    job({})
+                return exits.OK
+        call_hydra(f"embodichain {name}", job, [*_flags(options), *_relaxed(overrides)])
     return exits.OK
 
 
-def call_hydra(program: str, job: Callable[[], None], arguments: list[str]) -> None:
+def call_hydra(program: str, job: Callable[..., None], arguments: list[str]) -> None:
     """Call a `hydra.main` function with these arguments; its exceptions come out as they are."""
     with _process(program, arguments):
         job()
@@ -118,6 +125,13 @@ def _relaxed(overrides: list[str]) -> list[str]:
         return relax(overrides, loader)
 
 
+def _resolve(name: Literal["run", "train"], overrides: list[str]) -> Resolved:
+    """Check a job's config as a whole."""
+    from embodichain.config.resolve import resolve
+
+    return resolve(overrides, name)
+
+
 def _check_composes(name: str, overrides: list[str]) -> None:
     """Raise what is wrong with overrides and files, not with values: for printing the config."""
     from embodichain.config.compose import compose
@@ -142,16 +156,28 @@ def _points(overrides: Sequence[str]) -> Iterator[list[str]]:
         yield from (list(job) for job in batch)
 
 
+def _is_hydras(override: str) -> bool:
+    """Whether an override is about Hydra itself: callbacks, its folders, environment variables."""
+    return override.lstrip("+~").startswith(("hydra.", "hydra/"))
+
+
 @contextmanager
 def _process(program: str, arguments: list[str]) -> Iterator[None]:
-    """The process as Hydra wants it: its arguments in `sys.argv`, exceptions not printed by it."""
+    """The process as Hydra wants it: its arguments in `sys.argv`, exceptions not printed by it.
+
+    What Hydra changes in `logging` is undone afterwards.
+    """
     argv, full = sys.argv, os.environ.get("HYDRA_FULL_ERROR")
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
     sys.argv = [program, *arguments]
     os.environ["HYDRA_FULL_ERROR"] = "1"
     try:
         yield
     finally:
         sys.argv = argv
+        root.handlers[:] = handlers
+        root.setLevel(level)
         if full is None:
             del os.environ["HYDRA_FULL_ERROR"]
         else:

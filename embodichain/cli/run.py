@@ -38,7 +38,7 @@ def main(arguments: list[str]) -> int:
 
 @hydra.main(version_base="1.3", config_path="pkg://embodichain.conf", config_name="run")
 def job(composed: DictConfig) -> float | None:
-    """One run; what Hydra calls. Returns the mean return, which a sweeper may optimise."""
+    """One run, called here or by Hydra. Returns the mean return, which a sweeper may optimise."""
     return execute("run", _run)
 
 

@@ -32,7 +32,7 @@ def main(arguments: list[str]) -> int:
 
 @hydra.main(version_base="1.3", config_path="pkg://embodichain.conf", config_name="train")
 def job(composed: DictConfig) -> float | None:
-    """One training; what Hydra calls. Returns the mean return, which a sweeper may optimise."""
+    """One training, called here or by Hydra. Returns the mean return, for sweepers to optimise."""
     return execute("train", _train)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["EXIT_CODES", "VERBS", "Verb", "overview"]
+__all__ = ["EVERYDAY_KEYS", "EXIT_CODES", "VERBS", "Verb", "overview"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,10 +29,10 @@ class Verb:
     overrides: bool = False
 
     def epilog(self) -> str:
-        """The examples as `--help` shows them."""
+        """Keys and examples as `--help` shows them."""
         width = max(len(arguments) for arguments, _ in self.examples)
-        lines = (f"  embodichain {a:<{width}}   {what}" for a, what in self.examples)
-        return "\n".join(["examples:", *lines])
+        lines = [f"  embodichain {a:<{width}}   {what}" for a, what in self.examples]
+        return "\n".join([*(_KEYS if self.overrides else ()), "examples:", *lines])
 
 
 _RUN = Verb(
@@ -124,6 +124,17 @@ _DOCTOR = Verb(
 VERBS: dict[str, Verb] = {
     verb.name: verb for verb in (_RUN, _TRAIN, _REPLAY, _BENCH, _LIST, _SHOW, _VALIDATE, _DOCTOR)
 }
+
+EVERYDAY_KEYS = (
+    *("task", "num_envs", "episodes", "max_steps", "total_timesteps", "seed", "policy"),
+    *("record", "viewer", "device", "sim", "output_dir"),
+)
+_KEYS = (
+    "keys:",
+    f"  {' '.join(EVERYDAY_KEYS)}",
+    "  all of them, with their values: embodichain show task=NAME --config",
+    "",
+)
 
 EXIT_CODES = "exit codes: 0 ok, 1 the run failed, 2 wrong input, 130 interrupted"
 

@@ -1,10 +1,12 @@
+import dataclasses
 import re
 
 import pytest
 
 import embodichain
 from embodichain.cli import main
-from embodichain.cli.verbs import VERBS
+from embodichain.cli.verbs import EVERYDAY_KEYS, VERBS
+from embodichain.config.schema import RootCfg
 
 
 @pytest.mark.parametrize("arguments", [[], ["--help"], ["-h"], ["help"]])
@@ -32,6 +34,10 @@ def test_help_of_every_verb_shows_its_options_and_examples(
     for example, what in VERBS[verb].examples:
         assert f"embodichain {example}" in text
         assert what in text
+
+
+def test_keys_that_help_names_exist() -> None:
+    assert set(EVERYDAY_KEYS) <= {field.name for field in dataclasses.fields(RootCfg)}
 
 
 @pytest.mark.parametrize(

@@ -172,6 +172,31 @@ def test_interrupted_run_finishes_its_log(started, embodichain, tmp_path: Path, 
     assert data["steps"] == summary["control_steps"]
 
 
+def test_interrupted_training_keeps_what_it_learned(tmp_path: Path) -> None:
+    words = ("task=reach", "num_envs=4", "algo.n_steps=8", "algo.batch_size=16")
+    process = subprocess.Popen(
+        [sys.executable, "-m", "embodichain", "train", *words, "total_timesteps=100000000"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        for line in process.stderr or ():  # progress: it learns by now
+            if " steps  steps/s " in line:
+                break
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 130, err
+    assert "Traceback" not in err
+    assert re.search(r"^ +status +interrupted$", out, re.MULTILINE)
+    summary = json.loads((folder_of(tmp_path) / "summary.json").read_text())
+    assert summary["env_steps"] > 0
+    assert (folder_of(tmp_path) / summary["checkpoint"]).is_file()
+
+
 def test_killed_run_leaves_a_log_that_reads_up_to_its_end(
     started, embodichain, tmp_path: Path
 ) -> None:
