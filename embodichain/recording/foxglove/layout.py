@@ -19,11 +19,11 @@ _PLOT = {
     "showXAxisLabels": True,
     "showYAxisLabels": True,
     "showLegend": True,
-    "legendDisplay": "floating",
+    "legendDisplay": "left",
     "showPlotValuesInLegend": False,
     "isSynced": True,
     "xAxisVal": "timestamp",
-    "sidebarDimension": 240,
+    "sidebarDimension": 150,
 }
 _ABOVE_FLOOR = 0.002
 """Metres; a grid in the very plane of the floor flickers."""
