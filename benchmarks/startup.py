@@ -1,0 +1,91 @@
+"""How long a command takes to its first step, or its answer: `python -m benchmarks.startup`.
+
+The figure to keep small is the run's time beyond `python -c "import torch"`, which nobody escapes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from statistics import median
+
+from benchmarks.machine import table, write_json
+
+# `embodichain run` as the console script calls it; it ends when the first step has returned.
+FIRST_STEP = """
+import os, sys
+from embodichain.cli import main
+from embodichain.lab.gym.envs import base_env
+step = base_env.BaseEnv.step
+def first(self, *args, **kwargs):
+    step(self, *args, **kwargs)
+    os._exit(17)
+base_env.BaseEnv.step = first
+sys.exit(main(sys.argv[1:]))
+"""
+REACHED = 17
+
+
+def main() -> None:
+    """Measure every command in turns and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--out", type=Path, help="JSON file for the figures")
+    options = parser.parse_args()
+    python = sys.executable
+    with tempfile.TemporaryDirectory(prefix="startup-") as folder:
+        run = ["run", "task=random_reach", "num_envs=4", f"output_dir={folder}"]
+        commands = {
+            "python -c pass": [python, "-c", "pass"],
+            "python -c 'import torch'": [python, "-c", "import torch"],
+            "embodichain run, to its first step": [python, "-c", FIRST_STEP, *run],
+            "embodichain list tasks": [python, "-m", "embodichain", "list", "tasks"],
+            "embodichain --help": [python, "-m", "embodichain", "--help"],
+        }
+        seconds = measure(commands, options.rounds)
+    rows = [
+        [name, f"{median(times):.2f}", f"{min(times):.2f} to {max(times):.2f}"]
+        for name, times in seconds.items()
+    ]
+    torch, first = (seconds[name] for name in list(commands)[1:3])
+    beyond = [b - a for a, b in zip(torch, first, strict=True)]
+    rows.append(
+        [
+            "first step, beyond torch",
+            f"{median(beyond):.2f}",
+            f"{min(beyond):.2f} to {max(beyond):.2f}",
+        ]
+    )
+    print(table(["command", "s, median", "spread"], rows))
+    if options.out:
+        write_json(
+            options.out, {"rounds": options.rounds, "seconds": {**seconds, "beyond torch": beyond}}
+        )
+
+
+def measure(commands: dict[str, list[str]], rounds: int) -> dict[str, list[float]]:
+    """Wall seconds of every command in every round; a first round only warms the disk's cache."""
+    order = random.Random(0)
+    seconds: dict[str, list[float]] = {name: [] for name in commands}
+    for number in range(rounds + 1):
+        for name in order.sample(list(commands), len(commands)):
+            start = time.perf_counter()
+            done = subprocess.run(
+                commands[name], capture_output=True, text=True, check=False, env=os.environ
+            )
+            taken = time.perf_counter() - start
+            if done.returncode not in (0, REACHED):
+                raise RuntimeError(f"{name}: {done.stderr}")
+            if number:
+                seconds[name].append(taken)
+    return seconds
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""Control steps/s of every arm beside the bare batch: `python -m benchmarks.step_speed`.
+
+One process; all arms are built first; rounds in random order; the raw figures go to a JSON file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from benchmarks import arms
+from benchmarks.arms import Arm
+from benchmarks.machine import table, write_json
+from benchmarks.peers import MAX_WORKERS, peer_arms
+from benchmarks.plain_reach import write_scene
+from benchmarks.rounds import EPISODE, Result, measure
+from benchmarks.tutorial import make_tutorial
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+SIZES = (1, 8, 64, 1024)
+LOG_SIZES = (4, 64, 1024)  # 4 is the everyday number of environments
+FLOOR, FLOOR_1 = "floor, 2 threads", "floor, 1 thread"
+YAML, LINK, LOG = "random_reach", "random_reach + link pose", "random_reach + MCAP"
+TUTORIAL, PUSH = "tutorial's class", "push_cube"
+PUSH_FLOOR = "push_cube's floor, 2 threads"
+TARGETS = {
+    YAML: {1: 0.20, 8: 0.50, 64: 0.88, 1024: 0.93},
+    LINK: {64: 0.85, 1024: 0.85},
+    TUTORIAL: {1: 0.10, 8: 0.28, 64: 0.70, 1024: 0.88},
+}
+LOG_LIMITS = {64: 0.15, 1024: 0.10}
+
+
+def main() -> None:
+    """Measure, print the table, write the raw figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--seconds", type=float, default=0.5, help="about how long a turn is")
+    parser.add_argument("--sizes", type=int, nargs="+", default=list(SIZES))
+    parser.add_argument("--log-sizes", type=int, nargs="*", default=list(LOG_SIZES))
+    parser.add_argument("--episode", type=int, default=EPISODE, help="turns are multiples of it")
+    parser.add_argument("--no-peers", action="store_true", help="leave out other packages' arms")
+    parser.add_argument("--out", type=Path, help="JSON file for the raw figures")
+    options = parser.parse_args()
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="step_speed-")))
+        built = []
+        for size in sorted({*options.sizes, *options.log_sizes}):
+            env = arms.make("random_reach", size)
+            built += [arms.environment(env, YAML, FLOOR), arms.bare(FLOOR, env, 2)]
+            if size in options.log_sizes:
+                logged = arms.make("random_reach", size)
+                built.append(arms.recorded(logged, LOG, FLOOR, folder))
+            if size in options.sizes:
+                peers = size <= MAX_WORKERS and not options.no_peers
+                built += further_arms(env, folder, peers)
+        for arm in built:
+            stack.callback(arm.close)
+        results = measure(built, options.rounds, options.seconds, options.episode)
+    print(report(results))
+    if options.out:
+        facts = {"rounds": options.rounds, "results": [result.facts() for result in results]}
+        write_json(options.out, facts)
+
+
+def further_arms(env: BaseEnv, folder: Path, peers: bool) -> list[Arm]:
+    """What is compared with random_reach and its floor, at the same size.
+
+    Args:
+        env: random_reach.
+        folder: Where peers find the scene.
+        peers: Whether to build other packages' vector environments.
+    """
+    size = env.num_envs
+    linked = arms.make("random_reach", size, arms.LINK_POSE)
+    push = arms.make("push_cube", size)
+    built = [
+        arms.bare(FLOOR_1, env, 1, FLOOR),
+        arms.environment(linked, LINK, FLOOR),
+        arms.environment(make_tutorial(size), TUTORIAL, FLOOR),
+        arms.environment(push, PUSH, PUSH_FLOOR),
+        arms.bare(PUSH_FLOOR, push, 2),
+    ]
+    if peers:
+        nstep = env.sim_steps_per_control
+        write_scene(folder, env.sim.engine.model, env.sim.engine.rows[0])
+        built += peer_arms(folder, nstep, arms.actions_for(env), FLOOR)
+    return built
+
+
+def report(results: list[Result]) -> str:
+    """Two Markdown tables: ratios to the floor, and the log's cost."""
+    sizes = sorted({result.num_envs for result in results})
+    by = {(result.name, result.num_envs): result for result in results}
+    rows = []
+    for name in dict.fromkeys(result.name for result in results):
+        rows.append([name, *(_cell(by.get((name, size))) for size in sizes)])
+    parts = [
+        "Control steps/s, **ratio** to the 2-thread floor [lowest to highest]; > the target",
+        table(["arm", *(f"N={size}" for size in sizes)], rows),
+        "Cost of the log, share of a step without it",
+        table(["N", "cost", "at most"], [_cost(by, n) for n in sizes if (LOG, n) in by]),
+    ]
+    return "\n\n".join(parts)
+
+
+def _cell(result: Result | None) -> str:
+    if result is None:
+        return ""
+    speed = f"{result.speed / 1000:.1f}k"
+    if result.name == result.floor:
+        return speed
+    low, high = min(result.ratios), max(result.ratios)
+    target = TARGETS.get(result.name, {}).get(result.num_envs)
+    aim = f" > {target:.2f}" if target else ""
+    return f"{speed} **{result.ratio:.2f}** [{low:.2f} to {high:.2f}]{aim}"
+
+
+def _cost(by: dict[tuple[str, int], Result], size: int) -> list[str]:
+    """Median over rounds of time with the log over time without it, less one."""
+    pairs = zip(by[YAML, size].speeds, by[LOG, size].speeds, strict=True)
+    costs = sorted(without / logged - 1 for without, logged in pairs)
+    middle = f"{costs[len(costs) // 2]:.1%} [{costs[0]:.1%} to {costs[-1]:.1%}]"
+    limit = LOG_LIMITS.get(size)
+    return [str(size), middle, f"{limit:.0%}" if limit else ""]
+
+
+if __name__ == "__main__":
+    main()

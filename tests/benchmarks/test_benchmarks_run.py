@@ -1,0 +1,70 @@
+"""The benchmark scripts run, with sizes that measure nothing."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from benchmarks.arms import Arm
+from benchmarks.rounds import measure
+
+REPO = Path(__file__).parents[2]
+
+
+def run(module, *arguments, out):
+    command = [sys.executable, "-m", f"benchmarks.{module}", *arguments, "--out", str(out)]
+    done = subprocess.run(command, cwd=REPO, capture_output=True, text=True, timeout=200)
+    assert done.returncode == 0, done.stderr
+    return done.stdout, json.loads(out.read_text())
+
+
+def test_step_speed(tmp_path):
+    table, facts = run(
+        "step_speed", "--rounds=1", "--sizes", "2", "--log-sizes", "2", "--seconds=0",
+        "--episode=3", out=tmp_path / "raw.json",
+    )  # fmt: skip
+    arms = {result["name"]: result for result in facts["results"]}
+    assert {"random_reach", "random_reach + MCAP", "tutorial's class", "push_cube"} <= arms.keys()
+    assert {"gymnasium AsyncVectorEnv", "SB3 SubprocVecEnv"} <= arms.keys()
+    assert arms["floor, 2 threads"]["ratios"] == [1.0]
+    assert all(result["speeds"][0] > 0 for result in arms.values())
+    assert all(f"| {name} |" in table for name in arms)
+    assert "host" not in facts["machine"]
+
+
+def test_step_profile_accounts_for_every_part(tmp_path):
+    _, facts = run("step_profile", "--rounds=1", "--sizes", "2", "--seconds=0", out=tmp_path / "p")
+    parts = facts["microseconds"]["2"]
+    # Every part of random_reach's step is called, so a part that was renamed shows as 0.
+    assert all(value > 0 for name, value in parts.items() if name != "the rest of step()")
+
+
+def test_memory(tmp_path):
+    _, facts = run("memory", "--sizes", "1", "5000", out=tmp_path / "m.json")
+    assert facts["bytes"]["1"]["persistent"] and not facts["bytes"]["5000"]["persistent"]
+    assert facts["bytes"]["5000"]["running"] > facts["bytes"]["1"]["imported"]
+
+
+@pytest.mark.slow
+def test_startup(tmp_path):
+    _, facts = run("startup", "--rounds=1", out=tmp_path / "s.json")
+    assert len(facts["seconds"]["beyond torch"]) == 1
+
+
+def test_turns_are_whole_episodes_in_changing_order():
+    calls = []
+
+    def arm(name):
+        return Arm(name, 2, "a", lambda step: calls.append(name), prepare=lambda: calls.append("-"))
+
+    results = measure([arm("a"), arm("b")], rounds=8, seconds=0, episode=30, say=lambda line: None)
+    turns = ["".join(turn) for turn in "".join(calls).split("-")[5:]]
+    assert sorted(turns) == ["a" * 30] * 8 + ["b" * 30] * 8
+    firsts = {turn[0] for turn in turns[::2]}
+    assert firsts == {"a", "b"}
+    assert results[0].ratios == [1.0] * 8
+    assert results[1].ratios == pytest.approx(
+        [b / a for a, b in zip(results[0].speeds, results[1].speeds, strict=True)]
+    )
