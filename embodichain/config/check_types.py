@@ -15,7 +15,6 @@ from functools import cache
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
-from pydantic_core import ErrorDetails
 
 from embodichain.config.introspect import field_names, length_at, shape_types, type_at
 from embodichain.config.schema import ROOT_INSTEAD, RootCfg
@@ -26,6 +25,8 @@ from embodichain.utils.suggest import did_you_mean
 __all__ = ["TypeCheck", "check_types", "show_value"]
 
 Loc = tuple[str | int, ...]
+ErrorDetails = Mapping[str, Any]
+"""One entry of `ValidationError.errors()`."""
 
 _KINDS = {
     "int": "an integer",
@@ -212,8 +213,8 @@ def _expected(error: ErrorDetails) -> str:
     if error["type"] == "literal_error":
         choices = [repr(choice) for choice in _choices(error)]
         return choices[0] if len(choices) == 1 else f"one of {', '.join(choices)}"
-    kind = error["type"].rsplit("_", 1)[0]
-    return _KINDS.get(kind, error["msg"])
+    kind: str = error["type"].rsplit("_", 1)[0]
+    return _KINDS.get(kind, str(error["msg"]))
 
 
 def _choices(error: ErrorDetails) -> list[str]:

@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from pydantic import GetCoreSchemaHandler, TypeAdapter, ValidationError
-from pydantic_core import CoreSchema
 
 from embodichain.lab.gym.envs.cfg import Names, SceneEntityCfg
 from embodichain.utils.errors import ConfigError, Problem
@@ -51,7 +50,7 @@ class ResolvedEntity:
     all_joints: bool = False
 
     @classmethod
-    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
         """In a config it is written as a `SceneEntityCfg`."""
         return handler.generate_schema(SceneEntityCfg)
 
