@@ -56,9 +56,7 @@ class RowHash:
             ranges: Columns to look at, as half-open ranges; the others must be zero.
         """
         words = rows.view(np.uint64)
-        if self._used[0] != ranges:
-            self._used = ranges, np.concatenate([self._coefficients[a:b] for a, b in ranges])
-        coefficients = self._used[1]
+        coefficients = self._coefficients_of(ranges)
         shape = len(rows), len(coefficients)
         if self._scratch.shape != shape:
             self._scratch = np.empty(shape, np.uint64)
@@ -70,3 +68,18 @@ class RowHash:
             np.bitwise_xor(part, source, out=part)
             at += stop - start
         return _mix(scratch @ coefficients)
+
+    def of_columns(self, taken: F64, ranges: list[tuple[int, int]]) -> U64:
+        """Return (n,) hashes of rows whose columns in use were copied side by side.
+
+        Args:
+            taken: (n, width) those columns, contiguous.
+            ranges: Which columns they are.
+        """
+        words = taken.view(np.uint64)
+        return _mix((words ^ (words >> _HALF)) @ self._coefficients_of(ranges))
+
+    def _coefficients_of(self, ranges: list[tuple[int, int]]) -> U64:
+        if self._used[0] != ranges:
+            self._used = ranges, np.concatenate([self._coefficients[a:b] for a, b in ranges])
+        return self._used[1]

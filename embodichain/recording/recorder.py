@@ -6,10 +6,13 @@ It only collects and hands over: what replay needs is `state_log`, what people l
 
 from __future__ import annotations
 
+import atexit
 import json
 import time
-from collections.abc import Sequence
+import weakref
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,7 +29,7 @@ from embodichain.recording.foxglove.views import Views
 from embodichain.recording.header import METADATA, METADATA_END, Header, why_unverifiable
 from embodichain.recording.mcap_file import Part
 from embodichain.recording.options import RecordLike, RecordOptions, check_options
-from embodichain.recording.writer import Job, McapThread, Message
+from embodichain.recording.writer import Deferred, Job, McapThread, Message
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -89,7 +92,7 @@ class McapRecorder(StepObserver):
         columns = RowColumns(row_layout(engine.model))
         self._period_ns = round(env.step_dt * 1e9)
         self._start_ns = time.time_ns()
-        self._pending: list[Message | Job] = []
+        self._pending: list[Message | Job | Deferred] = []
         self._step = 0
         step_bytes = 8 * env.num_envs * columns.nstate
         self._batch_steps = max(1, min(BATCH_STEPS, BATCH_BYTES // step_bytes))
@@ -97,14 +100,18 @@ class McapRecorder(StepObserver):
         depth = max(4, min(256, QUEUE_BYTES // (3 * step_bytes * self._batch_steps)))
         self._file = McapThread(Path(path), options.compression, depth)
         self._closed = False
+        self._columns = columns
         self._log = (
-            state_log.StateLog(engine, columns, env.sim_steps_per_control, self._emit)
+            state_log.StateLog(engine, columns, env.sim_steps_per_control, self._write_state)
             if options.state == "all"
             else None
         )
         self._views = Views(env, options, self._emit, self._pending.append, self._now)
         self._engine = engine
         self._begin(env, options, columns, config, overrides, task)
+        # A program that fails without closing still leaves a whole log.
+        self._at_exit = partial(_close_if_alive, weakref.ref(self))
+        atexit.register(self._at_exit)
 
     def _begin(
         self,
@@ -152,12 +159,23 @@ class McapRecorder(StepObserver):
         self._pending.append(write_head)
         model_fields = self._engine.state_dict()["model"]
         if self._log is not None:
-            self._log.start(model_fields)
+            rows = self._engine.rows.copy()
+            if not columns.narrow_enough(rows):
+                columns.widen()
+            self._later(self._log.start, model_fields, rows)
         self._views.start(model_fields)
         self._hand_over()
 
     def _now(self) -> int:
         return self._start_ns + self._step * self._period_ns
+
+    def _later(self, encode: Callable[..., None], *args: object) -> None:
+        """Have the background thread build a message, in order; it owns the arguments from here."""
+        self._pending.append((encode, args))
+
+    def _write_state(self, step: int, topic: str, parts: tuple[Part, ...]) -> None:
+        """Called by the state log, on the background thread."""
+        self._file.write(topic, self._start_ns + step * self._period_ns, parts)
 
     def _emit(self, topic: str, parts: tuple[Part, ...]) -> None:
         self._pending.append((topic, self._now(), parts))
@@ -180,22 +198,29 @@ class McapRecorder(StepObserver):
 
     def on_write(self, env: BaseEnv, write: Write) -> None:
         """Something outside physics was written to the simulation."""
-        if self._log is not None:
-            self._log.on_write(write)
+        nobody = write.env_ids is not None and not len(write.env_ids)
+        if self._log is not None and write.op != "forward" and not nobody:
+            self._columns.heed(write)
+            self._later(self._log.on_write, write)
         if write.op == "model":
             self._views.on_model_write(write)
 
     def on_physics(self, env: BaseEnv, event: PhysicsEvent) -> None:
         """Physics is about to step, or has just stepped."""
-        if self._log is not None:
-            self._log.on_physics(event)
+        log, ids = self._log, event.env_ids
+        if log is not None:
+            taken = self._columns.take(event.rows if ids is None else event.rows[ids])
+            if event.phase == "before":
+                self._later(log.before_physics, taken, event.nstep, ids)
+            else:
+                self._later(log.after_physics, taken, self._columns.ranges, event)
         if event.phase == "before" and event.env_ids is None:
             self._views.on_rows(self._step, event.rows)
 
     def on_event(self, env: BaseEnv, event: EventRecord) -> None:
         """A term of the event manager fired."""
         if self._log is not None:
-            self._log.on_event(event)
+            self._later(self._log.on_event, event)
 
     def on_reset(self, env: BaseEnv, env_ids: EnvIndex) -> None:
         """Environments were reset."""
@@ -204,7 +229,10 @@ class McapRecorder(StepObserver):
     def on_step(self, env: BaseEnv, step: StepRecord) -> None:
         """A control step ended."""
         if self._log is not None:
-            self._log.on_step(step)
+            # Copies: the caller of `step` may write into what it was handed.
+            flags = step.terminated.copy(), step.truncated.copy()
+            reward, ids = step.reward.copy(), step.episode_ids.copy()
+            self._later(self._log.on_step, step.action.copy(), reward, *flags, ids)
         self._views.on_step(self._step, step)
         self._step += 1
         self._hand_over_when_due()
@@ -222,8 +250,9 @@ class McapRecorder(StepObserver):
         if self._closed:
             return
         self._closed = True
+        atexit.unregister(self._at_exit)
         if self._log is not None:
-            self._log.close()
+            self._later(self._log.close, self._columns.take(self._engine.rows))
         self._views.close(self._step, self._engine.rows)
         steps = str(self._step)
         self._pending.append(lambda file: file.metadata(METADATA_END, {"steps": steps}))
@@ -231,6 +260,12 @@ class McapRecorder(StepObserver):
             self._hand_over()
         finally:
             self._file.close()
+
+
+def _close_if_alive(recorder: weakref.ref[McapRecorder]) -> None:
+    found = recorder()
+    if found is not None:
+        found.close()
 
 
 def _write_json(path: Path, content: object) -> None:

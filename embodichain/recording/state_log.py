@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.observers import EventRecord, StepRecord
-from embodichain.lab.sim.engine.base import Engine, PhysicsEvent, Write
+from embodichain.lab.gym.envs.observers import EventRecord
+from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex, PhysicsEvent, Write
 from embodichain.recording.columns import RowColumns
 from embodichain.recording.hashing import RowHash
 from embodichain.recording.mcap_file import Part
@@ -44,17 +44,21 @@ CHANNELS = {
     "/sim/event": "embodichain.Event",
 }
 
-Emit = Callable[[str, tuple[Part, ...]], None]
+Emit = Callable[[int, str, tuple[Part, ...]], None]
+Ranges = list[tuple[int, int]]
 
 
 class StateLog:
-    """Turns what an engine reports into messages.
+    """Turns what an engine reports into messages, on the background thread.
+
+    The thread that steps the simulation only copies what would change under it (`McapRecorder`);
+    building messages overlaps with physics here.
 
     Args:
-        engine: What is recorded.
+        engine: What is recorded; only its model is looked at.
         columns: Columns of a row that are written.
         substeps: Physics steps of an ordinary control step.
-        emit: Called with a topic and the parts of a message.
+        emit: Called with a control step, a topic and the parts of a message.
     """
 
     def __init__(self, engine: Engine, columns: RowColumns, substeps: int, emit: Emit) -> None:
@@ -70,26 +74,20 @@ class StateLog:
         self._stamp = stamp(0, 0)
         self._heads: dict[object, tuple[bytes, bytes]] = {}
 
-    def start(self, model_fields: Mapping[str, NDArray[Any]]) -> None:
+    def start(self, model_fields: Mapping[str, NDArray[Any]], rows: F64) -> None:
         """Write what the simulation is before anything happens: model fields, then whole rows."""
         for field, values in model_fields.items():
             self._write("model", field, np.asarray(values, np.float64))
         if model_fields:
             self._write("set_const", "", None)
-        rows = self._engine.rows.copy()
-        if not self._columns.narrow_enough(rows):
-            self._columns.widen()
         self._write("state", "row", rows)
 
     def _write(self, op: str, field: str, values: NDArray[np.float64] | None) -> None:
         head = write_head("start", op, field, None)
-        self._emit("/sim/write", encode_write(self._stamp, head, None, values))
+        self._emit(self.step, "/sim/write", encode_write(self._stamp, head, None, values))
 
     def on_write(self, write: Write) -> None:
-        """A write outside physics; one that touches no environment leaves no message."""
-        if write.op == "forward" or (write.env_ids is not None and not len(write.env_ids)):
-            return
-        self._columns.heed(write)
+        """A write outside physics."""
         columns = write.columns
         columns_key: object = columns.tobytes() if isinstance(columns, np.ndarray) else str(columns)
         key = (self._after_physics, write.op, write.field, columns_key)
@@ -97,7 +95,7 @@ class StateLog:
         if head is None:
             head = self._heads[key] = self._head(write)
         parts = encode_write(self._stamp, head, write.env_ids, write.values)
-        self._emit("/sim/write", parts)
+        self._emit(self.step, "/sim/write", parts)
 
     def _head(self, write: Write) -> tuple[bytes, bytes]:
         phase = "after_physics" if self._after_physics else "before_physics"
@@ -117,16 +115,14 @@ class StateLog:
         width: int = component.stop - component.start
         return width
 
-    def on_physics(self, event: PhysicsEvent) -> None:
-        """Copy the rows before a call, hash them after it."""
-        rows, ids = event.rows, event.env_ids
-        if ids is not None:
-            rows = rows[ids]
-        if event.phase == "before":
-            taken = self._columns.take(rows)
-            self._emit("/sim/state", encode_state(self.step, taken, self.call, event.nstep, ids))
-            return
-        hashes = self._hash(rows, self._columns.ranges)
+    def before_physics(self, taken: F64, nstep: int, ids: EnvIndex | None) -> None:
+        """A call is about to begin, with these rows (n, width)."""
+        self._emit(self.step, "/sim/state", encode_state(self.step, taken, self.call, nstep, ids))
+
+    def after_physics(self, taken: F64, ranges: Ranges, event: PhysicsEvent) -> None:
+        """A call has returned these columns (n, width) of its rows: hash them."""
+        ids = event.env_ids
+        hashes = self._hash.of_columns(taken, ranges)
         done = Calls(self.step, self.call, ids, hashes, event.failed)
         self.call += 1
         self._stamp = stamp(self.step, self.call)
@@ -134,36 +130,36 @@ class StateLog:
         if self._own is None and ids is None and event.nstep == self._substeps:
             self._own = done
         else:
-            self._emit("/sim/physics", encode_call(done))
+            self._emit(self.step, "/sim/physics", encode_call(done))
 
     def on_event(self, event: EventRecord) -> None:
         """A term of the event manager fired."""
-        self._emit("/sim/event", encode_event(self._stamp, event))
+        self._emit(self.step, "/sim/event", encode_event(self._stamp, event))
 
-    def on_step(self, step: StepRecord) -> None:
-        """A control step ended."""
+    def on_step(
+        self,
+        action: F64,
+        reward: NDArray[Any],
+        terminated: NDArray[np.bool_],
+        truncated: NDArray[np.bool_],
+        episode_ids: NDArray[np.int64],
+    ) -> None:
+        """A control step ended; the arrays are the log's own."""
         parts = encode_step(
-            self.step,
-            step.action,
-            step.reward,
-            step.terminated,
-            step.truncated,
-            step.episode_ids,
-            self._own,
+            self.step, action, reward, terminated, truncated, episode_ids, self._own
         )
-        self._emit("/sim/step", parts)
+        self._emit(self.step, "/sim/step", parts)
         self._own = None
         self._after_physics = False
         self.step += 1
         self._stamp = stamp(self.step, self.call)
 
-    def close(self) -> None:
+    def close(self, taken: F64) -> None:
         """Write the last rows; a step that was left in the middle keeps its hash."""
         if self._own is not None:
-            self._emit("/sim/physics", encode_call(self._own))
+            self._emit(self.step, "/sim/physics", encode_call(self._own))
             self._own = None
-        taken = self._columns.take(self._engine.rows)
-        self._emit("/sim/state", encode_state(self.step, taken, self.call, 0, None))
+        self._emit(self.step, "/sim/state", encode_state(self.step, taken, self.call, 0, None))
 
 
 def _columns(write: Write, width_of: Callable[[Write], int]) -> NDArray[np.int64] | None:

@@ -6,6 +6,7 @@ waits (the queue is bounded, nothing is dropped). What a message means is known 
 
 from __future__ import annotations
 
+import atexit
 import queue
 import threading
 import time
@@ -16,7 +17,7 @@ from typing import BinaryIO
 from embodichain.recording.mcap_file import McapFile, Part
 from embodichain.recording.schemas import descriptor_set
 
-__all__ = ["Job", "McapThread", "Message"]
+__all__ = ["Deferred", "Job", "McapThread", "Message"]
 
 FLUSH_SECONDS = 1.0
 """What a killed process loses at most."""
@@ -25,6 +26,8 @@ Message = tuple[str, int, tuple[Part, ...]]
 """Topic, log time in ns, and the parts of the payload."""
 Job = Callable[["McapThread"], None]
 """Work for the background thread; it may register channels and write."""
+Deferred = tuple[Callable[..., None], tuple[object, ...]]
+"""A function for the background thread and its arguments."""
 
 
 class McapThread:
@@ -43,17 +46,20 @@ class McapThread:
         self.path = path
         self._stream: BinaryIO = path.open("xb")
         self._writer = McapFile(self._stream, compression, library="embodichain")
-        self._queue: queue.Queue[list[Message | Job] | None] = queue.Queue(depth)
+        self._queue: queue.Queue[list[Message | Job | Deferred] | None] = queue.Queue(depth)
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._error: BaseException | None = None
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="mcap-writer", daemon=True)
         self._thread.start()
+        # A program that ends without closing must not leave this thread in the middle of a chunk:
+        # the file would lack its end, and a daemon thread in native code may crash at exit.
+        atexit.register(self.close)
 
     # -- called by the simulation's thread -------------------------------------------------------
 
-    def put(self, batch: list[Message | Job]) -> None:
+    def put(self, batch: list[Message | Job | Deferred]) -> None:
         """Hand over messages and jobs, in order; waits while the queue is full.
 
         Raises:
@@ -72,6 +78,7 @@ class McapThread:
         if self._closed:
             return
         self._closed = True
+        atexit.unregister(self.close)
         while self._thread.is_alive():
             try:
                 self._queue.put(None, timeout=1.0)
@@ -137,10 +144,12 @@ class McapThread:
             if batch is None:
                 return
             for item in batch:
-                if isinstance(item, tuple):
-                    self.write(*item)
-                else:
+                if not isinstance(item, tuple):
                     item(self)
+                elif len(item) == 2:
+                    item[0](*item[1])
+                else:
+                    self.write(*item)
             waiting = waiting or bool(batch)
             if time.monotonic() >= due:
                 if waiting:

@@ -1,4 +1,6 @@
 import json
+import subprocess
+import sys
 
 import mujoco
 import numpy as np
@@ -6,7 +8,7 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 
-from embodichain.recording import McapRecorder, inspect
+from embodichain.recording import McapRecorder, inspect, verify
 from embodichain.recording.archive import load_mjz
 from embodichain.recording.attachments import load_mjb
 from embodichain.recording.messages import State, StepOutcome, WriteRecord
@@ -224,3 +226,24 @@ def test_all_wrong_options_are_listed(tmp_path):
     with pytest.raises(ConfigError) as error:
         McapRecorder(tmp_path / "log.mcap", SmallEnv(), options=options)
     assert len(error.value.problems) == 4
+
+
+def test_a_program_that_forgets_to_close_leaves_a_whole_log(tmp_path):
+    code = """
+import sys
+import embodichain, torch
+from embodichain.recording import McapRecorder
+env = embodichain.make("random_reach", num_envs=2)
+env.add_observer(McapRecorder(sys.argv[1], env))
+env.reset()
+for _ in range(3):
+    env.step(torch.zeros(2, 6))
+raise RuntimeError("the program fails")
+"""
+    path = tmp_path / "rollout.mcap"
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(path)], capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == 1 and "the program fails" in done.stderr
+    assert verify(path).ok
+    assert inspect(path).complete

@@ -9,16 +9,16 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_articulation
-    from embodichain.lab.sim.compiler.describe import describe
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
+    from embodichain.lab.sim.compiler.scene_check import describe
     from embodichain.lab.sim.compiler.tables import SceneDescription, describe_scene
 
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "articulation": ["ParsedArticulation", "parse_articulation"],
-        "describe": ["describe"],
+        "scene_check": ["describe"],
         "index": ["EntityIndex"],
         "scene": ["CompiledScene", "compile_scene"],
         "tables": ["SceneDescription", "describe_scene"],

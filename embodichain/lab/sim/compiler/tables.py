@@ -11,9 +11,9 @@ import numpy as np
 from embodichain.lab.sim.cfg import LightCfg, RigidObjectCfg, SimulationManagerCfg
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.declaration import SceneDeclaration, check_names, declared
-from embodichain.lab.sim.compiler.describe import parse_scene
 from embodichain.lab.sim.compiler.index import EntityIndex
 from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
+from embodichain.lab.sim.compiler.scene_check import parse_scene
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["EntityDescription", "JointDescription", "SceneDescription", "describe_scene"]

@@ -108,7 +108,9 @@ class CpuEngine:
         self._batch.reset(stage=_STAGE_NONE)
         self._rows: F64 = self._batch.state
         self._layout = row_layout(model)
-        self._views: dict[str, F64] = {name: self._rows[:, cols] for name, cols in self._layout.items()}
+        self._views: dict[str, F64] = {
+            name: self._rows[:, cols] for name, cols in self._layout.items()
+        }
         self._default_row: F64 = self._rows[0].copy()
         self._derived: dict[str, F64] = {}
         self._acc: dict[str, tuple[F64, F64]] = {}
