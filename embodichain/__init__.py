@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import lazy_loader
 
 if TYPE_CHECKING:
-    from embodichain.config.make import make
+    from embodichain.config.factory import make
 
 __version__ = "0.1.0"
 
-__getattr__, __dir__, _ = lazy_loader.attach(__name__, submod_attrs={"config.make": ["make"]})
+__getattr__, __dir__, _ = lazy_loader.attach(__name__, submod_attrs={"config.factory": ["make"]})
 
 __all__ = ["__version__", "make"]

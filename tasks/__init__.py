@@ -6,8 +6,8 @@ of tasks in Python stand beside this file and are imported here.
 
 from functools import partial
 
-from embodichain.config.compose import list_options
-from embodichain.config.make import make
+from embodichain.config.composed import list_options
+from embodichain.config.factory import make
 from embodichain.lab.gym.utils.registration import REGISTERED_ENVS, register_env
 
 __all__: list[str] = []

@@ -82,7 +82,7 @@ def _sizes(overrides: list[str]) -> tuple[list[int | None], list[str]]:
 
 
 def _resolved(overrides: list[str], size: int | None, config_dir: str | None) -> Any:
-    from embodichain.config.resolve import resolve
+    from embodichain.config.resolved import resolve
 
     own = [] if size is None else [f"num_envs={size}"]
     return resolve([*overrides, *own, "record=none"], "run", config_dir=config_dir)
@@ -90,7 +90,7 @@ def _resolved(overrides: list[str], size: int | None, config_dir: str | None) ->
 
 def _measure(config: Any, rounds: int) -> Result:
     """Build both arms, then let them take turns."""
-    from embodichain.config.make import make_env
+    from embodichain.config.factory import make_env
 
     env = make_env(config)
     try:

@@ -22,7 +22,7 @@ from embodichain.cli.verbs import VERBS, Verb
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
-    from embodichain.config.resolve import Resolved
+    from embodichain.config.resolved import Resolved
 
 __all__ = ["call_hydra", "call_verb"]
 
@@ -127,14 +127,14 @@ def _relaxed(overrides: list[str]) -> list[str]:
 
 def _resolve(name: Literal["run", "train"], overrides: list[str]) -> Resolved:
     """Check a job's config as a whole."""
-    from embodichain.config.resolve import resolve
+    from embodichain.config.resolved import resolve
 
     return resolve(overrides, name)
 
 
 def _check_composes(name: str, overrides: list[str]) -> None:
     """Raise what is wrong with overrides and files, not with values: for printing the config."""
-    from embodichain.config.compose import compose
+    from embodichain.config.composed import compose
 
     composed = compose(overrides, name)
     if composed.problems:

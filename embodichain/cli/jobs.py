@@ -18,7 +18,7 @@ from embodichain.cli.logs import log_to
 from embodichain.cli.stopping import StopFlag
 
 if TYPE_CHECKING:
-    from embodichain.config.resolve import Resolved, Verb
+    from embodichain.config.resolved import Resolved, Verb
     from embodichain.config.schema import RootCfg
 
 __all__ = ["COMMAND_VARIABLE", "LOG_FILE", "Job", "execute", "given"]
@@ -87,8 +87,8 @@ def _claim(verb: Verb) -> tuple[Resolved, Path]:
         from hydra.core.hydra_config import HydraConfig
         from hydra.types import RunMode
 
-        from embodichain.config.compose import from_hydra
-        from embodichain.config.resolve import resolve
+        from embodichain.config.composed import from_hydra
+        from embodichain.config.resolved import resolve
 
         resolved = resolve(from_hydra(), verb)
         if HydraConfig.get().mode == RunMode.MULTIRUN:
@@ -99,7 +99,7 @@ def _claim(verb: Verb) -> tuple[Resolved, Path]:
 
 def _pinned(resolved: Resolved) -> Resolved:
     """Replace `last` and links by the folder they mean now: this run's own is the newest next."""
-    from embodichain.config.freeze import freeze
+    from embodichain.config.frozen import freeze
     from embodichain.config.run_folder import find_run
 
     policy = resolved.tree["policy"]

@@ -82,7 +82,7 @@ def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
     from embodichain.cli.policies import policy_of
     from embodichain.cli.progress import ProgressDisplay
     from embodichain.cli.rollout import play
-    from embodichain.config.make import make_env
+    from embodichain.config.factory import make_env
 
     root = run.root
     episodes = root.episodes or 1
@@ -115,7 +115,7 @@ def _record(run: Job, env: BaseEnv) -> McapRecorder | None:
     """Attach the log, unless the config wants none."""
     if run.root.record.format == "none":
         return None
-    from embodichain.config.freeze import dump_yaml
+    from embodichain.config.frozen import dump_yaml
     from embodichain.recording import McapRecorder
 
     recorder = McapRecorder(

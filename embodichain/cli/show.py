@@ -17,7 +17,7 @@ from embodichain.cli.tables import print_facts, print_table
 from embodichain.cli.verbs import VERBS
 
 if TYPE_CHECKING:
-    from embodichain.config.resolve import Resolved
+    from embodichain.config.resolved import Resolved
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
 __all__ = ["main"]
@@ -33,8 +33,8 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--config", action="store_true", help="only the resolved config, as YAML")
     add_common(parser, config_dir=True)
     options = parser.parse(arguments)
-    from embodichain.config.freeze import dump_yaml, thaw
-    from embodichain.config.resolve import resolve
+    from embodichain.config.frozen import dump_yaml, thaw
+    from embodichain.config.resolved import resolve
 
     resolved = resolve(split_overrides(options.overrides), "run", config_dir=options.config_dir)
     text = dump_yaml(resolved.tree)
@@ -61,8 +61,8 @@ def _build(resolved: Resolved) -> dict[str, Any]:
     """Every table of one environment."""
     import dataclasses
 
-    from embodichain.config.freeze import freeze
-    from embodichain.config.make import make_env
+    from embodichain.config.factory import make_env
+    from embodichain.config.frozen import freeze
 
     one = dataclasses.replace(resolved, tree=freeze({**resolved.tree, "num_envs": 1}))
     env = make_env(one)

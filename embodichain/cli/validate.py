@@ -25,15 +25,15 @@ def main(arguments: list[str]) -> int:
     add_common(parser, config_dir=True)
     options = parser.parse(arguments)
     words = options.overrides
-    from embodichain.config.compose import compose
-    from embodichain.config.validate import validate
+    from embodichain.config.composed import compose
+    from embodichain.config.validation import validate
 
     verb: Verb = "train" if options.train else "run"
     files = [word for word in words if _is_file(word)]
     if files:
         if len(words) > 1:
             raise ConfigError(f"either one file or overrides: {' '.join(words)}")
-        from embodichain.config.validate_file import validate_file
+        from embodichain.config.file_validation import validate_file
 
         name, problems = files[0], validate_file(Path(files[0]), verb)
     else:

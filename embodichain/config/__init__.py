@@ -9,30 +9,30 @@ from typing import TYPE_CHECKING
 import lazy_loader
 
 if TYPE_CHECKING:
-    from embodichain.config.compose import Composed, compose, from_hydra, list_options
-    from embodichain.config.freeze import dump_yaml, freeze, thaw
-    from embodichain.config.make import make, make_env
+    from embodichain.config.composed import Composed, compose, from_hydra, list_options
+    from embodichain.config.factory import make, make_env
+    from embodichain.config.file_validation import validate_file
+    from embodichain.config.frozen import dump_yaml, freeze, thaw
     from embodichain.config.overrides import relax
     from embodichain.config.problems import LocatedProblem
-    from embodichain.config.resolve import Resolved, resolve, resolve_tree
+    from embodichain.config.resolved import Resolved, resolve, resolve_tree
     from embodichain.config.run_folder import adopt, claim, find_run, write_record
     from embodichain.config.search_path import user_configs
-    from embodichain.config.validate import validate
-    from embodichain.config.validate_file import validate_file
+    from embodichain.config.validation import validate
 
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "compose": ["Composed", "compose", "from_hydra", "list_options"],
-        "freeze": ["dump_yaml", "freeze", "thaw"],
-        "make": ["make", "make_env"],
+        "composed": ["Composed", "compose", "from_hydra", "list_options"],
+        "frozen": ["dump_yaml", "freeze", "thaw"],
+        "factory": ["make", "make_env"],
         "overrides": ["relax"],
         "problems": ["LocatedProblem"],
-        "resolve": ["Resolved", "resolve", "resolve_tree"],
+        "resolved": ["Resolved", "resolve", "resolve_tree"],
         "run_folder": ["adopt", "claim", "find_run", "write_record"],
         "search_path": ["user_configs"],
-        "validate": ["validate"],
-        "validate_file": ["validate_file"],
+        "validation": ["validate"],
+        "file_validation": ["validate_file"],
     },
 )
 

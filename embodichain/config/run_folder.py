@@ -20,8 +20,8 @@ from datetime import datetime
 from pathlib import Path
 
 from embodichain import __version__
-from embodichain.config.freeze import dump_yaml
-from embodichain.config.resolve import Resolved
+from embodichain.config.frozen import dump_yaml
+from embodichain.config.resolved import Resolved
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["adopt", "claim", "find_run", "versions", "write_atomically", "write_record"]

@@ -1,9 +1,13 @@
 """The tree itself: links, changelog, nothing of one machine in it, modules of a readable size."""
 
+import importlib
+import pkgutil
 import re
 from pathlib import Path
 
 import pytest
+
+import embodichain
 
 MAX_LINES = 400
 
@@ -64,3 +68,12 @@ def test_modules_stay_small(texts: dict[str, str]) -> None:
         if p.endswith(".py") and p.startswith(("embodichain/", "tasks/"))
     }
     assert {p: n for p, t in code.items() if (n := t.count("\n")) > MAX_LINES} == {}
+
+
+def test_no_name_hides_a_module_of_its_package() -> None:
+    """Importing the module would make `from package import name` return the module."""
+    found = pkgutil.walk_packages(embodichain.__path__, "embodichain.")
+    for name in ["embodichain", *(module.name for module in found if module.ispkg)]:
+        package = importlib.import_module(name)
+        modules = {module.name for module in pkgutil.iter_modules(package.__path__)}
+        assert modules & set(getattr(package, "__all__", ())) == set(), name

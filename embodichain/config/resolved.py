@@ -9,12 +9,12 @@ from typing import Any
 
 from embodichain.config import derive
 from embodichain.config.check_types import check_types
-from embodichain.config.compose import Composed, compose
+from embodichain.config.composed import Composed, compose
 from embodichain.config.derive import Verb
-from embodichain.config.freeze import freeze, thaw
+from embodichain.config.frozen import freeze, thaw
 from embodichain.config.problems import LocatedProblem
 from embodichain.config.schema import RootCfg
-from embodichain.config.validate import check_tree, validate
+from embodichain.config.validation import check_tree, validate
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.utils.errors import ConfigError
 

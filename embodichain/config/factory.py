@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from embodichain.config.resolve import Resolved, resolve
+from embodichain.config.resolved import Resolved, resolve
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv

@@ -15,7 +15,7 @@ from hydra.core.override_parser.types import OverrideType
 
 from embodichain.config.check_types import check_types
 from embodichain.config.check_values import check_root, check_suggested, check_task
-from embodichain.config.compose import Composed
+from embodichain.config.composed import Composed
 from embodichain.config.derive import Chosen, Verb, fill
 from embodichain.config.introspect import is_named_map, type_at
 from embodichain.config.problems import COMMAND_LINE, LocatedProblem

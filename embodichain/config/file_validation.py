@@ -7,12 +7,12 @@ from pathlib import Path
 
 import yaml
 
-from embodichain.config.compose import compose
+from embodichain.config.composed import compose
 from embodichain.config.derive import Verb
 from embodichain.config.hydra_errors import explain_yaml
 from embodichain.config.locate import ConfigFile, Locator, display_path
 from embodichain.config.problems import LocatedProblem
-from embodichain.config.validate import check_tree, validate
+from embodichain.config.validation import check_tree, validate
 
 __all__ = ["validate_file"]
 
