@@ -6,6 +6,7 @@ the simulation copies nothing twice. `schemas` declares the fields; tests hold b
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -179,6 +180,14 @@ def encode_state(
     return wire.uint(1, step) + _shape(*rows.shape), rows, tail
 
 
+@lru_cache(maxsize=64)
+def _step_heads(n: int, width: int) -> tuple[bytes, ...]:
+    """What precedes each array of a `Step`."""
+    first = wire.uint(3, n) + wire.uint(4, width) + wire.packed(5, 8 * n * width)
+    sizes = ((6, 8 * n), (7, n), (8, n), (9, 8 * n), (10, 8 * n))
+    return (first, *(wire.packed(field, size) for field, size in sizes))
+
+
 def encode_step(
     step: int,
     action: F64,
@@ -190,23 +199,21 @@ def encode_step(
 ) -> tuple[Part, ...]:
     """`Step`: what went in and came out of one control step."""
     n = len(reward)
-    width = action.size // n
-    doubles, words = 8 * n, wire.packed(9, 8 * n)
-    head = stamp(step, physics.call if physics else 0) + wire.uint(3, n) + wire.uint(4, width)
+    actions, rewards, terms, truncs, ids, hashes = _step_heads(n, action.size // n)
     parts: list[Part] = [
-        head + wire.packed(5, doubles * width),
+        stamp(step, physics.call if physics else 0) + actions,
         np.ascontiguousarray(action, "<f8"),
-        wire.packed(6, doubles),
+        rewards,
         np.ascontiguousarray(reward, "<f8"),
-        wire.packed(7, n),
+        terms,
         np.ascontiguousarray(terminated, np.bool_),
-        wire.packed(8, n),
+        truncs,
         np.ascontiguousarray(truncated, np.bool_),
-        words,
+        ids,
         np.ascontiguousarray(episode_ids, "<i8"),
     ]
     if physics is not None:
-        parts += [wire.packed(10, doubles), physics.hashes]
+        parts += [hashes, physics.hashes]
         if physics.failed is not None:
             parts.append(_env_ids(11, physics.failed))
     return tuple(parts)
@@ -248,11 +255,23 @@ def encode_write(
 
 def encode_event(when: bytes, event: EventRecord) -> tuple[Part, ...]:
     """`Event`, with its `stamp`: a term, where it fired, and what it drew."""
-    start = when + wire.text(3, event.term) + wire.text(4, event.mode) + _env_ids(5, event.env_ids)
-    parts = [start]
+    start = when + _event_head(event.term, event.mode) + _env_ids(5, event.env_ids)
+    parts: list[Part] = [start]
     for name, drawn in event.drawn.items():
-        values = np.asarray(drawn)
-        shape = b"".join(map(wire.varint, values.shape))
-        body = wire.text(1, name) + wire.text(2, shape) + wire.array(3, values, "<f8")
-        parts.append(wire.text(6, body))
+        values = np.ascontiguousarray(drawn, "<f8")
+        parts += [_drawn_head(name, values.shape), values]
     return tuple(parts)
+
+
+@lru_cache(maxsize=256)
+def _event_head(term: str, mode: str) -> bytes:
+    return wire.text(3, term) + wire.text(4, mode)
+
+
+@lru_cache(maxsize=256)
+def _drawn_head(name: str, shape: tuple[int, ...]) -> bytes:
+    """What precedes the numbers of a drawn value: its submessage up to them, with the length."""
+    nbytes = 8 * math.prod(shape)
+    dimensions = b"".join(map(wire.varint, shape))
+    body = wire.text(1, name) + wire.text(2, dimensions) + wire.packed(3, nbytes)
+    return wire.packed(6, len(body) + nbytes) + body

@@ -89,8 +89,12 @@ class StateLog:
     def on_write(self, write: Write) -> None:
         """A write outside physics."""
         columns = write.columns
-        columns_key: object = columns.tobytes() if isinstance(columns, np.ndarray) else str(columns)
-        key = (self._after_physics, write.op, write.field, columns_key)
+        span: object = (
+            columns.tobytes()
+            if isinstance(columns, np.ndarray)
+            else (columns.start, columns.stop, columns.step)
+        )
+        key = (self._after_physics, write.op, write.field, span)
         head = self._heads.get(key)
         if head is None:
             head = self._heads[key] = self._head(write)
