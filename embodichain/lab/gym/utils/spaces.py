@@ -12,6 +12,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from tensordict import TensorDict
 
+from embodichain.lab.gym.utils.bounds import joint_bounds
+
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.objects.articulation import Articulation
@@ -26,23 +28,18 @@ __all__ = [
     "vector_space",
 ]
 
-UNLIMITED = np.pi
-"""Bound that stands for a joint without a limit, rad (or m): learners need finite bounds."""
-
 Path = tuple[str, ...]
 
 
 def joint_space(articulation: Articulation, joint_ids: Sequence[int]) -> spaces.Box:
-    """Return the Box of absolute joint positions; unlimited sides get +-`UNLIMITED`.
+    """Return the Box of absolute joint positions, finite for joints without limits too.
 
     Args:
         articulation: The robot.
         joint_ids: Its A joints, in the order of the action.
     """
-    limits = np.asarray(articulation.parsed.qpos_limits, np.float64)[list(joint_ids)]
-    low = np.where(np.isfinite(limits[:, 0]), limits[:, 0], -UNLIMITED)
-    high = np.where(np.isfinite(limits[:, 1]), limits[:, 1], UNLIMITED)
-    return spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+    low, high = joint_bounds(articulation.parsed.qpos_limits, joint_ids)
+    return spaces.Box(low, high, dtype=np.float32)
 
 
 def observation_space(obs: TensorDict) -> spaces.Dict:

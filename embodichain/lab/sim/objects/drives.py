@@ -45,6 +45,7 @@ class Drives:
         self.target_qvel: F64 = np.zeros((count, len(parsed.joint_names)))
         self.has_velocity_target = False
         self._limits = np.asarray(parsed.qpos_limits, np.float64)
+        self._bounds: dict[bytes, tuple[F64, F64]] = {}
 
     def _actuators(self, joints: NDArray[np.int64]) -> NDArray[np.int64]:
         ids: NDArray[np.int64] = np.asarray(self._owner.entity.actuator_ids, np.int64)[joints]
@@ -67,9 +68,13 @@ class Drives:
             columns: Their columns in ``ctrl``.
             ids: (n,) environments, or None for all.
         """
-        limits = self._limits[joints]
+        bounds = self._bounds.get(key := joints.tobytes())
+        if bounds is None:
+            low, high = self._limits[joints].T.copy()
+            bounds = self._bounds[key] = (low, high)
         # np.minimum/maximum, not np.clip: half the cost on small arrays.
-        clamped = np.minimum(np.maximum(target, limits[:, 0]), limits[:, 1])
+        clamped = np.maximum(target, bounds[0])
+        np.minimum(clamped, bounds[1], out=clamped)
         if self.has_velocity_target:
             clamped = clamped + self._lead((slice(None) if ids is None else ids[:, None], joints))
         self._owner.engine.write("ctrl", clamped, ids, columns)

@@ -12,6 +12,7 @@ from embodichain.lab.gym.envs.managers.action_manager import ActionTerm
 from embodichain.lab.gym.envs.managers.param_types import Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.utils.bounds import joint_bounds
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -23,9 +24,6 @@ else:
     torch = lazy_loader.load("torch")
 
 __all__ = ["DefaultOffsetJointPosition", "JointPosition", "RelativeJointPosition"]
-
-UNLIMITED = 2.0 * np.pi
-"""Bound of the action, rad, for a joint that has no limit: action spaces must be finite."""
 
 
 class _JointPositionTerm(ActionTerm):
@@ -73,10 +71,9 @@ class JointPosition(_JointPositionTerm):
 
     def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
         super().__init__(entity_cfg)
-        limits = np.asarray(self._asset.parsed.qpos_limits, np.float64)[self._ids]
-        finite = np.where(np.isfinite(limits), limits, [-UNLIMITED, UNLIMITED])
-        self.low: NDArray[np.float32] = finite[:, 0].astype(np.float32)
-        self.high: NDArray[np.float32] = finite[:, 1].astype(np.float32)
+        low, high = joint_bounds(self._asset.parsed.qpos_limits, self._ids)
+        self.low: NDArray[np.float32] = low
+        self.high: NDArray[np.float32] = high
 
     def apply(self, action: torch.Tensor) -> None:
         """Write (N, A) rad or m as the drives' targets."""

@@ -97,9 +97,9 @@ class RandomizeRigidObjectPose(Term):
             self._stop(env_ids)
 
     def _orientation(self, count: int, env_ids: EnvIndex | None) -> F64 | None:
-        """The initial orientations; None if they stand already: a write costs more than a look."""
+        """The initial orientations; None if they stand already and a write would be recorded."""
         wanted = self._quat0[:count]
-        if self._stop is None:
+        if self._stop is None and self._asset.engine.listeners:
             now = self._asset.read_pose()[1]
             if ((now if env_ids is None else now[env_ids]) == wanted).all():
                 return None
