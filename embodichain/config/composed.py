@@ -42,7 +42,8 @@ class Composed:
         choices: The option of each group.
         locator: Where each key was set.
         problems: What went wrong so far.
-        usable: Whether `tree` is whole enough to be checked further.
+        usable: Whether `tree` is whole; otherwise its values besides the task are there at best,
+            and only their types can be checked.
     """
 
     config_name: str
@@ -82,7 +83,8 @@ def compose(
         except COMPOSING as error:
             found = [] if _follows(error, parsed) else explain(error, loader)
             problems = (*parsed.problems, *found)
-            return Composed(config_name, lines, {}, {}, Locator([]), problems, usable=False)
+            tree, locator = _partial(loader, config_name, parsed)
+            return Composed(config_name, lines, tree, {}, locator, problems, usable=False)
     choices = dict(config.hydra.runtime.choices)
     OmegaConf.set_struct(config, False)
     del config["hydra"]
@@ -127,6 +129,22 @@ def _load(
         if path is not None:
             files.append(ConfigFile.read(path, default.package or ""))
     return config, files
+
+
+def _partial(
+    loader: ConfigLoader, config_name: str, parsed: ParsedOverrides
+) -> tuple[dict[str, Any], Locator]:
+    """The root's own values with overrides of them, where task and groups cannot be composed."""
+    values = [o for o in parsed.values if o.key_or_group.split(".")[0] != "task"]
+    locator = Locator([], values)
+    try:
+        config, _ = _load(loader, config_name, ["~task"])
+    except COMPOSING:
+        return {}, locator
+    OmegaConf.set_struct(config, False)
+    del config["hydra"]
+    apply_values(config, values)
+    return plain.resolve(config, locator)[0], locator
 
 
 def _algorithm(

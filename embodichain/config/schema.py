@@ -15,6 +15,7 @@ from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.utils.configclass import configclass
 
 __all__ = [
+    "LARGEST_TRAINING_SEED",
     "ROOT_INSTEAD",
     "SUGGESTED_KEYS",
     "PolicyCfg",
@@ -31,6 +32,9 @@ ROOT_INSTEAD = {
     "sim_cfg": "use task.physics for the physics and the group sim for how it runs",
 }
 """Fields of `EnvCfg` that a task file must not set, and where their value goes instead."""
+
+LARGEST_TRAINING_SEED = 2**32 - 1
+"""Stable-Baselines3 seeds numpy's global generator, which takes no larger one."""
 
 PositiveInt = Annotated[int, Field(ge=1)]
 
@@ -84,7 +88,8 @@ class PpoCfg:
     """Arguments of `stable_baselines3.PPO`; None keeps its default."""
 
     name: Literal["ppo"] = "ppo"
-    policy: Literal["MlpPolicy", "MultiInputPolicy"] = "MlpPolicy"
+    policy: Literal["MlpPolicy"] = "MlpPolicy"
+    """Observations are one flat vector."""
     learning_rate: Annotated[float, Field(gt=0)] | None = None
     n_steps: PositiveInt | None = None
     """Control steps of each environment between updates."""

@@ -19,7 +19,7 @@ from embodichain.config.composed import Composed
 from embodichain.config.derive import Chosen, Verb, fill
 from embodichain.config.introspect import is_named_map, type_at
 from embodichain.config.problems import COMMAND_LINE, LocatedProblem
-from embodichain.config.schema import RootCfg
+from embodichain.config.schema import LARGEST_TRAINING_SEED, RootCfg
 from embodichain.lab.gym.envs.managers.check import check_terms
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean
@@ -39,7 +39,8 @@ def validate(composed: Composed, verb: Verb = "run") -> list[LocatedProblem]:
     """
     problems = list(composed.problems)
     if not composed.usable:
-        return problems
+        found = check_types({**composed.tree, "task": {}}).problems
+        return problems + [LocatedProblem.of(p, _source(p.path, composed)) for p in found]
     unknown = _unknown_entries(composed)
     lost = [p.path for p in (*problems, *unknown)]
     chosen = composed.locator.chosen
@@ -94,6 +95,9 @@ def _check_meaning(
     if verb == "train" and root.total_timesteps is None:
         message = "missing value: set it, or task.suggested.train.total_timesteps"
         problems.append(Problem("total_timesteps", message))
+    if verb == "train" and root.seed is not None and root.seed > LARGEST_TRAINING_SEED:
+        message = f"training needs a seed from 0 to {LARGEST_TRAINING_SEED}, got {root.seed}"
+        problems.append(Problem("seed", message))
     known = {p.path for p in problems}
     in_task = check_terms(root.task, allow_import=allow_import)
     if not any(_ENTITY.fullmatch(path) for path in missing):

@@ -261,6 +261,48 @@ BAD = {
         "command line: task: missing value: choose one with task=NAME; there are: {tasks}",
         task=None,
     ),
+    "no task, and more": bad(
+        "command line: task: missing value: choose one with task=NAME; there are: {tasks}",
+        "command line: episodes: must be at least 1, got 0",
+        overrides=("episodes=0",),
+        task=None,
+    ),
+    "an unknown task, and more": bad(
+        "command line: task: unknown option 'mein'; task is one of: {tasks}. Did you mean 'mine'?",
+        "command line: record: unknown option 'mcpa'; record is one of: mcap, none. Did "
+        "you mean 'mcap'?",
+        "command line: algo.gamma: must be at most 1.0, got 2",
+        "command line: seed: expected an integer, got 'x'",
+        "command line: num_env: unknown key; allowed: task, sim, record, viewer, algo, "
+        "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, resume, "
+        "video, output_dir, quiet, json, traceback. Did you mean 'num_envs'?",
+        task="mein",
+        overrides=(
+            "num_env=4",
+            "seed=x",
+            "record=mcpa",
+            "algo.gamma=2",
+            "task.max_episode_steps=7",
+            "~task.events.move",
+        ),
+    ),
+    "malformed YAML, and more": bad(
+        "conf/task/mine.yaml:6: malformed YAML: expected ',' or '}', but got ':' (while "
+        "parsing a flow mapping)",
+        "command line: num_envs: must be at least 1, got 0",
+        old="robot:\n",
+        new="robot: {\n",
+        overrides=("num_envs=0",),
+    ),
+    "a seed that training cannot use": bad(
+        "command line: seed: training needs a seed from 0 to 4294967295, got 4294967296",
+        overrides=("seed=4294967296", "total_timesteps=1000"),
+        verb="train",
+    ),
+    "a negative seed": bad(
+        "command line: seed: must be at least 0, got -1",
+        overrides=("seed=-1",),
+    ),
     "no timesteps": bad(
         "command line: total_timesteps: missing value: set it, or "
         "task.suggested.train.total_timesteps",
