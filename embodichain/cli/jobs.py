@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from embodichain.cli.logs import log_to
 from embodichain.cli.stopping import StopFlag
+from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved, Verb
@@ -98,12 +99,15 @@ def _claim(verb: Verb) -> tuple[Resolved, Path]:
 
 
 def _pinned(resolved: Resolved) -> Resolved:
-    """Replace `last` and links by the folder they mean now: this run's own is the newest next."""
+    """Replace `last` and links by the folder they mean now: the next run changes that."""
     from embodichain.config.frozen import freeze
-    from embodichain.config.run_folder import find_run
+    from embodichain.config.newest import CHECKPOINT, newest_run
 
     policy = resolved.tree["policy"]
-    if not isinstance(policy, str) or not (policy == "last" or Path(policy).exists()):
+    last = policy == "last"
+    if not isinstance(policy, str) or not (last or Path(policy).exists()):
         return resolved
-    path = find_run(policy, resolved.tree["output_dir"]) if policy == "last" else Path(policy)
+    path = newest_run(resolved.tree["output_dir"], CHECKPOINT) if last else Path(policy)
+    if path is None:
+        raise ConfigError("policy: the training that 'last' meant is gone")
     return replace(resolved, tree=freeze({**resolved.tree, "policy": str(path.resolve())}))

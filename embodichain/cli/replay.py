@@ -13,6 +13,7 @@ from embodichain.cli import exits
 from embodichain.cli.arguments import VerbParser, add_common, print_json
 from embodichain.cli.tables import print_facts, print_table
 from embodichain.cli.verbs import VERBS
+from embodichain.config.newest import LOG, newest_run
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 __all__ = ["main"]
 
-LOG_NAME = "rollout.mcap"
 _MOST_EPISODES = 20
 
 
@@ -40,19 +40,19 @@ def main(arguments: list[str]) -> int:
 
 
 def _log_of(name: str) -> Path:
-    """The log that is meant: a file, the one in a run's folder, or the newest run's.
+    """The log that is meant: a file, the one in a run's folder, or the newest one.
 
     Raises:
-        ConfigError: There is no run yet, or its folder has no log.
+        ConfigError: There is no log yet, or the folder has none.
     """
-    path = Path("outputs", "latest") if name == "last" else Path(name)
-    if name == "last" and not path.exists():
-        raise ConfigError(f"there is no run yet ({path} does not exist): embodichain run task=NAME")
+    path = newest_run("outputs", LOG) if name == "last" else Path(name)
+    if path is None:
+        raise ConfigError("no run in outputs has a log yet: embodichain run task=NAME")
     if not path.is_dir():
         return path
-    log = path.resolve() / LOG_NAME
+    log = path.resolve() / LOG
     if not log.exists():
-        raise ConfigError(f"{path.resolve()} has no {LOG_NAME}: it was run with record=none")
+        raise ConfigError(f"{path.resolve()} has no {LOG}: it was run with record=none")
     return log
 
 

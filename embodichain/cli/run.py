@@ -116,10 +116,11 @@ def _record(run: Job, env: BaseEnv) -> McapRecorder | None:
     if run.root.record.format == "none":
         return None
     from embodichain.config.frozen import dump_yaml
+    from embodichain.config.newest import LOG
     from embodichain.recording import McapRecorder
 
     recorder = McapRecorder(
-        run.folder / "rollout.mcap",
+        run.folder / LOG,
         env,
         config=dump_yaml(run.resolved.tree),
         overrides=dump_yaml(list(run.resolved.overrides)),

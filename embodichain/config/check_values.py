@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from embodichain.config.check_types import check_types, show_value
+from embodichain.config.newest import CHECKPOINT, newest_run
 from embodichain.config.schema import SUGGESTED_KEYS, RootCfg
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.check import SECTIONS
@@ -110,7 +111,10 @@ def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
 
 
 def _existing(root: RootCfg, path: Path) -> Any:
-    found = Path(root.output_dir) / "latest" if str(path) == "last" else path
-    if not found.exists():
-        raise ConfigError([Problem("policy", f"no such file or folder: {found}")])
+    if str(path) == "last":
+        if newest_run(root.output_dir, CHECKPOINT) is None:
+            message = f"there is no finished training in {root.output_dir} (train first)"
+            raise ConfigError([Problem("policy", message)])
+    elif not path.exists():
+        raise ConfigError([Problem("policy", f"no such file or folder: {path}")])
     return lambda obs, env: None

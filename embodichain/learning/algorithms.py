@@ -63,6 +63,7 @@ _OURS = {
     "verbose": "the command shows progress itself",
     "tensorboard_log": "not available yet",
     "rollout_buffer_class": "not available yet",
+    "rollout_buffer_kwargs": "not available yet",
     "_init_setup_model": "the network is always built",
 }
 _POLICY_OURS = {

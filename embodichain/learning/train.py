@@ -19,19 +19,19 @@ from stable_baselines3.common.logger import Logger
 
 from embodichain.config import Resolved, make_env
 from embodichain.config.run_folder import write_atomically
+from embodichain.config.schema import LARGEST_TRAINING_SEED
 from embodichain.learning.algorithms import build_algorithm, check_arguments
 from embodichain.learning.checkpoint import CHECKPOINTS, FINAL, save_checkpoint
 from embodichain.learning.episodes import Progress, TrainStatistics, Watch
 from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["SUMMARY_FILE", "TORCH_THREADS", "TrainSummary", "train"]
+__all__ = ["SUMMARY_FILE", "TORCH_THREADS", "TrainSummary", "check_training", "train"]
 
 SUMMARY_FILE = "summary.json"
 GROUP = "policy"
 TORCH_THREADS = 1
 """Threads of torch while learning: networks are small, and the cores belong to physics."""
-_LARGEST_SEED = 2**32 - 1
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -108,6 +108,18 @@ def train(resolved: Resolved, run_dir: Path, progress: Progress | None = None) -
         env.close()
 
 
+def check_training(resolved: Resolved) -> None:
+    """Check what `train` would refuse before it builds anything.
+
+    Args:
+        resolved: A config of the verb `train`.
+
+    Raises:
+        ConfigError: Every mistake.
+    """
+    _plan(resolved)
+
+
 def _plan(resolved: Resolved) -> _Plan:
     """Check what the config says about learning before anything is built."""
     root = resolved.root
@@ -115,8 +127,8 @@ def _plan(resolved: Resolved) -> _Plan:
     if root.total_timesteps is None:
         message = "needs the number of environment steps; this task suggests none"
         problems.append(Problem("total_timesteps", message))
-    if root.seed is None or not 0 <= root.seed <= _LARGEST_SEED:
-        message = f"training needs a seed from 0 to {_LARGEST_SEED}, got {root.seed}"
+    if root.seed is None or not 0 <= root.seed <= LARGEST_TRAINING_SEED:
+        message = f"training needs a seed from 0 to {LARGEST_TRAINING_SEED}, got {root.seed}"
         problems.append(Problem("seed", message))
     if root.resume is not None:
         problems.append(Problem("resume", "not available yet; leave it out"))

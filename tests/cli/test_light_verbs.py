@@ -136,6 +136,36 @@ def test_mistakes_stop_a_verb_before_anything_is_made(
     assert list(Path().iterdir()) == []
 
 
+def test_wrong_option_and_wrong_key_are_one_report(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "task=random_rech", "num_env=4"]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("2 mistakes:\n")
+    assert "Did you mean 'random_reach'?" in err
+    assert "Did you mean 'num_envs'?" in err
+    assert list(Path().iterdir()) == []
+
+
+@pytest.mark.parametrize("multirun", [(), ("-m",)], ids=["once", "sweep"])
+def test_wrong_argument_of_an_algorithm_stops_training_before_anything_is_made(
+    multirun: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = "algo.policy_kwargs={activatio_fn: tanh, net_arch: [0]}"
+    assert main(["train", *multirun, "task=reach", wrong]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("2 mistakes:\n")
+    assert "command line: algo.policy_kwargs.activatio_fn: unknown argument" in err
+    assert "algo.policy_kwargs.net_arch: layers need a width of at least 1" in err
+    assert list(Path().iterdir()) == []
+
+
+def test_last_of_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "task=reach", "policy=last"]) == 2
+    assert "there is no finished training in outputs" in capsys.readouterr().err
+    assert main(["replay", "last"]) == 2
+    assert "no run in outputs has a log yet" in capsys.readouterr().err
+    assert list(Path().iterdir()) == []
+
+
 def test_mistake_in_any_job_of_a_sweep_stops_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", "-m", "task=reach", "seed=0,x"]) == 2
     assert "seed" in capsys.readouterr().err

@@ -102,9 +102,12 @@ def test_train_writes_a_policy_that_run_plays(capsys: pytest.CaptureFixture[str]
     assert played["status"] == "finished"
     assert played["success_rate"] is not None
     config = yaml.safe_load((Path(str(played["folder"])) / "config.yaml").read_text())
-    assert config["policy"] == str(folder.resolve())  # not `last`, which is another run by now
-    assert main(["run", "task=push_cube", f"policy={folder}", *short]) == 2
+    assert config["policy"] == str(folder.resolve())  # not `last`, which may be another by then
+    again = told(capsys, "run", "task=reach", "policy=last", *short)
+    assert again["policy"] == str(folder.resolve())  # not the run in between
+    assert main(["run", "task=push_cube", f"policy={folder}", "num_envs=1"]) == 2
     assert "this task has" in capsys.readouterr().err
+    assert list(Path("outputs").rglob("*.mcap")) == []  # it was seen before the log began
 
 
 def test_max_steps_ends_a_run(capsys: pytest.CaptureFixture[str]) -> None:
