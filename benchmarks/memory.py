@@ -10,6 +10,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 from benchmarks.machine import table, write_json
 
@@ -41,17 +42,24 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="JSON file for the figures")
     options = parser.parse_args()
     found = {size: measure(options.task, size) for size in options.sizes}
-    base = found[min(found)]["running"]
-    rows = []
-    for size, facts in found.items():
-        grown = (facts["running"] - base) / 2**10 / max(1, size - min(found))
-        mode = "an MjData each" if facts["persistent"] else "an MjData a thread"
-        mib = [f"{facts[key] / 2**20:.0f}" for key in ("running", "peak")]
-        rows.append([f"{size:,}", mode, *mib, f"{grown:.1f}" if size > min(found) else ""])
-    print(f"{options.task}, after {STEPS} steps\n")
-    print(table(["N", "simulations", "RSS, MiB", "peak, MiB", "KiB an environment"], rows))
+    facts = {"task": options.task, "bytes": {str(size): one for size, one in found.items()}}
+    print(report(facts))
     if options.out:
-        write_json(options.out, {"task": options.task, "bytes": found})
+        write_json(options.out, facts)
+
+
+def report(facts: dict[str, Any]) -> str:
+    """A Markdown table; the last column is what an environment adds to the first size's RSS."""
+    found = {int(size): one for size, one in facts["bytes"].items()}
+    first = min(found)
+    rows = []
+    for size, one in found.items():
+        mode = "an MjData each" if one["persistent"] else "an MjData a thread"
+        grown = (one["running"] - found[first]["running"]) / 2**10 / max(1, size - first)
+        mib = [f"{one[key] / 2**20:.0f}" for key in ("running", "peak")]
+        rows.append([f"{size:,}", mode, *mib, f"{grown:.1f}" if size > first else ""])
+    heads = ["N", "simulations", "RSS, MiB", "peak, MiB", "KiB an environment"]
+    return f"{facts['task']}, after {STEPS} steps:\n\n" + table(heads, rows)
 
 
 def measure(task: str, size: int) -> dict[str, int]:

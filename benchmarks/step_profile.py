@@ -47,13 +47,21 @@ def main() -> None:
     found = {
         size: profile(options.task, size, options.rounds, options.seconds) for size in options.sizes
     }
-    names = [*PARTS, REST, WHOLE]
-    rows = [[name, *(f"{found[size][name]:.1f}" for size in found)] for name in names]
-    print(f"{options.task}, microseconds a control step (medians)\n")
-    print(table(["part", *(f"N={size}" for size in found)], rows))
+    facts = {"task": options.task, "rounds": options.rounds, "microseconds": found}
+    print(report(facts))
     if options.out:
-        facts = {"task": options.task, "rounds": options.rounds, "microseconds": found}
         write_json(options.out, facts)
+
+
+def report(facts: dict[str, Any]) -> str:
+    """A Markdown table: parts by size."""
+    found = facts["microseconds"]
+    rows = [
+        [name, *(f"{parts[name]:.1f}" for parts in found.values())]
+        for name in (*PARTS, REST, WHOLE)
+    ]
+    title = f"{facts['task']}, microseconds a control step (medians):"
+    return f"{title}\n\n" + table(["part", *(f"N={size}" for size in found)], rows)
 
 
 def profile(task: str, size: int, rounds: int, seconds: float) -> dict[str, float]:

@@ -9,7 +9,7 @@ import argparse
 import tempfile
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from benchmarks import arms
 from benchmarks.arms import Arm
@@ -62,9 +62,9 @@ def main() -> None:
         for arm in built:
             stack.callback(arm.close)
         results = measure(built, options.rounds, options.seconds, options.episode)
-    print(report(results))
+    facts = {"rounds": options.rounds, "results": [result.facts() for result in results]}
+    print(report(facts))
     if options.out:
-        facts = {"rounds": options.rounds, "results": [result.facts() for result in results]}
         write_json(options.out, facts)
 
 
@@ -93,17 +93,19 @@ def further_arms(env: BaseEnv, folder: Path, peers: bool) -> list[Arm]:
     return built
 
 
-def report(results: list[Result]) -> str:
+def report(facts: dict[str, Any]) -> str:
     """Two Markdown tables: ratios to the floor, and the log's cost."""
+    fields = Result.__dataclass_fields__
+    results = [Result(**{name: found[name] for name in fields}) for found in facts["results"]]
     sizes = sorted({result.num_envs for result in results})
     by = {(result.name, result.num_envs): result for result in results}
     rows = []
     for name in dict.fromkeys(result.name for result in results):
         rows.append([name, *(_cell(by.get((name, size))) for size in sizes)])
     parts = [
-        "Control steps/s, **ratio** to the 2-thread floor [lowest to highest]; > the target",
+        "Control steps/s, **ratio** to the 2-thread floor [lowest to highest], > its target:",
         table(["arm", *(f"N={size}" for size in sizes)], rows),
-        "Cost of the log, share of a step without it",
+        "What the log costs, as a share of a step without it:",
         table(["N", "cost", "at most"], [_cost(by, n) for n in sizes if (LOG, n) in by]),
     ]
     return "\n\n".join(parts)
