@@ -8,14 +8,18 @@ from __future__ import annotations
 import importlib
 import os
 import sys
+from contextlib import nullcontext
 
 from embodichain.cli import exits
 from embodichain.cli.reporting import report
+from embodichain.cli.starting import starting
 from embodichain.cli.verbs import VERBS, overview
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["main"]
+
+_CALL_STARTED = ("run", "train")  # these say when their start is over
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -52,9 +56,10 @@ def _call(arguments: list[str]) -> int:
 
         return complete(arguments[1:])
     if first in VERBS:
-        module = importlib.import_module(f"embodichain.cli.{first}")
-        code: int = module.main(arguments[1:])
-        return code
+        with starting() if first in _CALL_STARTED else nullcontext():
+            module = importlib.import_module(f"embodichain.cli.{first}")
+            code: int = module.main(arguments[1:])
+            return code
     raise ConfigError(_not_a_verb(first, arguments))
 
 

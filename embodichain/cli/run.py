@@ -82,6 +82,7 @@ def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
     from embodichain.cli.policies import policy_of
     from embodichain.cli.progress import ProgressDisplay
     from embodichain.cli.rollout import play
+    from embodichain.cli.starting import started
     from embodichain.config.factory import make_env
 
     root = run.root
@@ -93,6 +94,7 @@ def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
         recorder = _record(run, env)
         obs, _ = env.reset()
         start = StartPicture(env)
+        started()
         label, total = run.resolved.task_name, env.num_envs * episodes
         with ProgressDisplay(label, total, "episodes", quiet=root.quiet or root.json) as display:
             outcome = play(

@@ -49,8 +49,10 @@ def _train(run: Job, stop: StopFlag) -> float | None:
 def _learn(run: Job, stop: StopFlag) -> dict[str, Any]:
     """Learn until it ends or somebody stops it; returns what `summary.json` holds."""
     from embodichain.cli.progress import ProgressDisplay
+    from embodichain.cli.starting import started
     from embodichain.learning.train import SUMMARY_FILE, train
 
+    started()
     root = run.root
     quiet = root.quiet or root.json
     if not quiet:

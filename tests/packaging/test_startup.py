@@ -64,3 +64,14 @@ def test_package_inits_are_lazy(repo: Path) -> None:
     names = {".".join(p.parent.relative_to(repo).parts) for p in inits}
     names = {n if n.startswith("embodichain") else f"embodichain.{n}" for n in names}
     assert HEAVY & imported(["-c", "import " + ", ".join(sorted(names))]) == set()
+
+
+def test_a_run_imports_nothing_of_learning_and_windows(tmp_path: Path) -> None:
+    found = imported(
+        [
+            *("-m", "embodichain", "run", "task=random_reach", "max_steps=1", "--quiet"),
+            *("--json", f"output_dir={tmp_path}"),
+        ]
+    )
+    assert "torch" in found
+    assert found & {"stable_baselines3", "matplotlib", "pandas", "scipy", "tensorboard"} == set()
