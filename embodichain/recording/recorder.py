@@ -20,7 +20,7 @@ import mujoco
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
 from embodichain.lab.sim.engine.base import EnvIndex, PhysicsEvent, Write
-from embodichain.lab.sim.engine.cpu import row_layout
+from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.recording import state_log
 from embodichain.recording.attachments import attach_all, model_bytes, model_digest
 from embodichain.recording.columns import RowColumns

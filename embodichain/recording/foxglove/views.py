@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.observers import StepRecord
 from embodichain.lab.sim.engine.base import F64, EnvIndex, Write
-from embodichain.lab.sim.engine.cpu import row_layout
+from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.recording.foxglove.frames import Frames
 from embodichain.recording.foxglove.joints import Joints
 from embodichain.recording.foxglove.messages import Log, timestamp

@@ -15,13 +15,16 @@ from mujoco import batch as mjbatch
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64, EngineListener, EnvIndex, PhysicsEvent, Write
+from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.lab.sim.engine.mujoco_log import install_log_handler
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["PERSISTENT_LIMIT", "CpuEngine", "row_layout"]
+__all__ = ["PERSISTENT_LIMIT", "CpuEngine"]
 
 PERSISTENT_LIMIT = 4096
 """Above this many environments one MjData a thread is used: 200 kB each would be 3 GB at 16,384."""
+LOOKS_UNTIL_PERSISTENT = 4
+"""Steps in a row after which a pose was looked at, before each environment gets its own MjData."""
 
 _STAGE_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
 _STAGE_VEL = int(mujoco.mjtStage.mjSTAGE_VEL)
@@ -32,47 +35,8 @@ _DIVERGED = [
     int(getattr(mujoco.mjtWarning, f"mjWARN_{name}"))
     for name in ("BADQPOS", "BADQVEL", "BADQACC", "BADCTRL", "CONTACTFULL", "CNSTRFULL")
 ]
-_COMPONENTS = {
-    "time": "TIME",
-    "qpos": "QPOS",
-    "qvel": "QVEL",
-    "act": "ACT",
-    "history": "HISTORY",
-    "qacc_warmstart": "WARMSTART",
-    "ctrl": "CTRL",
-    "qfrc_applied": "QFRC_APPLIED",
-    "xfrc_applied": "XFRC_APPLIED",
-    "eq_active": "EQ_ACTIVE",
-    "mocap_pos": "MOCAP_POS",
-    "mocap_quat": "MOCAP_QUAT",
-    "userdata": "USERDATA",
-    "plugin_state": "PLUGIN",
-    "plastic": "PLASTIC",
-}
-
-
-def row_layout(model: mujoco.MjModel) -> dict[str, slice]:
-    """Return the columns of every state component within an integration-state row.
-
-    The order of components is MuJoCo's: ascending bits of `mjtState` within `mjSTATE_INTEGRATION`.
-    """
-    bits = {
-        name: int(getattr(mujoco.mjtState, f"mjSTATE_{suffix}"))
-        for name, suffix in _COMPONENTS.items()
-        if hasattr(mujoco.mjtState, f"mjSTATE_{suffix}")
-    }
-    whole = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-    known = {bit: name for name, bit in bits.items() if bit & whole}
-    layout: dict[str, slice] = {}
-    start = 0
-    for position in range(32):
-        bit = 1 << position
-        if not whole & bit:
-            continue
-        size = mujoco.mj_stateSize(model, bit)
-        layout[known.get(bit, f"state_{position}")] = slice(start, start + size)
-        start += size
-    return layout
+# Models whose bookkeeping lives in the MjData need one each (MuJoCo's manual, "batch").
+_HIDDEN_STATE = int(mujoco.mjtEnableBit.mjENBL_SLEEP) | int(mujoco.mjtEnableBit.mjENBL_IPC)
 
 
 class CpuEngine:
@@ -82,8 +46,10 @@ class CpuEngine:
         model: The compiled scene; the batch keeps its own copy.
         num_envs: N.
         num_threads: Physics threads; 0 is every core this process may run on.
-        persistent: One MjData per environment (True) or per thread; None chooses by N. No byte of
-            any result depends on it.
+        persistent: One MjData per environment (True) or per thread (False). A thread's stays in
+            its cache, which makes steps up to 15 % faster; an environment's own continues from the
+            stages that a look at poses has computed. None begins with the former and changes to
+            the latter when poses are looked at after every step. No byte of any result depends on it.
     """
 
     def __init__(
@@ -95,33 +61,58 @@ class CpuEngine:
     ) -> None:
         install_log_handler()
         threads = num_threads or len(os.sched_getaffinity(0))
-        if persistent is None:
-            persistent = num_envs <= PERSISTENT_LIMIT
+        hidden = bool(model.opt.enableflags & _HIDDEN_STATE) or model.nplugin > 0
         self.model = model
         self.num_envs = num_envs
         self.num_threads = min(threads, num_envs)
-        self.persistent = persistent
+        self.persistent = hidden if persistent is None else persistent
         self.listeners: list[EngineListener] = []
-        self._batch = mjbatch.Batch(
-            model, num_envs, nthread=self.num_threads, persistent=persistent
-        )
-        self._batch.reset(stage=_STAGE_NONE)
-        self._rows: F64 = self._batch.state
+        self._may_change = persistent is None and not hidden and num_envs <= PERSISTENT_LIMIT
+        self._looks = 0
+        self._stepped = False
         self._layout = row_layout(model)
-        self._views: dict[str, F64] = {
-            name: self._rows[:, cols] for name, cols in self._layout.items()
-        }
-        self._default_row: F64 = self._rows[0].copy()
+        self._adopt(self._make_batch())
         self._derived: dict[str, F64] = {}
         self._acc: dict[str, tuple[F64, F64]] = {}
         self._fields: dict[str, F64] = {}
         self._dirty = np.ones(num_envs, np.bool_)
         self._any_dirty = True
         self._all_dirty = True
-        self._warnings: NDArray[np.int32] = self._batch.warning[:, :, 1]
         self._warned = int(self._warnings.sum())
         self._counts = self._warnings[:, _DIVERGED].copy()
         self._failed: NDArray[np.bool_] | None = None
+
+    def _make_batch(self) -> mjbatch.Batch:
+        batch = mjbatch.Batch(
+            self.model, self.num_envs, nthread=self.num_threads, persistent=self.persistent
+        )
+        batch.reset(stage=_STAGE_NONE)
+        return batch
+
+    def _adopt(self, batch: mjbatch.Batch) -> None:
+        self._batch = batch
+        self._rows: F64 = batch.state
+        self._views: dict[str, F64] = {
+            name: self._rows[:, cols] for name, cols in self._layout.items()
+        }
+        self._warnings: NDArray[np.int32] = batch.warning[:, :, 1]
+
+    def _make_persistent(self) -> None:
+        """Give every environment an MjData of its own, and everything it was before."""
+        old = self._batch
+        self.persistent, self._may_change = True, False
+        new = self._make_batch()
+        for field in mjbatch.MODEL_FIELDS:
+            values = old.expanded(field)
+            if values is not None:
+                new.expand(field)[...] = values
+        new.state[...] = old.state
+        new.warning[...] = old.warning
+        self._adopt(new)
+        self._fields = {f: new.expand(f).reshape(self.num_envs, -1) for f in self._fields}
+        self._derived = {name: new.bind(name) for name in self._derived}
+        self._acc = {name: (new.bind(name), kept) for name, (_, kept) in self._acc.items()}
+        self._any_dirty = self._all_dirty = True
 
     # -- reads ---------------------------------------------------------------------------------
 
@@ -146,15 +137,19 @@ class CpuEngine:
 
     def derived(self, name: str) -> F64:
         """(N, ...) position- or velocity-stage field, fresh for every environment."""
-        array: F64 | None = self._derived.get(name)
-        if array is None:
-            array = self._derived[name] = self._batch.bind(name)
+        if name not in self._derived:
+            self._derived[name] = self._batch.bind(name)
             self._any_dirty = self._all_dirty = True
         if self._any_dirty:
             self._refresh()
-        return array
+        return self._derived[name]
 
     def _refresh(self) -> None:
+        if self._may_change and self._stepped:
+            self._stepped = False
+            self._looks += 1
+            if self._looks > LOOKS_UNTIL_PERSISTENT:
+                self._make_persistent()
         ids = None if self._all_dirty else np.flatnonzero(self._dirty)
         self._call(self._batch.forward, ids, stage=_STAGE_VEL)
         self._dirty[:] = False
@@ -189,6 +184,9 @@ class CpuEngine:
             for listener in listeners:
                 listener.on_physics(event)
         failed = self._call(self._batch.step, env_ids, nstep=nstep, stage=_STAGE_NONE)
+        if self._stepped:  # nobody looked since the step before
+            self._looks = 0
+        self._stepped = True
         if env_ids is None:
             self._any_dirty = self._all_dirty = True
         else:
@@ -242,7 +240,7 @@ class CpuEngine:
         if warned == self._warned and self._failed is None:
             return None
         counts = self._warnings[:, _DIVERGED]
-        mask = (counts > self._counts).any(axis=1)
+        mask: NDArray[np.bool_] = np.asarray((counts > self._counts).any(axis=1))
         self._counts[:] = counts
         self._warned = warned
         if self._failed is not None:

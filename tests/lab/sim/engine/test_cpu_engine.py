@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from embodichain.lab.sim.engine.base import PhysicsEvent, Write
-from embodichain.lab.sim.engine.cpu import CpuEngine, row_layout
+from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.lab.sim.engine.layout import row_layout
 
 XML = """
 <mujoco>
@@ -248,3 +249,37 @@ def test_layout_covers_the_row_and_names_are_checked(model):
         engine.component("qpoz")
     with pytest.raises(ValueError, match="Did you mean 'body_mass'"):
         engine.write_model("body_mas", 1.0)
+
+
+def test_changing_to_an_mjdata_each_changes_no_byte(model):
+    """Looking at poses after steps makes the batch persistent; nothing else shows it."""
+
+    def run(persistent):
+        engine = CpuEngine(model, 5, 2, persistent=persistent)
+        engine.acceleration("qfrc_actuator")
+        engine.write_model("body_mass", [[2.5], [3.5], [4.5], [2.0], [3.0]], None, slice(2, 3))
+        engine.set_const()
+        engine.write("qpos", np.nan, np.array([3]))
+        out, modes = [], []
+        for k in range(12):
+            engine.write("ctrl", np.sin(0.3 * k + np.arange(10)).reshape(5, 2))
+            engine.step(4)
+            out += [engine.acceleration("qfrc_actuator").copy(), engine.derived("xpos").copy()]
+            out += [engine.derived("cvel").copy(), engine.rows.copy()]
+            mask = engine.take_diverged()
+            out.append(np.zeros(5, bool) if mask is None else mask)
+            modes.append(engine.persistent)
+        return b"".join(a.tobytes() for a in out), modes
+
+    expected, _ = run(True)
+    got, modes = run(None)
+    assert got == expected
+    assert modes[0] is False and modes[-1] is True
+
+
+def test_a_batch_nobody_looks_at_stays_shared(model):
+    engine = CpuEngine(model, 4, 2)
+    drive(engine)
+    for _ in range(20):
+        engine.step(1)
+    assert engine.persistent is False
