@@ -49,7 +49,7 @@ class CpuEngine:
         persistent: One MjData per environment (True) or per thread (False). A thread's stays in
             its cache, which makes steps up to 15 % faster; an environment's own continues from the
             stages that a look at poses has computed. None begins with the former and changes to
-            the latter when poses are looked at after every step. No byte of any result depends on it.
+            the latter when poses are looked at after every step. No byte depends on it.
     """
 
     def __init__(
