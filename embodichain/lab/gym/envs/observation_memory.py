@@ -15,6 +15,8 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict
 
+from embodichain.lab.gym.utils.tensordicts import entries
+
 __all__ = ["ObservationMemory", "as_float32", "leaves_of"]
 
 logger = logging.getLogger(__name__)
@@ -75,7 +77,7 @@ class ObservationMemory:
         for path, matrix in self._places:
             leaf: Any = obs
             for key in path:
-                leaf = leaf[key]
+                leaf = entries(leaf)[key]
             array = leaf.numpy()
             parts.append(array if matrix else array.reshape(self._num_envs, -1))
         if not parts:

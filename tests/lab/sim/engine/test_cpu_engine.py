@@ -102,8 +102,12 @@ def test_efforts_are_those_of_the_last_physics_step(model, persistent):
         np.testing.assert_array_equal(engine.acceleration("qfrc_actuator")[env], data.qfrc_actuator)
 
 
-def test_reset_gives_mujocos_reset_state(model):
-    engine = CpuEngine(model, 3, 2)
+@pytest.mark.parametrize("persistent", [True, False])
+@pytest.mark.parametrize("expanded", [True, False])
+def test_reset_gives_mujocos_reset_state(model, persistent, expanded):
+    engine = CpuEngine(model, 3, 2, persistent=persistent)
+    if expanded:  # then a simulation's reset state may be its own
+        engine.model_field("body_mass")
     drive(engine, 5)
     others = engine.rows[[0, 2]].copy()
     engine.reset(np.array([1]))
@@ -112,6 +116,17 @@ def test_reset_gives_mujocos_reset_state(model):
     mujoco.mj_getState(model, data, row, STATE)
     np.testing.assert_array_equal(engine.rows[1], row)
     np.testing.assert_array_equal(engine.rows[[0, 2]], others)
+
+
+@pytest.mark.parametrize("persistent", [True, False])
+def test_an_environment_that_was_reset_is_like_new(model, persistent):
+    """Nothing outside the row survives: the next steps are those of a new engine."""
+    engine = CpuEngine(model, 3, 2, persistent=persistent)
+    engine.write("qpos", np.nan, np.array([2]))
+    drive(engine, 7)
+    engine.reset()
+    assert engine.take_diverged() is None
+    assert drive(engine, 7).tobytes() == drive(CpuEngine(model, 3, 2), 7).tobytes()
 
 
 def poison(engine, name, env):

@@ -45,7 +45,7 @@ class EventManager(Manager[EventCfg]):
         }
         self._intervals = [_Interval(env, t) for t in self._by_mode["interval"]]
         self._started = False
-        self._term = ""
+        self._stream = ""
         self._drawn: dict[str, NDArray[Any]] = {}
 
     def apply(self, mode: Literal["startup", "reset"], env_ids: EnvIndex | None = None) -> None:
@@ -87,7 +87,7 @@ class EventManager(Manager[EventCfg]):
                 interval.left[:] = 0
 
     def _fire(self, term: BuiltTerm[EventCfg], mode: str, env_ids: EnvIndex | None) -> None:
-        self._term = term.name
+        self._stream = f"events.{term.name}"
         self._drawn = {}
         term.call(self.env, env_ids)
         self.env.log_event(term.name, mode, env_ids, self._drawn)
@@ -112,8 +112,7 @@ class EventManager(Manager[EventCfg]):
         Returns:
             (n, *shape) float64. Do not write into it.
         """
-        name = f"events.{self._term}"
-        values: F64 = self.env.streams.uniform(name, shape, low, high, env_ids)
+        values: F64 = self.env.streams.uniform(self._stream, shape, low, high, env_ids)
         self._drawn[what] = values
         return values
 

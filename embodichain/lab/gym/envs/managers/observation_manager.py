@@ -12,6 +12,7 @@ import lazy_loader
 
 from embodichain.lab.gym.envs.cfg import ObservationCfg
 from embodichain.lab.gym.envs.managers.base import BuiltTerm, Manager
+from embodichain.lab.gym.utils.tensordicts import put
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -127,7 +128,10 @@ class _Entry:
             value = value * self._scale
         if value.dtype == torch.float64:
             value = value.to(torch.float32)
-        obs.set(self.path, value)
+        if value.device == obs.device:
+            put(obs, self.path, value)
+        else:
+            obs.set(self.path, value)
 
     def _find(self, obs: EnvObs) -> None:
         known = [k if isinstance(k, str) else "/".join(k) for k in obs.keys(True, True)]
