@@ -124,7 +124,9 @@ def test_options_are_listed() -> None:
     assert list_options("nothing") == []
 
 
-def test_hydras_state_is_kept(tmp_path: Path) -> None:
+def test_hydras_state_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # Another test of this process may have left Hydra's own singleton: begin without.
+    monkeypatch.delitem(Singleton._instances, GlobalHydra, raising=False)
     compose(["task=reach"])
     assert GlobalHydra not in Singleton._instances
     (tmp_path / "app.yaml").write_text("x: 1\n")
