@@ -137,7 +137,7 @@ class SimulationManagerCfg:
     num_threads: int = dataclasses.field(default=0, kw_only=True)
     """Physics threads; 0 uses every core the process may use."""
     persistent: bool | None = dataclasses.field(default=None, kw_only=True)
-    """One MjData per environment (fast, 200 kB each) or per thread; None chooses by `num_envs`."""
+    """One MjData per environment (200 kB each) or per thread; None chooses by use."""
     ground_plane: bool = dataclasses.field(default=True, kw_only=True)
     """Whether the `default_plane` at z = 0 exists."""
 

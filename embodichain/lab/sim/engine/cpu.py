@@ -275,12 +275,7 @@ class CpuEngine:
             columns: (k,) columns within the component, or a slice of them.
         """
         view = self._rows if field == "row" else self._views[field]
-        if env_ids is None:
-            view[:, columns] = values
-        elif isinstance(columns, slice):
-            view[env_ids, columns] = values
-        else:
-            view[env_ids[:, None], columns] = values
+        view[_where(env_ids, columns)] = values
         # ctrl and applied forces change no position- or velocity-stage field.
         if field not in _INPUTS:
             self._mark(env_ids)
@@ -306,12 +301,7 @@ class CpuEngine:
             ValueError: If the field cannot differ between environments.
         """
         view = self.model_field(field)
-        if env_ids is None:
-            view[:, columns] = values
-        elif isinstance(columns, slice):
-            view[env_ids, columns] = values
-        else:
-            view[env_ids[:, None], columns] = values
+        view[_where(env_ids, columns)] = values
         self._mark(env_ids)
         if self.listeners:
             values = _picked(view, env_ids, columns).astype(np.float64)
@@ -391,10 +381,14 @@ class CpuEngine:
 _INPUTS = frozenset({"ctrl", "qfrc_applied", "xfrc_applied"})
 
 
+def _where(env_ids: EnvIndex | None, columns: NDArray[np.int64] | slice) -> tuple[Any, Any]:
+    """The index of these columns in the rows of these environments."""
+    if env_ids is None:
+        return slice(None), columns
+    return (env_ids if isinstance(columns, slice) else env_ids[:, None]), columns
+
+
 def _picked(view: F64, env_ids: EnvIndex | None, columns: NDArray[np.int64] | slice) -> F64:
     """Copy of what a write left in the rows: listeners may keep it."""
-    if env_ids is None:
-        return view[:, columns].copy()
-    if isinstance(columns, slice):
-        return view[env_ids, columns]
-    return view[env_ids[:, None], columns]
+    picked: F64 = view[_where(env_ids, columns)].copy()
+    return picked
