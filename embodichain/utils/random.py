@@ -42,16 +42,52 @@ def _unit(bits: U64) -> NDArray[np.float64]:
     return (bits >> _S11).astype(np.float64) * _UNIT
 
 
+def _fixed(bound: Any) -> bool:
+    """Whether a bound is the same numbers as long as it is the same object."""
+    return isinstance(bound, np.ndarray) and not bound.flags.writeable
+
+
 class _Block:
     """Numbers of one stream for several draws of all environments, (draws, N, width)."""
 
-    __slots__ = ("counters", "unit", "used", "width")
+    __slots__ = ("high", "low", "unit", "used", "values", "width")
 
-    def __init__(self, unit: NDArray[np.float64], width: int, counters: U64) -> None:
+    def __init__(self, unit: NDArray[np.float64], width: int) -> None:
         self.unit = unit
         self.width = width
-        self.counters = counters
         self.used = 0
+        self.low: Any = None
+        self.high: Any = None
+        self.values = unit
+
+    def take(self) -> NDArray[np.float64]:
+        """The next draw, (N, width) in [0, 1); read only."""
+        self.used += 1
+        found: NDArray[np.float64] = self.unit[self.used - 1]
+        return found
+
+    def take_within(self, low: Any, high: Any) -> NDArray[np.float64]:
+        """The next draw, (N, width) in [low, high); read only.
+
+        Bounds that cannot change scale the whole block, the first time they are seen.
+        """
+        row = self.used
+        self.used += 1
+        if low is not self.low or high is not self.high:
+            if not (_fixed(low) and _fixed(high)):
+                return _scaled(self.unit[row], low, high)
+            self.low, self.high = low, high
+            self.values = _scaled(self.unit, low, high)
+            self.values.setflags(write=False)
+        found: NDArray[np.float64] = self.values[row]
+        return found
+
+
+def _scaled(unit: NDArray[np.float64], low: Any, high: Any) -> NDArray[np.float64]:
+    low = np.asarray(low, np.float64)
+    values: NDArray[np.float64] = unit * (high - low)
+    values += low
+    return values
 
 
 class RandomStreams:
@@ -83,7 +119,7 @@ class RandomStreams:
     def bits(self, name: str, width: int, env_ids: NDArray[np.int64] | None = None) -> U64:
         """Return (n, width) random 64-bit words and advance those environments' counters."""
         keys, counters = self._stream(name)
-        self._blocks.pop(name, None)
+        self._settle(name)
         steps = self._steps.get(width)
         if steps is None:
             steps = self._steps[width] = np.arange(1, width + 1, dtype=np.uint64) * _GAMMA
@@ -113,41 +149,42 @@ class RandomStreams:
             env_ids: (n,) environments that draw; None is all N.
 
         Returns:
-            (n, *shape) float64.
+            (n, *shape) float64; do not write into it.
         """
         width = 1
         for size in shape:
             width *= size
+        if env_ids is None and len(shape) == 1:
+            return self._block(name, width).take_within(low, high)
         if env_ids is None:
-            unit = self._ahead(name, width)
+            unit = self._block(name, width).take()
         else:
             unit = _unit(self.bits(name, width, env_ids))
         if len(shape) != 1:
             unit = unit.reshape(len(unit), *shape)
-        low = np.asarray(low, np.float64)
-        values: NDArray[np.float64] = unit * (high - low)
-        values += low
-        return values
+        return _scaled(unit, low, high)
 
-    def _ahead(self, name: str, width: int) -> NDArray[np.float64]:
-        """(N, width) in [0, 1) for all environments, from a block computed for several draws.
+    def _block(self, name: str, width: int) -> _Block:
+        """A block of draws of all environments with at least one left.
 
         The numbers are those of `bits`: a block only saves the cost of many small array operations.
-        It is dropped as soon as anything else moves a counter of its stream. Read only.
         """
         block = self._blocks.get(name)
         if block is None or block.width != width or block.used == len(block.unit):
+            self._settle(name)
             count = max(1, _BLOCK // max(1, self.num_envs * width))
             keys, counters = self._stream(name)
             draws = np.arange(count, dtype=np.uint64) * np.uint64(width)
             start = keys + (counters + draws[:, None]) * _GAMMA
             steps = np.arange(1, width + 1, dtype=np.uint64) * _GAMMA
-            unit = _unit(_mix(start[:, :, None] + steps))
-            block = self._blocks[name] = _Block(unit, width, counters)
-        rows: NDArray[np.float64] = block.unit[block.used]
-        block.used += 1
-        block.counters += np.uint64(width)
-        return rows
+            block = self._blocks[name] = _Block(_unit(_mix(start[:, :, None] + steps)), width)
+        return block
+
+    def _settle(self, name: str) -> None:
+        """Count what was drawn from a stream's block, and drop the block."""
+        block = self._blocks.pop(name, None)
+        if block is not None:
+            self._counters[name] += np.uint64(block.used * block.width)
 
     def normal(
         self, name: str, shape: Sequence[int] = (), env_ids: NDArray[np.int64] | None = None
@@ -162,6 +199,8 @@ class RandomStreams:
 
     def state_dict(self) -> dict[str, Any]:
         """Return the seed and every stream's counters (copies)."""
+        for name in list(self._blocks):
+            self._settle(name)
         return {"seed": self.seed, "counters": {k: v.copy() for k, v in self._counters.items()}}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

@@ -205,7 +205,8 @@ class BaseEnv(EnvOutcome):
         action, given = self._receive(action)
         saved = None if self._pending is None else self.streams.state_dict()
         seen = self._act(self._preprocess_action(action))
-        self._dump.keep()
+        if self.run_dir is not None:
+            self._dump.keep()
         self.sim.update(step=self.sim_steps_per_control)
         self._update_sim_state(**kwargs)
         if self._has_events:

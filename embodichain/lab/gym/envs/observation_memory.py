@@ -73,16 +73,15 @@ class ObservationMemory:
         Raises:
             KeyError: If an entry of the first observation is missing.
         """
-        parts: list[F32] = []
+        parts: list[torch.Tensor] = []
         for path, matrix in self._places:
             leaf: Any = obs
             for key in path:
                 leaf = entries(leaf)[key]
-            array = leaf.numpy()
-            parts.append(array if matrix else array.reshape(self._num_envs, -1))
+            parts.append(leaf if matrix else leaf.reshape(self._num_envs, -1))
         if not parts:
             return np.zeros((self._num_envs, 0), np.float32)
-        return np.concatenate(parts, axis=1)
+        return torch.cat(parts, dim=1).numpy()
 
     @staticmethod
     def bad_rows(flat: F32) -> Mask | None:

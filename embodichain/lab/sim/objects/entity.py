@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows
-from embodichain.utils.math import matrix_to_pose, normalize_quat
+from embodichain.utils.math import matrix_to_pose, normalize_quat, pose_to_matrix
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import ObjectBaseCfg
@@ -162,8 +162,6 @@ class BatchEntity:
             to_matrix: Whether to return (N, 4, 4) matrices instead of (N, 7) vectors
                 (x, y, z, qw, qx, qy, qz).
         """
-        from embodichain.utils.math import pose_to_matrix
-
         pose = self.pose_tensor()
         return pose_to_matrix(pose) if to_matrix else pose
 

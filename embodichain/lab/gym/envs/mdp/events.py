@@ -12,6 +12,7 @@ from embodichain.lab.gym.envs.managers.param_types import Box3
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp import _spatial
+from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, quat_multiply
 
@@ -70,11 +71,11 @@ class RandomizeRigidObjectPose(Term):
         if position_range is not None:
             low, high = (np.asarray(row, np.float64) for row in position_range)
             shift = base if relative_position and relative_to is None else 0.0
-            self._box = (low + shift, high + shift)
+            self._box = (constant(low + shift), constant(high + shift))
         self._turn: tuple[F64, F64] | None = None
         if rotation_range is not None:
             low, high = (np.deg2rad(np.asarray(row, np.float64)) for row in rotation_range)
-            self._turn = (low, high)
+            self._turn = (constant(low), constant(high))
         self._relative_rotation = relative_rotation
 
     def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
@@ -138,7 +139,8 @@ class RandomizeRobotQpos(Term):
             message = f"{entity_cfg.uid!r} has {len(parsed.joint_names)} joints; got {wrong}"
             raise ConfigError([Problem("joint_ids", message)])
         self._joints: NDArray[np.int64] = np.asarray(picked, np.int64)
-        self._low, self._high = _per_joint(qpos_range, len(picked))
+        low, high = _per_joint(qpos_range, len(picked))
+        self._low, self._high = constant(low), constant(high)
         self._home: F64 = np.asarray(parsed.init_qpos, np.float64)[self._joints]
         self._limits: F64 = np.asarray(parsed.qpos_limits, np.float64)[self._joints]
         if not relative_qpos:
