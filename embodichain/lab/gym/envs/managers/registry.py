@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import pkgutil
 import re
 import typing
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from importlib.metadata import entry_points
 from types import SimpleNamespace
 from typing import Any, Literal, TypeVar, get_args
 
@@ -19,6 +21,7 @@ from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = [
+    "ENTRY_POINTS",
     "KINDS",
     "LEADING",
     "TERMS",
@@ -30,7 +33,16 @@ __all__ = [
     "resolve_term",
 ]
 
-Kind = Literal["event", "observation", "reward", "action", "termination", "metric"]
+Kind = Literal[
+    "event",
+    "observation",
+    "reward",
+    "action",
+    "termination",
+    "metric",
+    "command",
+    "curriculum",
+]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 LEADING: dict[Kind | Literal["policy"], tuple[str, ...]] = {
     "event": ("env", "env_ids"),
@@ -39,6 +51,8 @@ LEADING: dict[Kind | Literal["policy"], tuple[str, ...]] = {
     "termination": ("env", "obs", "action", "info"),
     "metric": ("env", "obs", "action", "info"),
     "action": ("env",),
+    "command": ("env",),
+    "curriculum": ("env", "env_ids"),
     "policy": ("obs", "env"),
 }
 """What is passed first to a function of each kind. A class's `__init__` gets `env` (for policies,
@@ -46,6 +60,17 @@ which are described here too but are no terms: nothing)."""
 
 T = TypeVar("T", bound=Callable[..., Any])
 _BUILTIN = "embodichain.lab.gym.envs.mdp"
+_PACKAGES = (
+    "actions",
+    "commands",
+    "curriculum",
+    "events",
+    "observations",
+    "rewards",
+    "terminations",
+)
+ENTRY_POINTS = "embodichain.terms"
+"""Entry point group of packages with terms: each names a module that is imported with ours."""
 _PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 
 
@@ -112,8 +137,10 @@ class _TermTable(Mapping[Kind, dict[str, TermSpec]]):
     def __getitem__(self, kind: Kind) -> dict[str, TermSpec]:
         if not self._loaded:
             self._loaded = True
-            for module in ("actions", "events", "observations", "rewards", "terminations"):
-                importlib.import_module(f"{_BUILTIN}.{module}")
+            for package in _PACKAGES:
+                _import_modules(f"{_BUILTIN}.{package}")
+            for entry in entry_points(group=ENTRY_POINTS):
+                entry.load()
         return self.registered[kind]
 
     def __iter__(self) -> Iterator[Kind]:
@@ -121,6 +148,14 @@ class _TermTable(Mapping[Kind, dict[str, TermSpec]]):
 
     def __len__(self) -> int:
         return len(KINDS)
+
+
+def _import_modules(package: str) -> None:
+    """Import every public module of a package: their decorators register the terms."""
+    found = importlib.import_module(package)
+    for module in pkgutil.iter_modules(found.__path__):
+        if not module.name.startswith("_"):
+            importlib.import_module(f"{package}.{module.name}")
 
 
 TERMS = _TermTable()
