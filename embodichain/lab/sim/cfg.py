@@ -218,6 +218,22 @@ class JointDrivePropertiesCfg:
 
 
 @configclass
+class AttachmentCfg(ObjectBaseCfg):
+    """A rigid shape fixed on a link: a pusher, a tool, a payload. It becomes a link of its own.
+
+    Its pose (`init_pos`, `init_rot`, `init_quat`) is in the frame of the link it is fixed on.
+    """
+
+    link: str = ""
+    """The link that carries it."""
+    shape: AnyShapeCfg = CubeCfg()
+    mass: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.1
+    """kg."""
+    dynamic_friction: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.5
+    enable_collision: bool = True
+
+
+@configclass
 class ArticulationCfg(ObjectBaseCfg):
     """A jointed mechanism read from a URDF or MJCF file."""
 
@@ -247,6 +263,9 @@ class ArticulationCfg(ObjectBaseCfg):
     """No effect."""
     use_usd_properties: bool = False
     """No effect: USD is not read."""
+    # ours
+    attachments: dict[str, AttachmentCfg] = dataclasses.field(default_factory=dict, kw_only=True)
+    """Link name -> a shape fixed on one of the file's links."""
 
 
 @configclass

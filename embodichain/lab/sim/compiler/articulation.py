@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import ArticulationCfg
+from embodichain.lab.sim.compiler.attachments import add_attachments, check_attachments
 from embodichain.lab.sim.compiler.collision import prepare_shapes
 from embodichain.lab.sim.compiler.drives import apply_drives, resolve_drives
 from embodichain.lab.sim.compiler.files import ModelFile, compile_quietly, locate, read_model
@@ -134,12 +135,15 @@ def parse_with_problems(
     keyframe = read_keyframe(file.model)
     qpos, wrong = resolve_qpos(cfg.init_qpos, joints, mimics, keyframe)
     problems += wrong
+    problems += check_attachments(file.spec, cfg.attachments)
     notes = [*file.notes, *(f"{file.path}: {n}" for n in strip_world(file.spec))]
     try:
         for key in list(file.spec.keys):
             file.spec.delete(key)
         apply_drives(file.spec, cfg.drive_pros, gains, joints.names, mimics.ids)
         prepare_shapes(file.spec, cfg, file.is_urdf)
+        if not problems:
+            add_attachments(file.spec, cfg.attachments)
         spec, root = set_root(file.spec, cfg.fix_base)
         model = compile_quietly(spec)
     except (ConfigError, *MUJOCO_ERRORS) as error:

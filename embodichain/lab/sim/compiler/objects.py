@@ -12,6 +12,7 @@ from embodichain.lab.sim.compiler.pose import initial_pose
 from embodichain.lab.sim.compiler.urdf import MESH_SUFFIXES
 from embodichain.lab.sim.compiler.visuals import surface
 from embodichain.lab.sim.shapes import (
+    AnyShapeCfg,
     CapsuleCfg,
     CubeCfg,
     CylinderCfg,
@@ -21,7 +22,7 @@ from embodichain.lab.sim.shapes import (
 )
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["add_object", "check_object", "damping_of"]
+__all__ = ["add_object", "check_object", "check_shape", "damping_of", "set_shape"]
 
 _GEOM = mujoco.mjtGeom
 _HULL_VERTICES = 64
@@ -38,7 +39,10 @@ def check_object(cfg: RigidObjectCfg) -> list[Problem]:
     if scale.shape != (3,) or not (scale > 0).all():
         problems.append(Problem("body_scale", f"wants 3 positive numbers, got {scale.tolist()}"))
         scale = np.ones(3)
-    problems += _check_shape(cfg, scale)
+    problems += check_shape(cfg.shape, scale)
+    if isinstance(cfg.shape, PlaneCfg) and cfg.body_type != "static":
+        message = f"a Plane must be static, got {cfg.body_type!r}"
+        problems.append(Problem("body_type", message))
     attrs = cfg.attrs
     for name in ("mass", "linear_damping", "angular_damping", "dynamic_friction"):
         value = getattr(attrs, name)
@@ -56,8 +60,9 @@ def check_object(cfg: RigidObjectCfg) -> list[Problem]:
     return problems
 
 
-def _check_shape(cfg: RigidObjectCfg, scale: F64) -> list[Problem]:
-    shape, problems = cfg.shape, []
+def check_shape(shape: AnyShapeCfg, scale: F64) -> list[Problem]:
+    """Return every mistake in a shape; paths begin with ``shape`` or ``body_scale``."""
+    problems = []
     for name in ("size", "radius", "height"):
         value = getattr(shape, name, None)
         if value is None:
@@ -69,9 +74,6 @@ def _check_shape(cfg: RigidObjectCfg, scale: F64) -> list[Problem]:
     if isinstance(shape, (CylinderCfg, CapsuleCfg)) and scale[0] != scale[1]:
         message = f"a {shape.shape_type} scales equally along x and y, got {scale.tolist()}"
         problems.append(Problem("body_scale", message))
-    if isinstance(shape, PlaneCfg) and cfg.body_type != "static":
-        message = f"a Plane must be static, got {cfg.body_type!r}"
-        problems.append(Problem("body_type", message))
     if isinstance(shape, MeshCfg):
         problems += _check_mesh(shape)
     return problems
@@ -108,7 +110,7 @@ def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) 
     if cfg.body_type == "dynamic":
         body.add_freejoint(name=f"{uid}/free")
     geom = body.add_geom(name=f"{uid}/geom")
-    _set_shape(spec, geom, uid, cfg)
+    set_shape(spec, geom, uid, cfg.shape, np.asarray(cfg.body_scale, np.float64))
     geom.material = surface(spec, uid, cfg.shape.visual_material, number)
     attrs = cfg.attrs
     if attrs.mass > 0:
@@ -121,9 +123,10 @@ def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) 
     return pos, quat
 
 
-def _set_shape(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, uid: str, cfg: RigidObjectCfg) -> None:
+def set_shape(
+    spec: mujoco.MjSpec, geom: mujoco.MjsGeom, uid: str, shape: AnyShapeCfg, scale: F64
+) -> None:
     """Set type and size; MuJoCo's sizes are half sizes."""
-    shape, scale = cfg.shape, np.asarray(cfg.body_scale, np.float64)
     if isinstance(shape, CubeCfg):
         geom.type, geom.size = _GEOM.mjGEOM_BOX, 0.5 * np.asarray(shape.size) * scale
     elif isinstance(shape, SphereCfg):
