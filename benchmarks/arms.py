@@ -6,7 +6,6 @@ An arm is built before the first clock starts and then does control steps when t
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,7 +86,7 @@ def environment(
 
 
 def recorded(env: BaseEnv, name: str, floor: str, folder: Path) -> Arm:
-    """The same with a log; its clock stops when everything is handed to the file.
+    """The same with a log; its clock stops when everything is in the file.
 
     Waiting for the writer's backlog makes the figure one that can be kept up for hours.
     """
@@ -95,15 +94,7 @@ def recorded(env: BaseEnv, name: str, floor: str, folder: Path) -> Arm:
 
     recorder = McapRecorder(folder / f"{name}-{env.num_envs}.mcap", env)
     env.add_observer(recorder)
-
-    def drain() -> None:
-        done = threading.Event()
-        recorder._pending.append(lambda _file: done.set())
-        recorder._hand_over()
-        if not done.wait(60):
-            raise RuntimeError("the log's writer has stopped")
-
-    return environment(env, name, floor, drain)
+    return environment(env, name, floor, recorder.flush)
 
 
 def bare(name: str, env: BaseEnv, nthread: int, floor: str | None = None) -> Arm:

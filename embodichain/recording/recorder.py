@@ -241,6 +241,18 @@ class McapRecorder(StepObserver):
         """The environment closes."""
         self.close()
 
+    def flush(self) -> None:
+        """Wait until everything recorded so far is in the file, where readers find it.
+
+        Nobody has to call this: the file is flushed every second. After `close` it does nothing.
+
+        Raises:
+            OSError: If the file could not be written.
+        """
+        if not self._closed:
+            self._hand_over()
+            self._file.flush()
+
     def close(self) -> None:
         """Write the last rows and finish the file. A second call does nothing.
 

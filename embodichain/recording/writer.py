@@ -73,6 +73,22 @@ class McapThread:
                 continue
             return
 
+    def flush(self) -> None:
+        """Wait until everything handed over so far is in the file, readable there.
+
+        Raises:
+            OSError: If the file could not be written.
+        """
+        done = threading.Event()
+
+        def write_out(_thread: McapThread) -> None:
+            self._writer.flush()
+            done.set()
+
+        self.put([write_out])
+        while not done.wait(timeout=0.1):
+            self._raise_error()
+
     def close(self) -> None:
         """Write what waits, the index and the end of the file. A second call does nothing."""
         if self._closed:

@@ -84,6 +84,23 @@ def test_steps_hold_what_went_in_and_came_out(tmp_path, record):
     )
 
 
+def test_flush_brings_everything_into_the_file(tmp_path):
+    path = tmp_path / "log.mcap"
+    env = SmallEnv()
+    recorder = McapRecorder(path, env)
+    env.add_observer(recorder)
+    env.reset()
+    for made in (1, 2, 3):
+        env.step()
+        recorder.flush()
+        assert inspect(path).steps == made
+    recorder.close()
+    size = path.stat().st_size
+    recorder.flush()  # nothing is left to write
+    assert path.stat().st_size == size
+    assert verify(path).ok
+
+
 def test_every_write_is_there(tmp_path, record):
     path = record(steps=8)
     writes = [WriteRecord.decode(data) for _, data in messages(path, "/sim/write")]

@@ -57,6 +57,18 @@ def test_an_error_reaches_the_simulation(tmp_path):
     thread.close()  # it was told
 
 
+def test_flushing_a_failed_file_says_so(tmp_path):
+    def fail(file):
+        raise OSError(28, "No space left on device")
+
+    thread = start(tmp_path / "log.mcap")
+    thread.put([fail])
+    with pytest.raises(OSError, match=r"log\.mcap could not be written"):
+        thread.flush()
+    with pytest.raises(OSError, match=r"log\.mcap could not be written"):
+        thread.close()
+
+
 @pytest.mark.parametrize("compression", ["lz4", "zstd", "none"])
 def test_chunks_of_every_compression(tmp_path, compression):
     thread = start(tmp_path / "log.mcap", compression=compression)
