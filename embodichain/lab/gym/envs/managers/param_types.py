@@ -5,15 +5,20 @@ Pure declarations: no torch, no MuJoCo.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Annotated
 
 from pydantic import AfterValidator, Field
 
-__all__ = ["Box3", "NonNegative", "Positive", "Range", "Vec3"]
+__all__ = ["Angle", "Bounds", "Box3", "Fraction", "NonNegative", "Positive", "Range", "Vec3"]
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Fraction = Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)]
+"""(0, 1]."""
+Angle = Annotated[float, Field(gt=0, le=math.pi, allow_inf_nan=False)]
+"""Radians in (0, pi]."""
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Vec3 = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 
@@ -31,9 +36,17 @@ def _ordered_pair(value: Sequence[float]) -> Sequence[float]:
     return value
 
 
+def _bounds(value: Sequence[float]) -> Sequence[float]:
+    if math.isnan(value[0]) or math.isnan(value[1]):
+        raise ValueError("a bound is not a number")
+    return _ordered_pair(value)
+
+
 Range = Annotated[
     Sequence[Finite], Field(min_length=2, max_length=2), AfterValidator(_ordered_pair)
 ]
 """[low, high]."""
+Bounds = Annotated[Sequence[float], Field(min_length=2, max_length=2), AfterValidator(_bounds)]
+"""[low, high]; either may be infinite (``.inf`` in YAML)."""
 Box3 = Annotated[list[Vec3], Field(min_length=2, max_length=2), AfterValidator(_ordered)]
 """[[x, y, z] low, [x, y, z] high]."""
