@@ -25,6 +25,7 @@ from embodichain.lab.gym.envs.divergence import StateDump
 from embodichain.lab.gym.envs.hooks import overrides
 from embodichain.lab.gym.envs.managers.action_manager import ActionManager
 from embodichain.lab.gym.envs.managers.base import Manager
+from embodichain.lab.gym.envs.managers.command_manager import CommandManager
 from embodichain.lab.gym.envs.managers.event_manager import EventManager
 from embodichain.lab.gym.envs.managers.metric_manager import MetricManager
 from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
@@ -57,6 +58,7 @@ class EnvAssembly(EnvBasics):
     """Builds itself in EmbodiChain's order: robot, scene, sensors, then what needs physics.
 
     Attributes:
+        command_manager: Command terms.
         observation_manager: Observation terms.
         event_manager: Event terms.
         action_manager: Action terms.
@@ -65,6 +67,7 @@ class EnvAssembly(EnvBasics):
         metric_manager: Metric terms.
     """
 
+    command_manager: CommandManager
     observation_manager: ObservationManager
     event_manager: EventManager
     action_manager: ActionManager
@@ -122,6 +125,8 @@ class EnvAssembly(EnvBasics):
 
     def _build_managers(self) -> None:
         cfg, env = self.cfg, self
+        # Commands first: other terms look them up when they are built.
+        self.command_manager = CommandManager(env, cfg.commands)  # type: ignore[arg-type]
         self.observation_manager = ObservationManager(env, cfg.observations)  # type: ignore[arg-type]
         self.event_manager = EventManager(env, cfg.events)  # type: ignore[arg-type]
         self.action_manager = ActionManager(env, cfg.actions)  # type: ignore[arg-type]
@@ -129,6 +134,7 @@ class EnvAssembly(EnvBasics):
         self.termination_manager = TerminationManager(env, cfg.terminations)  # type: ignore[arg-type]
         self.metric_manager = MetricManager(env, cfg.metrics)  # type: ignore[arg-type]
         self._managers: dict[str, Manager[Any]] = {
+            "commands": self.command_manager,
             "observations": self.observation_manager,
             "events": self.event_manager,
             "actions": self.action_manager,
@@ -140,6 +146,7 @@ class EnvAssembly(EnvBasics):
         self._observes = len(self.observation_manager) > 0
         self._has_events = len(self.event_manager) > 0
         self._acts = len(self.action_manager) > 0
+        self._has_commands = len(self.command_manager) > 0
         self._has_rewards = len(self.reward_manager) > 0
 
     def _build_actions(self) -> None:

@@ -103,7 +103,7 @@ class BaseEnv(EnvOutcome):
         """Start new episodes.
 
         A reset is MuJoCo's own (velocities, warm start, controls, applied forces, time), then every
-        entity's configured state, `_initialize_episode`, reset events, and `mj_forward`.
+        entity's configured state, `_initialize_episode`, reset events, commands, and `mj_forward`.
 
         Args:
             seed: Starts every random stream anew, those of all N environments; also Gymnasium's
@@ -140,6 +140,8 @@ class BaseEnv(EnvOutcome):
         self._initialize_episode(torch.from_numpy(ids.copy()), **options)
         if self._has_events:
             self.event_manager.apply("reset", where)
+        if self._has_commands:
+            self.command_manager.resample(where)
         self.sim.engine.forward(where)
         self._elapsed[ids] = 0
         self._success[ids] = False
@@ -171,7 +173,7 @@ class BaseEnv(EnvOutcome):
         """Advance all environments by one control step (K physics steps).
 
         In this order: `_preprocess_action`; action terms, then `_step_action`; physics;
-        `_update_sim_state`, then interval events; the observation (robot, sensors, `_extend_obs`,
+        `_update_sim_state`, then interval events, then commands; the observation (robot, sensors, `_extend_obs`,
         observation terms); info (`evaluate`, terminations, metrics); rewards (`get_reward`, reward
         terms, `_extend_reward`); `_postprocess_action`; counters; who is terminated or truncated;
         `_hook_after_sim_step`. With SAME_STEP, environments that are done are then reset in place,
@@ -209,9 +211,11 @@ class BaseEnv(EnvOutcome):
             self._dump.keep()
         self.sim.update(step=self.sim_steps_per_control)
         self._update_sim_state(**kwargs)
+        stepped = None if self._pending is None else np.flatnonzero(~self._pending)
         if self._has_events:
-            stepped = None if self._pending is None else np.flatnonzero(~self._pending)
             self.event_manager.step(stepped)
+        if self._has_commands:
+            self.command_manager.step(stepped)
         obs = self._observe(kwargs)
         info, flags = self._judge(obs, seen, kwargs)
         reward = self._reward(obs, seen, info)

@@ -25,10 +25,13 @@ from embodichain.utils.configclass import configclass
 
 __all__ = [
     "ActionTermCfg",
+    "CommandCfg",
+    "CurriculumCfg",
     "EmbodiedEnvCfg",
     "EnvCfg",
     "EventCfg",
     "MetricCfg",
+    "NoiseCfg",
     "ObservationCfg",
     "PhysicsTaskCfg",
     "RewardCfg",
@@ -40,6 +43,11 @@ __all__ = [
 
 Names = str | list[str] | None
 """One name or regex, several, or None for all."""
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+"""[low, high]."""
+Steps = Annotated[int, Field(ge=0)]
+Noise = float | list[float] | None
+"""One number, or one for each column."""
 
 
 @configclass
@@ -79,10 +87,30 @@ class EventCfg(TermCfg):
     mode: Literal["startup", "reset", "interval"] = "reset"
     interval_step: Annotated[int, Field(ge=1)] = 10
     """Control steps between firings of an `interval` event; 1 is every step."""
-    interval_range_s: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
+    interval_range_s: Pair | None = None
     """[low, high] seconds between firings, drawn anew each time; wins over `interval_step`."""
     is_global: bool = False
     """Whether all environments share one timer (and `env_ids` is None)."""
+
+
+@configclass
+class NoiseCfg:
+    """Random numbers that an observation is changed by, drawn anew in every step.
+
+    ``gaussian`` needs `std`, ``uniform`` needs `low` and `high` (Isaac Lab's `n_min` and `n_max`
+    mean the same), ``constant`` needs `bias` and draws nothing.
+    """
+
+    type: Literal["gaussian", "uniform", "constant"] = "gaussian"
+    operation: Literal["add", "scale", "abs"] = "add"
+    """value + noise, value x noise, or the noise in the value's place."""
+    mean: Noise = None
+    std: Noise = None
+    low: Noise = None
+    high: Noise = None
+    n_min: Noise = None
+    n_max: Noise = None
+    bias: Noise = None
 
 
 @configclass
@@ -90,18 +118,25 @@ class ObservationCfg(TermCfg):
     """A piece of the observation: ``f(env, obs, **params) -> (N, ...)``.
 
     With `mode` ``modify``, ``f(env, data, **params)`` receives the entry `name` and returns its
-    replacement.
+    replacement. What the term returns then passes `noise`, `clip`, `scale`, `delay` and
+    `history_length`, in this order.
     """
 
     mode: Literal["add", "modify"] = "add"
     name: str | None = None
     """Where it stands in the observation; "/" nests. None is the term's key."""
     group: str = "policy"
-    noise: dict[str, Any] | None = None
-    """Not available yet."""
-    clip: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
-    """[low, high], applied before `scale`."""
+    noise: NoiseCfg | None = None
+    """Switched off, a group at a time, by the task's `enable_corruption`."""
+    clip: Pair | None = None
+    """[low, high]."""
     scale: float | list[float] | None = None
+    delay: Steps | Annotated[list[Steps], Field(min_length=2, max_length=2)] = 0
+    """Control steps, or [low, high]: then each episode of each environment draws its own."""
+    history_length: Steps = 0
+    """Values of this many steps, the oldest first; 0 is the value itself, without history."""
+    flatten_history_dim: bool = True
+    """Whether the steps stand side by side, (N, H x ...), instead of in a dimension (N, H, ...)."""
 
 
 @configclass
@@ -129,6 +164,19 @@ class MetricCfg(TermCfg):
     """``f(env, obs, action, info, **params) -> (N,)``, reduced over an episode."""
 
     reduce: Literal["last", "any", "all", "mean", "sum", "max", "min"] = "last"
+
+
+@configclass
+class CommandCfg(TermCfg):
+    """A goal that is not a place, such as a velocity: a class ``(env, **params)``."""
+
+    resampling_time_s: Pair | None = None
+    """[low, high] seconds between draws within an episode; None draws only at resets."""
+
+
+@configclass
+class CurriculumCfg(TermCfg):
+    """Changes the task as training goes on: ``f(env, env_ids, **params)``, before each reset."""
 
 
 @configclass
@@ -188,14 +236,14 @@ class EnvCfg:
     """Not available yet: anything here is an error that says so."""
     actions: dict[str, ActionTermCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     events: dict[str, EventCfg] = dataclasses.field(default_factory=dict, kw_only=True)
-    commands: dict[str, Any] = dataclasses.field(default_factory=dict, kw_only=True)
-    """Not available yet: anything here is an error that says so."""
+    commands: dict[str, CommandCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     observations: dict[str, ObservationCfg] = dataclasses.field(default_factory=dict, kw_only=True)
+    enable_corruption: bool | dict[str, bool] = dataclasses.field(default=True, kw_only=True)
+    """Whether observations get their noise: for all groups, or by group (others: True)."""
     rewards: dict[str, RewardCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     terminations: dict[str, TerminationCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     metrics: dict[str, MetricCfg] = dataclasses.field(default_factory=dict, kw_only=True)
-    curriculum: dict[str, Any] = dataclasses.field(default_factory=dict, kw_only=True)
-    """Not available yet: anything here is an error that says so."""
+    curriculum: dict[str, CurriculumCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     extensions: dict[str, Any] = dataclasses.field(default_factory=dict, kw_only=True)
     """Become attributes of the environment."""
     suggested: SuggestedCfg = dataclasses.field(default_factory=SuggestedCfg, kw_only=True)

@@ -94,7 +94,7 @@ def _check(cfg: EnvCfg) -> None:
         problems.append(
             Problem("physics.physics_dt", f"must be positive, got {cfg.sim_cfg.physics_dt!r}")
         )
-    for section in ("sensors", "commands", "curriculum"):
+    for section in ("sensors",):
         if getattr(cfg, section):
             problems.append(Problem(section, "not available yet: leave it empty"))
     if problems:

@@ -23,11 +23,11 @@ __all__ = ["EventRecord", "StepObserver", "StepRecord"]
 
 @dataclass(frozen=True, slots=True)
 class EventRecord:
-    """A term of the event manager has fired.
+    """A term of the event manager has fired, or a command was drawn.
 
     Attributes:
         term: The term's name in the config.
-        mode: ``startup``, ``reset`` or ``interval``.
+        mode: ``startup``, ``reset`` or ``interval``; ``command`` for a command.
         env_ids: (n,) int64 environments in which it fired, or None for all N.
         drawn: What it drew at random, by name, each (n, ...); empty if it draws nothing.
     """

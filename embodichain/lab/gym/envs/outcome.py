@@ -97,6 +97,8 @@ class EnvOutcome(EnvAssembly):
         info["success"] = torch.from_numpy(success)
         info["fail"] = torch.from_numpy(fail)
         reached = self.metric_manager.compute(obs, action, info)
+        if self._has_commands and self.command_manager.has_metrics:
+            self.command_manager.report(info["metrics"])
         self._success = success.copy() if reached is None else reached.numpy().copy()
         return info, Flags(success, fail, time_out)
 

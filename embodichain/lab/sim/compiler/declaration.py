@@ -37,8 +37,6 @@ class SceneDeclaration(Protocol):
     articulations: dict[str, ArticulationCfg]
     lights: dict[str, LightCfg]
     sensors: dict[str, Any]
-    commands: dict[str, Any]
-    curriculum: dict[str, Any]
 
 
 @dataclass(frozen=True)

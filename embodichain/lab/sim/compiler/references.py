@@ -13,7 +13,16 @@ from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["TERM_SECTIONS", "Known", "check_references"]
 
-TERM_SECTIONS = ("actions", "events", "observations", "rewards", "terminations", "metrics")
+TERM_SECTIONS = (
+    "commands",
+    "actions",
+    "events",
+    "observations",
+    "rewards",
+    "terminations",
+    "metrics",
+    "curriculum",
+)
 
 Known = Mapping[str, ParsedArticulation | str | None]
 """Uid -> the articulation (None: unreadable), or what else it is: "rigid object", "light"."""

@@ -24,7 +24,7 @@ from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["describe", "parse_scene"]
 
-_NOT_YET = ("sensors", "commands", "curriculum")
+_NOT_YET = ("sensors",)
 
 
 def describe(cfg: SceneDeclaration) -> list[Problem]:

@@ -7,6 +7,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     submod_attrs={
         "action_manager": ["ActionManager", "ActionTerm"],
         "check": ["check_terms"],
+        "command_manager": ["CommandManager", "CommandTerm"],
         "dry_run": ["check_shapes"],
         "event_manager": ["EventManager"],
         "metric_manager": ["MetricManager"],

@@ -6,6 +6,7 @@ manager's file.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -88,6 +89,10 @@ class Manager(Generic[C]):
     def __init__(self, env: BaseEnv, section: str, kind: Kind, cfgs: Mapping[str, C]) -> None:
         self.env = env
         self.num_envs = env.num_envs
+        self.section = section
+        self._kind: Kind = kind
+        self._declared = dict(cfgs)
+        self._changed: dict[str, dict[str, Any]] = {}
         problems: list[Problem] = []
         self.terms: dict[str, BuiltTerm[C]] = {}
         for name, cfg in cfgs.items():
@@ -97,9 +102,41 @@ class Manager(Generic[C]):
                 problems += error.problems
         if problems:
             raise ConfigError(problems)
+        self._collect()
+
+    def _collect(self) -> None:
+        """Look up what is called of the terms; again when one was built anew."""
         instances = {n: t.instance for n, t in self.terms.items() if t.instance is not None}
         self._resets = [i.reset for i in instances.values() if hasattr(i, "reset")]
         self._stateful = {n: i for n, i in instances.items() if hasattr(i, "state_dict")}
+        self._bind()
+
+    def _bind(self) -> None:
+        """What a manager keeps of its terms besides; the default is nothing."""
+
+    def params(self, name: str) -> dict[str, Any]:
+        """The parameters that a term has now (a deep copy), as the config writes them."""
+        return copy.deepcopy(self._changed.get(name, self._declared[name].params))
+
+    def set_params(self, name: str, params: dict[str, Any]) -> None:
+        """Build a term anew with other parameters; what it keeps between calls is carried over.
+
+        Args:
+            name: The term.
+            params: All its parameters, as the config would write them.
+
+        Raises:
+            ConfigError: If they are wrong; the term stays as it was.
+        """
+        old = self.terms[name]
+        cfg = copy.copy(self._declared[name])
+        cfg.params = params
+        term = _build(self.env, self._kind, name, cfg, f"{self.section}.{name}")
+        if old.instance is not None and hasattr(old.instance, "state_dict"):
+            term.instance.load_state_dict(old.instance.state_dict())
+        self.terms[name] = term
+        self._changed[name] = copy.deepcopy(params)
+        self._collect()
 
     def __len__(self) -> int:
         return len(self.terms)
@@ -111,10 +148,16 @@ class Manager(Generic[C]):
 
     def state_dict(self) -> dict[str, Any]:
         """State of the terms that keep any (copies), by name."""
-        return {"terms": {name: term.state_dict() for name, term in self._stateful.items()}}
+        return {
+            "terms": {name: term.state_dict() for name, term in self._stateful.items()},
+            "params": copy.deepcopy(self._changed),
+        }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
+        for name in {*self._changed, *state["params"]}:
+            params = state["params"].get(name, self._declared[name].params)
+            self.set_params(name, copy.deepcopy(params))
         for name, term in self._stateful.items():
             term.load_state_dict(state["terms"][name])
 
@@ -130,8 +173,8 @@ def _build(env: BaseEnv, kind: Kind, name: str, cfg: C, path: str) -> BuiltTerm[
         return BuiltTerm(name, cfg, spec, bound)
     with _under(where):
         instance = spec.func(env, **params)
-    call = instance.apply if kind == "action" else instance
-    return BuiltTerm(name, cfg, spec, call, instance)
+    method = {"action": "apply", "command": "resample"}.get(kind, "__call__")
+    return BuiltTerm(name, cfg, spec, getattr(instance, method), instance)
 
 
 @contextmanager

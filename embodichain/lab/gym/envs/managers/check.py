@@ -27,10 +27,10 @@ SECTIONS: dict[str, Kind] = {
     "rewards": "reward",
     "terminations": "termination",
     "metrics": "metric",
+    "commands": "command",
+    "curriculum": "curriculum",
 }
 """Sections of a task and the kind of term each holds."""
-
-_NOT_YET = ("commands", "curriculum")
 
 
 def check_terms(cfg: EnvCfg, *, allow_import: bool = True) -> list[Problem]:
@@ -48,9 +48,6 @@ def check_terms(cfg: EnvCfg, *, allow_import: bool = True) -> list[Problem]:
     for section, kind in SECTIONS.items():
         for name, term in getattr(cfg, section).items():
             problems += check_term(kind, term, f"{section}.{name}", allow_import=allow_import)[2]
-    for section in _NOT_YET:
-        if getattr(cfg, section):
-            problems.append(Problem(section, "not available yet; leave it out"))
     return problems + _check_modifiers(cfg)
 
 
@@ -90,8 +87,6 @@ def _check_fields(path: str, term: TermCfg) -> list[Problem]:
                 Problem(f"{path}.interval_range_s", f"needs 0 < low <= high, got [{low}, {high}]")
             )
     if isinstance(term, ObservationCfg):
-        if term.noise is not None:
-            found.append(Problem(f"{path}.noise", "not available yet; leave it out"))
         if term.clip is not None and not term.clip[0] <= term.clip[1]:
             found.append(Problem(f"{path}.clip", f"low exceeds high in {list(term.clip)}"))
         if term.name is not None and not all(term.name.split("/")):
@@ -105,6 +100,11 @@ def _check_class(path: str, spec: TermSpec) -> list[Problem]:
 
         if not (isinstance(spec.func, type) and issubclass(spec.func, ActionTerm)):
             return [Problem(path, f"{spec.label} must be a subclass of ActionTerm")]
+    elif spec.kind == "command":
+        from embodichain.lab.gym.envs.managers.command_manager import CommandTerm
+
+        if not (isinstance(spec.func, type) and issubclass(spec.func, CommandTerm)):
+            return [Problem(path, f"{spec.label} must be a subclass of CommandTerm")]
     elif spec.is_class and "__call__" not in dir(spec.func):
         return [Problem(path, f"class {spec.name!r} must define __call__")]
     return []

@@ -1,0 +1,263 @@
+"""`CommandManager` and the base of its terms: goals that are no places in the scene.
+
+The terms themselves are in `envs/mdp/commands`. A goal that is a place is an entity, moved by an
+event.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.envs.cfg import CommandCfg
+from embodichain.lab.gym.envs.managers.base import BuiltTerm, Manager, Term
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    import torch
+
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.sim.engine.base import F64, EnvIndex
+else:
+    torch = lazy_loader.load("torch")
+
+__all__ = ["CommandManager", "CommandTerm"]
+
+
+class CommandTerm(Term):
+    """Base of commands; subclasses take ``(env, **params)`` and set `names` and `values`.
+
+    Attributes:
+        names: What each column is, for tables and logs.
+        values: (N, K) float64, the commands in force. Terms read it live: write into it, never
+            replace it.
+    """
+
+    names: tuple[str, ...] = ()
+    values: F64
+
+    def resample(self, env_ids: EnvIndex | None) -> None:
+        """Draw new commands, by `CommandManager.draw`; touch no other environment.
+
+        Args:
+            env_ids: (n,) sorted unique int64, or None for all.
+        """
+        raise NotImplementedError
+
+    def update(self, env_ids: EnvIndex | None) -> None:
+        """Adjust commands to the state, after every step and every draw. The default does nothing.
+
+        Args:
+            env_ids: (n,) environments that stepped or drew, or None for all.
+        """
+
+    def metrics(self) -> Mapping[str, F64]:
+        """How well the commands are followed now: name -> (N,). The default is nothing."""
+        return {}
+
+    def state_dict(self) -> dict[str, Any]:
+        """The commands in force (copies); terms that keep more add it."""
+        return {"values": self.values.copy()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        self.values[:] = state["values"]
+
+
+class CommandManager(Manager[CommandCfg]):
+    """Draws commands at resets, after reset events, and in between at their own intervals.
+
+    A command draws by `draw`, from a stream of its own, and what it drew goes to the environment's
+    observers as an event of mode ``command``. Where a term gives metrics, their means over the
+    episode are ``info["metrics"]["COMMAND/METRIC"]``.
+
+    Args:
+        env: The environment; its scene is complete.
+        cfgs: Name -> command.
+
+    Raises:
+        ConfigError: If a term is wrong, or has no values (N, K).
+    """
+
+    def __init__(self, env: BaseEnv, cfgs: Mapping[str, CommandCfg]) -> None:
+        self._stream = ""
+        self._drawn: dict[str, NDArray[Any]] = {}
+        super().__init__(env, "commands", "command", cfgs)
+        self._left = {
+            name: np.zeros(self.num_envs, np.int64)
+            for name, term in self.terms.items()
+            if term.cfg.resampling_time_s is not None
+        }
+        self._sums: dict[str, F64] = {}
+        self._steps: F64 = np.zeros(self.num_envs)
+
+    def _bind(self) -> None:
+        for name, term in self.terms.items():
+            values = getattr(term.instance, "values", None)
+            if not isinstance(values, np.ndarray) or values.ndim != 2:
+                message = f"{term.spec.label} must set values, an array (N, K)"
+                raise ConfigError([Problem(f"commands.{name}.func", message)])
+            if values.shape[0] != self.num_envs or values.dtype != np.float64:
+                message = f"needs float64 values ({self.num_envs}, K), got {values.shape}"
+                raise ConfigError([Problem(f"commands.{name}", message)])
+        instances = [(name, term.instance) for name, term in self.terms.items()]
+        self._updates = [
+            term.update for _, term in instances if type(term).update is not CommandTerm.update
+        ]
+        self._measured = [
+            (name, term.metrics)
+            for name, term in instances
+            if type(term).metrics is not CommandTerm.metrics
+        ]
+
+    # -- what others read ----------------------------------------------------------------------
+
+    def require(self, name: str, key: str = "command_name") -> str:
+        """Return the name of a command if it exists: for terms that are built with one.
+
+        Args:
+            name: What a parameter says.
+            key: The parameter, for the message.
+
+        Raises:
+            ConfigError: If there is no such command; lists those that exist.
+        """
+        if name not in self.terms:
+            known = ", ".join(self.terms) or "none"
+            message = f"no command is called {name!r}; there are: {known}"
+            raise ConfigError([Problem(key, message, did_you_mean(name, self.terms).strip())])
+        return name
+
+    def values(self, name: str) -> F64:
+        """(N, K) float64 commands in force: a live view, not to be written to or kept."""
+        values: F64 = self.terms[name].instance.values
+        return values
+
+    def get_command(self, name: str) -> torch.Tensor:
+        """(N, K) float32 commands in force; a copy."""
+        return torch.from_numpy(self.values(name).astype(np.float32))
+
+    def names(self, name: str) -> tuple[str, ...]:
+        """What each column of a command is."""
+        instance = self.terms[name].instance
+        return tuple(instance.names) or tuple(map(str, range(instance.values.shape[1])))
+
+    # -- what the environment calls ------------------------------------------------------------
+
+    def resample(self, env_ids: EnvIndex | None) -> None:
+        """Draw every command anew: for environments that were reset.
+
+        Args:
+            env_ids: (n,) sorted unique int64, or None for all.
+        """
+        for term in self.terms.values():
+            self._resample(term, env_ids)
+        for update in self._updates:
+            update(env_ids)
+
+    def step(self, env_ids: EnvIndex | None = None) -> None:
+        """Count one control step, draw the commands that are due, and update all.
+
+        Args:
+            env_ids: (n,) environments that took the step, or None for all.
+        """
+        where: Any = slice(None) if env_ids is None else env_ids
+        for name, left in self._left.items():
+            left[where] -= 1
+            due = np.flatnonzero(left <= 0)
+            if env_ids is not None:
+                due = np.intersect1d(due, env_ids, assume_unique=True)
+            if len(due):
+                self._resample(self.terms[name], None if len(due) == self.num_envs else due)
+        for update in self._updates:
+            update(env_ids)
+        if self._measured:
+            self._steps[where] += 1.0
+            self._measure(where)
+
+    def _measure(self, where: Any) -> None:
+        for name, metrics in self._measured:
+            for key, value in metrics().items():
+                total = self._sums.setdefault(f"{name}/{key}", np.zeros(self.num_envs))
+                total[where] += value[where]
+
+    def report(self, metrics: dict[str, torch.Tensor]) -> None:
+        """Add the means over the episode so far, this step included.
+
+        Args:
+            metrics: Gains ``COMMAND/METRIC`` -> (N,) float32.
+        """
+        count = np.maximum(self._steps, 1.0)
+        for name, total in self._sums.items():
+            metrics[name] = torch.from_numpy((total / count).astype(np.float32))
+
+    @property
+    def has_metrics(self) -> bool:
+        """Whether a command measures how well it is followed."""
+        return bool(self._measured)
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Start the episode of these environments; the draw itself comes after reset events."""
+        super().reset(env_ids)
+        where: Any = slice(None) if env_ids is None else env_ids
+        self._steps[where] = 0.0
+        for total in self._sums.values():
+            total[where] = 0.0
+
+    # -- drawing -------------------------------------------------------------------------------
+
+    def _resample(self, term: BuiltTerm[CommandCfg], env_ids: EnvIndex | None) -> None:
+        self._stream = f"commands.{term.name}"
+        self._drawn = {}
+        term.instance.resample(env_ids)
+        self.env.log_event(term.name, "command", env_ids, self._drawn)
+        left, times = self._left.get(term.name), term.cfg.resampling_time_s
+        if left is None or times is None:
+            return
+        name = f"commands.{term.name}.interval"
+        seconds = self.env.streams.uniform(name, (), times[0], times[1], env_ids)
+        where: Any = slice(None) if env_ids is None else env_ids
+        left[where] = np.maximum(1, np.rint(seconds / self.env.step_dt)).astype(np.int64)
+
+    def draw(
+        self, what: str, shape: Sequence[int], low: Any, high: Any, env_ids: EnvIndex | None
+    ) -> F64:
+        """Draw uniform numbers for the command that is being drawn, and have them logged.
+
+        Args:
+            what: What they are, for the log.
+            shape: Shape of one environment's draw.
+            low: Scalar or array that broadcasts to ``shape``.
+            high: Likewise; exclusive.
+            env_ids: (n,) environments that draw, or None for all.
+
+        Returns:
+            (n, *shape) float64. Do not write into it.
+        """
+        values: F64 = self.env.streams.uniform(self._stream, shape, low, high, env_ids)
+        self._drawn[what] = values
+        return values
+
+    # -- saving --------------------------------------------------------------------------------
+
+    def state_dict(self) -> dict[str, Any]:
+        """Commands, timers and sums (copies)."""
+        return {
+            **super().state_dict(),
+            "left": {name: left.copy() for name, left in self._left.items()},
+            "sums": {name: total.copy() for name, total in self._sums.items()},
+            "steps": self._steps.copy(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        super().load_state_dict(state)
+        for name, left in self._left.items():
+            left[:] = state["left"][name]
+        self._sums = {name: total.copy() for name, total in state["sums"].items()}
+        self._steps[:] = state["steps"]
