@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.observers import EventRecord
 from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex, PhysicsEvent, Write
+from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS
 from embodichain.recording.columns import RowColumns
 from embodichain.recording.hashing import RowHash
 from embodichain.recording.mcap_file import Part
@@ -75,11 +76,16 @@ class StateLog:
         self._heads: dict[object, tuple[bytes, bytes]] = {}
 
     def start(self, model_fields: Mapping[str, NDArray[Any]], rows: F64) -> None:
-        """Write what the simulation is before anything happens: model fields, then whole rows."""
-        for field, values in model_fields.items():
-            self._write("model", field, np.asarray(values, np.float64))
-        if model_fields:
-            self._write("set_const", "", None)
+        """Write what the simulation is before anything happens: model fields, then whole rows.
+
+        Constants that MuJoCo derives are written as they are; `set_const` before them sets what
+        follows from the fields and is none itself.
+        """
+        for again in range(2 if DERIVED_FIELDS & model_fields.keys() else 1):
+            if again:
+                self._write("set_const", "", None)
+            for field, values in model_fields.items():
+                self._write("model", field, np.asarray(values, np.float64))
         self._write("state", "row", rows)
 
     def _write(self, op: str, field: str, values: NDArray[np.float64] | None) -> None:

@@ -130,7 +130,10 @@ class Engine(Protocol):
         """(N, size) flattened per-environment values of a model field. Do not write."""
 
     def set_const(self, env_ids: EnvIndex | None = None) -> None:
-        """Recompute what MuJoCo derives from model fields (`mj_setConst`)."""
+        """Recompute what MuJoCo derives from model fields (`mj_setConst`), at once."""
+
+    def set_const_later(self, env_ids: EnvIndex | None = None) -> None:
+        """The same before anybody can see them: once for all writes until then."""
 
     def take_diverged(self) -> NDArray[np.bool_] | None:
         """(N,) mask of environments that diverged since the last call, or None for nobody."""

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64, EngineListener, EnvIndex, PhysicsEvent, Write
 from embodichain.lab.sim.engine.layout import row_layout
+from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS, ModelFields
 from embodichain.lab.sim.engine.mujoco_log import install_log_handler
+from embodichain.lab.sim.engine.rows import picked, where
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["PERSISTENT_LIMIT", "CpuEngine"]
@@ -30,6 +32,8 @@ _STAGE_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
 _STAGE_VEL = int(mujoco.mjtStage.mjSTAGE_VEL)
 _STAGE_ACC = int(mujoco.mjtStage.mjSTAGE_ACC)
 
+# ctrl and applied forces change no position- or velocity-stage field.
+_INPUTS = frozenset({"ctrl", "qfrc_applied", "xfrc_applied"})
 # Counters that mean the state is no longer physics.
 _DIVERGED = [
     int(getattr(mujoco.mjtWarning, f"mjWARN_{name}"))
@@ -73,11 +77,10 @@ class CpuEngine:
         self._layout = row_layout(model)
         self._plain_reset = not hidden
         self._adopt(self._make_batch())
+        self._fields = ModelFields(self._batch, num_envs)
         self._default_row: F64 = self._rows[0].copy()
         self._derived: dict[str, F64] = {}
         self._acc: dict[str, tuple[F64, F64]] = {}
-        self._fields: dict[str, F64] = {}
-        self._batch_expanded = False  # a simulation's own model may reset to something else
         self._dirty = np.ones(num_envs, np.bool_)
         self._any_dirty = True
         self._all_dirty = True
@@ -109,14 +112,10 @@ class CpuEngine:
         old = self._batch
         self.persistent, self._may_change = True, False
         new = self._make_batch()
-        for field in mjbatch.MODEL_FIELDS:
-            values = old.expanded(field)
-            if values is not None:
-                new.expand(field)[...] = values
+        self._fields.adopt(new)
         new.state[...] = old.state
         new.warning[...] = old.warning
         self._adopt(new)
-        self._fields = {f: new.expand(f).reshape(self.num_envs, -1) for f in self._fields}
         self._derived = {name: new.bind(name) for name in self._derived}
         self._acc = {name: (new.bind(name), kept) for name, (_, kept) in self._acc.items()}
         self._any_dirty = self._all_dirty = True
@@ -152,6 +151,8 @@ class CpuEngine:
         return self._derived[name]
 
     def _refresh(self) -> None:
+        if self._fields.stale:
+            self._set_const_now()
         if self._may_change and self._stepped:
             self._stepped = False
             self._looks += 1
@@ -169,6 +170,8 @@ class CpuEngine:
         """
         pair = self._acc.get(name)
         if pair is None:
+            if self._fields.stale:
+                self._set_const_now()
             source = self._batch.bind(name)
             self._call(self._batch.forward, None, stage=_STAGE_ACC)
             pair = self._acc[name] = (source, source.copy())
@@ -185,6 +188,8 @@ class CpuEngine:
 
     def step(self, nstep: int, env_ids: EnvIndex | None = None) -> None:
         """Advance physics by ``nstep`` steps of the model's timestep."""
+        if self._fields.stale:
+            self._set_const_now()
         listeners = self.listeners
         if listeners:
             event = PhysicsEvent("before", nstep, env_ids, self._rows)
@@ -207,6 +212,8 @@ class CpuEngine:
 
     def forward(self, env_ids: EnvIndex | None = None) -> None:
         """Compute every stage without stepping; acceleration fields are copied too."""
+        if self._fields.stale:
+            self._set_const_now()
         self._call(self._batch.forward, env_ids, stage=_STAGE_ACC)
         if self._acc:
             self._copy_acceleration(env_ids)
@@ -232,19 +239,19 @@ class CpuEngine:
 
     def reset(self, env_ids: EnvIndex | None = None) -> None:
         """Give rows MuJoCo's reset state and clear their warning counters."""
-        where: Any = slice(None) if env_ids is None else env_ids
-        if self._plain_reset and not self._batch_expanded:
+        rows: Any = slice(None) if env_ids is None else env_ids
+        if self._plain_reset and self._fields.resets_alike:
             # What `Batch.reset` leaves in a row, without loading every simulation's MjData: a
             # hundredth of the time.
-            self._rows[where] = self._default_row
-            self._batch.warning[where] = 0
+            self._rows[rows] = self._default_row
+            self._batch.warning[rows] = 0
         else:
             self._batch.reset(env_ids, stage=_STAGE_NONE)
         self._mark(env_ids)
-        self._counts[where] = self._warnings[:, _DIVERGED][where]
+        self._counts[rows] = self._warnings[:, _DIVERGED][rows]
         self._warned = self._batch.warning.tobytes()
         if self._failed is not None:
-            self._failed[where] = False
+            self._failed[rows] = False
         self._notify(Write("reset", "row", env_ids, slice(None), None))
 
     def take_diverged(self) -> NDArray[np.bool_] | None:
@@ -279,12 +286,11 @@ class CpuEngine:
             columns: (k,) columns within the component, or a slice of them.
         """
         view = self._rows if field == "row" else self._views[field]
-        view[_where(env_ids, columns)] = values
-        # ctrl and applied forces change no position- or velocity-stage field.
+        view[where(env_ids, columns)] = values
         if field not in _INPUTS:
             self._mark(env_ids)
         if self.listeners:
-            self._notify(Write("state", field, env_ids, columns, _picked(view, env_ids, columns)))
+            self._notify(Write("state", field, env_ids, columns, picked(view, env_ids, columns)))
 
     def write_model(
         self,
@@ -304,32 +310,35 @@ class CpuEngine:
         Raises:
             ValueError: If the field cannot differ between environments.
         """
-        view = self.model_field(field)
-        view[_where(env_ids, columns)] = values
+        fields = self._fields
+        if fields.stale and fields.is_derived(field):
+            self._set_const_now()  # it must not undo this write
+        view = fields.view(field)
+        view[where(env_ids, columns)] = values
         self._mark(env_ids)
         if self.listeners:
-            values = _picked(view, env_ids, columns).astype(np.float64)
-            self._notify(Write("model", field, env_ids, columns, values))
+            self._notify(Write("model", field, env_ids, columns, picked(view, env_ids, columns)))
 
     def model_field(self, field: str) -> NDArray[Any]:
         """(N, size) flattened per-environment values of a model field. Do not write."""
-        view = self._fields.get(field)
-        if view is None:
-            if field not in mjbatch.MODEL_FIELDS:
-                raise ValueError(
-                    f"no model field {field!r} that can differ between environments."
-                    f"{did_you_mean(field, mjbatch.MODEL_FIELDS)}"
-                )
-            view = self._fields[field] = self._batch.expand(field).reshape(self.num_envs, -1)
-            self._batch_expanded = True
-        return view
+        fields = self._fields
+        if fields.stale and fields.is_derived(field):
+            self._set_const_now()
+        return fields.view(field)
 
     def set_const(self, env_ids: EnvIndex | None = None) -> None:
-        """Recompute the constants MuJoCo derives from model fields."""
+        """Recompute the constants MuJoCo derives from model fields, at once."""
         self._call(self._batch.set_const, env_ids)
-        self._batch_expanded = True
         self._mark(env_ids)
         self._notify(Write("set_const", "", env_ids, slice(None), None))
+
+    def set_const_later(self, env_ids: EnvIndex | None = None) -> None:
+        """Recompute constants before anybody can see them: once for all writes until then."""
+        self._fields.mark(env_ids)
+        self._mark(env_ids)
+
+    def _set_const_now(self) -> None:
+        self.set_const(self._fields.take_stale())
 
     def _mark(self, env_ids: EnvIndex | None) -> None:
         self._any_dirty = True
@@ -346,6 +355,8 @@ class CpuEngine:
 
     def model_of(self, env_id: int) -> mujoco.MjModel:
         """A copy of one environment's model, its own field values included."""
+        if self._fields.stale:
+            self._set_const_now()
         return self._batch.get_model(env_id)
 
     def data_of(self, env_id: int) -> mujoco.MjData:
@@ -354,43 +365,34 @@ class CpuEngine:
         mujoco.mj_setState(
             self.model, data, self._rows[env_id], mujoco.mjtState.mjSTATE_INTEGRATION
         )
-        mujoco.mj_forward(self.model_of(env_id) if self._fields else self.model, data)
+        mujoco.mj_forward(self.model_of(env_id) if self._fields.any else self.model, data)
         return data
 
     def state_dict(self) -> dict[str, Any]:
         """Rows, per-environment model fields, counters and acceleration fields (copies)."""
+        if self._fields.stale:
+            self._set_const_now()
         return {
             "rows": self._rows.copy(),
-            "model": {k: np.array(v) for k, v in self._fields.items()},
+            "model": {k: np.array(v) for k, v in self._fields.expanded().items()},
             "warning": self._batch.warning.copy(),
             "acceleration": {k: kept.copy() for k, (_, kept) in self._acc.items()},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue exactly where `state_dict` was taken."""
-        for field, values in state["model"].items():
-            self.write_model(field, values)
-        if state["model"]:
-            self.set_const()
+        fields, model = self._fields, state["model"]
+        fields.take_stale()
+        for field in fields.expanded().keys() - model.keys():
+            self.write_model(field, fields.default(field))
+        for again in range(2 if DERIVED_FIELDS & model.keys() else 1):
+            if again:
+                self.set_const()  # for flags of the model that are no fields
+            for field, values in model.items():
+                self.write_model(field, values.reshape(self.num_envs, -1))
         self.write("row", state["rows"])
         for field, values in state["acceleration"].items():
             self.acceleration(field)
             self._acc[field][1][...] = values
         # Counters are restored as a baseline: only new warnings count as divergence.
         self._counted()
-
-
-_INPUTS = frozenset({"ctrl", "qfrc_applied", "xfrc_applied"})
-
-
-def _where(env_ids: EnvIndex | None, columns: NDArray[np.int64] | slice) -> tuple[Any, Any]:
-    """The index of these columns in the rows of these environments."""
-    if env_ids is None:
-        return slice(None), columns
-    return (env_ids if isinstance(columns, slice) else env_ids[:, None]), columns
-
-
-def _picked(view: F64, env_ids: EnvIndex | None, columns: NDArray[np.int64] | slice) -> F64:
-    """Copy of what a write left in the rows: listeners may keep it."""
-    picked: F64 = view[_where(env_ids, columns)].copy()
-    return picked

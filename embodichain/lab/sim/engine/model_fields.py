@@ -1,0 +1,123 @@
+"""`ModelFields`: model fields that differ between a batch's environments.
+
+What was expanded, whose derived constants are out of date, and whether a reset is still the same for
+everyone. Who writes them, and who is told, is the engine's business.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from mujoco import batch as mjbatch
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.engine.base import EnvIndex
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["DERIVED_FIELDS", "ModelFields"]
+
+DERIVED_FIELDS = frozenset(
+    """
+    body_treeid body_sameframe body_subtreemass body_invweight0 body_margin body_contype
+    body_conaffinity bvh_aabb jnt_actuatorid dof_invweight0 dof_M0 dof_length tree_bodyadr
+    tree_bodynum tree_dofadr tree_dofnum geom_sameframe geom_aabb geom_rbound site_sameframe
+    cam_poscom0 cam_pos0 cam_mat0 light_poscom0 light_pos0 light_dir0 flexedge_length0
+    flexedge_invweight0 efm0_dofid efm0_L_rownnz efm0_L_rowadr efm0_L_colind efm0_L efmC_perm
+    flexedge_J_rownnz flexedge_J_rowadr flexedge_J_colind tendon_actuatorid tendon_treenum
+    tendon_treeid ten_J_rownnz ten_J_rowadr ten_J_colind tendon_length0 tendon_invweight0
+    actuator_acc0 actuator_length0 eq_data geom_fluid tree_sleep_policy
+    """.split()
+)
+"""What `mj_setConst` writes: `MJSETCONST_ARRAYS` of MuJoCo 4.0.0's `mjxmacro.h`."""
+_RESET_FIELDS = frozenset(
+    {"qpos0", "body_pos", "body_quat", "body_mocapid", "eq_active0", "opt.timestep"}
+)
+_RESET_WORDS = ("history", "delay", "plastic", "plugin", "sleep", "interval")
+"""What `mj_resetData` reads: qpos0, the poses of mocap bodies, constraints that are active, and how
+buffers of delays, histories and plastic deformation begin."""
+
+
+class ModelFields:
+    """The expanded model fields of a batch, as flattened rows.
+
+    Args:
+        batch: The batch.
+        num_envs: Its number of environments.
+
+    Attributes:
+        resets_alike: Whether every environment is still reset to the same row.
+        stale: Whether constants are out of date anywhere.
+    """
+
+    def __init__(self, batch: mjbatch.Batch, num_envs: int) -> None:
+        self._batch = batch
+        self._num_envs = num_envs
+        self._views: dict[str, NDArray[Any]] = {}
+        self._stale: NDArray[np.bool_] = np.zeros(num_envs, np.bool_)
+        self.stale = False
+        self.resets_alike = True
+
+    @property
+    def any(self) -> bool:
+        """Whether environments may have models of their own."""
+        return bool(self._views)
+
+    def adopt(self, batch: mjbatch.Batch) -> None:
+        """Move to a new batch, and take all values along."""
+        for name, values in self.expanded().items():
+            batch.expand(name)[...] = values
+        self._batch = batch
+        self._views = {name: self._expand(name) for name in self._views}
+
+    def _expand(self, name: str) -> NDArray[Any]:
+        return self._batch.expand(name).reshape(self._num_envs, -1)
+
+    def view(self, name: str) -> NDArray[Any]:
+        """(N, size) live values of a field.
+
+        Raises:
+            ValueError: If there is no such field; suggests the closest.
+        """
+        view = self._views.get(name)
+        if view is None:
+            if name not in mjbatch.MODEL_FIELDS:
+                raise ValueError(
+                    f"no model field {name!r} that can differ between environments."
+                    f"{did_you_mean(name, mjbatch.MODEL_FIELDS)}"
+                )
+            view = self._views[name] = self._expand(name)
+            if name in _RESET_FIELDS or any(word in name for word in _RESET_WORDS):
+                self.resets_alike = False
+        return view
+
+    def expanded(self) -> dict[str, NDArray[Any]]:
+        """Name -> (N, ...) values of all expanded fields, those included that MuJoCo derived."""
+        found = {name: self._batch.expanded(name) for name in sorted(mjbatch.MODEL_FIELDS)}
+        return {name: values for name, values in found.items() if values is not None}
+
+    def default(self, name: str) -> NDArray[Any]:
+        """(size,) the compiled values of a field."""
+        owner: Any = self._batch.model
+        *path, last = name.split(".")
+        for part in path:
+            owner = getattr(owner, part)
+        return np.asarray(getattr(owner, last)).reshape(-1)
+
+    # -- derived constants -------------------------------------------------------------------------
+
+    def is_derived(self, name: str) -> bool:
+        """Whether MuJoCo derives this field from others."""
+        return name in DERIVED_FIELDS
+
+    def mark(self, env_ids: EnvIndex | None) -> None:
+        """Remember that these environments' constants are out of date."""
+        self.stale = True
+        self._stale[slice(None) if env_ids is None else env_ids] = True
+
+    def take_stale(self) -> EnvIndex | None:
+        """Environments whose constants are out of date (None is all); they are so no longer."""
+        ids = None if self._stale.all() else np.flatnonzero(self._stale)
+        self._stale[:] = False
+        self.stale = False
+        return ids

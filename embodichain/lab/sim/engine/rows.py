@@ -1,0 +1,25 @@
+"""Which entries of the rows a write means, and what it left there."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.engine.base import F64, EnvIndex
+
+__all__ = ["picked", "where"]
+
+
+def where(env_ids: EnvIndex | None, columns: NDArray[np.int64] | slice) -> tuple[Any, Any]:
+    """The index of these columns in the rows of these environments."""
+    if env_ids is None:
+        return slice(None), columns
+    return (env_ids if isinstance(columns, slice) else env_ids[:, None]), columns
+
+
+def picked(view: NDArray[Any], env_ids: EnvIndex | None, columns: NDArray[np.int64] | slice) -> F64:
+    """Float64 copy of what a write left in the rows: listeners may keep it."""
+    found: F64 = np.array(view[where(env_ids, columns)], np.float64)
+    return found
