@@ -7,16 +7,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, PlainValidator
 
-__all__ = ["Angle", "Bounds", "Box3", "Fraction", "NonNegative", "Positive", "Range", "Vec3"]
+__all__ = [
+    "Angle",
+    "Axes6",
+    "Bounds",
+    "Box3",
+    "Fraction",
+    "NonNegative",
+    "Positive",
+    "Range",
+    "UnitInterval",
+    "Vec3",
+]
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Fraction = Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)]
 """(0, 1]."""
+UnitInterval = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
+"""[0, 1]."""
 Angle = Annotated[float, Field(gt=0, le=math.pi, allow_inf_nan=False)]
 """Radians in (0, pi]."""
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -50,3 +63,5 @@ Bounds = Annotated[Sequence[float], Field(min_length=2, max_length=2), AfterVali
 """[low, high]; either may be infinite (``.inf`` in YAML)."""
 Box3 = Annotated[list[Vec3], Field(min_length=2, max_length=2), AfterValidator(_ordered)]
 """[[x, y, z] low, [x, y, z] high]."""
+Axes6 = dict[Literal["x", "y", "z", "roll", "pitch", "yaw"], Range]
+"""{axis: [low, high]}: m and rad, or m/s and rad/s; an axis that is absent is 0."""
