@@ -1,0 +1,97 @@
+"""Commands that ask for joint positions."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from embodichain.lab.gym.envs.managers.command_manager import CommandTerm
+from embodichain.lab.gym.envs.managers.param_types import Range
+from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.mdp import _spatial
+from embodichain.lab.gym.envs.mdp._ranges import constant
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.sim.engine.base import F64, EnvIndex
+
+__all__ = ["UniformJointPositionCommand"]
+
+
+@register_term("command", name="uniform_joint_position")
+class UniformJointPositionCommand(CommandTerm):
+    """(N, K) positions of the picked joints, rad or m, drawn uniformly.
+
+    The metric ``joint_error`` is the Euclidean distance of the joints from the command.
+
+    Example:
+        ``{func: uniform_joint_position, params: {entity_cfg: {uid: ur10}}}``
+
+    Args:
+        entity_cfg: The robot; its joint names or control parts pick joints.
+        position_range: [low, high] for all picked joints, or a map from joint name or regex to it;
+            joints that no key matches stay at home. None draws between the joints' limits.
+        relative: True adds the draw to the initial positions; without ranges it has no meaning.
+    """
+
+    def __init__(
+        self,
+        env: BaseEnv,
+        entity_cfg: ResolvedEntity,
+        position_range: Range | dict[str, Range] | None = None,
+        relative: bool = True,
+    ) -> None:
+        if not entity_cfg.joint_ids:
+            raise ConfigError([Problem("entity_cfg", f"{entity_cfg.uid!r} has no joints to pick")])
+        self._env = env
+        self._entity = entity_cfg
+        self.names = entity_cfg.joint_names
+        parsed, ids = entity_cfg.asset.parsed, list(entity_cfg.joint_ids)
+        home = np.asarray(parsed.init_qpos, np.float64)[ids]
+        limits = np.asarray(parsed.qpos_limits, np.float64)[ids]
+        if position_range is None:
+            rows = limits
+            free = [n for n, r in zip(self.names, rows, strict=True) if not np.isfinite(r).all()]
+            if free:
+                message = f"missing: {', '.join(free)} of {entity_cfg.uid!r} have no limits"
+                raise ConfigError([Problem("position_range", message)])
+        else:
+            rows = _rows(position_range, self.names, np.zeros(len(ids)) if relative else home)
+            rows = np.clip(rows + home[:, None] if relative else rows, limits[:, :1], limits[:, 1:])
+        self._low, self._high = constant(rows[:, 0]), constant(rows[:, 1])
+        self.values: F64 = np.tile(home, (env.num_envs, 1))
+
+    def resample(self, env_ids: EnvIndex | None) -> None:
+        """Draw positions."""
+        shape = (len(self.names),)
+        drawn = self._env.command_manager.draw("qpos", shape, self._low, self._high, env_ids)
+        self.values[slice(None) if env_ids is None else env_ids] = drawn
+
+    def metrics(self) -> Mapping[str, F64]:
+        """Distance of the joints from the command."""
+        qpos: Any = self._entity.asset.read_qpos()
+        if not self._entity.all_joints:
+            qpos = qpos[:, list(self._entity.joint_ids)]
+        return {"joint_error": _spatial.norm(qpos - self.values)}
+
+
+def _rows(given: Range | dict[str, Range], names: tuple[str, ...], rest: F64) -> F64:
+    """(K, 2) ranges of the joints; those that no pattern matches get their number in ``rest``."""
+    rows = np.stack([rest, rest], axis=1)
+    if not isinstance(given, dict):
+        rows[:] = given
+        return rows
+    for pattern, pair in given.items():
+        found = [i for i, name in enumerate(names) if re.fullmatch(pattern, name)]
+        if not found:
+            message = f"no picked joint matches {pattern!r}; there are: {', '.join(names)}"
+            hint = did_you_mean(pattern, names).strip()
+            raise ConfigError([Problem(f"position_range.{pattern}", message, hint)])
+        rows[found] = pair
+    return rows
