@@ -266,6 +266,11 @@ class ArticulationCfg(ObjectBaseCfg):
     # ours
     attachments: dict[str, AttachmentCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     """Link name -> a shape fixed on one of the file's links."""
+    gravcomp: Annotated[float, Field(allow_inf_nan=False)] | None = dataclasses.field(
+        default=None, kw_only=True
+    )
+    """Share of the links' weight that is held up (MuJoCo's gravcomp): 1 for an arm whose controller
+    compensates gravity. None keeps the file's."""
 
 
 @configclass

@@ -144,6 +144,9 @@ def parse_with_problems(
         prepare_shapes(file.spec, cfg, file.is_urdf)
         if not problems:
             add_attachments(file.spec, cfg.attachments)
+        if cfg.gravcomp is not None:
+            for body in file.spec.bodies[1:]:  # the first is the world
+                body.gravcomp = float(cfg.gravcomp)
         spec, root = set_root(file.spec, cfg.fix_base)
         model = compile_quietly(spec)
     except (ConfigError, *MUJOCO_ERRORS) as error:

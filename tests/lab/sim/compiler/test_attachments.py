@@ -1,5 +1,6 @@
 """Shapes fixed on links: they are links, they weigh, they collide, and mistakes are reported."""
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -52,3 +53,18 @@ def test_every_mistake_is_reported_at_its_place():
         "arm.attachments.floor.shape",
     }
     assert "ee_link" in found["arm.attachments.tool.link"]
+
+
+def test_gravity_compensation_holds_an_arm_without_drives():
+    from embodichain.lab.sim.cfg import JointDrivePropertiesCfg
+
+    def sag(gravcomp):
+        drives = JointDrivePropertiesCfg(drive_type="none")
+        cfg = RobotCfg(fpath=UR10, drive_pros=drives, gravcomp=gravcomp)
+        model = parse_articulation("arm", cfg).model
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, 100)
+        return np.abs(data.qpos).max()
+
+    assert sag(1.0) < 1e-9
+    assert sag(None) > 0.1
