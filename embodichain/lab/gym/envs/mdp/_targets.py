@@ -1,0 +1,81 @@
+"""Targets that are no entities: poses kept on the environment, and the tool that pursues them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from embodichain.lab.gym.envs.mdp import _spatial
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+    from embodichain.lab.sim.engine.base import F64
+
+__all__ = ["distance_to", "target_position", "tool_of"]
+
+
+def target_position(env: BaseEnv, key: str) -> F64:
+    """(N, 3) metres, the position of the poses (N, 4, 4) that an event keeps as ``env.<key>``.
+
+    The world's origin before the first reset, when nothing can have written the poses.
+
+    Raises:
+        ConfigError: If the environment has no such poses.
+        ValueError: If they have another shape.
+    """
+    poses: Any = getattr(env, key, None)
+    if poses is None:
+        if int(env.episode_ids[0]) < 0:
+            return np.zeros((env.num_envs, 3))
+        message = (
+            f"the environment has no poses {key!r}: an event writes them, "
+            f"as randomize_target_pose with store_key: {key}"
+        )
+        raise ConfigError([Problem("target_pose_key", message)])
+    array = np.asarray(poses.detach() if hasattr(poses, "detach") else poses)
+    if array.shape != (env.num_envs, 4, 4):
+        raise ValueError(f"env.{key} must have shape ({env.num_envs}, 4, 4), got {array.shape}")
+    return array[:, :3, 3].astype(np.float64)
+
+
+def distance_to(position: F64, target: F64, use_xy_only: bool) -> F64:
+    """(N,) metres between rows of positions, in the plane only if asked."""
+    delta = target - position
+    return _spatial.norm(delta[:, :2] if use_xy_only else delta)
+
+
+def tool_of(
+    env: BaseEnv, end_effector_cfg: ResolvedEntity | None, part_name: str | None
+) -> ResolvedEntity:
+    """The link that acts: the one given, else the last link that hangs from a part's last joint.
+
+    Args:
+        env: The environment.
+        end_effector_cfg: The link.
+        part_name: A control part of the task's robot; None is the whole robot.
+
+    Raises:
+        ConfigError: If both are given, or there is no such part or no robot.
+    """
+    if end_effector_cfg is not None:
+        if part_name is not None:
+            raise ConfigError([Problem("part_name", "give either end_effector_cfg or this")])
+        return end_effector_cfg
+    if env.robot is None:
+        raise ConfigError([Problem("end_effector_cfg", "the task has no robot: give a link")])
+    entity = env.scene_entity({"uid": env.robot.uid, "control_parts": part_name})
+    if not entity.joint_ids:
+        raise ConfigError([Problem("end_effector_cfg", f"{entity.uid!r} has no joints")])
+    robot, model = entity.asset, entity.asset.engine.model
+    top = int(model.dof_bodyid[robot.entity.dof_adr[entity.joint_ids[-1]]])
+    link = robot.parsed.link_names[0]
+    for name, body in zip(robot.parsed.link_names, robot.entity.body_ids, strict=True):
+        above = int(body)
+        while above not in (0, top):
+            above = int(model.body_parentid[above])
+        if above == top:
+            link = name
+    return env.scene_entity({"uid": entity.uid, "link_names": [link]})
