@@ -16,7 +16,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from embodichain.config.introspect import field_names, length_at, shape_types, type_at
+from embodichain.config.introspect import field_names, length_at, tag_values, type_at
 from embodichain.config.schema import ROOT_INSTEAD, RootCfg
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.utils.errors import Problem
@@ -110,7 +110,7 @@ def _grouped(errors: Iterable[ErrorDetails], data: Any) -> dict[Loc, list[ErrorD
     """Errors by key path; a union's members each report, the deepest knows best."""
     groups: dict[Loc, list[ErrorDetails]] = {}
     for error in errors:
-        groups.setdefault(_clean(error["loc"], error["type"], data), []).append(error)
+        groups.setdefault(_clean(error, data), []).append(error)
     return {
         loc: found
         for loc, found in groups.items()
@@ -118,8 +118,9 @@ def _grouped(errors: Iterable[ErrorDetails], data: Any) -> dict[Loc, list[ErrorD
     }
 
 
-def _clean(loc: Loc, kind: str, data: Any) -> Loc:
+def _clean(error: ErrorDetails, data: Any) -> Loc:
     """A location without the tags of unions that pydantic puts between the keys."""
+    loc, kind = error["loc"], error["type"]
     clean: list[str | int] = []
     for i, part in enumerate(loc):
         last = i == len(loc) - 1
@@ -129,7 +130,7 @@ def _clean(loc: Loc, kind: str, data: Any) -> Loc:
             continue
         clean.append(part)
     if kind.startswith("union_tag"):
-        clean.append("shape_type")
+        clean.append(_tag_key(error))
     return tuple(clean)
 
 
@@ -174,7 +175,7 @@ def _problem(path: str, loc: Loc, errors: Sequence[ErrorDetails], data: Any) -> 
     if kind == "missing":
         return Problem(path, "missing value: it must be set")
     if kind.startswith("union_tag"):
-        return _wrong_tag(path, value, data, loc)
+        return _wrong_tag(path, value, _tag_key(error))
     if kind in _LIMITS:
         key, words = _LIMITS[kind]
         return Problem(path, f"must be {words} {context[key]}, got {show_value(value)}")
@@ -200,13 +201,19 @@ def _unknown_key(path: str, loc: Loc, value: Any, data: Any) -> Problem:
     return Problem(path, f"unknown key; allowed: {', '.join(allowed)}.", hint)
 
 
-def _wrong_tag(path: str, value: Any, data: Any, loc: Loc) -> Problem:
-    tag = value.get("shape_type") if isinstance(value, dict) else None
-    names = shape_types()
+def _tag_key(error: ErrorDetails) -> str:
+    """The key that should have chosen between the members of a union: ``shape_type``."""
+    return str(error["ctx"]["discriminator"]).strip("'")
+
+
+def _wrong_tag(path: str, value: Any, key: str) -> Problem:
+    tag = value.get(key) if isinstance(value, dict) else None
+    names = tag_values(key)
+    what = key.removesuffix("_type")
     if tag is None:
         return Problem(path, f"missing value; one of: {', '.join(names)}")
     hint = did_you_mean(str(tag), names).strip()
-    return Problem(path, f"unknown shape {show_value(tag)}; one of: {', '.join(names)}.", hint)
+    return Problem(path, f"unknown {what} {show_value(tag)}; one of: {', '.join(names)}.", hint)
 
 
 def _expected(error: ErrorDetails) -> str:

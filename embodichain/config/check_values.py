@@ -57,8 +57,6 @@ def check_task(task: EnvCfg) -> list[Problem]:
             if term.func == "":
                 path = f"task.{section}.{name}.func"
                 problems.append(Problem(path, "missing value: the name of a function"))
-    if task.sensors:
-        problems.append(Problem("task.sensors", "not available yet; leave it out"))
     return problems
 
 

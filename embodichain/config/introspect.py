@@ -12,9 +12,13 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Annotated, Any, Union
 
+from embodichain.lab.sim.sensors.cfg import AnySensorCfg
 from embodichain.lab.sim.shapes import AnyShapeCfg
 
-__all__ = ["field_names", "is_named_map", "length_at", "shape_types", "type_at"]
+__all__ = ["TAGS", "field_names", "is_named_map", "length_at", "tag_values", "type_at"]
+
+TAGS: dict[str, Any] = {"shape_type": AnyShapeCfg, "sensor_type": AnySensorCfg}
+"""Keys that choose between the members of a union, and the union."""
 
 
 def type_at(root: type, parts: Sequence[str | int], data: Any) -> Any:
@@ -55,9 +59,9 @@ def length_at(root: type, parts: Sequence[str | int], data: Any) -> str:
     return f"at least {low}" if low is not None else f"at most {high}"
 
 
-def shape_types() -> list[str]:
-    """Return the names that `shape_type` may have."""
-    return [str(_tag(member)) for member in _members(AnyShapeCfg)]
+def tag_values(tag: str) -> list[str]:
+    """Return the names that a key of `TAGS` may have."""
+    return [str(_default(member, tag)) for member in _members(TAGS[tag])]
 
 
 def _limits(annotation: Any) -> dict[str, int]:
@@ -91,9 +95,8 @@ def _select(annotation: Any, value: Any) -> Any:
     """The member of a union that a value is meant for: by its tag, else the first class."""
     members = [m for m in _members(annotation) if m is not type(None)]
     if len(members) > 1 and isinstance(value, Mapping):
-        tag = value.get("shape_type")
         for member in members:
-            if _is_config(member) and tag is not None and _tag(member) == tag:
+            if _is_config(member) and _is_tagged(member, value):
                 return member
         maps = [m for m in members if _is_config(m) or typing.get_origin(m) is dict]
         return maps[0] if maps else members[0]
@@ -108,8 +111,13 @@ def _members(annotation: Any) -> list[Any]:
     return [annotation]
 
 
-def _tag(config: Any) -> Any:
-    return next((f.default for f in dataclasses.fields(config) if f.name == "shape_type"), None)
+def _is_tagged(config: Any, value: Mapping[str, Any]) -> bool:
+    """Whether a map names this member of a union."""
+    return any(tag in value and _default(config, tag) == value[tag] for tag in TAGS)
+
+
+def _default(config: Any, name: str) -> Any:
+    return next((f.default for f in dataclasses.fields(config) if f.name == name), None)
 
 
 def _child(data: Any, part: str | int) -> Any:

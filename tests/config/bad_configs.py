@@ -244,12 +244,22 @@ BAD = {
     ),
     "not available yet": bad(
         "command line: video: not available yet; leave it at null",
-        "command line: task.sensors: not available yet; leave it out",
         "command line: task.commands: not available yet; leave it out",
         overrides=(
             "video=true",
-            "+task.sensors.cam={}",
             "+task.commands.go={}",
+        ),
+    ),
+    "unknown sensor": bad(
+        "command line: task.sensors.cam.sensor_type: unknown sensor 'Camera'; one of: contact, "
+        "imu, force_torque.",
+        "command line: task.sensors.touch.agianst: unknown key; allowed: sensor_type, uid, "
+        "entity_cfg, observe, against. Did you mean 'against'?",
+        "command line: task.sensors.touch.entity_cfg.uid: no entity is called 'bal'; there are: "
+        "ur10, ball. Did you mean 'ball'?",
+        overrides=(
+            "+task.sensors.cam={sensor_type: Camera, width: 64}",
+            "+task.sensors.touch={sensor_type: contact, entity_cfg: {uid: bal}, agianst: {}}",
         ),
     ),
     "missing value": bad(

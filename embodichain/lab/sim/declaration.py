@@ -13,9 +13,20 @@ from embodichain.lab.sim.cfg import (
     name_of,
 )
 from embodichain.lab.sim.compiler import parse_articulation
+from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
+from embodichain.lab.sim.sensors.base import BaseSensor
+from embodichain.lab.sim.sensors.cfg import (
+    ContactSensorCfg,
+    ForceTorqueSensorCfg,
+    ImuSensorCfg,
+    SensorCfg,
+)
+from embodichain.lab.sim.sensors.contact import ContactSensor
+from embodichain.lab.sim.sensors.force_torque import ForceTorqueSensor
+from embodichain.lab.sim.sensors.imu import ImuSensor
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -24,6 +35,12 @@ if TYPE_CHECKING:
 __all__ = ["Declaration", "Handle"]
 
 Handle = Articulation | RigidObject
+
+_SENSORS: dict[type[SensorCfg], type[BaseSensor]] = {
+    ContactSensorCfg: ContactSensor,
+    ForceTorqueSensorCfg: ForceTorqueSensor,
+    ImuSensorCfg: ImuSensor,
+}
 
 
 class Declaration:
@@ -37,6 +54,7 @@ class Declaration:
         self.articulations: dict[str, Articulation] = {}
         self.rigid_objects: dict[str, RigidObject] = {}
         self.lights: dict[str, LightCfg] = {}
+        self.sensors: dict[str, BaseSensor] = {}
 
     @property
     def compiled(self) -> bool:
@@ -93,6 +111,30 @@ class Declaration:
         self.lights[self._claim(cfg)] = cfg
         return cfg
 
+    def add_sensor(self, cfg: SensorCfg) -> BaseSensor:
+        """Add a sensor to entities that are there already.
+
+        Raises:
+            ConfigError: If an entity or a link does not exist, or a value is wrong.
+            RuntimeError: If the scene is compiled already.
+        """
+        uid = self._claim(cfg)
+        articulations = {**self.robots, **self.articulations}
+        known = {
+            **{name: handle.parsed for name, handle in articulations.items()},
+            **dict.fromkeys(self.rigid_objects, "rigid object"),
+            **dict.fromkeys(self.lights, "light"),
+        }
+        plan, problems = plan_sensor(uid, cfg, known, ground=self.sim_config.ground_plane)
+        if plan is None:
+            raise ConfigError([Problem(f"{uid}.{p.path}", p.message, p.hint) for p in problems])
+        sensor = self.sensors[uid] = _SENSORS[type(cfg)](plan, self._simulation())
+        return sensor
+
+    def sensor_plans(self) -> dict[str, SensorPlan]:
+        """What the compiler needs to know of the sensors, by uid."""
+        return {uid: sensor.plan for uid, sensor in self.sensors.items()}
+
     def remove_asset(self, uid: str) -> bool:
         """Take back something that was added; returns whether it was there.
 
@@ -106,6 +148,7 @@ class Declaration:
             self.articulations,
             self.rigid_objects,
             self.lights,
+            self.sensors,
         )
         return any(group.pop(uid, None) is not None for group in groups)
 
@@ -125,6 +168,10 @@ class Declaration:
         """A rigid object by uid, or None."""
         return self.rigid_objects.get(uid)
 
+    def get_sensor(self, uid: str) -> BaseSensor | None:
+        """A sensor by uid, or None."""
+        return self.sensors.get(uid)
+
     def get_asset(self, uid: str) -> Handle | None:
         """A robot, articulation or object by uid, or None."""
         return self.robots.get(uid) or self.articulations.get(uid) or self.rigid_objects.get(uid)
@@ -141,8 +188,13 @@ class Declaration:
         """Uids of rigid objects, in order of addition."""
         return list(self.rigid_objects)
 
+    def get_sensor_uid_list(self) -> list[str]:
+        """Uids of sensors, in order of addition."""
+        return list(self.sensors)
+
     @property
     def asset_uids(self) -> list[str]:
         """Everything that has a name, ``default_plane`` included."""
         plane = ["default_plane"] if self.sim_config.ground_plane else []
-        return [*plane, *self.robots, *self.articulations, *self.rigid_objects, *self.lights]
+        entities = [*self.robots, *self.articulations, *self.rigid_objects, *self.lights]
+        return [*plane, *entities, *self.sensors]

@@ -121,6 +121,7 @@ class SimulationManager(Declaration):
             [a.parsed for a in articulations],
             {uid: o.cfg for uid, o in self.rigid_objects.items()},
             self.lights,
+            self.sensor_plans(),
         )
         self._engine = CpuEngine(self._scene.model, self.num_envs, cfg.num_threads, cfg.persistent)
         self._initial_row = initial_row(
@@ -129,6 +130,8 @@ class SimulationManager(Declaration):
         self._engine.write("row", self._initial_row)
         for handle in (*articulations, *self.rigid_objects.values()):
             handle.bind(self._engine, self._scene.entities[handle.uid])
+        for sensor in self.sensors.values():
+            sensor.bind(self._engine, self._scene.sensors[sensor.uid])
 
     # -- running -------------------------------------------------------------------------------
 
@@ -271,6 +274,7 @@ class SimulationManager(Declaration):
             *self.robots.values(),
             *self.articulations.values(),
             *self.rigid_objects.values(),
+            *self.sensors.values(),
         ):
             handle.destroy()
         self._engine = None
@@ -283,7 +287,6 @@ class SimulationManager(Declaration):
     add_soft_object = not_available("add_soft_object", "soft bodies come later")
     add_cloth_object = not_available("add_cloth_object", "cloth comes later")
     add_rigid_object_group = not_available("add_rigid_object_group", "add objects one by one")
-    add_sensor = not_available("add_sensor", "sensors come later")
     create_visual_material = not_available("create_visual_material", "declare visual_material")
     create_rigid_constraint = not_available("create_rigid_constraint", "welds come later")
     remove_rigid_constraint = not_available("remove_rigid_constraint", "welds come later")

@@ -7,11 +7,9 @@ from typing import Any
 __all__ = [
     "CameraCfg",
     "ClothObjectCfg",
-    "ContactSensorCfg",
     "GizmoCfg",
     "RigidConstraintCfg",
     "RigidObjectGroupCfg",
-    "SensorCfg",
     "SoftObjectCfg",
     "SolverCfg",
     "StereoCameraCfg",
@@ -70,12 +68,6 @@ class SolverCfg(_UnavailableCfg):
     what = "IK solvers are"
 
 
-class SensorCfg(_UnavailableCfg):
-    """Not available: sensors come later."""
-
-    what = "sensors are"
-
-
 class CameraCfg(_UnavailableCfg):
     """Not available: cameras come later."""
 
@@ -86,9 +78,3 @@ class StereoCameraCfg(_UnavailableCfg):
     """Not available: cameras come later."""
 
     what = "cameras are"
-
-
-class ContactSensorCfg(_UnavailableCfg):
-    """Not available: contact sensors come later."""
-
-    what = "contact sensors are"

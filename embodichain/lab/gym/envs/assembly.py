@@ -19,6 +19,7 @@ from embodichain.lab.gym.envs.basics import EnvBasics
 from embodichain.lab.gym.envs.declared import (
     add_declared_robots,
     add_declared_scene,
+    add_declared_sensors,
     set_extensions,
 )
 from embodichain.lab.gym.envs.divergence import StateDump
@@ -110,7 +111,9 @@ class EnvAssembly(EnvBasics):
             self.active_joint_ids = list(self.robot.active_joint_ids)
         self._prepare_scene(**kwargs)
         add_declared_scene(sim, cfg)
-        self.sensors = dict(self._setup_sensors(**kwargs) or {})
+        own = self._setup_sensors(**kwargs) or {}
+        self.sensors = {**add_declared_sensors(sim, cfg), **own}
+        self._senses = self.observes_sensors
         set_extensions(self, cfg.extensions)
         sim.compile()
         self._open_window()

@@ -13,11 +13,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.hooks import EnvHooks
+from embodichain.lab.gym.envs.hooks import EnvHooks, overrides
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver
 from embodichain.lab.gym.utils.spaces import flat_space
 from embodichain.lab.sim.objects._arrays import as_env_ids, to_tensor
 from embodichain.lab.sim.types import EnvAction, EnvObs
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -73,6 +75,7 @@ class EnvBasics(EnvHooks, gym.Env[EnvObs, EnvAction]):
     _episode_ids: NDArray[np.int64]
     _last_action: NDArray[np.float64]
     _limit: int
+    _senses: bool = False
     _detached_uids_for_reset: list[str]
     _camera_group_ids: list[int]
     _tap: _EngineTap | None = None
@@ -201,14 +204,22 @@ class EnvBasics(EnvHooks, gym.Env[EnvObs, EnvAction]):
         """Whether there are sensors."""
         return bool(self.sensors)
 
+    @property
+    def observes_sensors(self) -> bool:
+        """Whether ``obs["sensor"]`` exists: a sensor or an overriding hook says so."""
+        if overrides(self, ["_get_sensor_obs"])["_get_sensor_obs"]:
+            return self.has_sensors
+        return any(getattr(sensor, "observe", True) for sensor in self.sensors.values())
+
     def get_sensor(self, name: str) -> Any:
         """Return a sensor by uid.
 
         Raises:
-            ValueError: If there is none; lists the sensors.
+            ConfigError: If there is none; lists the sensors.
         """
         if name not in self.sensors:
-            raise ValueError(f"no sensor {name!r}; there are: {', '.join(self.sensors) or 'none'}")
+            message = f"no sensor {name!r}; there are: {', '.join(self.sensors) or 'none'}"
+            raise ConfigError([Problem("", message, did_you_mean(name, self.sensors).strip())])
         return self.sensors[name]
 
     def add_camera_group_id(self, group_id: int) -> None:

@@ -21,6 +21,7 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     Vec3,
 )
+from embodichain.lab.sim.sensors.cfg import AnySensorCfg
 from embodichain.utils.configclass import configclass
 
 __all__ = [
@@ -141,7 +142,16 @@ class ObservationCfg(TermCfg):
 
 @configclass
 class ActionTermCfg(TermCfg):
-    """How a slice of the action moves the robot: a class ``(env, **params)``."""
+    """How a slice of the action moves the robot: a class ``(env, **params)``.
+
+    Its slice of the action passes `delay`, then `noise`, before the term sees it.
+    """
+
+    delay: Steps | Annotated[list[Steps], Field(min_length=2, max_length=2)] = 0
+    """Control steps, or [low, high]: then each episode of each environment draws its own. Until
+    the first action arrives, the term receives the one that changes nothing."""
+    noise: NoiseCfg | None = None
+    """In units of the action."""
 
 
 @configclass
@@ -232,8 +242,7 @@ class EnvCfg:
         default_factory=dict, kw_only=True
     )
     lights: dict[str, LightCfg] = dataclasses.field(default_factory=dict, kw_only=True)
-    sensors: dict[str, Any] = dataclasses.field(default_factory=dict, kw_only=True)
-    """Not available yet: anything here is an error that says so."""
+    sensors: dict[str, AnySensorCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     actions: dict[str, ActionTermCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     events: dict[str, EventCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     commands: dict[str, CommandCfg] = dataclasses.field(default_factory=dict, kw_only=True)

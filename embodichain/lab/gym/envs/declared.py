@@ -19,12 +19,14 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.objects.robot import Robot
+    from embodichain.lab.sim.sensors.base import BaseSensor
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.lab.sim.types import EnvAction
 
 __all__ = [
     "add_declared_robots",
     "add_declared_scene",
+    "add_declared_sensors",
     "drive_robot",
     "explained",
     "frozen_cfg",
@@ -94,9 +96,6 @@ def _check(cfg: EnvCfg) -> None:
         problems.append(
             Problem("physics.physics_dt", f"must be positive, got {cfg.sim_cfg.physics_dt!r}")
         )
-    for section in ("sensors",):
-        if getattr(cfg, section):
-            problems.append(Problem(section, "not available yet: leave it empty"))
     if problems:
         raise ConfigError(problems)
 
@@ -156,6 +155,22 @@ def add_declared_scene(sim: SimulationManager, cfg: EnvCfg) -> None:
                     add(entity_cfg)
                 except ConfigError as error:
                     raise _at(f"{section}.{uid}", uid, error) from error
+
+
+def add_declared_sensors(sim: SimulationManager, cfg: EnvCfg) -> dict[str, BaseSensor]:
+    """Add declared sensors that are not there yet; return all that are declared, by uid.
+
+    Raises:
+        ConfigError: If an entity or a link does not exist; the path is the one in the config.
+    """
+    sensors: dict[str, BaseSensor] = {}
+    for uid, sensor_cfg in cfg.sensors.items():
+        sensor_cfg.uid = uid
+        try:
+            sensors[uid] = sim.get_sensor(uid) or sim.add_sensor(sensor_cfg)
+        except ConfigError as error:
+            raise _at(f"sensors.{uid}", uid, error) from error
+    return sensors
 
 
 def drive_robot(robot: Robot | None, joint_ids: list[int], action: EnvAction) -> None:

@@ -53,8 +53,13 @@ class EnvHooks:
         add_declared_scene(self.sim, self.cfg)
 
     def _setup_sensors(self, **kwargs: Any) -> dict[str, Any]:
-        """Return sensors by uid, each with ``get_data()``; called after `_prepare_scene`."""
-        return {}
+        """Return sensors by uid, each with ``get_data()``; called after `_prepare_scene`.
+
+        The default adds what the config declares; so is what an override leaves out of that.
+        """
+        from embodichain.lab.gym.envs.declared import add_declared_sensors
+
+        return dict(add_declared_sensors(self.sim, self.cfg))
 
     def _init_sim_state(self, **kwargs: Any) -> None:
         """Prepare the compiled scene once, before startup events."""
@@ -125,8 +130,11 @@ class EnvHooks:
     # -- judging -------------------------------------------------------------------------------
 
     def _get_sensor_obs(self, **kwargs: Any) -> TensorDict | Mapping[str, Any]:
-        """Return ``obs["sensor"]``: each sensor's data by uid. Called only if there are sensors."""
-        return {uid: sensor.get_data() for uid, sensor in self.sensors.items()}
+        """Return ``obs["sensor"]``: each sensor's data by uid.
+
+        Called only if there are sensors. The default leaves out those whose `observe` is False.
+        """
+        return {u: s.get_data() for u, s in self.sensors.items() if getattr(s, "observe", True)}
 
     def _extend_obs(self, obs: EnvObs, **kwargs: Any) -> EnvObs:
         """Return the observation with more in it; observation terms run after this."""

@@ -15,7 +15,7 @@ from embodichain.lab.gym.envs.autoreset import blanked
 from embodichain.lab.gym.envs.flags import Flags, Mask, mask_of
 from embodichain.lab.gym.envs.observation_memory import as_float32
 from embodichain.lab.gym.utils.tensordicts import unchecked
-from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.engine.base import F64, EnvIndex
 from embodichain.lab.sim.types import EnvAction, EnvObs
 
 __all__ = ["EnvOutcome"]
@@ -40,7 +40,7 @@ class EnvOutcome(EnvAssembly):
             qpos, qvel, qf = self.robot.proprioception(self._joints)
             entries["robot"] = unchecked({"qpos": qpos, "qvel": qvel, "qf": qf}, batch, device)
         obs: EnvObs = unchecked(entries, batch, device)
-        if self.sensors:
+        if self._senses:
             obs["sensor"] = self._get_sensor_obs(**kwargs)
         extended: EnvObs | None = self._extend_obs(obs, **kwargs)
         if extended is None:
@@ -59,8 +59,9 @@ class EnvOutcome(EnvAssembly):
             obs = self.observation_manager.compute(obs)
         return obs
 
-    def _observe(self, kwargs: dict[str, Any]) -> EnvObs:
-        """The observation as it is handed out: float32."""
+    def _observe(self, kwargs: dict[str, Any], stepped: EnvIndex | None) -> EnvObs:
+        """The observation as it is handed out, float32, of environments that stepped or reset."""
+        self.observation_manager.stepped = stepped
         obs = self._observed(kwargs)
         return as_float32(obs) if self._wide_obs else obs
 

@@ -20,6 +20,7 @@ from embodichain.lab.sim.cfg import (
 )
 from embodichain.lab.sim.compiler.names import check_uid
 from embodichain.lab.sim.compiler.visuals import GROUND
+from embodichain.lab.sim.sensors.cfg import AnySensorCfg
 from embodichain.utils.errors import Problem
 
 __all__ = ["Declared", "SceneDeclaration", "check_names", "declared"]
@@ -36,7 +37,7 @@ class SceneDeclaration(Protocol):
     objects: dict[str, RigidObjectCfg]
     articulations: dict[str, ArticulationCfg]
     lights: dict[str, LightCfg]
-    sensors: dict[str, Any]
+    sensors: dict[str, AnySensorCfg]
 
 
 @dataclass(frozen=True)

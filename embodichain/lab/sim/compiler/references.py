@@ -11,7 +11,7 @@ from embodichain.lab.sim.compiler.names import listing, match
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["TERM_SECTIONS", "Known", "check_references"]
+__all__ = ["TERM_SECTIONS", "Known", "check_reference", "check_references"]
 
 TERM_SECTIONS = (
     "commands",
@@ -57,7 +57,7 @@ def check_references(cfg: Any, known: Known, open_scene: bool) -> list[Problem]:
     for section in TERM_SECTIONS:
         for name, term in getattr(cfg, section).items():
             for path, fields in _references(f"{section}.{name}.params", term.params):
-                problems += _check(path, fields, known, open_scene)
+                problems += check_reference(path, fields, known, open_scene)
     return problems
 
 
@@ -87,7 +87,17 @@ def _fields(key: str, value: Any) -> dict[str, Any] | None:
     return None
 
 
-def _check(path: str, fields: Mapping[str, Any], known: Known, open_scene: bool) -> list[Problem]:
+def check_reference(
+    path: str, fields: Mapping[str, Any], known: Known, open_scene: bool
+) -> list[Problem]:
+    """Return what is wrong with one reference; see `check_references`.
+
+    Args:
+        path: Its key path.
+        fields: Its keys: ``uid`` and any of those that pick joints or links.
+        known: The declared entities.
+        open_scene: Whether Python code may add entities.
+    """
     uid = str(fields.get("uid") or "")
     if uid not in known:
         if open_scene and uid:

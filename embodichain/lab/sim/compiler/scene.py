@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -19,6 +19,8 @@ from embodichain.lab.sim.compiler.names import check_uid
 from embodichain.lab.sim.compiler.objects import add_object, check_object, damping_of
 from embodichain.lab.sim.compiler.options import apply_options, replace_options
 from embodichain.lab.sim.compiler.pose import initial_pose
+from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
+from embodichain.lab.sim.compiler.sensors import SensorIndex, add_sensors, index_sensors
 from embodichain.lab.sim.compiler.visuals import (
     GROUND,
     add_ground,
@@ -43,11 +45,13 @@ class CompiledScene:
             after compiling; MJCF cannot say the former (one number for all six axes).
         spec: What it was compiled from, for export as XML or archive.
         entities: Where each entity is in the model.
+        sensors: Where each sensor is.
     """
 
     model: mujoco.MjModel
     spec: mujoco.MjSpec
     entities: dict[str, EntityIndex]
+    sensors: dict[str, SensorIndex] = field(default_factory=dict)
 
 
 def compile_scene(
@@ -55,6 +59,7 @@ def compile_scene(
     articulations: Sequence[ParsedArticulation],
     objects: Mapping[str, RigidObjectCfg],
     lights: Mapping[str, LightCfg],
+    sensors: Mapping[str, SensorPlan] | None = None,
     *,
     report: bool = True,
 ) -> CompiledScene:
@@ -68,12 +73,14 @@ def compile_scene(
         articulations: Robots and other articulations.
         objects: Rigid objects by uid.
         lights: Lights by uid.
+        sensors: Sensors by uid.
         report: Whether to log those warnings.
 
     Raises:
         ConfigError: If names clash, an object is wrong, or MuJoCo refuses the model.
     """
-    _check(articulations, objects, lights)
+    sensors = sensors or {}
+    _check(articulations, objects, (*lights, *sensors))
     spec = mujoco.MjSpec()
     spec.modelname = "embodichain"
     spec.compiler.degree = False
@@ -94,6 +101,7 @@ def compile_scene(
                 _log.warning("%s: %s", parsed.uid, note)
     for number, (uid, cfg) in enumerate(objects.items()):
         add_object(spec, uid, cfg, number)
+    add_sensors(spec, sensors)
     try:
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
@@ -105,17 +113,17 @@ def compile_scene(
             dofs = slice(index.free_qvel_adr, index.free_qvel_adr + 6)
             model.dof_damping[dofs] = damping_of(model, index.root_body_id, cfg)
     aim_camera(spec, model, _start(model, articulations, entities))
-    return CompiledScene(model, spec, entities)
+    return CompiledScene(model, spec, entities, index_sensors(model, sensors))
 
 
 def _check(
     articulations: Sequence[ParsedArticulation],
     objects: Mapping[str, RigidObjectCfg],
-    lights: Mapping[str, LightCfg],
+    others: Sequence[str],
 ) -> None:
     problems: list[Problem] = []
     taken = {GROUND: "the ground plane"}
-    for uid in (*(p.uid for p in articulations), *objects, *lights):
+    for uid in (*(p.uid for p in articulations), *objects, *others):
         problems += check_uid(uid, uid, taken)
         taken[uid] = "another entity"
     for uid, cfg in objects.items():

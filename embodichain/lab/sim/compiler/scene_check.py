@@ -20,11 +20,10 @@ from embodichain.lab.sim.compiler.objects import check_object
 from embodichain.lab.sim.compiler.pose import initial_pose
 from embodichain.lab.sim.compiler.references import check_references
 from embodichain.lab.sim.compiler.scene import compile_scene
+from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensors
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["describe", "parse_scene"]
-
-_NOT_YET = ("sensors",)
+__all__ = ["describe", "known_entities", "parse_scene"]
 
 
 def describe(cfg: SceneDeclaration) -> list[Problem]:
@@ -40,13 +39,13 @@ def describe(cfg: SceneDeclaration) -> list[Problem]:
     entities = declared(cfg)
     parsed, problems = parse_scene(entities)
     problems = check_names(entities) + problems
-    problems += [
-        Problem(section, "not available yet; leave it out")
-        for section in _NOT_YET
-        if getattr(cfg, section)
-    ]
-    problems += check_references(cfg, _known(entities, parsed), open_scene=cfg.id is not None)
-    return problems or _compile(cfg, entities, parsed)
+    known, open_scene = known_entities(entities, parsed), cfg.id is not None
+    problems += check_references(cfg, known, open_scene=open_scene)
+    plans, found = plan_sensors(
+        cfg.sensors, known, ground=cfg.sim_cfg.ground_plane, open_scene=open_scene
+    )
+    problems += found
+    return problems or _compile(cfg, entities, parsed, plans)
 
 
 def parse_scene(
@@ -103,9 +102,10 @@ def _check_light(cfg: LightCfg) -> list[Problem]:
     return problems
 
 
-def _known(
+def known_entities(
     entities: list[Declared], parsed: Mapping[str, ParsedArticulation]
 ) -> dict[str, ParsedArticulation | str | None]:
+    """Return what references may point at, by uid; see `references.Known`."""
     known: dict[str, ParsedArticulation | str | None] = {}
     for entity in entities:
         value: Any = parsed.get(entity.path)
@@ -118,12 +118,15 @@ def _known(
 
 
 def _compile(
-    cfg: SceneDeclaration, entities: list[Declared], parsed: Mapping[str, ParsedArticulation]
+    cfg: SceneDeclaration,
+    entities: list[Declared],
+    parsed: Mapping[str, ParsedArticulation],
+    sensors: Mapping[str, SensorPlan],
 ) -> list[Problem]:
     """Compile what passed every check: what MuJoCo still refuses, such as a broken mesh file."""
     objects = {e.uid: e.cfg for e in entities if isinstance(e.cfg, RigidObjectCfg)}
     try:
-        compile_scene(cfg.sim_cfg, [*parsed.values()], objects, {}, report=False)
+        compile_scene(cfg.sim_cfg, [*parsed.values()], objects, {}, sensors, report=False)
     except ConfigError as error:
         return list(error.problems)
     return []

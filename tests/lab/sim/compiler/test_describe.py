@@ -194,7 +194,7 @@ def test_a_name_that_cannot_be_used_is_named(cfg, expected):
     assert lines(cfg) == [expected]
 
 
-@pytest.mark.parametrize("section", ["sensors", "commands", "curriculum"])
+@pytest.mark.parametrize("section", ["commands", "curriculum"])
 def test_sections_that_are_not_available_say_so(section):
     assert lines(reach(**{section: {"x": 1}})) == [f"{section}: not available yet; leave it out"]
 

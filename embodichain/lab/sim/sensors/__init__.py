@@ -1,0 +1,53 @@
+"""What a simulation can be asked about itself: contacts, inertial measurements, joint forces.
+
+Configs are in `cfg` (no torch), handles in the other modules. Cameras are not here yet.
+"""
+
+from typing import TYPE_CHECKING
+
+import lazy_loader
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.sensors.base import BaseSensor
+    from embodichain.lab.sim.sensors.cfg import (
+        AnySensorCfg,
+        ContactSensorCfg,
+        ForceTorqueSensorCfg,
+        ImuSensorCfg,
+        LinksCfg,
+        SensorCfg,
+    )
+    from embodichain.lab.sim.sensors.contact import ContactSensor
+    from embodichain.lab.sim.sensors.force_torque import ForceTorqueSensor
+    from embodichain.lab.sim.sensors.imu import ImuSensor
+
+__getattr__, __dir__, _ = lazy_loader.attach(
+    __name__,
+    submod_attrs={
+        "base": ["BaseSensor"],
+        "cfg": [
+            "AnySensorCfg",
+            "ContactSensorCfg",
+            "ForceTorqueSensorCfg",
+            "ImuSensorCfg",
+            "LinksCfg",
+            "SensorCfg",
+        ],
+        "contact": ["ContactSensor"],
+        "force_torque": ["ForceTorqueSensor"],
+        "imu": ["ImuSensor"],
+    },
+)
+
+__all__ = [
+    "AnySensorCfg",
+    "BaseSensor",
+    "ContactSensor",
+    "ContactSensorCfg",
+    "ForceTorqueSensor",
+    "ForceTorqueSensorCfg",
+    "ImuSensor",
+    "ImuSensorCfg",
+    "LinksCfg",
+    "SensorCfg",
+]

@@ -1,0 +1,103 @@
+"""Configs of sensors: pure data. What they become in MuJoCo is `compiler.sensors`' business."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from embodichain.lab.sim.cfg import Quat, Vec3
+from embodichain.utils.configclass import configclass
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.from_dict import from_dict
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = [
+    "AnySensorCfg",
+    "ContactSensorCfg",
+    "ForceTorqueSensorCfg",
+    "ImuSensorCfg",
+    "LinksCfg",
+    "SensorCfg",
+]
+
+
+@configclass
+class LinksCfg:
+    """An entity and, optionally, links of it.
+
+    The order of links is the entity's own unless `preserve_order`, then that of the patterns.
+    """
+
+    uid: str = ""
+    link_names: str | list[str] | None = None
+    """Names or regexes, matched in full."""
+    preserve_order: bool = False
+
+
+@configclass
+class SensorCfg:
+    """Base of all sensors; `sensor_type` names the concrete one."""
+
+    sensor_type: str = ""
+    uid: str | None = None
+    """Its key in a task."""
+    entity_cfg: LinksCfg = LinksCfg()
+    """Where it sits."""
+    observe: bool = False
+    """Whether ``obs["sensor"][uid]`` holds its data; terms can read it in either case."""
+
+    @classmethod
+    def from_dict(cls, init_dict: dict[str, Any]) -> SensorCfg:
+        """Build the sensor that ``init_dict["sensor_type"]`` names.
+
+        Raises:
+            ConfigError: If the type or a key is unknown; lists what exists.
+        """
+        if cls is not SensorCfg:
+            return from_dict(cls, init_dict)
+        kind = str(init_dict.get("sensor_type", ""))
+        if kind not in _SENSORS:
+            hint = did_you_mean(kind, _SENSORS).strip()
+            message = f"unknown sensor_type {kind!r}; one of: {', '.join(_SENSORS)}."
+            raise ConfigError([Problem("sensor_type", message, hint)])
+        return from_dict(_SENSORS[kind], init_dict)
+
+
+@configclass
+class ContactSensorCfg(SensorCfg):
+    """Which links are touched, and the net contact force on each."""
+
+    sensor_type: Literal["contact"] = "contact"
+    against: LinksCfg | None = None
+    """Count contacts with this entity (or links of it, or ``default_plane``) only."""
+
+
+@configclass
+class ImuSensorCfg(SensorCfg):
+    """An inertial measurement unit on one link (without `link_names`, on the root)."""
+
+    sensor_type: Literal["imu"] = "imu"
+    pos: Vec3 = (0.0, 0.0, 0.0)
+    """Where it sits, metres in the link's frame."""
+    quat: Quat = (1.0, 0.0, 0.0, 0.0)
+    """How it is turned, wxyz in the link's frame."""
+
+
+@configclass
+class ForceTorqueSensorCfg(SensorCfg):
+    """Force and torque that links exchange with their parents."""
+
+    sensor_type: Literal["force_torque"] = "force_torque"
+
+
+_SENSORS: dict[str, type[SensorCfg]] = {
+    "contact": ContactSensorCfg,
+    "imu": ImuSensorCfg,
+    "force_torque": ForceTorqueSensorCfg,
+}
+
+AnySensorCfg = Annotated[
+    ContactSensorCfg | ImuSensorCfg | ForceTorqueSensorCfg, Field(discriminator="sensor_type")
+]
+"""The union that YAML is checked against; `sensor_type` selects the member."""
