@@ -49,6 +49,8 @@ def call_verb(name: Literal["run", "train"], job: Callable[..., None], arguments
     os.environ[COMMAND_VARIABLE] = shlex.join(["embodichain", name, *arguments])
     with _searching(options.config_dir):
         if options.cfg is not None or options.info is not None:
+            if options.cfg is not None and any(map(_names_gym_config, overrides)):
+                raise ConfigError("--cfg prints YAML only: embodichain convert prints a gym config")
             _check_composes(name, overrides)
         elif options.multirun:
             for point in _points(overrides):
@@ -76,6 +78,9 @@ def _parser(verb: Verb) -> VerbParser:
     own.add_argument("--quiet", "-q", action="store_true", help="no progress, no table")
     own.add_argument("--json", action="store_true", help="one JSON object on stdout, nothing else")
     own.add_argument("--traceback", action="store_true", help="show where an error happened")
+    parser.add_argument(
+        "--gym-config", metavar="FILE", help="EmbodiChain's own config of a task, instead of task="
+    )
     hydra = parser.add_argument_group("config (Hydra's)")
     hydra.add_argument("--multirun", "-m", action="store_true", help="one job for each value")
     hydra.add_argument("--cfg", "-c", choices=("job", "hydra", "all"), help="print the config")
@@ -96,6 +101,10 @@ def _overrides(options: argparse.Namespace) -> list[str]:
     A sweep's workers see overrides only, so everything they must know is one.
     """
     flags = [f"{name}=true" for name in ("quiet", "json", "traceback") if getattr(options, name)]
+    if options.gym_config is not None:
+        from embodichain.config.gym_config import override_of
+
+        flags.append(override_of(options.gym_config))
     return [*split_overrides(options.overrides), *flags]
 
 
@@ -118,11 +127,13 @@ def _searching(config_dir: str | None) -> AbstractContextManager[None]:
 
 def _relaxed(overrides: list[str]) -> list[str]:
     """Overrides as Hydra's own `main` takes them, which refuses keys that no file spells out."""
+    from embodichain.config.composed import WITHOUT_TASK
     from embodichain.config.hydra_state import config_loader
     from embodichain.config.overrides import relax
 
     with config_loader() as loader:
-        return relax(overrides, loader)
+        relaxed = relax(overrides, loader)
+    return [*relaxed, WITHOUT_TASK] if any(map(_names_gym_config, overrides)) else relaxed
 
 
 def _resolve(name: Literal["run", "train"], overrides: list[str]) -> Resolved:
@@ -173,6 +184,10 @@ def _points(overrides: Sequence[str]) -> Iterator[list[str]]:
 def _is_hydras(override: str) -> bool:
     """Whether an override is about Hydra itself: callbacks, its folders, environment variables."""
     return override.lstrip("+~").startswith(("hydra.", "hydra/"))
+
+
+def _names_gym_config(override: str) -> bool:
+    return override.lstrip("+").startswith("gym_config=")
 
 
 @contextmanager

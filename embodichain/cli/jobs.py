@@ -74,6 +74,8 @@ def execute(verb: Verb, body: Callable[[Job, StopFlag], float | None]) -> float 
     write_record(folder, resolved, shlex.split(command))
     with log_to(folder / LOG_FILE) as log, StopFlag() as stop:
         log.info("command: %s", command)
+        for note in resolved.notes:
+            log.warning("%s", note)
         value = body(Job(resolved, resolved.root, folder), stop)
         log.info("done")
         return value

@@ -13,6 +13,7 @@ from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.config.derive import Verb
+    from embodichain.config.problems import LocatedProblem
 
 __all__ = ["main"]
 
@@ -29,27 +30,28 @@ def main(arguments: list[str]) -> int:
     from embodichain.config.validation import validate
 
     verb: Verb = "train" if options.train else "run"
+    notes: tuple[LocatedProblem, ...] = ()
     files = [word for word in words if _is_file(word)]
     if files:
         if len(words) > 1:
             raise ConfigError(f"either one file or overrides: {' '.join(words)}")
-        from embodichain.config.file_validation import validate_file
+        from embodichain.config.file_validation import notes_on_file, validate_file
 
         name, problems = files[0], validate_file(Path(files[0]), verb)
+        notes = notes_on_file(files[0])
     else:
         if not words:
             raise ConfigError("validate what? task=NAME or a file: `embodichain list tasks`")
         name = " ".join(words)
-        problems = validate(
-            compose(split_overrides(words), verb, config_dir=options.config_dir), verb
-        )
+        composed = compose(split_overrides(words), verb, config_dir=options.config_dir)
+        problems, notes = validate(composed, verb), composed.notes
     if options.json:
-        mistakes = [
-            {"path": p.path, "message": p.message, "hint": p.hint, "source": p.source}
-            for p in problems
-        ]
-        print_json({"checked": name, "ok": not problems, "mistakes": mistakes})
+        mistakes = [p.as_dict() for p in problems]
+        listed = {"notes": [p.as_dict() for p in notes]} if notes else {}
+        print_json({"checked": name, "ok": not problems, "mistakes": mistakes, **listed})
         return exits.WRONG_INPUT if problems else exits.OK
+    for note in notes:
+        sys.stderr.write(f"note: {note}\n")
     if problems:
         raise ConfigError(problems)
     sys.stdout.write(f"{name}: ok\n")
@@ -58,4 +60,4 @@ def main(arguments: list[str]) -> int:
 
 def _is_file(word: str) -> bool:
     """Whether a word means a file: by its ending, so that a missing one is reported as such."""
-    return "=" not in word and word.endswith((".yaml", ".yml"))
+    return "=" not in word and word.endswith((".yaml", ".yml", ".json"))

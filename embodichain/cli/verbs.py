@@ -45,6 +45,7 @@ _RUN = Verb(
         ("run task=random_reach task.physics.physics_dt=0.005", "change any value of the task"),
         ("run task=reach policy=outputs/latest", "play what was trained there"),
         ("run -m task=random_reach seed=0,1", "a sweep: one run for each seed"),
+        ("run --gym-config gym_config.yaml", "a task in EmbodiChain's own form"),
         ("run task=random_reach --cfg job", "print the config, run nothing"),
     ),
     overrides=True,
@@ -114,6 +115,15 @@ _VALIDATE = Verb(
     ),
     overrides=True,
 )
+_CONVERT = Verb(
+    "convert",
+    "Write EmbodiChain's own config of a task as a task file of ours.",
+    "FILE [-o OUT] [options]",
+    (
+        ("convert gym_config.yaml", "print the task, and what cannot come along"),
+        ("convert gym_config.json -o conf/task/push.yaml", "write it; then: run task=push"),
+    ),
+)
 _DOCTOR = Verb(
     "doctor",
     "Check this machine: versions, threads, rendering, disk, optional parts.",
@@ -122,7 +132,8 @@ _DOCTOR = Verb(
 )
 
 VERBS: dict[str, Verb] = {
-    verb.name: verb for verb in (_RUN, _TRAIN, _REPLAY, _BENCH, _LIST, _SHOW, _VALIDATE, _DOCTOR)
+    verb.name: verb
+    for verb in (_RUN, _TRAIN, _REPLAY, _BENCH, _LIST, _SHOW, _VALIDATE, _CONVERT, _DOCTOR)
 }
 
 EVERYDAY_KEYS = (

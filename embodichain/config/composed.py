@@ -7,9 +7,9 @@ Nothing here knows what a key means.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.hydra_config import HydraConfig
@@ -22,12 +22,18 @@ from embodichain.config.hydra_errors import COMPOSING, explain
 from embodichain.config.hydra_state import config_loader
 from embodichain.config.locate import ConfigFile, Locator
 from embodichain.config.overrides import ParsedOverrides, apply_values, parse
-from embodichain.config.problems import LocatedProblem
+from embodichain.config.problems import COMMAND_LINE, LocatedProblem
 from embodichain.config.search_path import folder_of_source
+from embodichain.utils.errors import ConfigError
 
-__all__ = ["Composed", "compose", "from_hydra", "list_options"]
+if TYPE_CHECKING:
+    from embodichain.config.gym_config import GymConfig
+
+__all__ = ["WITHOUT_TASK", "Composed", "compose", "from_hydra", "list_options"]
 
 DEFAULT_ALGORITHM = "ppo"
+WITHOUT_TASK = "~task"
+"""The override that composes a config with no option of the group `task`."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,7 @@ class Composed:
         problems: What went wrong so far.
         usable: Whether `tree` is whole; otherwise its values besides the task are there at best,
             and only their types can be checked.
+        notes: What of a gym config was left out or is read otherwise.
     """
 
     config_name: str
@@ -53,6 +60,7 @@ class Composed:
     locator: Locator
     problems: tuple[LocatedProblem, ...] = ()
     usable: bool = True
+    notes: tuple[LocatedProblem, ...] = ()
 
 
 def compose(
@@ -62,7 +70,8 @@ def compose(
 ) -> Composed:
     """Compose a root config with overrides in Hydra's grammar; Hydra's global state is kept.
 
-    ``key=value`` may set any key of the schema, whether or not a file spells it out.
+    ``key=value`` may set any key of the schema, whether or not a file spells it out. With
+    ``gym_config=FILE`` the task is what EmbodiChain's gym config in that file converts to.
 
     Args:
         overrides: E.g. ``["task=reach", "num_envs=64", "~task.events.push"]``.
@@ -75,6 +84,10 @@ def compose(
     lines = tuple(overrides)
     with config_loader(config_dir) as loader:
         parsed = parse(lines, loader)
+        gym, parsed = _gym_config(parsed)
+        if gym is None and WITHOUT_TASK in parsed.for_hydra:
+            tree, locator = _partial(loader, config_name, parsed)
+            return Composed(config_name, lines, tree, {}, locator, parsed.problems, usable=False)
         try:
             config, files = _load(loader, config_name, parsed.for_hydra)
             chosen = _algorithm(config, parsed.values, loader.get_group_options("algo"))
@@ -88,10 +101,16 @@ def compose(
     choices = dict(config.hydra.runtime.choices)
     OmegaConf.set_struct(config, False)
     del config["hydra"]
+    if gym is not None:
+        choices["task"] = gym.name
+        config["task"] = OmegaConf.merge(gym.task, config.get("task", {}))
+        files.insert(0, gym.file)
     problems = (*parsed.problems, *apply_values(config, parsed.values))
     locator = Locator(files, parsed.values)
     tree, unresolved = plain.resolve(config, locator)
-    return Composed(config_name, lines, tree, choices, locator, (*problems, *unresolved))
+    problems = (*problems, *unresolved)
+    notes = gym.notes if gym is not None else ()
+    return Composed(config_name, lines, tree, choices, locator, problems, notes=notes)
 
 
 def from_hydra() -> Composed:
@@ -110,6 +129,29 @@ def list_options(group: str, config_dir: str | Path | None = None) -> list[str]:
     """Return the options of a group (``task``, ``record``...), sorted; empty for no such group."""
     with config_loader(config_dir) as loader:
         return list(loader.get_group_options(group))
+
+
+def _gym_config(parsed: ParsedOverrides) -> tuple[GymConfig | None, ParsedOverrides]:
+    """The gym config that overrides name, if any, and overrides that choose no task beside it."""
+    paths = [o.value() for o in parsed.values if o.key_or_group == "gym_config"]
+    if not paths or paths[-1] is None:
+        return None, parsed
+    chosen = [line for line in parsed.for_hydra if line.lstrip("+").startswith("task=")]
+    rest = [line for line in parsed.for_hydra if line not in chosen and line != WITHOUT_TASK]
+    problems = list(parsed.problems)
+    if chosen:
+        message = f"either a gym config or a task: {chosen[-1]}"
+        problems.append(LocatedProblem("task", message, source=COMMAND_LINE))
+    gym = None
+    from embodichain.config.gym_config import load_gym_config  # terms: only when needed
+
+    try:
+        gym = load_gym_config(str(paths[-1]))
+        problems += gym.problems
+    except ConfigError as error:
+        problems += [LocatedProblem.of(p, "") for p in error.problems]
+    for_hydra = (*rest, WITHOUT_TASK)
+    return gym, replace(parsed, for_hydra=for_hydra, problems=tuple(problems))
 
 
 def _load(

@@ -30,6 +30,15 @@ class LocatedProblem(Problem):
             message += "."
         return cls(problem.path, message, problem.hint.strip(), source)
 
+    def as_dict(self) -> dict[str, str]:
+        """Return the four texts by name, for JSON."""
+        return {
+            "path": self.path,
+            "message": self.message,
+            "hint": self.hint,
+            "source": self.source,
+        }
+
     def __str__(self) -> str:
         """Return ``source: path: message hint``."""
         text = Problem.__str__(self)

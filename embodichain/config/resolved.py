@@ -29,11 +29,13 @@ class Resolved:
         tree: Frozen plain mappings and tuples: what is written to files (`dump_yaml`).
         overrides: As typed.
         task_name: The option of the group `task`.
+        notes: What of a gym config was left out or is read otherwise.
     """
 
     tree: Mapping[str, Any]
     overrides: tuple[str, ...]
     task_name: str
+    notes: tuple[LocatedProblem, ...] = ()
 
     @property
     def root(self) -> RootCfg:
@@ -71,7 +73,8 @@ def resolve(
     filled = derive.fill(composed.tree, verb, composed.locator.chosen)
     tree = derive.settle(check_types(filled).tree, verb)
     name = composed.choices.get("task") or "task"
-    return Resolved(freeze(tree), composed.overrides, name.rpartition("/")[2])
+    name = name.rpartition("/")[2]
+    return Resolved(freeze(tree), composed.overrides, name, composed.notes)
 
 
 def resolve_tree(

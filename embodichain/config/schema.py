@@ -139,6 +139,8 @@ class RootCfg:
     """A training run's folder, or ``last``."""
     video: bool | None = None
     """Not available yet."""
+    gym_config: str | None = None
+    """The file of EmbodiChain's that the task was converted from."""
     output_dir: str = "outputs"
     quiet: bool = False
     json: bool = False

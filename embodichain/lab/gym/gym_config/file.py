@@ -1,0 +1,65 @@
+"""Reading a gym config: YAML or JSON becomes plain values. What they mean is `conversion`'s."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from embodichain.utils.errors import ConfigError
+
+__all__ = ["is_gym_config", "read_gym_config"]
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML as people write it: ``1e5`` and ``1.0e5`` are numbers, as in JSON."""
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(?:[0-9][0-9_]*)(?:\.[0-9_]*)?[eE][-+]?[0-9]+$"),
+    list("-+0123456789"),
+)
+
+
+def read_gym_config(path: str | Path) -> dict[str, Any]:
+    """Return the content of a gym config.
+
+    Args:
+        path: A file ending in ``.json``, ``.yaml`` or ``.yml``. It is only read.
+
+    Raises:
+        ConfigError: There is no such file, or it is malformed, or it holds no map; says where.
+    """
+    file = Path(path)
+    if not file.is_file():
+        raise ConfigError(f"no such file: {path}")
+    try:
+        text = file.read_text(encoding="utf-8")
+        data: Any = json.loads(text) if file.suffix == ".json" else yaml.load(text, _Loader)
+    except json.JSONDecodeError as error:
+        raise ConfigError(f"{path}:{error.lineno}: malformed JSON: {error.msg}") from error
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{path}{_where(error)}: malformed YAML: {_why(error)}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path} cannot be read: {error}") from error
+    if not isinstance(data, dict):
+        raise ConfigError(f"{path} is no gym config: a map is expected at its top")
+    return data
+
+
+def is_gym_config(data: object) -> bool:
+    """Whether a file's content is a gym config: it has the map `env`, which no task of ours has."""
+    return isinstance(data, dict) and isinstance(data.get("env"), dict) and "task" not in data
+
+
+def _where(error: yaml.YAMLError) -> str:
+    mark = getattr(error, "problem_mark", None)
+    return "" if mark is None else f":{mark.line + 1}"
+
+
+def _why(error: yaml.YAMLError) -> str:
+    return str(getattr(error, "problem", None) or error).splitlines()[0]

@@ -1,0 +1,116 @@
+"""Names of EmbodiChain's functors: those with another name here, and those that cannot come along.
+
+Functors that are in no table are looked for among our terms under their own names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+from embodichain.lab.gym.gym_config.vocabulary import Left
+
+__all__ = ["ACTIONS", "LEFT_OUT", "RENAMED", "left_out_functors"]
+
+_RAYS = "it changes what only a ray tracer draws"
+_CAMERA = "cameras are not available yet"
+_GROUPS = "object groups are not available"
+_IK = "inverse kinematics is not available yet"
+_FILES = "a mesh is compiled once, from its file"
+
+LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
+    "event": {
+        "replace_assets_from_group": _FILES,
+        "prepare_extra_attr": "entities carry no free attributes; use extensions",
+        "register_entity_attrs": "entities carry no free attributes; use extensions",
+        "register_entity_pose": "terms read poses where they need them",
+        "register_info_to_env": "terms read poses where they need them",
+        "drop_rigid_object_group_sequentially": _GROUPS,
+        "wait_for_dynamic_objects_to_settle": "an event cannot step physics: a reset takes no time",
+        "set_detached_uids_for_env_reset": "a reset puts every object back",
+        "create_rigid_constraint": "constraints are not available yet",
+        "remove_rigid_constraint": "constraints are not available yet",
+        "apply_expansion_profile_reset": "scene expansion is not available",
+        "randomize_robot_eef_pose": _IK,
+        "planner_grid_cell_sampler": "there is no planner",
+        "randomize_anchor_height": "the anchor and what stands on it are moved one by one",
+        "sample_rigid_object_pose_from_workspace": _IK,
+        "ExpandSceneLayout": "scene expansion is not available",
+        "randomize_visual_material": _RAYS,
+        "randomize_indirect_lighting": _RAYS,
+        "randomize_light": _RAYS,
+        "randomize_emission_light": _RAYS,
+        "randomize_camera_extrinsics": _CAMERA,
+        "randomize_camera_intrinsics": _CAMERA,
+        "set_rigid_object_visual_material": "write visual_material in the object's shape",
+        "set_rigid_object_group_visual_material": _GROUPS,
+        "randomize_rigid_object_scale": "sizes are randomized by randomize_geom_size",
+        "randomize_rigid_objects_scale": "sizes are randomized by randomize_geom_size",
+        "randomize_rigid_object_body_scale": "sizes are randomized by randomize_geom_size",
+        "push_articulation_by_setting_velocity": "no event of this name is here yet",
+        "record_camera_data": "the log of a run is the recording",
+        "record_camera_data_async": "the log of a run is the recording",
+        "validation_cameras": _CAMERA,
+    },
+    "observation": {
+        "get_object_uid": "an observation is a number that changes",
+        "get_sensor_pose_in_robot_frame": _CAMERA,
+        "get_sensor_intrinsics": _CAMERA,
+        "compute_semantic_mask": _CAMERA,
+        "compute_exteroception": _CAMERA,
+    },
+    "reward": {},
+    "action": {
+        "QposNormalizedTerm": "it only changes what a data set records",
+        "EefPoseTerm": _IK,
+        "EefPoseAction": _IK,
+        "eef_pose.absolute@1": _IK,
+        "RelativeEefPoseAction": _IK,
+        "eef_pose.relative@1": _IK,
+    },
+}
+"""Kind -> functor -> why it is left out. A term of ours with the same name goes before it."""
+
+RENAMED: Final[Mapping[str, Mapping[str, str]]] = {
+    "event": {},
+    "observation": {"get_rigid_object_pose": "get_object_pose"},
+    "reward": {},
+}
+"""Kind -> functor -> our term. A term of ours with the functor's own name goes before it."""
+
+_RELATIVE = "relative_joint_position"
+_ABSOLUTE = "joint_position"
+_LIMITS = "joint_position_to_limits"
+_OFFSET = "default_offset_joint_position"
+_VELOCITY = "joint_velocity"
+_EFFORT = "joint_effort"
+_GRIPPER = "parallel_gripper"
+
+ACTIONS: Final[Mapping[str, str]] = {
+    "DeltaQposTerm": _RELATIVE,
+    "RelativeJointPositionAction": _RELATIVE,
+    "joint_position.relative@1": _RELATIVE,
+    "QposTerm": _ABSOLUTE,
+    "JointPositionAction": _ABSOLUTE,
+    "joint_position.absolute@1": _ABSOLUTE,
+    "QposDenormalizedTerm": _LIMITS,
+    "JointPositionToLimitsAction": _LIMITS,
+    "joint_position.limits@1": _LIMITS,
+    "DefaultJointPositionAction": _OFFSET,
+    "joint_position.default_offset@1": _OFFSET,
+    "QvelTerm": _VELOCITY,
+    "JointVelocityAction": _VELOCITY,
+    "joint_velocity@1": _VELOCITY,
+    "QfTerm": _EFFORT,
+    "JointEffortAction": _EFFORT,
+    "joint_effort@1": _EFFORT,
+    "ParallelGripperAction": _GRIPPER,
+    "gripper.parallel@1": _GRIPPER,
+}
+"""Action functor or contract -> our term."""
+
+
+def left_out_functors() -> Iterator[Left]:
+    """Every functor that is known and has no term here, in the order of the tables."""
+    for kind, reasons in LEFT_OUT.items():
+        yield from (Left(kind, name, reason) for name, reason in reasons.items())

@@ -1,0 +1,112 @@
+"""Robots and other articulations of a gym config."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from embodichain.lab.gym.gym_config.draft import Draft, Path
+from embodichain.lab.gym.gym_config.rigid_objects import convert_attrs
+from embodichain.lab.gym.gym_config.vocabulary import ARTICULATION, DRIVE, ROBOT, ROOT_PROPS
+from embodichain.lab.sim.cfg import RobotCfg, name_of
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["convert_articulations", "convert_robot"]
+
+_PRESETS = {"URRobot": ("UniversalRobots/UR10/UR10.urdf", 6)}
+"""EmbodiChain's robot classes that are one file: the file, and its joints."""
+_PLAIN = ("Robot", "RobotCfg")
+"""The class that adds nothing."""
+
+
+def convert_robot(draft: Draft, data: Any) -> str:
+    """Convert the section `robot`; return the robot's uid, empty if there is no telling."""
+    source: Path = ("robot",)
+    if not draft.carry(data, source, ("robot",), ROBOT):
+        return ""
+    if data.get("uid"):
+        draft.put(("robot", "uid"), data["uid"], ("robot", "uid"))
+    joints = _file(draft, data)
+    _init_qpos(draft, data.get("init_qpos"), joints)
+    _parts_of_articulation(draft, data, source, ("robot",))
+    fields = draft.task.get("robot", {})
+    uid, fpath = (str(fields.get(key) or "") for key in ("uid", "fpath"))
+    return name_of(RobotCfg(uid=uid, fpath=fpath)) if uid or fpath else ""
+
+
+def convert_articulations(draft: Draft, data: Any) -> None:
+    """Convert the section `articulation`."""
+    for source, item in draft.items(data, ("articulation",)):
+        target = draft.entity(item, source, "articulations")
+        if target is not None and draft.carry(item, source, target, ARTICULATION):
+            _parts_of_articulation(draft, item, source, target)
+
+
+def _file(draft: Draft, data: Mapping[str, Any]) -> int | None:
+    """Settle the robot's file; return how many joints it has where a preset says so."""
+    kind_key = "class_type" if "class_type" in data else "robot_type"
+    kind, urdf, own = data.get(kind_key), data.get("urdf_cfg"), bool(data.get("fpath"))
+    joints = None
+    preset = _PRESETS.get(str(kind))
+    if not own and preset is not None:
+        fpath, joints = preset
+        draft.put(("robot", "fpath"), fpath, ("robot", kind_key))
+        own = True
+    elif kind is not None and preset is None and kind not in _PLAIN:
+        _unknown_kind(draft, kind, kind_key, own)
+        own = True  # said once
+    if urdf is not None:
+        _urdf(draft, urdf, own)
+    return joints
+
+
+def _unknown_kind(draft: Draft, kind: Any, key: str, own: bool) -> None:
+    hint = did_you_mean(str(kind), _PRESETS)
+    message = f"the class {kind!r} is not here"
+    if own:
+        draft.note(("robot", key), f"{message}: only the keys of this file count")
+    else:
+        known = ", ".join(_PRESETS)
+        draft.refuse(
+            ("robot", key), f"{message}; name the robot's file in fpath, or {known}.", hint
+        )
+
+
+def _urdf(draft: Draft, urdf: Any, own: bool) -> None:
+    """A robot assembled of files: one file is that file, more are not available."""
+    components = urdf.get("components") if isinstance(urdf, Mapping) else None
+    alone = components[0] if isinstance(components, list) and len(components) == 1 else None
+    if own:
+        draft.note(("robot", "urdf_cfg"), "URDF assembly is not available: the robot is its file")
+    elif isinstance(alone, Mapping) and alone.get("urdf_path"):
+        where = ("robot", "urdf_cfg", "components", "0", "urdf_path")
+        draft.put(("robot", "fpath"), alone["urdf_path"], where)
+        draft.note(("robot", "urdf_cfg"), "its one component is the robot; names stay the file's")
+    else:
+        message = "URDF assembly is not available; name one file in fpath"
+        draft.refuse(("robot", "urdf_cfg"), message)
+
+
+def _init_qpos(draft: Draft, values: Any, joints: int | None) -> None:
+    """Values of joints that an assembly would have added are left out with it."""
+    if values is None:
+        return
+    where = ("robot", "init_qpos")
+    if joints is not None and isinstance(values, list) and len(values) > joints:
+        beyond = f"values {values[joints:]} belong to components that are left out"
+        draft.note(where, beyond)
+        values = values[:joints]
+    draft.put(where, values, where)
+
+
+def _parts_of_articulation(
+    draft: Draft, data: Mapping[str, Any], source: Path, target: Path
+) -> None:
+    """Drives, attributes and how the root is held, by the names of 0.2 and of 0.3."""
+    for key in ("drive_pros", "joint_drive_props"):
+        if data.get(key) is not None:
+            draft.carry(data[key], (*source, key), (*target, "drive_pros"), DRIVE)
+    if data.get("attrs") is not None:
+        convert_attrs(draft, data["attrs"], (*source, "attrs"), (*target, "attrs"))
+    if data.get("root_props") is not None:
+        draft.carry(data["root_props"], (*source, "root_props"), target, ROOT_PROPS)
