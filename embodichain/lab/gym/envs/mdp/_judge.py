@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
-__all__ = ["Judge", "Recalling", "action_rows", "total"]
+__all__ = ["Judge", "Recalling", "action_rows", "any_column", "mean", "total"]
 
 
 class Judge(Term):
@@ -43,6 +43,17 @@ def total(values: F64) -> F64:
     for column in range(1, values.shape[1]):
         found = found + values[:, column]
     return found
+
+
+def mean(values: F64) -> F64:
+    """Mean of the rows, (N, K) -> (N,), summed in the order of the columns."""
+    found: F64 = total(values) / max(values.shape[1], 1)
+    return found
+
+
+def any_column(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether a row holds a True, (N, K) -> (N,)."""
+    return np.asarray(mask.any(axis=1))
 
 
 def action_rows(action: Any) -> F64:

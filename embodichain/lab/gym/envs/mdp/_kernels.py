@@ -106,7 +106,7 @@ class Tolerance:
     def __init__(
         self, bounds: Sequence[float], margin: float, sigmoid: Sigmoid, value_at_margin: float
     ) -> None:
-        low = 0.0 <= value_at_margin if sigmoid in _MAY_END else 0.0 < value_at_margin
+        low = value_at_margin >= 0.0 if sigmoid in _MAY_END else value_at_margin > 0.0
         if not (low and value_at_margin < 1.0):
             allowed = "[0, 1)" if sigmoid in _MAY_END else "(0, 1)"
             message = f"must lie in {allowed} for sigmoid {sigmoid!r}, got {value_at_margin}"
