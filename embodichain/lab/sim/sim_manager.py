@@ -243,6 +243,7 @@ class SimulationManager(Declaration):
         return {
             "engine": self.engine.state_dict(),
             "drives": {uid: h.drives.state_dict() for uid, h in handles.items()},
+            "objects": {uid: o.state_dict() for uid, o in self.rigid_objects.items()},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -251,6 +252,8 @@ class SimulationManager(Declaration):
         handles: Mapping[str, Articulation] = {**self.robots, **self.articulations}
         for uid, drives in state["drives"].items():
             handles[uid].drives.load_state_dict(drives)
+        for uid, properties in state["objects"].items():
+            self.rigid_objects[uid].load_state_dict(properties)
 
     def init_gpu_physics(self) -> None:
         """Do nothing: there is no GPU engine yet, and the CPU's needs no start."""

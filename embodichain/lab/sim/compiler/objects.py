@@ -8,6 +8,7 @@ import numpy as np
 from embodichain.data import DataNotFoundError, get_data_path
 from embodichain.lab.sim.cfg import RigidObjectCfg
 from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.inertia import inertia_about_axes
 from embodichain.lab.sim.compiler.pose import initial_pose
 from embodichain.lab.sim.compiler.urdf import MESH_SUFFIXES
 from embodichain.lab.sim.compiler.visuals import surface
@@ -155,10 +156,7 @@ def damping_of(model: mujoco.MjModel, body: int, cfg: RigidObjectCfg) -> F64:
     fall by ``exp(-damping t)`` whatever the body's size. MuJoCo's joint damping is one number an
     axis: of an inertia tensor that is not diagonal in the body's axes its diagonal is taken.
     """
-    rotation = np.zeros(9)
-    mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
-    axes = rotation.reshape(3, 3)
-    inertia = (axes * axes) @ model.body_inertia[body]
+    inertia = inertia_about_axes(model.body_iquat[body], model.body_inertia[body])
     attrs = cfg.attrs
     linear = np.full(3, attrs.linear_damping * model.body_mass[body])
     return np.concatenate([linear, attrs.angular_damping * inertia])

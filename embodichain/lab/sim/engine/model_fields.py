@@ -1,7 +1,7 @@
 """`ModelFields`: model fields that differ between a batch's environments.
 
-What was expanded, whose derived constants are out of date, and whether a reset is still the same for
-everyone. Who writes them, and who is told, is the engine's business.
+What was expanded, whose derived constants are out of date, and whether a reset is still the same
+for everyone. Who writes them, and who is told, is the engine's business.
 """
 
 from __future__ import annotations
@@ -17,18 +17,22 @@ from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["DERIVED_FIELDS", "ModelFields"]
 
+# fmt: off
 DERIVED_FIELDS = frozenset(
-    """
-    body_treeid body_sameframe body_subtreemass body_invweight0 body_margin body_contype
-    body_conaffinity bvh_aabb jnt_actuatorid dof_invweight0 dof_M0 dof_length tree_bodyadr
-    tree_bodynum tree_dofadr tree_dofnum geom_sameframe geom_aabb geom_rbound site_sameframe
-    cam_poscom0 cam_pos0 cam_mat0 light_poscom0 light_pos0 light_dir0 flexedge_length0
-    flexedge_invweight0 efm0_dofid efm0_L_rownnz efm0_L_rowadr efm0_L_colind efm0_L efmC_perm
-    flexedge_J_rownnz flexedge_J_rowadr flexedge_J_colind tendon_actuatorid tendon_treenum
-    tendon_treeid ten_J_rownnz ten_J_rowadr ten_J_colind tendon_length0 tendon_invweight0
-    actuator_acc0 actuator_length0 eq_data geom_fluid tree_sleep_policy
-    """.split()
+    {
+        "body_treeid", "body_sameframe", "body_subtreemass", "body_invweight0", "body_margin",
+        "body_contype", "body_conaffinity", "bvh_aabb", "jnt_actuatorid", "dof_invweight0",
+        "dof_M0", "dof_length", "tree_bodyadr", "tree_bodynum", "tree_dofadr", "tree_dofnum",
+        "geom_sameframe", "geom_aabb", "geom_rbound", "site_sameframe", "cam_poscom0",
+        "cam_pos0", "cam_mat0", "light_poscom0", "light_pos0", "light_dir0", "flexedge_length0",
+        "flexedge_invweight0", "efm0_dofid", "efm0_L_rownnz", "efm0_L_rowadr", "efm0_L_colind",
+        "efm0_L", "efmC_perm", "flexedge_J_rownnz", "flexedge_J_rowadr", "flexedge_J_colind",
+        "tendon_actuatorid", "tendon_treenum", "tendon_treeid", "ten_J_rownnz", "ten_J_rowadr",
+        "ten_J_colind", "tendon_length0", "tendon_invweight0", "actuator_acc0",
+        "actuator_length0", "eq_data", "geom_fluid", "tree_sleep_policy",
+    }
 )
+# fmt: on
 """What `mj_setConst` writes: `MJSETCONST_ARRAYS` of MuJoCo 4.0.0's `mjxmacro.h`."""
 _RESET_FIELDS = frozenset(
     {"qpos0", "body_pos", "body_quat", "body_mocapid", "eq_active0", "opt.timestep"}

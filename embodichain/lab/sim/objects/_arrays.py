@@ -15,12 +15,25 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
-__all__ = ["as_env_ids", "as_rows", "bool_rows", "to_tensor"]
+__all__ = ["Columns", "as_env_ids", "as_rows", "bool_rows", "columns_of", "to_tensor"]
+
+Columns = slice | NDArray[np.int64]
 
 
 def to_tensor(array: NDArray[Any]) -> torch.Tensor:
     """Return a float32 tensor that shares nothing with ``array``."""
     return torch.from_numpy(array.astype(np.float32))
+
+
+def columns_of(ids: Sequence[int] | NDArray[Any]) -> Columns:
+    """A slice where indices are evenly spaced and ascend (views, no copies), else the indices."""
+    array = np.asarray(ids, np.int64)
+    if not len(array):
+        return array
+    step = int(array[1] - array[0]) if len(array) > 1 else 1
+    if step > 0 and (np.diff(array) == step).all():
+        return slice(int(array[0]), int(array[-1]) + 1, step if step > 1 else None)
+    return array
 
 
 def as_env_ids(env_ids: Any, num_envs: int) -> EnvIndex | None:

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.objects._arrays import as_rows, to_tensor
+from embodichain.lab.sim.objects._arrays import Columns, as_rows, columns_of, to_tensor
 from embodichain.lab.sim.objects.articulation_data import ArticulationData
 from embodichain.lab.sim.objects.drives import Drives
 from embodichain.lab.sim.objects.entity import not_available
@@ -24,16 +24,6 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.sim_manager import SimulationManager
 
 __all__ = ["Articulation"]
-
-Columns = slice | NDArray[np.int64]
-
-
-def _columns(ids: Sequence[int] | NDArray[Any]) -> Columns:
-    """A slice where the indices are consecutive (views, no copies), else the indices."""
-    array = np.asarray(ids, np.int64)
-    if len(array) and np.array_equal(array, np.arange(array[0], array[0] + len(array))):
-        return slice(int(array[0]), int(array[0]) + len(array))
-    return array
 
 
 class Articulation(NamedJoints):
@@ -59,10 +49,10 @@ class Articulation(NamedJoints):
     def bind(self, engine: Engine, index: EntityIndex) -> None:
         """Learn where the compiled model keeps this articulation."""
         super().bind(engine, index)
-        self._qpos, self.dofs = _columns(index.qpos_adr), _columns(index.dof_adr)
+        self._qpos, self.dofs = columns_of(index.qpos_adr), columns_of(index.dof_adr)
         actuators = np.asarray(index.actuator_ids, np.int64)
         self._driven = np.flatnonzero(actuators >= 0)
-        self._ctrl = _columns(actuators[self._driven])
+        self._ctrl = columns_of(actuators[self._driven])
         # qf is a sum of acceleration-stage fields: ask for them before the first step.
         self.read_qf()
 
@@ -185,7 +175,7 @@ class Articulation(NamedJoints):
                     self.drives._actuators(self._all)
                 values = values[:, joints]
         else:
-            columns = _columns(self.drives._actuators(joints))
+            columns = columns_of(self.drives._actuators(joints))
         self.drives.write_target_qpos(values, joints, columns, ids)
 
     def write_qpos(
@@ -194,11 +184,11 @@ class Articulation(NamedJoints):
         """Set joint positions (n, k) from checked arrays, clamped to the limits."""
         if self._bound is None:
             self._sim.compile()
-        limits = np.asarray(self.parsed.qpos_limits, np.float64)
         columns = self._qpos
         if joints is not None:
-            limits, columns = limits[joints], np.asarray(self.entity.qpos_adr, np.int64)[joints]
-        clamped = np.minimum(np.maximum(values, limits[:, 0]), limits[:, 1])
+            columns = np.asarray(self.entity.qpos_adr, np.int64)[joints]
+        low, high = self.drives.limits.of(self._all if joints is None else joints, ids)
+        clamped = np.minimum(np.maximum(values, low), high)
         self.engine.write("qpos", clamped, ids, columns)
 
     def set_qvel(
@@ -325,15 +315,32 @@ class Articulation(NamedJoints):
         new = as_rows(mass, rows, len(bodies), f"{self.uid}: mass")
         if (new <= 0).any():
             raise ValueError(f"{self.uid}: masses must be positive, got {new.min()}")
-        engine = self.engine
-        old = engine.model_field("body_mass")[:, bodies]
-        old = old if ids is None else old[ids]
-        columns = (3 * bodies[:, None] + np.arange(3)).reshape(-1)
-        inertia = engine.model_field("body_inertia")[:, columns]
-        inertia = inertia if ids is None else inertia[ids]
-        engine.write_model("body_mass", new, ids, bodies)
-        engine.write_model("body_inertia", inertia * np.repeat(new / old, 3, 1), ids, columns)
-        engine.set_const(ids)
+        self.write_mass(new, bodies, ids)
+
+    def write_mass(
+        self, mass: F64, bodies: NDArray[np.int64], ids: EnvIndex | None, inertia: bool = True
+    ) -> None:
+        """Set masses (n, k) of bodies (k,), and their inertias with them; the door for terms.
+
+        Args:
+            mass: Positive, kg.
+            bodies: MuJoCo body ids.
+            ids: (n,) environments, or None for all.
+            inertia: False leaves inertias as they are.
+        """
+        engine, model = self.engine, self.engine.model
+        engine.write_model("body_mass", mass, ids, columns_of(bodies))
+        if inertia:
+            self.write_inertia(mass / model.body_mass[bodies], bodies, ids)
+        else:
+            engine.set_const_later(ids)
+
+    def write_inertia(self, factor: F64, bodies: NDArray[np.int64], ids: EnvIndex | None) -> None:
+        """Set inertias of bodies (k,) to (n, k) times the compiled ones."""
+        moments = self.engine.model.body_inertia[bodies] * factor[:, :, None]
+        columns = columns_of((3 * bodies[:, None] + np.arange(3)).reshape(-1))
+        self.engine.write_model("body_inertia", moments.reshape(len(factor), -1), ids, columns)
+        self.engine.set_const_later(ids)
 
     def clear_dynamics(self, env_ids: Any = None) -> None:
         """Stop all joints and the root, and remove applied efforts."""

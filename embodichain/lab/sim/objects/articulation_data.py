@@ -61,7 +61,7 @@ class ArticulationData:
     @property
     def qpos_limits(self) -> torch.Tensor:
         """(N, D, 2) lower and upper limits; infinite where the file has none."""
-        return self._tile(self._owner.parsed.qpos_limits)
+        return to_tensor(self._owner.drives.limits.values)
 
     @property
     def qvel_limits(self) -> torch.Tensor:

@@ -7,12 +7,13 @@ enters the control as ``target + (kd / kp) target_qvel``.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.objects._arrays import as_rows
+from embodichain.lab.sim.objects._arrays import as_rows, columns_of
+from embodichain.lab.sim.objects.joint_limits import JointLimits
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.base import F64, EnvIndex
@@ -22,6 +23,13 @@ __all__ = ["Drives"]
 
 NO_LIMIT = 1e9
 """Efforts at least this large count as unlimited (EmbodiChain's default is 1e10)."""
+_JOINT_FIELDS = {
+    "damping": "dof_damping",
+    "friction": "dof_frictionloss",
+    "armature": "dof_armature",
+}
+_GAINS = ("stiffness", "damping", "max_effort", "max_velocity", "friction", "armature")
+_SAVED = (*_GAINS, "strength", "target_qvel")
 
 
 class Drives:
@@ -29,6 +37,8 @@ class Drives:
 
     Attributes:
         stiffness, damping, max_effort, max_velocity, friction, armature: (N, D) current values.
+        strength: (N, D) factors of what the drives' springs and effort limits yield.
+        limits: Joint position limits.
         target_qvel: (N, D) velocity targets.
     """
 
@@ -44,8 +54,9 @@ class Drives:
         self.armature: F64 = np.tile(np.asarray(parsed.armature, np.float64), (count, 1))
         self.target_qvel: F64 = np.zeros((count, len(parsed.joint_names)))
         self.has_velocity_target = False
-        self._limits = np.asarray(parsed.qpos_limits, np.float64)
-        self._bounds: dict[bytes, tuple[F64, F64]] = {}
+        self._limits_vary = False
+        self.strength: F64 = np.ones((count, len(parsed.joint_names)))
+        self.limits = JointLimits(np.asarray(parsed.qpos_limits, np.float64), count)
 
     def _actuators(self, joints: NDArray[np.int64]) -> NDArray[np.int64]:
         ids: NDArray[np.int64] = np.asarray(self._owner.entity.actuator_ids, np.int64)[joints]
@@ -68,19 +79,16 @@ class Drives:
             columns: Their columns in ``ctrl``.
             ids: (n,) environments, or None for all.
         """
-        bounds = self._bounds.get(key := joints.tobytes())
-        if bounds is None:
-            low, high = self._limits[joints].T.copy()
-            bounds = self._bounds[key] = (low, high)
+        low, high = self.limits.of(joints, ids)
         # np.minimum/maximum, not np.clip: half the cost on small arrays.
-        clamped = np.maximum(target, bounds[0])
-        np.minimum(clamped, bounds[1], out=clamped)
+        clamped = np.maximum(target, low)
+        np.minimum(clamped, high, out=clamped)
         if self.has_velocity_target:
             clamped = clamped + self._lead((slice(None) if ids is None else ids[:, None], joints))
         self._owner.engine.write("ctrl", clamped, ids, columns)
 
     def _lead(self, where: Any) -> F64:
-        stiffness = self.stiffness[where]
+        stiffness = self.stiffness[where] * self.strength[where]
         gain = np.divide(
             self.damping[where], stiffness, out=np.zeros_like(stiffness), where=stiffness > 0
         )
@@ -125,48 +133,89 @@ class Drives:
             ValueError: If a shape is wrong or a value is negative.
         """
         owner = self._owner
-        where = (slice(None) if ids is None else ids[:, None], joints)
         for name, value in values.items():
             if value is None:
                 continue
             array = as_rows(value, rows, len(joints), f"{owner.uid}: {name}", finite=False)
             if not (array >= 0).all():
                 raise ValueError(f"{owner.uid}: {name} must not be negative or NaN")
-            getattr(self, name)[where] = array
-            self._apply(name, array, ids, joints)
-        if values.get("armature") is not None:
-            owner.engine.set_const(ids)
+            self.put(name, array, ids, joints)
 
-    def _apply(
-        self, name: str, value: F64, ids: EnvIndex | None, joints: NDArray[np.int64]
-    ) -> None:
+    def put(self, name: str, values: F64, ids: EnvIndex | None, joints: NDArray[np.int64]) -> None:
+        """Set one property (n, k) from checked arrays: the door for terms.
+
+        Args:
+            name: An attribute of this class: ``stiffness``, ``friction``...
+            values: Not negative; `max_effort` from `NO_LIMIT` on is none.
+            ids: (n,) environments, or None for all.
+            joints: (k,) joint indices.
+        """
+        where = (slice(None) if ids is None else ids[:, None], joints)
+        getattr(self, name)[where] = values
         engine, entity = self._owner.engine, self._owner.entity
-        dofs = np.asarray(entity.dof_adr, np.int64)[joints]
-        if name in ("damping", "friction", "armature"):
-            field = {"friction": "dof_frictionloss"}.get(name, f"dof_{name}")
-            engine.write_model(field, value, ids, dofs)
-        elif name == "stiffness":
+        if name in _JOINT_FIELDS:
+            dofs = np.asarray(entity.dof_adr, np.int64)[joints]
+            engine.write_model(_JOINT_FIELDS[name], values, ids, columns_of(dofs))
+            if name == "armature":
+                engine.set_const_later(ids)
+        elif name == "max_velocity":
+            return  # only remembered: MuJoCo has no velocity limit
+        else:
             actuators = self._actuators(joints)
-            gains = engine.model.actuator_gainprm.shape[1]
-            bias = engine.model.actuator_biasprm.shape[1]
-            engine.write_model("actuator_gainprm", value, ids, actuators * gains)
-            engine.write_model("actuator_biasprm", -value, ids, actuators * bias + 1)
-        elif name == "max_effort":
-            actuators = self._actuators(joints)
-            limited = value < NO_LIMIT
-            finite = np.where(limited, value, 0.0)
-            engine.write_model("actuator_forcelimited", limited.astype(np.float64), ids, actuators)
-            engine.write_model("actuator_forcerange", -finite, ids, 2 * actuators)
-            engine.write_model("actuator_forcerange", finite, ids, 2 * actuators + 1)
-        # max_velocity is only remembered: MuJoCo has no velocity limit.
+            if name != "max_effort":
+                self._write_gains(actuators, where, ids)
+            if name != "stiffness":
+                self._write_efforts(actuators, where, ids)
+
+    def _write_gains(self, actuators: NDArray[np.int64], where: Any, ids: EnvIndex | None) -> None:
+        engine = self._owner.engine
+        gains = engine.model.actuator_gainprm.shape[1]
+        bias = engine.model.actuator_biasprm.shape[1]
+        spring = self.stiffness[where] * self.strength[where]
+        engine.write_model("actuator_gainprm", spring, ids, columns_of(actuators * gains))
+        engine.write_model("actuator_biasprm", -spring, ids, columns_of(actuators * bias + 1))
+
+    def _write_efforts(
+        self, actuators: NDArray[np.int64], where: Any, ids: EnvIndex | None
+    ) -> None:
+        engine = self._owner.engine
+        limit = self.max_effort[where]
+        limited = limit < NO_LIMIT
+        compiled = engine.model.actuator_forcelimited[actuators] != 0
+        if (limited != compiled).any():
+            self._limits_vary = True  # who is limited differs between environments
+        if self._limits_vary:
+            flags = limited.astype(np.float64)
+            engine.write_model("actuator_forcelimited", flags, ids, columns_of(actuators))
+        elif not compiled.any():
+            return
+        finite = np.where(limited, limit * self.strength[where], 0.0)
+        engine.write_model("actuator_forcerange", -finite, ids, columns_of(2 * actuators))
+        engine.write_model("actuator_forcerange", finite, ids, columns_of(2 * actuators + 1))
+
+    def put_limit(
+        self,
+        side: Literal[0, 1],
+        values: F64,
+        ids: EnvIndex | None,
+        joints: NDArray[np.int64],
+    ) -> None:
+        """Set lower (0) or upper (1) position limits (n, k) of joints that have limits."""
+        engine, entity = self._owner.engine, self._owner.entity
+        self.limits.set(side, values, joints, ids)
+        model_joints = engine.model.dof_jntid[np.asarray(entity.dof_adr, np.int64)[joints]]
+        columns = columns_of(2 * model_joints.astype(np.int64) + side)
+        engine.write_model("jnt_range", values, ids, columns)
 
     def state_dict(self) -> dict[str, F64]:
         """Targets and gains (copies)."""
-        names = ("stiffness", "damping", "max_effort", "max_velocity", "friction", "armature")
-        return {n: getattr(self, n).copy() for n in (*names, "target_qvel")}
+        saved = {name: getattr(self, name).copy() for name in _SAVED}
+        return {**saved, "limits": self.limits.values.copy()}
 
     def load_state_dict(self, state: dict[str, F64]) -> None:
         """Continue exactly where `state_dict` was taken; the engine restores model fields."""
-        for name, values in state.items():
-            getattr(self, name)[...] = values
+        for name in _SAVED:
+            getattr(self, name)[...] = state[name]
+        self.limits.restore(state["limits"])
+        self._limits_vary = True
         self.has_velocity_target = bool(self.target_qvel.any())

@@ -1,4 +1,7 @@
-"""`RigidObject`: handle over one rigid body in N environments."""
+"""`RigidObject`: handle over one rigid body in N environments; its pose, velocity and forces.
+
+Its mass, size and friction are in `rigid_properties.py`.
+"""
 
 from __future__ import annotations
 
@@ -8,14 +11,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.objects._arrays import as_rows, bool_rows, to_tensor
-from embodichain.lab.sim.objects.entity import BatchEntity, not_available
+from embodichain.lab.sim.objects._arrays import as_rows, to_tensor
+from embodichain.lab.sim.objects.entity import not_available
+from embodichain.lab.sim.objects.rigid_properties import RigidProperties
 from embodichain.utils.math import quat_conjugate, quat_rotate
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import RigidObjectCfg
-    from embodichain.lab.sim.compiler import EntityIndex
-    from embodichain.lab.sim.engine.base import F64, Engine
+    from embodichain.lab.sim.engine.base import F64
     from embodichain.lab.sim.sim_manager import SimulationManager
 
 __all__ = ["RigidBodyData", "RigidObject"]
@@ -90,35 +93,16 @@ class RigidBodyData:
         return self._owner.get_inertia()
 
 
-class RigidObject(BatchEntity):
+class RigidObject(RigidProperties):
     """One rigid body with one shape, in N environments.
 
     `dynamic` bodies are simulated, `kinematic` ones move only by `set_local_pose`, `static` ones
     stand still unless `set_local_pose` moves them.
     """
 
-    cfg: RigidObjectCfg
-
     def __init__(self, cfg: RigidObjectCfg, uid: str, sim: SimulationManager) -> None:
         super().__init__(cfg, uid, sim)
         self._data = RigidBodyData(self)
-        self._damping: F64 = np.zeros((1, 2))
-
-    def bind(self, engine: Engine, index: EntityIndex) -> None:
-        """Learn where the compiled model keeps this body."""
-        super().bind(engine, index)
-        damping = [self.cfg.attrs.linear_damping, self.cfg.attrs.angular_damping]
-        self._damping = np.tile(np.asarray(damping, np.float64), (self.num_instances, 1))
-
-    @property
-    def is_static(self) -> bool:
-        """Whether the body never moves."""
-        return self.cfg.body_type == "static"
-
-    @property
-    def is_non_dynamic(self) -> bool:
-        """Whether forces do not move the body."""
-        return self.cfg.body_type != "dynamic"
 
     @property
     def body_data(self) -> RigidBodyData | None:
@@ -131,16 +115,6 @@ class RigidObject(BatchEntity):
         return torch.cat([self._data.pose, self._data.vel], dim=1)
 
     # -- velocity and force --------------------------------------------------------------------
-
-    def _dofs(self) -> slice | None:
-        start = self.entity.free_qvel_adr
-        return slice(start, start + 6) if start >= 0 else None
-
-    def _need_dynamic(self, what: str) -> slice:
-        dofs = self._dofs()
-        if dofs is None:
-            raise ValueError(f"{self.uid} is {self.cfg.body_type}: {what} needs body_type: dynamic")
-        return dofs
 
     def read_velocity(self) -> tuple[F64, F64]:
         """Linear and angular velocity, (N, 3) each, world axes; zeros unless dynamic."""
@@ -223,152 +197,10 @@ class RigidObject(BatchEntity):
         if self.engine.state("xfrc_applied")[:, 6 * body : 6 * body + 6].any():
             self.engine.write("xfrc_applied", 0.0, ids, slice(6 * body, 6 * body + 6))
 
-    # -- model fields per environment ------------------------------------------------------------
-
-    def model_values(self, field: str, columns: slice) -> NDArray[Any]:
-        """(N, k) per-environment values of a flattened model field; a copy."""
-        return self.engine.model_field(field)[:, columns].copy()
-
-    def _write_inertial(self, ids: NDArray[np.int64] | None, mass: F64, inertia: F64) -> None:
-        body = self.entity.root_body_id
-        engine = self.engine
-        engine.write_model("body_mass", mass[:, None], ids, slice(body, body + 1))
-        engine.write_model("body_inertia", inertia, ids, slice(3 * body, 3 * body + 3))
-        self._write_damping(ids, mass, inertia)
-        engine.set_const(ids)
-
-    def _write_damping(self, ids: NDArray[np.int64] | None, mass: F64, inertia: F64) -> None:
-        dofs = self._dofs()
-        if dofs is not None:
-            rate = self._damping if ids is None else self._damping[ids]
-            values = np.concatenate(
-                [np.repeat((rate[:, 0] * mass)[:, None], 3, 1), rate[:, 1:] * inertia], axis=1
-            )
-            self.engine.write_model("dof_damping", values, ids, dofs)
-
-    def _inertial(self, ids: NDArray[np.int64] | None) -> tuple[F64, F64]:
-        body = self.entity.root_body_id
-        mass = self.model_values("body_mass", slice(body, body + 1))[:, 0]
-        inertia = self.model_values("body_inertia", slice(3 * body, 3 * body + 3))
-        return (mass, inertia) if ids is None else (mass[ids], inertia[ids])
-
-    def get_mass(self, env_ids: Any = None) -> torch.Tensor:
-        """(n,) kg."""
-        return to_tensor(self._inertial(self._ids(env_ids)[0])[0])
-
-    def set_mass(self, mass: Any, env_ids: Any = None) -> None:
-        """Set the mass (n,) in kg; the inertia scales with it, so the body stays consistent.
-
-        Raises:
-            ValueError: If a mass is not positive.
-        """
-        self._need_dynamic("set_mass")
-        ids, rows = self._ids(env_ids)
-        new = as_rows(np.reshape(mass, (-1, 1)), rows, 1, f"{self.uid}: mass")[:, 0]
-        if (new <= 0).any():
-            raise ValueError(f"{self.uid}: mass must be positive, got {new.min()}")
-        old, inertia = self._inertial(ids)
-        self._write_inertial(ids, new, inertia * (new / old)[:, None])
-
-    def get_inertia(self, env_ids: Any = None) -> torch.Tensor:
-        """(n, 3) principal moments of inertia, kg m^2."""
-        return to_tensor(self._inertial(self._ids(env_ids)[0])[1])
-
-    def set_inertia(self, inertia: Any, env_ids: Any = None) -> None:
-        """Set the principal moments of inertia (n, 3) in kg m^2.
-
-        Raises:
-            ValueError: If a moment is not positive or the triangle inequality fails.
-        """
-        self._need_dynamic("set_inertia")
-        ids, rows = self._ids(env_ids)
-        new = as_rows(inertia, rows, 3, f"{self.uid}: inertia")
-        if (new <= 0).any() or (2 * new.max(axis=1) > new.sum(axis=1) + 1e-12).any():
-            raise ValueError(
-                f"{self.uid}: moments must be positive, the largest at most the sum "
-                "of the other two"
-            )
-        self._write_inertial(ids, self._inertial(ids)[0], new)
-
-    def get_damping(self, env_ids: Any = None) -> torch.Tensor:
-        """(n, 2) linear and angular damping, 1/s."""
-        ids, _ = self._ids(env_ids)
-        self.entity  # noqa: B018  (compiles, which fills the values)
-        return to_tensor(self._damping if ids is None else self._damping[ids])
-
-    def set_damping(self, damping: Any, env_ids: Any = None) -> None:
-        """Set linear and angular damping, (n, 2) in 1/s."""
-        self._need_dynamic("set_damping")
-        ids, rows = self._ids(env_ids)
-        self._damping[slice(None) if ids is None else ids] = as_rows(
-            damping, rows, 2, f"{self.uid}: damping"
-        )
-        self._write_damping(ids, *self._inertial(ids))
-
-    def get_friction(self, env_ids: Any = None) -> torch.Tensor:
-        """(n,) sliding friction coefficient."""
-        ids, _ = self._ids(env_ids)
-        geom = int(self.entity.geom_ids[0])
-        values = self.model_values("geom_friction", slice(3 * geom, 3 * geom + 1))[:, 0]
-        return to_tensor(values if ids is None else values[ids])
-
-    def set_friction(self, friction: Any, env_ids: Any = None) -> None:
-        """Set the sliding friction coefficient, (n,); a contact takes the larger of its two."""
-        ids, rows = self._ids(env_ids)
-        new = as_rows(np.reshape(friction, (-1, 1)), rows, 1, f"{self.uid}: friction")
-        if (new < 0).any():
-            raise ValueError(f"{self.uid}: friction must not be negative, got {new.min()}")
-        for geom in self.entity.geom_ids:
-            self.engine.write_model(
-                "geom_friction", new, ids, slice(3 * int(geom), 3 * int(geom) + 1)
-            )
-
-    def set_com_pose(self, com_pose: Any, env_ids: Any = None) -> None:
-        """Set the centre-of-mass frame in the body's frame, (n, 7)."""
-        self._need_dynamic("set_com_pose")
-        ids, rows = self._ids(env_ids)
-        pose = self._pose_rows(com_pose, rows)
-        body = self.entity.root_body_id
-        self.engine.write_model("body_ipos", pose[:, :3], ids, slice(3 * body, 3 * body + 3))
-        self.engine.write_model("body_iquat", pose[:, 3:], ids, slice(4 * body, 4 * body + 4))
-        self.engine.set_const(ids)
-
-    def enable_collision(self, enable: Any, env_ids: Any = None) -> None:
-        """Switch contacts on or off, (n,) booleans."""
-        ids, rows = self._ids(env_ids)
-        on = bool_rows(enable, rows, f"{self.uid}: enable").astype(np.float64)[:, None]
-        model, body = self.engine.model, self.entity.root_body_id
-        groups = [("geom", int(g)) for g in self.entity.geom_ids] + [("body", body)]
-        for kind, index in groups:
-            for field in ("contype", "conaffinity"):
-                name = f"{kind}_{field}"
-                value = int(getattr(model, name)[index])
-                self.engine.write_model(name, on * value, ids, slice(index, index + 1))
-
-    def get_body_scale(self, env_ids: Any = None) -> torch.Tensor:
-        """(n, 3) scale of the shape; the same in every environment."""
-        _, rows = self._ids(env_ids)
-        return to_tensor(np.tile(np.asarray(self.cfg.body_scale, np.float64), (rows, 1)))
-
-    def get_user_ids(self) -> torch.Tensor:
-        """(N,) id of the body in segmentation images: its MuJoCo body id."""
-        return torch.full((self.num_instances,), self.entity.root_body_id, dtype=torch.int32)
-
-    def set_visible(self, visible: bool = True) -> None:
-        """Draw the body or not, in pictures of every environment."""
-        for geom in self.entity.geom_ids:
-            column = slice(4 * int(geom) + 3, 4 * int(geom) + 4)
-            alpha = float(self.engine.model.geom_rgba[geom, 3]) if visible else 0.0
-            self.engine.write_model("geom_rgba", alpha, None, column)
-
     def reset(self, env_ids: Any = None) -> None:
         """Give the body its configured pose and no velocity."""
         self._sim.reset_objects_state(env_ids, only=(self.uid,))
 
-    set_body_scale = not_available(
-        "set_body_scale",
-        "shapes are compiled; randomization of primitives comes with its event terms",
-    )
     set_body_type = not_available("set_body_type", "the body type is compiled into the model")
     set_attrs = not_available("set_attrs", "use set_mass, set_friction, set_damping, set_inertia")
     set_collision_filter = not_available("set_collision_filter", "environments never share a world")

@@ -1,4 +1,4 @@
-"""Model fields that differ between environments: constants recomputed once, resets that stay exact."""
+"""Model fields that differ between environments: constants recomputed once, exact resets."""
 
 import mujoco
 import numpy as np

@@ -116,6 +116,37 @@ class EventManager(Manager[EventCfg]):
         self._drawn[what] = values
         return values
 
+    def draw_columns(
+        self,
+        columns: Mapping[str, slice],
+        low: F64,
+        high: F64,
+        env_ids: EnvIndex | None,
+        normal: bool = False,
+    ) -> F64:
+        """Draw several quantities at once, and have each logged under its name.
+
+        Args:
+            columns: Name -> its columns of the draw.
+            low: (k,) lower bounds.
+            high: (k,) upper bounds.
+            env_ids: (n,) environments that draw, or None for all.
+            normal: Normal instead of uniform numbers: the mean in the middle, the bounds at three
+                standard deviations, where the numbers are clipped.
+
+        Returns:
+            (n, k) float64. Do not write into it.
+        """
+        streams, shape = self.env.streams, (len(low),)
+        if normal:
+            values = streams.normal(self._stream, shape, env_ids)
+            values = np.clip(0.5 * (low + high) + (high - low) / 6.0 * values, low, high)
+        else:
+            values = streams.uniform(self._stream, shape, low, high, env_ids)
+        for name, where in columns.items():
+            self._drawn[name] = values[:, where]
+        return values
+
     def state_dict(self) -> dict[str, Any]:
         """Timers, and the state of terms that are classes (copies)."""
         timers = {i.term.name: i.left.copy() for i in self._intervals}
