@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import inspect
+import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +26,7 @@ def main(arguments: list[str]) -> int:
     """List what is asked for, as a table or as JSON."""
     parser = VerbParser(VERBS["list"])
     parser.add_argument("what", nargs="?", metavar="tasks|robots|terms")
+    parser.add_argument("--markdown", action="store_true", help="terms as the page docs/terms.md")
     add_common(parser, config_dir=True)
     options = parser.parse(arguments)
     lister = _LISTERS.get(options.what)
@@ -34,11 +35,23 @@ def main(arguments: list[str]) -> int:
             raise ConfigError(f"list what? One of: {', '.join(_LISTERS)}")
         hint = did_you_mean(options.what, _LISTERS)
         raise ConfigError(f"nothing called '{options.what}' to list.{hint} {', '.join(_LISTERS)}")
+    if options.markdown:
+        return _page(options)
     rows = lister(options)
     if options.json:
         print_json({options.what: rows})
     else:
         print_table(options.what, rows)
+    return exits.OK
+
+
+def _page(options: argparse.Namespace) -> int:
+    """The catalogue of terms, for people."""
+    if options.what != "terms" or options.json:
+        raise ConfigError("--markdown goes with `list terms`, without --json")
+    from embodichain.cli.catalogue import catalogue
+
+    sys.stdout.write(catalogue())
     return exits.OK
 
 
@@ -81,24 +94,20 @@ def _robots(options: argparse.Namespace) -> Rows:
 
 
 def _terms(options: argparse.Namespace) -> Rows:
-    from embodichain.lab.gym.envs.managers.registry import KINDS, TERMS
+    from embodichain.cli.term_entries import SECTION_OF, all_entries
 
+    entries = all_entries()
     return [
         {
             "kind": kind,
-            "name": name,
-            "params": ", ".join(_parameter(parameter) for parameter in spec.params.values()),
-            "what": (spec.doc.splitlines() or [""])[0],
+            "name": entry.name,
+            "params": entry.signature.removeprefix(entry.name)[1:-1],
+            "what": entry.doc.summary,
         }
-        for kind in KINDS
-        for name, spec in sorted(TERMS[kind].items())
+        for kind in SECTION_OF
+        for entry in entries
+        if kind in entry.kinds
     ]
-
-
-def _parameter(parameter: inspect.Parameter) -> str:
-    """``name`` where a value must be given, else ``name=default``."""
-    required = parameter.default is inspect.Parameter.empty
-    return parameter.name if required else f"{parameter.name}={parameter.default}"
 
 
 _LISTERS: dict[str, Callable[[argparse.Namespace], Rows]] = {

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import sys
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,9 +13,19 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-__all__ = ["console", "number", "print_facts", "print_table"]
+__all__ = ["console", "number", "print_facts", "print_table", "width"]
 
 _PIPE_WIDTH = 400  # nobody reads a pipe's margin: a table is never folded for grep
+
+
+def width() -> int:
+    """How many columns a line on stdout may have: the terminal's, or `COLUMNS`, where there is any.
+
+    A pipe without `COLUMNS` gets wide lines.
+    """
+    if sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit():
+        return shutil.get_terminal_size().columns
+    return _PIPE_WIDTH
 
 
 def console(*, stderr: bool = False) -> Console:
@@ -20,24 +33,61 @@ def console(*, stderr: bool = False) -> Console:
     from rich.console import Console
 
     stream = sys.stderr if stderr else sys.stdout
-    width = None if stream.isatty() else _PIPE_WIDTH
-    return Console(file=stream, width=width, highlight=False, markup=False)
+    columns = None if stream.isatty() else (_PIPE_WIDTH if stderr else width())
+    return Console(file=stream, width=columns, highlight=False, markup=False)
 
 
-def print_table(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Print one line a row under the keys of the first; says so when there is none."""
-    from rich import box
-    from rich.table import Table
+def print_table(title: str, rows: Sequence[Mapping[str, Any]], detail: str | None = None) -> None:
+    """Print one line a row under the keys of the first; says so when there is none.
 
+    Args:
+        title: Stands above.
+        rows: What each row holds; a key that is absent is a dash.
+        detail: A key whose long texts go below their rows where the table is wider than the screen.
+    """
     if not rows:
         sys.stdout.write(f"{title}: none\n\n")
         return
+    names = list(rows[0])
+    whole = _table(title, names, rows)
+    if detail not in names or _fits(whole):
+        _print(whole)
+        return
+    names.remove(detail)
+    lines = _lines(_table(title, names, rows))
+    first = 1 + next(i for i, line in enumerate(lines) if line.strip().startswith("─"))
+    body = [line for line in lines[first:] if line.strip()]
+    if len(body) != len(rows):  # a row needs several lines: nothing can go between
+        _print(whole)
+        return
+    details = (_indented(str(row.get(detail, ""))) for row in rows)
+    below = "".join(f"{line}\n{text}" for line, text in zip(body, details, strict=True))
+    sys.stdout.write("\n".join(lines[:first]) + f"\n{below}\n")
+
+
+def _table(title: str, names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> Table:
+    from rich import box
+    from rich.table import Table
+
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
-    for name in rows[0]:
+    for name in names:
         table.add_column(name, overflow="fold")
     for row in rows:
-        table.add_row(*(number(row.get(name)) for name in rows[0]))
-    _print(table)
+        table.add_row(*(number(row.get(name)) for name in names))
+    return table
+
+
+def _fits(table: Table) -> bool:
+    screen = console()
+    return screen.measure(table, options=screen.options.update(width=10_000)).maximum <= width()
+
+
+def _indented(text: str) -> str:
+    """Text on lines of its own below a row; nothing for nothing."""
+    fold = textwrap.TextWrapper(
+        width(), initial_indent="     ", subsequent_indent="       ", break_on_hyphens=False
+    )
+    return "".join(f"{line}\n" for line in fold.wrap(text))
 
 
 def print_facts(title: str, facts: Iterable[tuple[str, Any]]) -> None:
@@ -54,11 +104,15 @@ def print_facts(title: str, facts: Iterable[tuple[str, Any]]) -> None:
 
 
 def _print(table: Table) -> None:
-    """Print a table without the blanks that fill it up to its right edge."""
+    sys.stdout.write("\n".join(_lines(table)) + "\n")
+
+
+def _lines(table: Table) -> list[str]:
+    """A table's lines without the blanks that fill them up to the right edge."""
     screen = console()
     with screen.capture() as capture:
         screen.print(table)
-    sys.stdout.write("\n".join(line.rstrip() for line in capture.get().splitlines()) + "\n")
+    return [line.rstrip() for line in capture.get().splitlines()]
 
 
 def number(value: Any) -> str:

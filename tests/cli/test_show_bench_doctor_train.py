@@ -33,12 +33,45 @@ def test_show_tells_what_is_built(capsys: pytest.CaptureFixture[str]) -> None:
     spaces = {row["space"]: row for row in data["spaces"]}
     assert (spaces["action"]["shape"], spaces["action"]["low"]) == ("(6,)", -1.0)
     assert spaces["observation/to_goal"]["shape"] == "(3,)"
+    start = {row["joint"]: row for row in data["initial qpos"]}
+    assert start["Joint6"]["qpos"] == pytest.approx(-3.14159)
+    assert start["Joint3"]["upper"] == pytest.approx(3.14159, abs=1e-4)
+    poses = {row["entity"]: row for row in data["initial poses"]}
+    assert poses["ur10"]["position m"] == [0, 0, 1]
+    assert poses["goal"]["quaternion wxyz"] == [1, 0, 0, 0]
+    terms = {row["term"]: row for row in data["observations"]}
+    assert (terms["to_goal"]["shape"], terms["qvel"]["scale"]) == ("(3,)", 0.1)
+    assert data["actions"][0]["shape"] == "(6,)"
+    assert data["actions"][0]["params"] == "{entity_cfg: {uid: ur10}, scale: 0.6, clip: [-1, 1]}"
+    assert [row["moves"] for row in data["action vector"]][:2] == ["arm/Joint1", "arm/Joint2"]
     assert [row["term"] for row in data["rewards"]] == ["distance", "near"]
     assert [(row["columns"], row["entry"]) for row in data["observation vector"]] == [
         ("0:6", "qpos"),
         ("6:12", "qvel"),
         ("12:15", "to_goal"),
         ("15:21", "action"),
+    ]
+
+
+def test_tables_of_terms_fit_80_columns(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["show", "task=push_cube"]) == 0
+    text = capsys.readouterr().out.partition("\nspaces\n")[2]
+    assert [line for line in text.splitlines() if len(line) > 80] == []
+    rewards = text.partition("\nrewards\n")[2].partition("\nterminations\n")[0].splitlines()
+    assert [" ".join(line.split()) for line in rewards if line and "──" not in line] == [
+        "term func weight",  # `mode` is everywhere what it is anyway
+        "touch distance_between_objects 0.2",
+        "{source_entity_cfg: {uid: ur10, link_names: [ee_link]}, target_entity_cfg:",
+        "{uid: cube}, exponential: true, sigma: 0.1}",
+        "push distance_between_objects 1",
+        "{source_entity_cfg: {uid: cube}, target_entity_cfg: {uid: goal},",
+        "use_xy_only: true, exponential: true, sigma: 0.1}",
+        "there within_distance 0.5",
+        "{source_entity_cfg: {uid: cube}, target_entity_cfg: {uid: goal}, threshold:",
+        "0.05, use_xy_only: true}",
     ]
 
 

@@ -1,0 +1,110 @@
+"""What `show` says of a compiled scene: bodies, joints, actuators, and where everything starts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = ["model_tables"]
+
+Rows = list[dict[str, Any]]
+
+
+def model_tables(env: BaseEnv) -> dict[str, Rows]:
+    """Tables by title."""
+    model = env.sim.scene.model
+    return {
+        "bodies": _bodies(model),
+        "joints": _joints(model),
+        "actuators": _actuators(model),
+        "initial poses": _poses(env),
+        "initial qpos": _qpos(env),
+    }
+
+
+def _bodies(model: Any) -> Rows:
+    return [
+        {
+            "body": body.name,
+            "parent": model.body(int(model.body_parentid[body.id])).name,
+            "mass kg": float(model.body_mass[body.id]),
+            "geoms": int(model.body_geomnum[body.id]),
+            "moved by": _mover(model, body.id),
+        }
+        for body in map(model.body, range(1, model.nbody))
+    ]
+
+
+def _mover(model: Any, body: int) -> str:
+    if model.body_mocapid[body] >= 0:
+        return "code (mocap)"
+    first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+    names = (model.joint(first + i).name for i in range(count))
+    return ", ".join(names) or "its parent"
+
+
+def _joints(model: Any) -> Rows:
+    import mujoco
+
+    rows = []
+    for index in range(model.njnt):
+        dof = int(model.jnt_dofadr[index])
+        limited = bool(model.jnt_limited[index])
+        rows.append(
+            {
+                "joint": model.joint(index).name,
+                "type": mujoco.mjtJoint(int(model.jnt_type[index])).name.removeprefix("mjJNT_"),
+                "range": _floats(model.jnt_range[index]) if limited else "no limit",
+                "damping": float(model.dof_damping[dof]),
+                "armature": float(model.dof_armature[dof]),
+                "friction": float(model.dof_frictionloss[dof]),
+            }
+        )
+    return rows
+
+
+def _actuators(model: Any) -> Rows:
+    rows = []
+    for index in range(model.nu):
+        limited = bool(model.actuator_forcelimited[index])
+        rows.append(
+            {
+                "actuator": model.actuator(index).name,
+                "joint": model.joint(int(model.actuator_trnid[index, 0])).name,
+                "stiffness": float(model.actuator_gainprm[index, 0]),
+                "effort": _floats(model.actuator_forcerange[index]) if limited else "no limit",
+            }
+        )
+    return rows
+
+
+def _poses(env: BaseEnv) -> Rows:
+    """Where each entity's root is put at a reset, before reset events."""
+    return [
+        {"entity": uid, "position m": _floats(index.pos0), "quaternion wxyz": _floats(index.quat0)}
+        for uid, index in env.sim.scene.entities.items()
+    ]
+
+
+def _qpos(env: BaseEnv) -> Rows:
+    """Where each joint is put at a reset, before reset events."""
+    articulations = {**env.sim.robots, **env.sim.articulations}
+    return [
+        {
+            "entity": uid,
+            "joint": name,
+            "qpos": float(qpos),
+            "lower": float(low),
+            "upper": float(high),
+        }
+        for uid, asset in articulations.items()
+        for name, qpos, (low, high) in zip(
+            asset.parsed.joint_names, asset.parsed.init_qpos, asset.parsed.qpos_limits, strict=True
+        )
+    ]
+
+
+def _floats(values: Any) -> list[float]:
+    return [float(value) for value in values]

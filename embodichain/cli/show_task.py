@@ -1,0 +1,221 @@
+"""What `show` says of a built environment: timing, spaces, terms of each manager, flat vectors."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from typing import TYPE_CHECKING, Any, get_args, get_type_hints
+
+import numpy as np
+
+from embodichain.cli.show_model import model_tables
+
+if TYPE_CHECKING:
+    from embodichain.config.resolved import Resolved
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = ["DETAIL", "for_people", "task_tables"]
+
+Rows = list[dict[str, Any]]
+_SECTIONS = (
+    *("actions", "events", "commands", "observations", "rewards", "terminations", "metrics"),
+    "curriculum",
+)
+DETAIL = "params"
+"""The column whose texts may be long."""
+_ALWAYS = ("term", "func", "shape", "weight", "kind", "reduce", "group", DETAIL)
+
+
+def task_tables(resolved: Resolved) -> dict[str, Any]:
+    """Every table of a task's environment, by title; the environment is built and closed."""
+    from embodichain.config.factory import make_env
+    from embodichain.config.frozen import freeze
+
+    one = dataclasses.replace(resolved, tree=freeze({**resolved.tree, "num_envs": 1}))
+    env = make_env(one)
+    try:
+        return {
+            "timing": {**_timing(env), "environments": resolved.tree["num_envs"]},
+            **model_tables(env),
+            "spaces": _spaces(env),
+            "sensors": _sensors(env),
+            **{section: _terms(env, section) for section in _SECTIONS},
+            "action vector": _action_vector(env),
+            "observation vector": _observation_vector(env),
+        }
+    finally:
+        env.close()
+
+
+def for_people(section: str, rows: Rows) -> Rows:
+    """Rows without the columns of terms in which every value is the default.
+
+    Args:
+        section: The table's title.
+        rows: What it holds.
+    """
+    if section not in _SECTIONS:
+        return rows
+    defaults = _defaults(section)
+    names = list(dict.fromkeys(name for row in rows for name in row))
+    shown = [
+        name
+        for name in names
+        if name in _ALWAYS
+        or (section, name) == ("events", "mode")
+        or any(row.get(name) != defaults.get(name) for row in rows)
+    ]
+    rows = [{name: row.get(name) for name in shown if name != DETAIL} | _last(row) for row in rows]
+    for row in rows:
+        if "interval_step" in row and row.get("mode") != "interval":
+            row["interval_step"] = None
+    return rows
+
+
+def _last(row: dict[str, Any]) -> dict[str, Any]:
+    return {DETAIL: row[DETAIL]} if DETAIL in row else {}
+
+
+def _defaults(section: str) -> dict[str, Any]:
+    """Field -> default of what a section's terms are declared with."""
+    from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
+
+    hints = get_type_hints(EnvCfg)
+    term = get_args(hints[section])[1]
+    return vars(term()) if issubclass(term, TermCfg) else {}
+
+
+def _timing(env: BaseEnv) -> dict[str, Any]:
+    limit = env.max_episode_steps
+    endless = limit >= 2**31 - 1
+    return {
+        "physics step": f"{env.physics_dt:g} s",
+        "control step": f"{env.step_dt:g} s ({env.sim_steps_per_control} physics steps)",
+        "episode": "no limit" if endless else f"{limit} control steps = {limit * env.step_dt:g} s",
+        "seed": env.seed_value,
+    }
+
+
+def _spaces(env: BaseEnv) -> Rows:
+    rows: Rows = [{"space": "action", **_box(env.single_action_space)}]
+    for path, space in _leaves(env.single_observation_space):
+        rows.append({"space": f"observation/{path}", **_box(space)})
+    return rows
+
+
+def _box(space: Any) -> dict[str, Any]:
+    low, high = getattr(space, "low", None), getattr(space, "high", None)
+    return {
+        "shape": str(tuple(space.shape or ())),
+        "type": str(space.dtype),
+        "low": _bound(low),
+        "high": _bound(high),
+    }
+
+
+def _bound(values: Any) -> Any:
+    """One number where all are the same, else all."""
+    if values is None or not np.size(values):
+        return None
+    first = float(np.ravel(values)[0])
+    if not math.isfinite(first):
+        return str(first)
+    return first if np.all(values == first) else [float(value) for value in np.ravel(values)]
+
+
+def _leaves(space: Any, path: str = "") -> list[tuple[str, Any]]:
+    if not hasattr(space, "spaces"):
+        return [(path, space)]
+    inner = ((f"{path}/{key}" if path else key, child) for key, child in space.spaces.items())
+    return [leaf for where, child in inner for leaf in _leaves(child, where)]
+
+
+def _sensors(env: BaseEnv) -> Rows:
+    rows = []
+    for uid, cfg in env.cfg.sensors.items():
+        values = _set_fields(cfg)
+        values.pop("uid", None)
+        rows.append({"sensor": uid, "type": values.pop("sensor_type", ""), "params": _yaml(values)})
+    return rows
+
+
+def _terms(env: BaseEnv, section: str) -> Rows:
+    """The declared terms of one manager, in their order, with what they were given."""
+    cfgs = getattr(env.cfg, section)
+    shapes = _shapes(env, section)
+    rows = []
+    for name, cfg in cfgs.items():
+        values = {f.name: getattr(cfg, f.name) for f in dataclasses.fields(cfg)}
+        func, params = values.pop("func"), values.pop("params")
+        shape = {"shape": shapes[name]} if name in shapes else {}
+        rest = {key: value for key, value in values.items() if value is not None}
+        rows.append({"term": name, "func": _name(func), **shape, **rest, "params": _yaml(params)})
+    return rows
+
+
+def _name(func: Any) -> str:
+    return func if isinstance(func, str) else f"{func.__module__}:{func.__qualname__}"
+
+
+def _shapes(env: BaseEnv, section: str) -> dict[str, str]:
+    """What one environment has of each term: the shape of its entry, the width of its slice."""
+    if section == "actions":
+        slices = env.action_manager.slices
+        return {name: f"({columns.stop - columns.start},)" for name, columns in slices.items()}
+    if section == "observations":
+        shapes = {path: str(space.shape) for path, space in _leaves(env.single_observation_space)}
+        terms = env.cfg.observations.items()
+        return {name: shapes[cfg.name or name] for name, cfg in terms}
+    if section == "commands" and env.cfg.commands:
+        values = env.command_manager.values
+        return {name: str(values(name).shape[1:]) for name in env.cfg.commands}
+    return {}
+
+
+def _set_fields(cfg: Any) -> dict[str, Any]:
+    """A config as the fields of it that were set."""
+    if isinstance(cfg, dict):
+        return dict(cfg)
+    values = {f.name: getattr(cfg, f.name) for f in dataclasses.fields(cfg)}
+    return {key: item for key, item in values.items() if item not in (None, False, "")}
+
+
+def _yaml(value: Any) -> str:
+    """Parameters as YAML would write them, on one line; nothing for none."""
+    if isinstance(value, dict) and not value:
+        return ""
+    return _flow(value)
+
+
+def _flow(value: Any) -> str:
+    if dataclasses.is_dataclass(value):
+        return _flow(_set_fields(value))
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key}: {_flow(item)}" for key, item in value.items()) + "}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(map(_flow, value)) + "]"
+    return value if isinstance(value, str) else json.dumps(value, default=str)
+
+
+def _action_vector(env: BaseEnv) -> Rows:
+    """What each column of the action moves."""
+    manager = env.action_manager
+    columns = zip(manager.names, manager.low, manager.high, strict=True)
+    return [
+        {"column": index, "moves": name, "low": float(low), "high": float(high)}
+        for index, (name, low, high) in enumerate(columns)
+    ]
+
+
+def _observation_vector(env: BaseEnv) -> Rows:
+    """Which columns of a group's flattened vector hold which entry."""
+    widths = {path: math.prod(s.shape) for path, s in _leaves(env.single_observation_space)}
+    rows: Rows = []
+    for group in env.observation_manager.groups:
+        start = 0
+        for entry in env.observation_manager.group_terms(group):
+            stop = start + widths[entry]
+            rows.append({"group": group, "columns": f"{start}:{stop}", "entry": entry})
+            start = stop
+    return rows
