@@ -156,7 +156,7 @@ class BaseEnv(EnvOutcome):
         stay[ids] = False
         partial = len(ids) < count
         saved = self.streams.state_dict() if partial else None
-        obs = self._observe(options)
+        obs = self._observe(options, ids if partial else None)
         flat = memory.flatten(obs)
         if saved is not None:
             seeding.rewind(self.streams, saved, stay)
@@ -173,12 +173,13 @@ class BaseEnv(EnvOutcome):
         """Advance all environments by one control step (K physics steps).
 
         In this order: `_preprocess_action`; action terms, then `_step_action`; physics;
-        `_update_sim_state`, then interval events, then commands; the observation (robot, sensors, `_extend_obs`,
-        observation terms); info (`evaluate`, terminations, metrics); rewards (`get_reward`, reward
-        terms, `_extend_reward`); `_postprocess_action`; counters; who is terminated or truncated;
-        `_hook_after_sim_step`. With SAME_STEP, environments that are done are then reset in place,
-        and the observation returned is their new one. With NEXT_STEP that happens in the next
-        step, which gives them reward 0. With DISABLED it is the caller's business.
+        `_update_sim_state`, interval events, commands; the observation (robot, sensors,
+        `_extend_obs`, observation terms); info (`evaluate`, terminations, metrics); rewards
+        (`get_reward`, reward terms, `_extend_reward`); `_postprocess_action`; counters; who is
+        terminated or truncated; `_hook_after_sim_step`. With SAME_STEP, environments that are done
+        are then reset in place, and the observation returned is their new one. With NEXT_STEP that
+        happens in the next step, which gives them reward 0. With DISABLED it is the caller's
+        business.
 
         Poses, velocities and sensors are those after the last physics step and all writes; efforts
         and contact forces (``qf``) are those within the last physics step.
@@ -216,7 +217,7 @@ class BaseEnv(EnvOutcome):
             self.event_manager.step(stepped)
         if self._has_commands:
             self.command_manager.step(stepped)
-        obs = self._observe(kwargs)
+        obs = self._observe(kwargs, stepped)
         info, flags = self._judge(obs, seen, kwargs)
         reward = self._reward(obs, seen, info)
         seen = self._postprocess_action(seen)

@@ -101,7 +101,7 @@ def test_wrong_shapes_name_the_term(make, func, part) -> None:
 
 
 def test_a_scale_of_another_width_names_the_term(make) -> None:
-    with pytest.raises(ValueError, match="'a': scale has 3 values"):
+    with pytest.raises(ConfigError, match=r"observations\.a\.scale: has 3 values"):
         make(observations={"a": term(1.0, scale=[1.0, 2.0, 3.0])})
 
 
