@@ -235,7 +235,8 @@ class EnvBasics(EnvHooks, gym.Env[EnvObs, EnvAction]):
         unknown = [uid for uid in uids if uid not in self.sim.asset_uids]
         if unknown:
             raise ValueError(f"no entities {unknown}; there are: {self.sim.asset_uids}")
-        self._detached_uids_for_reset += uids
+        known = self._detached_uids_for_reset
+        known += [uid for uid in dict.fromkeys(uids) if uid not in known]
 
     @property
     def flattened_observation_space(self) -> gym.spaces.Box:

@@ -15,6 +15,7 @@ __all__ = [
     "Angle",
     "Axes6",
     "Bounds",
+    "Box2",
     "Box3",
     "Fraction",
     "NonNegative",
@@ -33,6 +34,7 @@ UnitInterval = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 Angle = Annotated[float, Field(gt=0, le=math.pi, allow_inf_nan=False)]
 """Radians in (0, pi]."""
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Vec2 = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 Vec3 = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 
 
@@ -61,6 +63,8 @@ Range = Annotated[
 """[low, high]."""
 Bounds = Annotated[Sequence[float], Field(min_length=2, max_length=2), AfterValidator(_bounds)]
 """[low, high]; either may be infinite (``.inf`` in YAML)."""
+Box2 = Annotated[list[Vec2], Field(min_length=2, max_length=2), AfterValidator(_ordered)]
+"""[[x, y] low, [x, y] high]."""
 Box3 = Annotated[list[Vec3], Field(min_length=2, max_length=2), AfterValidator(_ordered)]
 """[[x, y, z] low, [x, y, z] high]."""
 Axes6 = dict[Literal["x", "y", "z", "roll", "pitch", "yaw"], Range]

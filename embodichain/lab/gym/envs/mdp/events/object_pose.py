@@ -1,10 +1,12 @@
-"""Events that place objects."""
+"""Events that place whole entities: objects, and roots of robots."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from pydantic import Field
 
 from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Box3
@@ -19,7 +21,9 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
-__all__ = ["RandomizeRigidObjectPose"]
+__all__ = ["RandomizeArticulationRootPose", "RandomizeRigidObjectPose"]
+
+Steps = Annotated[int, Field(ge=-1)]
 
 
 @register_term("event", name="randomize_rigid_object_pose")
@@ -40,7 +44,12 @@ class RandomizeRigidObjectPose(Term):
             frame; False takes it as the orientation.
         relative_to: An entity, or a link of one, that the draw is added to instead, where it stands
             at that moment; its orientation does not matter.
-    """
+        physics_update_step: Physics steps that these environments take afterwards, so that what
+            was placed can touch down; -1 or 0 takes none.
+
+    Example:
+        ``{func: randomize_rigid_object_pose, mode: reset, params: {entity_cfg: {uid: cube}, position_range: [[-0.1, -0.1, 0], [0.1, 0.1, 0]], rotation_range: [[0, 0, -180], [0, 0, 180]]}}``
+    """  # noqa: E501  (an example is one line)
 
     def __init__(
         self,
@@ -51,15 +60,14 @@ class RandomizeRigidObjectPose(Term):
         relative_position: bool = True,
         relative_rotation: bool = False,
         relative_to: ResolvedEntity | None = None,
+        physics_update_step: Steps = -1,
     ) -> None:
-        if not hasattr(entity_cfg.asset, "is_non_dynamic"):
-            message = f"{entity_cfg.uid!r} is not a rigid object"
-            raise ConfigError([Problem("entity_cfg.uid", message)])
+        self._asset = asset = entity_cfg.asset
+        self._stop = self._stopper(entity_cfg)
+        self._steps = physics_update_step
         if relative_to is not None and not relative_position:
             message = "relative_to needs relative_position: true"
             raise ConfigError([Problem("relative_position", message)])
-        self._asset = asset = entity_cfg.asset
-        self._stop = None if asset.is_non_dynamic else asset.stop
         index = asset.entity
         count = env.num_envs
         base = np.asarray(index.pos0, np.float64)
@@ -76,6 +84,15 @@ class RandomizeRigidObjectPose(Term):
             low, high = (np.deg2rad(np.asarray(row, np.float64)) for row in rotation_range)
             self._turn = (constant(low), constant(high))
         self._relative_rotation = relative_rotation
+
+    def _stopper(self, entity: ResolvedEntity) -> Callable[[EnvIndex | None], None] | None:
+        """What stops the entity, None if it cannot move by itself; refuses the wrong kind."""
+        asset = entity.asset
+        if not hasattr(asset, "is_non_dynamic"):
+            message = f"{entity.uid!r} is not a rigid object"
+            raise ConfigError([Problem("entity_cfg.uid", message)])
+        stop: Callable[[EnvIndex | None], None] = asset.stop
+        return None if asset.is_non_dynamic else stop
 
     def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
         """Draw and write the poses of these environments."""
@@ -95,6 +112,8 @@ class RandomizeRigidObjectPose(Term):
         self._asset.write_pose(pos, quat, env_ids)
         if self._stop is not None:
             self._stop(env_ids)
+        if self._steps > 0:
+            self._asset.engine.step(self._steps, env_ids)
 
     def _orientation(self, count: int, env_ids: EnvIndex | None) -> F64 | None:
         """The initial orientations; None if they stand already and a write would be recorded."""
@@ -104,3 +123,33 @@ class RandomizeRigidObjectPose(Term):
             if ((now if env_ids is None else now[env_ids]) == wanted).all():
                 return None
         return wanted
+
+
+@register_term("event", name="randomize_articulation_root_pose")
+class RandomizeArticulationRootPose(RandomizeRigidObjectPose):
+    """Places the root of a robot or another articulation at random; its joints stop moving.
+
+    As `randomize_rigid_object_pose`, for articulations: joint positions stay. EmbodiChain's event
+    of the same name.
+
+    Args:
+        entity_cfg: The robot or articulation.
+        position_range: [[x, y, z] low, [x, y, z] high] in metres; None draws no position.
+        rotation_range: The same for Euler angles in **degrees**, intrinsic XYZ (R = Rx Ry Rz).
+        relative_position: True adds the draw to the initial position (or to `relative_to`), False
+            takes it as the position in the environment's frame.
+        relative_rotation: True turns the initial orientation by the draw, in the root's own frame;
+            False takes it as the orientation.
+        relative_to: An entity, or a link of one, that the draw is added to instead.
+        physics_update_step: Physics steps that these environments take afterwards.
+
+    Example:
+        ``{func: randomize_articulation_root_pose, mode: reset, params: {entity_cfg: {uid: ur10}, position_range: [[-0.05, -0.05, 0], [0.05, 0.05, 0]]}}``
+    """  # noqa: E501  (an example is one line)
+
+    def _stopper(self, entity: ResolvedEntity) -> Callable[[EnvIndex | None], None] | None:
+        if not hasattr(entity.asset, "parsed"):
+            message = f"{entity.uid!r} is not a robot or articulation"
+            raise ConfigError([Problem("entity_cfg.uid", message)])
+        stop: Callable[[EnvIndex | None], None] = entity.asset.clear_dynamics
+        return stop

@@ -1,0 +1,178 @@
+"""`Chain`: where a link is, and how it moves with the joints above it, without the simulation.
+
+Forward kinematics on numpy rows, one row an environment, from the compiled model's constants. Like
+everything that terms compute, a row's result does not depend on the other rows: elementwise
+arithmetic in a fixed order, no matrix library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.utils.math import quat_to_matrix
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.base import F64
+
+__all__ = ["Chain", "Posture", "apply", "links_below", "matmul"]
+
+_SLIDE, _HINGE = 2, 3  # mjtJoint
+
+
+def matmul(a: F64, b: F64) -> F64:
+    """Products of 3x3 matrices, (..., 3, 3), summed from the first column on."""
+    out: F64 = (
+        a[..., :, 0:1] * b[..., 0:1, :]
+        + a[..., :, 1:2] * b[..., 1:2, :]
+        + a[..., :, 2:3] * b[..., 2:3, :]
+    )
+    return out
+
+
+def apply(a: F64, v: F64) -> F64:
+    """Matrices (..., 3, 3) times vectors (..., 3)."""
+    out: F64 = a[..., :, 0] * v[..., 0:1] + a[..., :, 1] * v[..., 1:2] + a[..., :, 2] * v[..., 2:3]
+    return out
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """One joint of the chain, constants only.
+
+    Attributes:
+        offset, turn: Pose of its body in the frame before it, (3,) and (3, 3).
+        axis: (3,) in the body's frame.
+        anchor: (3,) in the body's frame.
+        slides: Whether it is prismatic.
+        column: Its index among the articulation's joints.
+        zero: Its position in the model's reference posture.
+        cross, square: K and K^2 of Rodrigues' formula R = I + sin(t) K + (1 - cos(t)) K^2.
+    """
+
+    offset: F64
+    turn: F64
+    axis: F64
+    anchor: F64
+    slides: bool
+    column: int
+    zero: float
+    cross: F64
+    square: F64
+
+
+@dataclass(frozen=True)
+class Posture:
+    """Where a chain's link is.
+
+    Attributes:
+        pos: (n, 3) metres, environment's frame.
+        mat: (n, 3, 3) its axes as columns.
+        anchors: Of each joint of the chain, (n, 3).
+        axes: Of each joint of the chain, (n, 3).
+    """
+
+    pos: F64
+    mat: F64
+    anchors: list[F64]
+    axes: list[F64]
+
+
+class Chain:
+    """The joints between an articulation's root and one of its links.
+
+    Args:
+        asset: Handle of the articulation, its scene compiled.
+        body: MuJoCo body id of the link.
+
+    Attributes:
+        columns: (K,) the joints, as indices among the articulation's, from the root on.
+        slides: (K,) which of them are prismatic.
+    """
+
+    def __init__(self, asset: Any, body: int) -> None:
+        model, index = asset.engine.model, asset.entity
+        addresses = {int(a): d for d, a in enumerate(np.asarray(index.qpos_adr))}
+        path: list[int] = []
+        while body != index.root_body_id:
+            path.append(body)
+            body = int(model.body_parentid[body])
+        self._joints: list[_Joint] = []
+        offset, turn = np.zeros(3), np.eye(3)
+        for body in reversed(path):
+            offset = offset + apply(turn, model.body_pos[body])
+            turn = matmul(turn, quat_to_matrix(model.body_quat[body]))
+            first = int(model.body_jntadr[body])
+            for joint in range(first, first + int(model.body_jntnum[body])):
+                self._joints.append(_constants(model, joint, addresses, offset, turn))
+                offset, turn = np.zeros(3), np.eye(3)
+        self._tail = offset, turn
+        self.columns: NDArray[np.int64] = np.array([j.column for j in self._joints], np.int64)
+        self.slides: NDArray[np.bool_] = np.array([j.slides for j in self._joints], np.bool_)
+
+    def posture(self, root_pos: F64, root_mat: F64, qpos: F64) -> Posture:
+        """Where the link is.
+
+        Args:
+            root_pos: (n, 3) of the articulation's root.
+            root_mat: (n, 3, 3).
+            qpos: (n, D) all joints of the articulation, rad or m.
+        """
+        pos, mat = root_pos, root_mat
+        anchors: list[F64] = []
+        axes: list[F64] = []
+        for joint in self._joints:
+            pos = pos + apply(mat, joint.offset)
+            mat = matmul(mat, joint.turn)
+            anchor = pos + apply(mat, joint.anchor)
+            anchors.append(anchor)
+            axes.append(apply(mat, joint.axis))
+            # Contiguous: numpy may round a strided transcendental function differently.
+            moved = np.ascontiguousarray(qpos[:, joint.column]) - joint.zero
+            if joint.slides:
+                pos = pos + axes[-1] * moved[:, None]
+                continue
+            sin, cos = np.sin(moved)[:, None, None], np.cos(moved)[:, None, None]
+            mat = matmul(mat, np.eye(3) + sin * joint.cross + (1.0 - cos) * joint.square)
+            pos = anchor - apply(mat, joint.anchor)
+        offset, turn = self._tail
+        return Posture(pos + apply(mat, offset), matmul(mat, turn), anchors, axes)
+
+
+def _constants(model: Any, joint: int, addresses: dict[int, int], offset: F64, turn: F64) -> _Joint:
+    kind, address = int(model.jnt_type[joint]), int(model.jnt_qposadr[joint])
+    if kind not in (_SLIDE, _HINGE) or address not in addresses:
+        raise ValueError("a chain may hold hinge and slide joints only")
+    x, y, z = axis = np.array(model.jnt_axis[joint], np.float64)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return _Joint(
+        offset=offset,
+        turn=turn,
+        axis=axis,
+        anchor=np.array(model.jnt_pos[joint], np.float64),
+        slides=kind == _SLIDE,
+        column=addresses[address],
+        zero=float(model.qpos0[address]),
+        cross=cross,
+        square=matmul(cross, cross),
+    )
+
+
+def links_below(asset: Any, joints: Sequence[int]) -> list[int]:
+    """Links that all the given joints move, as indices; those farthest from the root only."""
+    model, index = asset.engine.model, asset.entity
+    movers = {int(model.dof_bodyid[d]) for d in np.asarray(index.dof_adr)[list(joints)]}
+    found: list[tuple[int, int]] = []
+    for link, body in enumerate(np.asarray(index.body_ids)):
+        above, here = set(), int(body)
+        while here != 0:
+            above.add(here)
+            here = int(model.body_parentid[here])
+        if movers <= above:
+            found.append((len(above), link))
+    deepest = max((depth for depth, _ in found), default=0)
+    return [link for depth, link in found if depth == deepest]

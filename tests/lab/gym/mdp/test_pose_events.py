@@ -1,0 +1,237 @@
+"""Where roots, tools and targets are put, against MuJoCo's own kinematics and what was drawn."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from embodichain.lab.gym.envs.cfg import EventCfg
+from embodichain.lab.gym.envs.mdp._ik import solve
+from embodichain.lab.gym.envs.mdp._kinematics import Chain
+from embodichain.lab.gym.envs.mdp.events.eef_pose import reach_of
+from embodichain.utils.errors import ConfigError
+from embodichain.utils.math import quat_to_matrix
+from tests.helpers.ur10_task import CUBE_POS, HOME
+from tests.lab.gym.mdp.test_events import build, poses
+
+BOX = [[-0.1, -0.2, 0.1], [0.1, 0.2, 0.3]]
+ARM = {"entity_cfg": {"uid": "ur10"}}
+TOOL = {"entity_cfg": {"uid": "ur10", "link_names": ["ee_link"]}}
+
+
+def event(func: str, mode: str = "reset", **params) -> EventCfg:
+    return EventCfg(func=func, mode=mode, params=params)
+
+
+def tool(env) -> tuple[np.ndarray, np.ndarray]:
+    engine, body = env.sim.engine, env.robot.body_of("ee_link")
+    return engine.derived("xpos")[:, body].copy(), engine.derived("xquat")[:, body].copy()
+
+
+def rotation(quat: np.ndarray) -> Rotation:
+    return Rotation.from_quat(quat, scalar_first=True)
+
+
+def test_a_robots_root_moves_with_its_links(make) -> None:
+    plain = make()
+    plain.reset()
+    env, drawn = build(
+        make,
+        event(
+            "randomize_articulation_root_pose",
+            **ARM,
+            position_range=BOX,
+            rotation_range=[[0, 0, 90], [0, 0, 90]],
+        ),
+    )
+    pos, quat = poses(env, "ur10")
+    assert np.allclose(pos, drawn.last["position"]) and np.allclose(pos[:, 2], 1, atol=0.31)
+    assert np.allclose(rotation(quat).as_euler("xyz", degrees=True), [0, 0, 90], atol=1e-9)
+    home = tool(plain)[0] - poses(plain, "ur10")[0]
+    turned = np.stack([-home[:, 1], home[:, 0], home[:, 2]], axis=1)
+    assert np.allclose(tool(env)[0] - pos, turned, atol=1e-9)
+    for _ in range(50):
+        env.reset()
+    offset = poses(env, "ur10")[0] - [0, 0, 1]
+    assert (offset >= np.array(BOX[0]) - 1e-12).all() and (offset <= BOX[1]).all()
+
+
+def test_physics_may_run_after_placing(make) -> None:
+    params = {"entity_cfg": {"uid": "cube"}, "position_range": [[0, 0, 1], [0, 0, 1]]}
+    env = make(events={"e": event("randomize_rigid_object_pose", **params, physics_update_step=10)})
+    env.reset()
+    # Free fall for 10 steps of 0.01 s, velocity first, damping 0.7/s: within 5 % of g t^2 / 2.
+    fallen = CUBE_POS[2] + 1 - poses(env, "cube")[0][:, 2]
+    assert np.allclose(fallen, 9.81 * 0.01**2 * 55, rtol=0.05)
+    before = env.sim.engine.rows[[0, 2]].copy()
+    env.reset(options={"reset_ids": [1]})
+    assert np.array_equal(env.sim.engine.rows[[0, 2]], before)
+
+
+def test_forward_kinematics_are_mujocos(make) -> None:
+    spread = event("randomize_robot_qpos", **ARM, qpos_range=[-2.0, 2.0])
+    root = event("randomize_articulation_root_pose", **ARM, rotation_range=[[-99] * 3, [99] * 3])
+    env = make(events={"q": spread, "r": root}, num_envs=16)
+    env.reset()
+    robot, body = env.robot, env.robot.body_of("ee_link")
+    pos, quat = robot.read_pose()
+    chain = Chain(robot, body)
+    now = chain.posture(pos, quat_to_matrix(quat), robot.read_qpos())
+    found_pos, found_quat = tool(env)
+    assert np.allclose(now.pos, found_pos, atol=1e-12)
+    assert np.allclose(now.mat, quat_to_matrix(found_quat), atol=1e-12)
+    model = env.sim.engine.model
+    for name in ("xanchor", "xaxis"):
+        mine = now.anchors if name == "xanchor" else now.axes
+        joints = [model.joint(f"ur10/{j}").id for j in robot.joint_names]
+        theirs = env.sim.engine.derived(name)[:, joints]
+        assert np.allclose(np.stack(mine, axis=1), theirs, atol=1e-12), name
+
+
+def test_inverse_kinematics_find_reachable_poses(make) -> None:
+    spread = event("randomize_robot_qpos", **ARM, qpos_range=[-0.6, 0.6])
+    env = make(events={"q": spread}, num_envs=64)
+    env.reset()
+    reach = reach_of(env.scene_entity(TOOL["entity_cfg"]))
+    pos, quat = env.robot.read_pose()
+    frame = pos, quat_to_matrix(quat)
+    aim = reach.chain.posture(*frame, env.robot.read_qpos())
+    start = np.tile(HOME, (64, 1))
+    found, solved = solve(reach, *frame, start, aim.pos, aim.mat)
+    assert solved.mean() > 0.95
+    reached = reach.chain.posture(*frame, found)
+    assert np.linalg.norm(reached.pos - aim.pos, axis=1)[solved].max() < 5e-4
+    alone, ok = solve(reach, *(f[5:6] for f in frame), start[:1], aim.pos[5:6], aim.mat[5:6])
+    assert ok[0] == solved[5] and np.array_equal(alone[0], found[5])
+    free, solved = solve(reach, *frame, start, aim.pos, None)
+    assert solved.all()
+
+
+def test_the_tool_is_moved_and_turned_by_the_draw(make) -> None:
+    plain = make(num_envs=32)
+    plain.reset()
+    env, drawn = build(
+        make,
+        event(
+            "randomize_robot_eef_pose",
+            **TOOL,
+            position_range=[[-0.1] * 3, [0.1] * 3],
+            rotation_range=[[-20] * 3, [20] * 3],
+        ),
+        num_envs=32,
+    )
+    (pos, quat), (pos0, quat0) = tool(env), tool(plain)
+    assert np.abs(pos - pos0 - drawn.last["position"]).max() < 5e-4
+    wanted = rotation(quat0) * Rotation.from_euler("XYZ", drawn.last["rotation"])
+    assert (wanted.inv() * rotation(quat)).magnitude().max() < 5e-4
+    assert np.array_equal(env.robot.drives.read_target_qpos(), env.robot.read_qpos())
+    size = np.ptp(pos - pos0, axis=0)
+    assert (size > 0.17).all() and (size < 0.2).all()
+
+
+def test_out_of_reach_keeps_the_joints(make) -> None:
+    far = [[3.0, 0, 0], [3.0, 0, 0]]
+    env, _ = build(make, event("randomize_robot_eef_pose", **TOOL, position_range=far))
+    assert np.array_equal(env.robot.read_qpos(), np.tile(HOME, (3, 1)))
+
+
+def test_without_a_link_the_tool_is_the_farthest_one(make) -> None:
+    env = make()
+    reach = reach_of(env.scene_entity(ARM["entity_cfg"]))
+    assert list(reach.chain.columns) == [0, 1, 2, 3, 4, 5]
+    wrist = {"uid": "ur10", "joint_names": "Joint[56]", "link_names": "wrist_3_link"}
+    assert list(reach_of(env.scene_entity(wrist)).moving) == [False] * 4 + [True] * 2
+
+
+def test_targets_are_matrices_on_the_environment(make) -> None:
+    what = event("randomize_target_pose", position_range=BOX, store_key="goal_pose")
+    env, drawn = build(make, what)
+    assert env.goal_pose.dtype == torch.float32
+    expected = np.tile(np.eye(4), (3, 1, 1))
+    expected[:, :3, 3] = drawn.last["position"]
+    assert np.allclose(env.goal_pose.numpy(), expected, atol=1e-7)
+    kept = env.goal_pose
+    copy = kept.clone()
+    env.reset(options={"reset_ids": [1]})
+    assert torch.equal(kept, copy), "a tensor that was handed out changed"
+    assert torch.equal(env.goal_pose[[0, 2]], copy[[0, 2]])
+    assert not torch.equal(env.goal_pose[1], copy[1])
+
+
+def test_targets_near_an_entity(make) -> None:
+    what = event(
+        "randomize_target_pose",
+        position_range=[[0, 0, 0.2], [0, 0, 0.2]],
+        rotation_range=[[0, 0, 30], [0, 0, 30]],
+        relative_position=True,
+        relative_rotation=True,
+        reference_entity_cfg={"uid": "cube"},
+    )
+    env, _ = build(make, what)
+    pose = env.target_pose[0].numpy()
+    assert np.allclose(pose[:3, 3], np.add(CUBE_POS, [0, 0, 0.2]), atol=1e-6)
+    angle = np.degrees(np.arctan2(pose[1, 0], pose[0, 0]))
+    assert abs(angle - 120) < 1e-4  # the cube starts at 90 degrees
+
+
+def test_targets_are_uniform_over_the_box(make) -> None:
+    what = event("randomize_target_pose", position_range=BOX)
+    env, _ = build(make, what, num_envs=256)
+    found = env.target_pose[:, :3, 3].numpy()
+    size = np.subtract(BOX[1], BOX[0])
+    assert (found >= np.float32(BOX[0])).all() and (found <= np.float32(BOX[1])).all()
+    assert (np.abs(found.mean(0) - np.mean(BOX, 0)) < 4 * size / np.sqrt(12 * 256)).all()
+
+
+def test_a_restored_environment_has_its_targets(make) -> None:
+    env, _ = build(make, event("randomize_target_pose", position_range=BOX))
+    saved, first = env.state_dict(), env.target_pose.clone()
+    env.reset()
+    assert not torch.equal(env.target_pose, first)
+    env.load_state_dict(saved)
+    assert torch.equal(env.target_pose, first)
+
+
+@pytest.mark.parametrize(
+    ("what", "part"),
+    [
+        (
+            event("randomize_articulation_root_pose", entity_cfg={"uid": "cube"}),
+            "'cube' is not a robot",
+        ),
+        (
+            event("randomize_rigid_object_pose", **ARM, physics_update_step=-2),
+            "greater than or equal to -1",
+        ),
+        (
+            event("randomize_robot_eef_pose", entity_cfg={"uid": "cube"}),
+            "'cube' has no joints",
+        ),
+        (
+            event(
+                "randomize_robot_eef_pose",
+                entity_cfg={"uid": "ur10", "link_names": ["wrist.*"]},
+            ),
+            "name one link as the tool",
+        ),
+        (
+            event(
+                "randomize_robot_eef_pose",
+                entity_cfg={"uid": "ur10", "joint_names": "Joint6", "link_names": "forearm_link"},
+            ),
+            "none of the picked joints moves 'forearm_link'",
+        ),
+        (
+            event("randomize_target_pose", position_range=BOX, relative_position=True),
+            "needs reference_entity_cfg",
+        ),
+        (
+            event("randomize_target_pose", position_range=BOX, store_key="sim"),
+            "taken by the environment",
+        ),
+    ],
+)
+def test_wrong_parameters(make, what, part) -> None:
+    with pytest.raises(ConfigError) as caught:
+        make(events={"e": what})
+    assert part in str(caught.value)
