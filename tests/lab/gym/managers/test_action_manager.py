@@ -92,7 +92,7 @@ def test_relative_holds_at_zero(make) -> None:
 @pytest.mark.parametrize(
     ("term", "path", "part"),
     [
-        (arm(scale=1.0), "actions.arm.params.scale", "unknown parameter"),
+        (arm(scael=1.0), "actions.arm.params.scael", "unknown parameter"),
         (
             arm("default_offset_joint_position", scale=[1.0, 2.0]),
             "actions.arm.params.scale",
@@ -104,7 +104,11 @@ def test_relative_holds_at_zero(make) -> None:
             "actions.arm.params.clip",
             "low 1.0 exceeds high -1.0",
         ),
-        (arm("default_offset_joint_position", clip=[1, 1]), "actions.arm", "low < high"),
+        (
+            arm("default_offset_joint_position", clip=[1, 1]),
+            "actions.arm.params.clip",
+            "low 1.0 equals high 1.0",
+        ),
         (
             ActionTermCfg(func="joint_position", params={"entity_cfg": {"uid": "cube"}}),
             "actions.arm.params.entity_cfg.uid",

@@ -58,6 +58,10 @@ LEADING: dict[Kind | Literal["policy"], tuple[str, ...]] = {
 """What is passed first to a function of each kind. A class's `__init__` gets `env` (for policies,
 which are described here too but are no terms: nothing)."""
 
+_EEF_LATER = (
+    "end-effector actions come with the IK solvers, in a later version; until then act on joints: "
+    "default_offset_joint_position, relative_joint_position or joint_position_to_limits"
+)
 T = TypeVar("T", bound=Callable[..., Any])
 _BUILTIN = "embodichain.lab.gym.envs.mdp"
 _PACKAGES = (
@@ -250,6 +254,8 @@ def resolve_term(
     elsewhere = [other for other in KINDS if func in TERMS[other]]
     if elsewhere:
         raise ConfigError(f"{func!r} is a term of kind {', '.join(elsewhere)}, not {kind}")
+    if kind == "action" and "eef" in func.lower():
+        raise ConfigError(f"{func!r} is not available yet: {_EEF_LATER}")
     names = ", ".join(sorted(TERMS[kind]))
     raise ConfigError(
         f"unknown {kind} term {func!r}; allowed: {names}, or package.module:function."

@@ -1,18 +1,21 @@
-"""Built-in action terms: joint positions, absolute, around the initial ones, and relative."""
+"""Actions that set joint position targets: absolute, around the initial ones, relative, to limits.
+
+End-effector actions (a pose of the tool, absolute or relative) are not here: they need an IK solver
+and will stand beside this module as ``eef_pose.py``.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Literal
 
-import lazy_loader
 import numpy as np
-from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.action_manager import ActionTerm
 from embodichain.lab.gym.envs.managers.param_types import Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.utils.bounds import joint_bounds
+from embodichain.lab.gym.envs.mdp.actions._joint_term import AffineJointTerm
+from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint
+from embodichain.lab.gym.utils.bounds import finite_limits
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -20,163 +23,193 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.engine.base import F64
-else:
-    torch = lazy_loader.load("torch")
 
-__all__ = ["DefaultOffsetJointPosition", "JointPosition", "RelativeJointPosition"]
+__all__ = [
+    "DefaultOffsetJointPosition",
+    "JointPosition",
+    "JointPositionToLimits",
+    "RelativeJointPosition",
+]
 
 
-class _JointPositionTerm(ActionTerm):
-    """What the three have in common: the joints, and writing drive targets.
+class _Targets(AffineJointTerm):
+    """A value that is the drives' position target as it is."""
 
-    The drives clamp targets to the joints' limits.
-    """
+    def apply(self, action: torch.Tensor) -> None:
+        """Write the targets of (N, A) actions, rad or m."""
+        self._write_targets(self._value(action))
 
-    def __init__(self, entity: ResolvedEntity) -> None:
-        asset = entity.asset
-        if not hasattr(asset, "parsed"):
-            raise ConfigError([Problem("entity_cfg.uid", f"{entity.uid!r} has no joints")])
-        if not entity.joint_ids:
-            raise ConfigError([Problem("entity_cfg", f"{entity.uid!r} has no active joint")])
-        actuators = np.asarray(asset.entity.actuator_ids)[list(entity.joint_ids)]
-        undriven = [n for n, a in zip(entity.joint_names, actuators, strict=True) if a < 0]
-        if undriven:
-            message = f"joints {undriven} have no drive (drive_type none, or they mimic another)"
-            raise ConfigError([Problem("entity_cfg", message)])
-        self.names = entity.joint_names
-        self._asset = asset
-        self._ids: NDArray[np.int64] = np.asarray(entity.joint_ids, np.int64)
-        self._joints = None if entity.all_joints else self._ids
-        self._default: F64 = np.asarray(asset.parsed.init_qpos, np.float64)[self._ids]
+    def home(self) -> F64:
+        """(A,) the action that goes to the initial position, within the bounds."""
+        return self._action_for(self._default)
 
-    def _write(self, target: Any) -> None:
-        self._asset.write_target(target, self._joints)
-
-    def _targets(self) -> F64:
-        """(N, A) current drive targets."""
-        targets: F64 = self._asset.drives.read_target_qpos()[:, self._ids]
-        return targets
+    def hold(self) -> F64:
+        """(N, A) the action that keeps the present targets, within the bounds."""
+        return self._action_for(self._targets())
 
 
 @register_term("action", name="joint_position")
-class JointPosition(_JointPositionTerm):
-    """Absolute joint position targets: target = action.
+class JointPosition(_Targets):
+    """Absolute joint position targets: target = offset + scale x clamp(action, clip).
 
-    The bounds are the joints' limits (for a joint without limits, +-2 pi). Isaac Lab's
-    JointPositionAction without scale and offset; EmbodiChain's QposTerm.
+    Isaac Lab's JointPositionAction with ``use_default_offset: false``; EmbodiChain's QposTerm. The
+    drives clamp targets to the joints' limits.
+
+    Example:
+        ``{func: joint_position, params: {entity_cfg: {uid: ur10}}}``
 
     Args:
         entity_cfg: The robot; its joint names or control parts pick joints.
+        scale: rad or m per unit of action: a number, one a joint, or {joint regex: number}.
+        offset: rad or m, likewise.
+        clip: Bounds of the action: [low, high], pairs one a joint, or {joint regex: [low, high]}.
+            Without it they are the joints' limits, seen through scale and offset (for a joint
+            without limits those of +-2 pi).
     """
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
-        super().__init__(entity_cfg)
-        low, high = joint_bounds(self._asset.parsed.qpos_limits, self._ids)
-        self.low: NDArray[np.float32] = low
-        self.high: NDArray[np.float32] = high
-
-    def apply(self, action: torch.Tensor) -> None:
-        """Write (N, A) rad or m as the drives' targets."""
-        self._write(action.numpy())
-
-    def home(self) -> F64:
-        """(A,) the action that goes to the initial position."""
-        return self._default
-
-    def hold(self) -> F64:
-        """(N, A) the action that keeps the present targets."""
-        return self._targets()
+    def __init__(
+        self,
+        env: BaseEnv,
+        entity_cfg: ResolvedEntity,
+        scale: PerJoint = 1.0,
+        offset: PerJoint = 0.0,
+        clip: JointClip | None = None,
+    ) -> None:
+        super().__init__(entity_cfg, scale, offset, clip, limits=_limits(entity_cfg))
 
 
 @register_term("action", name="default_offset_joint_position")
-class DefaultOffsetJointPosition(_JointPositionTerm):
-    """Joint position targets around the initial position.
+class DefaultOffsetJointPosition(_Targets):
+    """Joint position targets around the initial position, for learners.
 
     target = init_qpos + offset + scale x clamp(action, clip), computed in float64; the bounds are
-    `clip`. EmbodiChain 0.3's joint_position.default_offset contract.
+    `clip`. EmbodiChain 0.3's joint_position.default_offset contract; Isaac Lab's
+    JointPositionAction with ``use_default_offset: true``.
+
+    Example:
+        ``{func: default_offset_joint_position, params: {entity_cfg: {uid: ur10}, scale: 0.6}}``
 
     Args:
         entity_cfg: The robot; its joint names or control parts pick joints.
-        scale: rad or m per unit of action; one value, or one a joint.
-        clip: [low, high] of the action.
-        offset: rad or m; one value, or one a joint.
+        scale: rad or m per unit of action: a number, one a joint, or {joint regex: number}.
+        clip: Bounds of the action: [low, high], pairs one a joint, or {joint regex: [low, high]}.
+        offset: rad or m, as `scale`.
     """
 
     def __init__(
         self,
         env: BaseEnv,
         entity_cfg: ResolvedEntity,
-        scale: float | list[float] = 1.0,
-        clip: Range = (-1.0, 1.0),
-        offset: float | list[float] = 0.0,
+        scale: PerJoint = 1.0,
+        clip: JointClip = (-1.0, 1.0),  # type: ignore[assignment]
+        offset: PerJoint = 0.0,
     ) -> None:
-        super().__init__(entity_cfg)
-        count = len(self._ids)
-        self._scale = _values(scale, count, "scale")
-        if (self._scale == 0).any():
-            raise ConfigError([Problem("scale", "must not be 0")])
-        self._centre: F64 = self._default + _values(offset, count, "offset")
-        self._clip = (float(clip[0]), float(clip[1]))
-        self.low: NDArray[np.float32] = np.full(count, clip[0], np.float32)
-        self.high: NDArray[np.float32] = np.full(count, clip[1], np.float32)
-
-    def apply(self, action: torch.Tensor) -> None:
-        """Write targets for (N, A) actions."""
-        low, high = self._clip
-        clamped = np.minimum(np.maximum(action.numpy(), low), high)
-        self._write(self._centre + self._scale * clamped)
-
-    def home(self) -> F64:
-        """(A,) the action that goes to the initial position, as far as `clip` allows."""
-        found: F64 = np.clip((self._default - self._centre) / self._scale, *self._clip)
-        return found
-
-    def hold(self) -> F64:
-        """(N, A) the action that keeps the present targets, as far as `clip` allows."""
-        found: F64 = np.clip((self._targets() - self._centre) / self._scale, *self._clip)
-        return found
+        parsed = getattr(entity_cfg.asset, "parsed", None)
+        ids = list(entity_cfg.joint_ids)
+        home = 0.0 if parsed is None else np.asarray(parsed.init_qpos, np.float64)[ids]
+        super().__init__(entity_cfg, scale, offset, clip, centre=home)
 
 
 @register_term("action", name="relative_joint_position")
-class RelativeJointPosition(_JointPositionTerm):
+class RelativeJointPosition(AffineJointTerm):
     """Joint position targets relative to where the joints are now.
 
-    target = qpos + scale x clamp(action, clip), once a control step. EmbodiChain's DeltaQposTerm,
-    which works on any choice of joints here.
+    target = reference + offset + scale x clamp(action, clip), taken once a control step.
+    EmbodiChain's DeltaQposTerm, which works on any choice of joints here, and Isaac Lab's
+    RelativeJointPositionAction, except that Isaac Lab adds to the position anew in every physics
+    step within the control step.
+
+    Example:
+        ``{func: relative_joint_position, params: {entity_cfg: {uid: ur10}, scale: 0.05}}``
 
     Args:
         entity_cfg: The robot; its joint names or control parts pick joints.
-        scale: rad or m per unit of action; one value, or one a joint.
-        clip: [low, high] of the action.
+        scale: rad or m per unit of action: a number, one a joint, or {joint regex: number}.
+        clip: Bounds of the action: [low, high], pairs one a joint, or {joint regex: [low, high]}.
+        offset: rad or m, as `scale`.
+        reference: ``qpos`` adds to the measured position; ``target`` to the previous target, so
+            that nothing sags under gravity.
     """
 
     def __init__(
         self,
         env: BaseEnv,
         entity_cfg: ResolvedEntity,
-        scale: float | list[float] = 1.0,
-        clip: Range = (-1.0, 1.0),
+        scale: PerJoint = 1.0,
+        clip: JointClip = (-1.0, 1.0),  # type: ignore[assignment]
+        offset: PerJoint = 0.0,
+        reference: Literal["qpos", "target"] = "qpos",
     ) -> None:
-        super().__init__(entity_cfg)
-        count = len(self._ids)
-        self._scale = _values(scale, count, "scale")
-        self._clip = (float(clip[0]), float(clip[1]))
-        self.low: NDArray[np.float32] = np.full(count, clip[0], np.float32)
-        self.high: NDArray[np.float32] = np.full(count, clip[1], np.float32)
+        super().__init__(entity_cfg, scale, offset, clip)
+        self._reference = self._qpos if reference == "qpos" else self._targets
 
     def apply(self, action: torch.Tensor) -> None:
         """Write targets for (N, A) actions."""
-        low, high = self._clip
-        clamped = np.minimum(np.maximum(action.numpy(), low), high)
-        self._write(self._asset.read_qpos()[:, self._ids] + self._scale * clamped)
+        self._write_targets(self._reference() + self._value(action))
+
+    def home(self) -> F64:
+        """(A,) the action that moves nothing: where the initial state is depends on where it is."""
+        return self._action_for(0.0)
 
 
-def _values(value: float | list[float], count: int, name: str) -> F64:
-    """(count,) float64 of one value or one a joint."""
-    array = np.asarray(value, np.float64)
-    if array.ndim and array.shape != (count,):
-        message = f"needs one value or {count}, one a joint; got {array.shape[0]}"
-        raise ConfigError([Problem(name, message)])
-    if not np.isfinite(array).all():
-        raise ConfigError([Problem(name, f"must be finite, got {value}")])
-    return np.broadcast_to(array, (count,)).copy()
+@register_term("action", name="joint_position_to_limits")
+class JointPositionToLimits(AffineJointTerm):
+    """Joint position targets over the joints' whole range.
+
+    With u = clamp(offset + scale x clamp(action, clip), range), target = low + (high - low) x
+    (u - range[0]) / (range[1] - range[0]), low and high the joint's limits (+-2 pi without limits).
+    EmbodiChain's QposDenormalizedTerm; Isaac Lab's JointPositionToLimitsAction.
+
+    Example:
+        ``{func: joint_position_to_limits, params: {entity_cfg: {uid: ur10}, range: [-1, 1]}}``
+
+    Args:
+        entity_cfg: The robot; its joint names or control parts pick joints.
+        scale: Of the action, before it is mapped: a number, one a joint, or {joint regex: number}.
+        range: [low, high]: what is mapped to the joints' limits.
+        offset: Of the action, as `scale`.
+        clip: Bounds of the action: [low, high], pairs one a joint, or {joint regex: [low, high]}.
+            Without it they are those that `range` asks for.
+    """
+
+    def __init__(
+        self,
+        env: BaseEnv,
+        entity_cfg: ResolvedEntity,
+        scale: PerJoint = 1.0,
+        range: Range = (-1.0, 1.0),
+        offset: PerJoint = 0.0,
+        clip: JointClip | None = None,
+    ) -> None:
+        if range[0] == range[1]:
+            raise ConfigError([Problem("range", f"low equals high in {list(range)}")])
+        count = len(entity_cfg.joint_ids)
+        ends = tuple(np.full(count, float(end)) for end in range)
+        super().__init__(entity_cfg, scale, offset, clip, limits=(ends[0], ends[1]))
+        self._start, self._end = ends
+        self._joint_low, high = _limits(entity_cfg)
+        self._slope: F64 = (high - self._joint_low) / (self._end - self._start)
+
+    def apply(self, action: torch.Tensor) -> None:
+        """Write the targets of (N, A) actions, rad or m."""
+        value = np.minimum(np.maximum(self._value(action), self._start), self._end)
+        self._write_targets(self._joint_low + (value - self._start) * self._slope)
+
+    def _action_at(self, position: F64) -> F64:
+        return self._action_for(self._start + (position - self._joint_low) / self._slope)
+
+    def home(self) -> F64:
+        """(A,) the action that goes to the initial position, within the bounds."""
+        return self._action_at(self._default)
+
+    def hold(self) -> F64:
+        """(N, A) the action that keeps the present targets, within the bounds."""
+        return self._action_at(self._targets())
+
+
+def _limits(entity: ResolvedEntity) -> tuple[F64, F64]:
+    """Low and high, (A,) each, finite; empty for an entity without joints, which is refused."""
+    parsed = getattr(entity.asset, "parsed", None)
+    if parsed is None:
+        return np.zeros(0), np.zeros(0)
+    return finite_limits(parsed.qpos_limits, entity.joint_ids)

@@ -1,0 +1,137 @@
+"""Parameters with one value a joint: a number, a list, or a map from joint regexes.
+
+Their types check the form when a config is read; `per_joint` and `joint_clip` spread them over the
+joints when a term is built. No torch here.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import PlainValidator
+
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.base import F64
+
+__all__ = ["JointClip", "PerJoint", "joint_clip", "per_joint"]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _numbers(value: Any) -> Any:
+    parts = (
+        value.values()
+        if isinstance(value, Mapping)
+        else value
+        if isinstance(value, (list, tuple))
+        else [value]
+    )
+    if not parts or not all(map(_is_number, parts)):
+        raise ValueError("wants a finite number, a list of one a joint, or {joint regex: number}")
+    return value
+
+
+def _interval(value: Any) -> tuple[float, float]:
+    """[low, high], or a number c for [-c, c]."""
+    if _is_number(value):
+        value = (-value, value)
+    if not (isinstance(value, (list, tuple)) and len(value) == 2 and all(map(_is_number, value))):
+        raise ValueError(
+            "wants [low, high] or one number for both sides, a list of such pairs (one a joint), "
+            "or {joint regex: [low, high]}"
+        )
+    low, high = map(float, value)
+    if low >= high:
+        relation = "equals" if low == high else "exceeds"
+        raise ValueError(f"low {low} {relation} high {high}")
+    return low, high
+
+
+def _intervals(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {pattern: _interval(one) for pattern, one in value.items()}
+    if isinstance(value, (list, tuple)) and any(isinstance(v, (list, tuple)) for v in value):
+        return [_interval(one) for one in value]
+    return _interval(value)
+
+
+PerJoint = Annotated[float | list[float] | dict[str, float], PlainValidator(_numbers)]
+"""A number for all joints, a list of one a joint, or {joint regex: number}."""
+JointClip = Annotated[
+    float | list[float] | list[list[float]] | dict[str, list[float]], PlainValidator(_intervals)
+]
+"""[low, high] (or c for [-c, c]) for all joints, a list of such pairs, or {joint regex: pair}."""
+
+
+def per_joint(value: Any, names: Sequence[str], path: str, default: float | None = None) -> F64:
+    """Spread a `PerJoint` over joints.
+
+    Args:
+        value: As declared.
+        names: The A joints.
+        path: Key path of the parameter, for messages.
+        default: What joints get that no regex of a map matches; None demands that all match.
+
+    Returns:
+        (A,) float64.
+
+    Raises:
+        ConfigError: If a list is not one a joint; if a regex matches no joint, or one that another
+            regex matches as well; or if a joint is left without a value. Lists the joints.
+    """
+    return _spread(value, names, path, () if default is None else (default,), False)[:, 0]
+
+
+def joint_clip(value: Any, names: Sequence[str], path: str) -> tuple[F64, F64]:
+    """Low and high, (A,) each, of a `JointClip`; raises as `per_joint`, without a default."""
+    low, high = _spread(_intervals(value), names, path, (), True).T.copy()
+    return low, high
+
+
+def _spread(value: Any, names: Sequence[str], path: str, default: Any, paired: bool) -> F64:
+    """(A, width) one row a joint."""
+    count, width = len(names), 2 if paired else 1
+    if isinstance(value, Mapping):
+        rows = _matched(value, names, path)
+        missing = [name for name in names if name not in rows]
+        if missing and not default:
+            problem = Problem(path, f"says nothing about joints: {', '.join(missing)}")
+            raise ConfigError([problem])
+        value = [rows.get(name, default[0] if default else None) for name in names]
+    elif not isinstance(value, (list, tuple)) or (paired and isinstance(value, tuple)):
+        value = [value] * count
+    if len(value) != count:
+        message = f"needs one value or {count}, one a joint; got {len(value)}"
+        raise ConfigError([Problem(path, message)])
+    found: F64 = np.asarray(value, np.float64).reshape(count, width)
+    return found
+
+
+def _matched(value: Mapping[str, Any], names: Sequence[str], path: str) -> dict[str, Any]:
+    """Joint -> value of the one regex that matches it in full."""
+    found: dict[str, Any] = {}
+    source: dict[str, str] = {}
+    for pattern, one in value.items():
+        where = f"{path}.{pattern}"
+        try:
+            hits = [name for name in names if re.fullmatch(pattern, name)]
+        except re.error as error:
+            raise ConfigError([Problem(where, f"malformed regex: {error}")]) from error
+        if not hits:
+            message = f"no joint of this term matches {pattern!r}; there are: {', '.join(names)}"
+            raise ConfigError([Problem(where, message, did_you_mean(pattern, names).strip())])
+        for name in hits:
+            if name in source:
+                message = f"joint {name!r} is matched by {source[name]!r} as well"
+                raise ConfigError([Problem(where, message)])
+            source[name], found[name] = pattern, one
+    return found
