@@ -256,7 +256,7 @@ BAD = {
         "command line: task.sensors.touch.agianst: unknown key; allowed: sensor_type, uid, "
         "entity_cfg, observe, against. Did you mean 'against'?",
         "command line: task.sensors.touch.entity_cfg.uid: no entity is called 'bal'; there are: "
-        "ur10, ball. Did you mean 'ball'?",
+        "arm, ball, box. Did you mean 'ball'?",
         overrides=(
             "+task.sensors.cam={sensor_type: Camera, width: 64}",
             "+task.sensors.touch={sensor_type: contact, entity_cfg: {uid: bal}, agianst: {}}",

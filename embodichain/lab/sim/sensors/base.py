@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
@@ -71,6 +72,12 @@ class BaseSensor:
     def device(self) -> torch.device:
         """Where tensors handed out live."""
         return self._sim.device
+
+    @property
+    def body_ids(self) -> NDArray[np.int64]:
+        """(n,) MuJoCo's bodies of the links it sits on."""
+        model = self.engine.model
+        return np.array([model.body(name).id for name in self.plan.bodies], np.int64)
 
     def destroy(self) -> None:
         """Drop the handle's hold on the engine."""
