@@ -1,0 +1,163 @@
+"""Events that wait for objects to come to rest, and that detach entities from resets."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from embodichain.lab.gym.envs.managers.base import Term
+from embodichain.lab.gym.envs.managers.param_types import Positive
+from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.mdp._root_state import read_root_velocity
+from embodichain.lab.gym.envs.mdp._spatial import norm
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.sim.engine.base import F64, EnvIndex
+
+__all__ = ["WaitForDynamicObjectsToSettle", "set_detached_uids_for_env_reset"]
+
+logger = logging.getLogger(__name__)
+
+Count = Annotated[int, Field(ge=1)]
+
+
+@register_term("event")
+def set_detached_uids_for_env_reset(
+    env: BaseEnv, env_ids: EnvIndex | None, uids: list[str]
+) -> None:
+    """From now on resets leave these entities where they are: EmbodiChain's event of this name.
+
+    Args:
+        env: The environment.
+        env_ids: Unused: it holds for all environments.
+        uids: The entities.
+
+    Raises:
+        ValueError: If an entity does not exist; lists those that do.
+
+    Example:
+        ``{func: set_detached_uids_for_env_reset, mode: startup, params: {uids: [goal]}}``
+    """
+    env.add_detached_uids_for_reset(uids)
+
+
+@register_term("event", name="wait_for_dynamic_objects_to_settle")
+class WaitForDynamicObjectsToSettle(Term):
+    """Steps physics until dynamic objects are at rest, each environment for as long as it needs.
+
+    An environment rests when the speeds of all objects were at most the thresholds in
+    `required_stable_checks` checks in a row. Environments that rest, and those that the event does
+    not concern, are not stepped. The step counts of episodes do not advance. EmbodiChain's event of
+    the same name; there all environments are stepped, which is why it asks for
+    `allow_partial_envs`.
+
+    Args:
+        entity_cfgs: Dynamic objects, or articulations (their links' speeds are looked at); None is
+            all of them but robots.
+        linear_velocity_threshold: m/s.
+        angular_velocity_threshold: rad/s.
+        min_steps: Physics steps before the first check.
+        max_steps: Physics steps at most.
+        check_interval_steps: Physics steps between checks.
+        required_stable_checks: Checks in a row.
+        timeout_behavior: What happens if an environment does not come to rest: `warn` says so in
+            the log, `raise` raises `TimeoutError`.
+        allow_partial_envs: Accepted; partial resets always work here.
+
+    Example:
+        ``{func: wait_for_dynamic_objects_to_settle, mode: reset, params: {entity_cfgs: [{uid: cube}], max_steps: 120}}``
+    """  # noqa: E501  (an example is one line)
+
+    def __init__(
+        self,
+        env: BaseEnv,
+        entity_cfgs: list[ResolvedEntity] | None = None,
+        linear_velocity_threshold: Positive = 0.03,
+        angular_velocity_threshold: Positive = 0.2,
+        min_steps: Annotated[int, Field(ge=0)] = 10,
+        max_steps: Count = 240,
+        check_interval_steps: Count = 2,
+        required_stable_checks: Count = 3,
+        timeout_behavior: Literal["warn", "raise"] = "warn",
+        allow_partial_envs: bool = True,
+    ) -> None:
+        if entity_cfgs is None:
+            handles = [o for o in env.sim.rigid_objects.values() if not o.is_non_dynamic]
+            self._assets: list[Any] = [*handles, *env.sim.articulations.values()]
+        else:
+            self._assets = [_settling(e, i) for i, e in enumerate(entity_cfgs)]
+        if not self._assets:
+            message = "there is nothing to wait for: no dynamic object and no articulation"
+            raise ConfigError([Problem("entity_cfgs", message)])
+        if max_steps < min_steps:
+            message = f"is less than min_steps, {min_steps}: got {max_steps}"
+            raise ConfigError([Problem("max_steps", message)])
+        self._linear, self._angular = linear_velocity_threshold, angular_velocity_threshold
+        self._min, self._max, self._every = min_steps, max_steps, check_interval_steps
+        self._needed = required_stable_checks
+        self._raises = timeout_behavior == "raise"
+
+    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+        """Step these environments until they rest."""
+        engine = env.sim.engine
+        ids: EnvIndex = np.arange(env.num_envs) if env_ids is None else env_ids
+        stable: NDArray[np.int64] = np.zeros(len(ids), np.int64)
+        steps = self._min
+        if steps:
+            engine.step(steps, ids)
+        while True:
+            stable = np.where(self._rests()[ids], stable + 1, 0)
+            waiting = stable < self._needed
+            ids, stable = ids[waiting], stable[waiting]
+            if not len(ids) or steps >= self._max:
+                break
+            now = min(self._every, self._max - steps)
+            engine.step(now, ids)
+            steps += now
+        if len(ids):
+            self._complain(ids)
+
+    def _complain(self, ids: EnvIndex) -> None:
+        names = ", ".join(asset.uid for asset in self._assets)
+        message = (
+            f"{names} did not come to rest within {self._max} physics steps in environments "
+            f"{ids[:8].tolist()}{'...' if len(ids) > 8 else ''}"
+        )
+        if self._raises:
+            raise TimeoutError(message)
+        logger.warning(message)
+
+    def _rests(self) -> NDArray[np.bool_]:
+        """(N,) whether every object is slow enough now."""
+        rests: NDArray[np.bool_] | None = None
+        for asset in self._assets:
+            for velocity in _velocities(asset):
+                slow = (norm(velocity[:, :3]) <= self._linear) & (
+                    norm(velocity[:, 3:]) <= self._angular
+                )
+                rests = slow if rests is None else rests & slow
+        if rests is None:
+            raise RuntimeError("an articulation without links cannot be waited for")
+        return rests
+
+
+def _settling(entity: ResolvedEntity, number: int) -> Any:
+    if getattr(entity.asset, "is_non_dynamic", False):
+        message = f"{entity.uid!r} is not dynamic: it never moves by itself"
+        raise ConfigError([Problem(f"entity_cfgs.{number}.uid", message)])
+    return entity.asset
+
+
+def _velocities(asset: Any) -> list[F64]:
+    """(N, 6) linear and angular velocities, of the object or of each link."""
+    if not hasattr(asset, "parsed"):
+        return [read_root_velocity(asset)]
+    bodies = asset.entity.body_ids
+    return [asset.link_velocity(int(body)).numpy().astype(np.float64) for body in bodies]
