@@ -105,7 +105,7 @@ class Joints:
     def _need(self, limited: bool, what: str) -> None:
         if not limited:
             names = ", ".join(self.names)
-            message = f"no joint picked of {self.uid!r} has a {what} limit: {names}"
+            message = f"none of the joints picked of {self.uid!r} has limits of {what}: {names}"
             raise ConfigError([Problem("entity_cfg", message)])
 
 
