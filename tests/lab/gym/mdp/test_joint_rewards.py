@@ -64,7 +64,7 @@ def test_wrong_joints(make, params, part) -> None:
 
 
 def test_joint_deviation(scene) -> None:
-    bend(scene, np.array(HOME) + [0.1, -0.2, 0, 0, 0, 0.3])
+    bend(scene, np.add(HOME, [0.1, -0.2, 0, 0, 0, 0.3]))
     assert reward(scene, "joint_deviation_l1", **ARM) == pytest.approx([0.6] * 3)
     assert reward(scene, "joint_deviation_l1", **FIRST) == pytest.approx([0.3] * 3)
 
