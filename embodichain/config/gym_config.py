@@ -61,8 +61,8 @@ def load_gym_config(path: str | Path) -> GymConfig:
         converted.name or file.stem,
         converted.task,
         ConfigFile(file, "task", _placed(converted.task, (), converted, root)),
-        tuple(map(located, converted.notes)),
-        tuple(map(located, converted.problems)),
+        tuple(sorted(map(located, converted.notes), key=_line)),
+        tuple(sorted(map(located, converted.problems), key=_line)),
     )
 
 
@@ -70,6 +70,11 @@ def override_of(path: str) -> str:
     """Return the override that means ``--gym-config PATH``, quoted for Hydra's grammar."""
     quoted = path.replace("\\", "\\\\").replace("'", "\\'")
     return f"gym_config='{quoted}'"
+
+
+def _line(problem: LocatedProblem) -> int:
+    line = problem.source.rpartition(":")[2]
+    return int(line) if line.isdigit() else 0
 
 
 def _nodes(file: Path) -> yaml.Node | None:

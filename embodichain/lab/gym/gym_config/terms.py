@@ -5,6 +5,7 @@ Which terms exist is asked of the registry; that parameters fit is checked with 
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from typing import Any, Literal
 
@@ -36,8 +37,8 @@ _JOINTS = {
 }
 """Parameters that pick a robot's joints -> the key of an `entity_cfg` that does."""
 _EVERY_JOINT = "actions have only these; robot/qpos, robot/qvel and robot/qf have every joint"
-_NEUTRAL: Mapping[str, Any] = {"scale": 1.0, "offset": 0.0, "range": [-1, 1]}
-"""Values of action parameters that change nothing, for terms that lack the parameter."""
+_CLIPPED_THERE = ("default_offset_joint_position",)
+"""Terms whose actions EmbodiChain clamps too, to the same bounds."""
 
 
 def convert_terms(draft: Draft, section: str, data: Any, robot: str) -> None:
@@ -144,6 +145,8 @@ def _with_entity(
     if spec is None or "entity_cfg" not in spec.params or "entity_cfg" in params:
         return params
     picked = {k: params[k] for k in (*_JOINTS, "robot_uid") if k in params and k not in spec.params}
+    if not picked and spec.params["entity_cfg"].default is not inspect.Parameter.empty:
+        return params
     rest = {k: v for k, v in params.items() if k not in picked}
     wanted = {_JOINTS[k]: v for k, v in picked.items() if k in _JOINTS and v is not None}
     uid = picked.get("robot_uid", entity["uid"])
@@ -161,15 +164,9 @@ def _action_params(
     params = _params(draft, functor, source)
     if spec is None:
         return params
-    params = {
-        key: value
-        for key, value in params.items()
-        if key in spec.params or key not in _NEUTRAL or value != _NEUTRAL[key]
-    }
     clip = spec.params.get("clip")
-    if spec.name == "relative_joint_position" and clip is not None and "clip" not in params:
-        bounds = clip.default
-        if bounds is not None:
-            params["clip"] = list(bounds)
-            draft.note(source, f"actions are clamped to {list(bounds)}: set clip for other bounds")
+    bounds = None if clip is None or "clip" in params else clip.default
+    if isinstance(bounds, tuple) and spec.name not in _CLIPPED_THERE:
+        params["clip"] = list(bounds)
+        draft.note(source, f"actions are clamped to {list(bounds)}: set clip for other bounds")
     return _with_entity(params, spec, entity)

@@ -1,0 +1,149 @@
+"""`convert` and `run --gym-config`, as people use them: in processes of their own."""
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from subprocess import CompletedProcess
+
+import pytest
+import yaml
+
+from embodichain.cli import main
+
+CONFIGS = Path(__file__).parents[1] / "helpers" / "gym_configs"
+Run = Callable[..., CompletedProcess[str]]
+REPORT = """\
+left out, or read otherwise (2):
+  gym.yaml:6: rigid_object.0.attrs.restitution: MuJoCo has no restitution coefficient
+  gym.yaml:8: sensor.0: cameras are not available yet
+"""
+SMALL = """\
+id: EmbodiedEnv-v1
+rigid_object:
+  - uid: ball
+    shape: {shape_type: Sphere, radius: 0.1}
+    attrs:
+      restitution: 0.5
+sensor:
+  - {sensor_type: Camera, uid: cam}
+env: {sim_steps_per_control: 2}
+"""
+TASK = """\
+# Converted from gym.yaml by `embodichain convert`.
+# Left out, or read otherwise:
+#   rigid_object.0.attrs.restitution: MuJoCo has no restitution coefficient
+#   sensor.0: cameras are not available yet
+description: EmbodiChain's task EmbodiedEnv-v1.
+sim_steps_per_control: 2
+objects:
+  ball:
+    shape: {shape_type: Sphere, radius: 0.1}
+"""
+
+
+@pytest.mark.parametrize("name", ["push.yaml", "cart_pole.json", "everything.yaml"])
+def test_convert_validate_run(name: str, embodichain: Run, tmp_path: Path) -> None:
+    source = shutil.copy(CONFIGS / name, tmp_path)
+    before = Path(source).read_bytes()
+    converted = embodichain("convert", name, "-o", "conf/task/mine.yaml", cwd=tmp_path)
+    assert converted.returncode == 0, converted.stderr
+    assert "still wrong" not in converted.stderr
+    checked = embodichain("validate", "conf/task/mine.yaml", cwd=tmp_path)
+    assert (checked.returncode, checked.stdout) == (0, "conf/task/mine.yaml: ok\n"), checked.stderr
+    values = ("num_envs=2", "max_steps=5", "seed=1", "record=none", "--json")
+    ours = embodichain("run", "task=mine", *values, cwd=tmp_path)
+    theirs = embodichain("run", "--gym-config", name, *values, cwd=tmp_path)
+    results = []
+    for done in (ours, theirs):
+        assert done.returncode == 0, done.stderr
+        summary = json.loads(done.stdout)
+        assert summary["control_steps"] == 5
+        results.append({k: summary[k] for k in ("return", "terminated", "diverged", "rewards")})
+        assert summary["diverged"] == 0
+    assert results[0] == results[1]
+    assert Path(source).read_bytes() == before
+    folder = Path(tmp_path, json.loads(theirs.stdout)["folder"])
+    assert yaml.safe_load((folder / "config.yaml").read_text())["gym_config"] == name
+    assert (folder / "run.log").read_text().count("WARNING") >= theirs.stderr.count("warning: ") > 0
+
+
+@pytest.fixture
+def gym() -> Path:
+    path = Path("gym.yaml")
+    path.write_text(SMALL)
+    return path
+
+
+def test_report_and_task_file(gym: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["convert", "gym.yaml"]) == 0
+    out, err = capsys.readouterr()
+    assert (out, err) == (TASK, REPORT)
+    assert main(["convert", "gym.yaml", "-o", "new/dir/ball.yaml"]) == 0
+    out, err = capsys.readouterr()
+    assert (out, err) == ("new/dir/ball.yaml: EmbodiedEnv-v1, from gym.yaml\n", REPORT)
+    assert Path("new/dir/ball.yaml").read_text() == TASK
+    assert [p.name for p in Path("new/dir").iterdir()] == ["ball.yaml"]
+    assert gym.read_text() == SMALL
+
+
+def test_nothing_is_replaced(gym: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("mine.yaml").write_text("mine")
+    Path("gone.yaml").symlink_to("nowhere.yaml")
+    for name in ("mine.yaml", "gone.yaml", "gym.yaml"):
+        assert main(["convert", "gym.yaml", "-o", name]) == 2
+        assert capsys.readouterr().err == f"error: {name} exists; it is never replaced\n"
+    assert Path("mine.yaml").read_text() == "mine"
+    assert gym.read_text() == SMALL
+    assert len(list(Path().iterdir())) == 3
+
+
+def test_unknown_keys_are_mistakes_and_nothing_is_written(
+    gym: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gym.write_text(SMALL.replace("restitution", "restitutoin"))
+    assert main(["convert", "gym.yaml", "-o", "out.yaml"]) == 2
+    mistake = "gym.yaml:6: rigid_object.0.attrs.restitutoin: unknown key;"
+    err = capsys.readouterr().err
+    assert mistake in err
+    assert err.endswith("Did you mean 'restitution'?\n")
+    assert main(["run", "--gym-config", "gym.yaml"]) == 2
+    assert mistake in capsys.readouterr().err
+    assert [p.name for p in Path().iterdir()] == ["gym.yaml"]
+
+
+def test_what_is_still_wrong_is_said_with_the_task(
+    gym: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    gym.write_text(SMALL.replace("radius: 0.1", "radius: wide"))
+    assert main(["convert", "gym.yaml", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["task"]["objects"]["ball"]["shape"]["radius"] == "wide"
+    assert [(m["source"], m["path"]) for m in data["mistakes"]] == [
+        ("gym.yaml:4", "task.objects.ball.shape.radius")
+    ]
+    assert [n["path"] for n in data["notes"]] == ["rigid_object.0.attrs.restitution", "sensor.0"]
+
+
+def test_validate_reads_it_where_it_lies(gym: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["validate", "gym.yaml"]) == 0
+    out, err = capsys.readouterr()
+    assert out == "gym.yaml: ok\n"
+    assert err == "".join(f"note: {line.strip()}\n" for line in REPORT.splitlines()[1:])
+    assert main(["validate", "gym_config=gym.yaml", "task.max_episode_steps=0"]) == 2
+    assert "command line: task.max_episode_steps" in capsys.readouterr().err
+
+
+def test_sweep_over_a_gym_config(gym: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["run", "-m", "--gym-config", "gym.yaml", "seed=0,1", "max_steps=2", "record=none"]
+    assert main([*arguments, "--json", "--quiet"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [(s["task"], s["seed"], s["control_steps"]) for s in lines] == [
+        ("EmbodiedEnv-v1", 0, 2),
+        ("EmbodiedEnv-v1", 1, 2),
+    ]
+
+
+def test_hydras_printing_is_refused(gym: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", "--gym-config", "gym.yaml", "--cfg", "job"]) == 2
+    assert "embodichain convert prints a gym config" in capsys.readouterr().err
