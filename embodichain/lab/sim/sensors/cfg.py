@@ -86,7 +86,7 @@ class ImuSensorCfg(SensorCfg):
 
 @configclass
 class ForceTorqueSensorCfg(SensorCfg):
-    """Force and torque that links exchange with their parents."""
+    """Force and torque that parents exert on links."""
 
     sensor_type: Literal["force_torque"] = "force_torque"
 

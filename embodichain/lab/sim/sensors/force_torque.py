@@ -1,4 +1,4 @@
-"""`ForceTorqueSensor`: what a link and its parent exert on each other."""
+"""`ForceTorqueSensor`: what parents exert on links."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class ForceTorqueSensor(BaseSensor):
     """Force and torque between n links and their parents, read at each link's origin.
 
     They belong to the acceleration stage: those of the last physics step, and after a reset those
-    of the state that it left. MuJoCo's sign: what the link exerts on its parent, so that a link
-    hanging at rest reads its own weight, downwards.
+    of the state that it left. They are what the parent exerts on the link: at rest, upwards as much
+    as the link and all it carries weigh.
     """
 
     def read_force(self) -> F64:
