@@ -27,6 +27,7 @@ from embodichain.lab.gym.envs.hooks import overrides
 from embodichain.lab.gym.envs.managers.action_manager import ActionManager
 from embodichain.lab.gym.envs.managers.base import Manager
 from embodichain.lab.gym.envs.managers.command_manager import CommandManager
+from embodichain.lab.gym.envs.managers.curriculum_manager import CurriculumManager
 from embodichain.lab.gym.envs.managers.event_manager import EventManager
 from embodichain.lab.gym.envs.managers.metric_manager import MetricManager
 from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
@@ -66,6 +67,8 @@ class EnvAssembly(EnvBasics):
         reward_manager: Reward terms.
         termination_manager: Termination terms.
         metric_manager: Metric terms.
+        curriculum_manager: Curriculum terms.
+        managers: All of them, by section.
     """
 
     command_manager: CommandManager
@@ -75,6 +78,8 @@ class EnvAssembly(EnvBasics):
     reward_manager: RewardManager
     termination_manager: TerminationManager
     metric_manager: MetricManager
+    curriculum_manager: CurriculumManager
+    managers: dict[str, Manager[Any]]
 
     def _init_counters(self) -> None:
         count = self.cfg.num_envs
@@ -136,7 +141,7 @@ class EnvAssembly(EnvBasics):
         self.reward_manager = RewardManager(env, cfg.rewards)  # type: ignore[arg-type]
         self.termination_manager = TerminationManager(env, cfg.terminations)  # type: ignore[arg-type]
         self.metric_manager = MetricManager(env, cfg.metrics)  # type: ignore[arg-type]
-        self._managers: dict[str, Manager[Any]] = {
+        self.managers = {
             "commands": self.command_manager,
             "observations": self.observation_manager,
             "events": self.event_manager,
@@ -145,7 +150,11 @@ class EnvAssembly(EnvBasics):
             "terminations": self.termination_manager,
             "metrics": self.metric_manager,
         }
-        self._resetting = [manager for manager in self._managers.values() if len(manager)]
+        # It changes what the others do, so it is built with them at hand.
+        self.curriculum_manager = CurriculumManager(env, cfg.curriculum)  # type: ignore[arg-type]
+        self.managers["curriculum"] = self.curriculum_manager
+        self._has_curriculum = len(self.curriculum_manager) > 0
+        self._resetting = [manager for manager in self.managers.values() if len(manager)]
         self._observes = len(self.observation_manager) > 0
         self._has_events = len(self.event_manager) > 0
         self._acts = len(self.action_manager) > 0

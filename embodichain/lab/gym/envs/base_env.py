@@ -102,7 +102,7 @@ class BaseEnv(EnvOutcome):
     ) -> tuple[EnvObs, dict[str, Any]]:
         """Start new episodes.
 
-        A reset is MuJoCo's own (velocities, warm start, controls, applied forces, time), then every
+        Curricula come first, and see the episodes that end. A reset is MuJoCo's own (velocities, warm start, controls, applied forces, time), then every
         entity's configured state, `_initialize_episode`, reset events, commands, and `mj_forward`.
 
         Args:
@@ -132,6 +132,8 @@ class BaseEnv(EnvOutcome):
             return
         where = None if len(ids) == self.cfg.num_envs else ids
         self._task_success = self.is_task_success()
+        if self._has_curriculum:
+            self.curriculum_manager.compute(where)
         self.sim.reset_objects_state(where, excluded_uids=self._detached_uids_for_reset)
         for manager in self._resetting:
             manager.reset(where)

@@ -100,6 +100,8 @@ class EnvOutcome(EnvAssembly):
         reached = self.metric_manager.compute(obs, action, info)
         if self._has_commands and self.command_manager.has_metrics:
             self.command_manager.report(info["metrics"])
+        if self._has_curriculum:
+            info["curriculum"] = dict(self.curriculum_manager.values)
         self._success = success.copy() if reached is None else reached.numpy().copy()
         return info, Flags(success, fail, time_out)
 

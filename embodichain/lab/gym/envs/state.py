@@ -20,7 +20,7 @@ def save(env: BaseEnv) -> dict[str, Any]:
         "sim": env.sim.state_dict(),
         "streams": env.streams.state_dict(),
         "np_random": env.np_random.bit_generator.state,
-        "managers": {name: manager.state_dict() for name, manager in env._managers.items()},
+        "managers": {name: manager.state_dict() for name, manager in env.managers.items()},
         "control_step": env.control_step,
         "elapsed": env._elapsed.copy(),
         "episode_ids": env._episode_ids.copy(),
@@ -44,7 +44,7 @@ def load(env: BaseEnv, saved: dict[str, Any]) -> None:
     env.sim.load_state_dict(saved["sim"])
     env.streams.load_state_dict(saved["streams"])
     env.np_random.bit_generator.state = saved["np_random"]
-    for name, manager in env._managers.items():
+    for name, manager in env.managers.items():
         manager.load_state_dict(saved["managers"][name])
     env.control_step = saved["control_step"]
     env._elapsed = saved["elapsed"].copy()

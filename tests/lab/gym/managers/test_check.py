@@ -5,9 +5,12 @@ import pytest
 
 from embodichain.lab.gym.envs.cfg import (
     ActionTermCfg,
+    CommandCfg,
+    CurriculumCfg,
     EnvCfg,
     EventCfg,
     MetricCfg,
+    NoiseCfg,
     ObservationCfg,
     RewardCfg,
     SceneEntityCfg,
@@ -58,7 +61,7 @@ def test_every_mistake_is_found_at_once() -> None:
             ),
         },
         rewards={"near": RewardCfg(func="within_distance", params={**PAIR, "threshold": -1.0})},
-        commands={"velocity": {}},
+        commands={"velocity": CommandCfg(func="uniform_velocty")},
     )
     assert len(found) == 7
     assert found[0].startswith("events.a.func: unknown event term 'randomize_rigid_object_poses'")
@@ -71,7 +74,7 @@ def test_every_mistake_is_found_at_once() -> None:
         "events.b.params.entity_cfg: missing; event term 'randomize_rigid_object_pose' needs it"
     )
     assert found[5].startswith("rewards.near.params.threshold: input should be greater than 0")
-    assert found[6] == "commands: not available yet; leave it out"
+    assert found[6].startswith("commands.velocity.func: unknown command term 'uniform_velocty'")
 
 
 @pytest.mark.parametrize(
@@ -123,7 +126,7 @@ def test_open_parameters_and_unknown_types_pass() -> None:
 def test_beside_the_parameters() -> None:
     found = problems(
         observations={
-            "a": ObservationCfg(func="last_action", noise={"std": 1}, clip=[1.0, -1.0]),
+            "a": ObservationCfg(func="last_action", noise=NoiseCfg(), clip=[1.0, -1.0]),
             "b": ObservationCfg(func="last_action", name="x//y"),
             "c": ObservationCfg(func="last_action", name="a"),
             "d": ObservationCfg(func=lambda env, data: data, mode="modify", name="bb"),
@@ -132,7 +135,7 @@ def test_beside_the_parameters() -> None:
     )
     assert [f.partition(":")[0] for f in found] == [
         "actions.arm.func",
-        "observations.a.noise",
+        "observations.a.noise.std",
         "observations.a.clip",
         "observations.b.name",
         "observations.c.name",
@@ -158,3 +161,132 @@ def test_a_log_imports_nothing() -> None:
 
 def test_sections_are_those_of_the_config() -> None:
     assert all(hasattr(EnvCfg(), section) for section in SECTIONS)
+
+
+@pytest.mark.parametrize(
+    ("noise", "expected"),
+    [
+        (NoiseCfg(std=0.1), []),
+        (NoiseCfg(mean=[0.0, 1.0], std=[0.1, 0.2]), []),
+        (NoiseCfg(type="uniform", n_min=0.0, n_max=[1.0, 2.0]), []),
+        (NoiseCfg(type="constant", bias=1.0, operation="scale"), []),
+        (NoiseCfg(std=-0.1), [".std: must not be negative, got -0.1"]),
+        (NoiseCfg(std=float("nan")), [".std: must be finite"]),
+        (NoiseCfg(type="uniform"), [".low: missing", ".high: missing"]),
+        (NoiseCfg(type="uniform", low=1.0, high=0.0), [": low 1.0 exceeds high 0.0"]),
+        (NoiseCfg(type="uniform", low=[0.0], high=[1.0, 2.0]), [": low has 1 values, high 2"]),
+        (NoiseCfg(type="uniform", low=0.0, n_min=0.0, high=1.0), [".n_min: means the same as low"]),
+        (NoiseCfg(type="uniform", std=1.0), [".std: noise of type 'uniform' takes low, high"]),
+        (NoiseCfg(type="constant"), [".bias: missing"]),
+    ],
+)
+def test_noise(noise, expected: list[str]) -> None:
+    found = problems(observations={"a": ObservationCfg(func="last_action", noise=noise)})
+    assert len(found) == len(expected)
+    for line, part in zip(found, expected, strict=True):
+        assert line.startswith(f"observations.a.noise{part}")
+
+
+def test_delays_and_groups() -> None:
+    found = problems(
+        observations={"a": ObservationCfg(func="last_action", delay=[3, 1], group="critic")},
+        enable_corruption={"critic": False, "critc": False},
+        commands={
+            "v": CommandCfg(
+                func="uniform_joint_position",
+                params={"entity_cfg": {"uid": "r"}},
+                resampling_time_s=[0.0, 1.0],
+            )
+        },
+    )
+    assert found == [
+        "observations.a.delay: needs 0 <= low <= high, got [3, 1]",
+        "commands.v.resampling_time_s: needs 0 < low <= high, got [0.0, 1.0]",
+        "enable_corruption.critc: no observation is in group 'critc'; there are: critic "
+        "Did you mean 'critic'?",
+    ]
+
+
+def test_unknown_commands_are_found_without_building() -> None:
+    found = problems(
+        commands={
+            "velocity": CommandCfg(
+                func="uniform_velocity", params={"entity_cfg": {"uid": "r"}, "ranges": {}}
+            )
+        },
+        observations={
+            "c": ObservationCfg(func="generated_command", params={"command_name": "velocty"})
+        },
+    )
+    assert found == [
+        "observations.c.params.command_name: no command is called 'velocty'; there are: velocity "
+        "Did you mean 'velocity'?"
+    ]
+
+
+def test_a_key_of_a_nested_parameter_has_its_closest_match() -> None:
+    params = {"entity_cfg": {"uid": "r"}, "ranges": {"lin_vel": [0, 1]}}
+    found = problems(commands={"v": CommandCfg(func="uniform_velocity", params=params)})
+    assert found == [
+        "commands.v.params.ranges.lin_vel: unknown key; allowed: lin_vel_x, lin_vel_y, ang_vel_z, "
+        "heading Did you mean 'lin_vel_x'?"
+    ]
+
+
+WEIGHT = {"term_name": "near", "weight": 2.0, "num_steps": 10}
+PARAM = {
+    "section": "rewards",
+    "term_name": "near",
+    "param": "threshold",
+    "value": 0.5,
+    "num_steps": 10,
+}
+
+
+@pytest.mark.parametrize(
+    ("func", "params", "expected"),
+    [
+        ("modify_reward_weight", WEIGHT, None),
+        (
+            "modify_reward_weight",
+            {**WEIGHT, "term_name": "neer"},
+            "term_name: there is no 'neer' in rewards; there are: near Did you mean 'near'?",
+        ),
+        ("modify_reward_weight", {**WEIGHT, "start_step": 3}, "start_step: has a meaning with"),
+        (
+            "modify_reward_weight",
+            {**WEIGHT, "start_step": 10, "interpolate": True},
+            "start_step: must be before num_steps, 10",
+        ),
+        ("modify_term_param", PARAM, None),
+        ("modify_term_param", {**PARAM, "interpolate": True}, None),
+        (
+            "modify_term_param",
+            {**PARAM, "section": "reward"},
+            "section: input should be 'commands', 'events'",
+        ),
+        ("modify_term_param", {**PARAM, "term_name": "far"}, "term_name: there is no 'far'"),
+        ("modify_term_param", {**PARAM, "param": "treshold"}, "param: there is no 'treshold'"),
+        (
+            "modify_term_param",
+            {**PARAM, "value": -1.0},
+            "value: threshold: input should be greater than 0, got -1.0",
+        ),
+        (
+            "modify_term_param",
+            {**PARAM, "param": "target_entity_cfg.uid", "value": "c", "interpolate": True},
+            "value: cannot go gradually from 'b' to 'c'",
+        ),
+        ("modify_term_param", {**PARAM, "param": "target_entity_cfg.uid", "value": "c"}, None),
+    ],
+)
+def test_what_a_curriculum_points_at(func: str, params, expected: str | None) -> None:
+    found = problems(
+        rewards={"near": RewardCfg(func="within_distance", params={**PAIR, "threshold": 0.1})},
+        curriculum={"c": CurriculumCfg(func=func, params=params)},
+    )
+    if expected is None:
+        assert found == []
+    else:
+        assert len(found) == 1
+        assert found[0].startswith(f"curriculum.c.params.{expected}")

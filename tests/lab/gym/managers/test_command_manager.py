@@ -1,4 +1,4 @@
-"""Commands: drawn at resets and on time, one environment at a time, seen by terms and in the log."""
+"""Commands: drawn at resets and on time, for each environment alone, seen by terms and the log."""
 
 from typing import Any
 

@@ -213,7 +213,7 @@ def test_a_reset_fills_the_past_of_its_environments_only(make) -> None:
 
 def shake(env: Any, env_ids: Any) -> None:
     count = env.num_envs if env_ids is None else len(env_ids)
-    drawn = env.event_manager.draw("qpos", (6,), -0.3, 0.3, env_ids)
+    drawn = torch.from_numpy(env.event_manager.draw("qpos", (6,), -0.3, 0.3, env_ids).copy())
     env.robot.set_qpos(torch.tensor([HOME]).repeat(count, 1) + drawn, env_ids=env_ids)
 
 

@@ -8,6 +8,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "action_manager": ["ActionManager", "ActionTerm"],
         "check": ["check_terms"],
         "command_manager": ["CommandManager", "CommandTerm"],
+        "curriculum_manager": ["CurriculumManager"],
         "dry_run": ["check_shapes"],
         "event_manager": ["EventManager"],
         "metric_manager": ["MetricManager"],

@@ -14,7 +14,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg, TermCfg
-from embodichain.lab.gym.envs.managers.check import check_term
+from embodichain.lab.gym.envs.managers.check import check_in_task, check_term
 from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
 from embodichain.utils.errors import ConfigError, Problem
@@ -167,6 +167,9 @@ def _build(env: BaseEnv, kind: Kind, name: str, cfg: C, path: str) -> BuiltTerm[
     if spec is None or problems:
         raise ConfigError(problems)
     where = f"{path}.params"
+    problems = check_in_task(spec, values, env.cfg, where)
+    if problems:
+        raise ConfigError(problems)
     params = {key: _resolved(env, value, f"{where}.{key}") for key, value in values.items()}
     if not spec.is_class:
         bound = partial(spec.func, **params) if params else spec.func

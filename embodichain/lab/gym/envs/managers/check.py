@@ -6,19 +6,22 @@ Entities that parameters point at are checked against the scene elsewhere
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
+import typing
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from pydantic import PydanticSchemaGenerationError, TypeAdapter, ValidationError
 
-from embodichain.lab.gym.envs.cfg import EnvCfg, EventCfg, ObservationCfg, SceneEntityCfg, TermCfg
+from embodichain.lab.gym.envs.cfg import EnvCfg, SceneEntityCfg, TermCfg
+from embodichain.lab.gym.envs.managers.check_fields import check_corruption, check_fields
 from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec, resolve_term
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["SECTIONS", "check_params", "check_term", "check_terms"]
+__all__ = ["SECTIONS", "check_in_task", "check_params", "check_term", "check_terms"]
 
 SECTIONS: dict[str, Kind] = {
     "actions": "action",
@@ -31,6 +34,9 @@ SECTIONS: dict[str, Kind] = {
     "curriculum": "curriculum",
 }
 """Sections of a task and the kind of term each holds."""
+
+_REFERENCES = {"command_name": "commands", "sensor": "sensors"}
+"""Parameters that name an entry of another section."""
 
 
 def check_terms(cfg: EnvCfg, *, allow_import: bool = True) -> list[Problem]:
@@ -47,8 +53,42 @@ def check_terms(cfg: EnvCfg, *, allow_import: bool = True) -> list[Problem]:
     problems: list[Problem] = []
     for section, kind in SECTIONS.items():
         for name, term in getattr(cfg, section).items():
-            problems += check_term(kind, term, f"{section}.{name}", allow_import=allow_import)[2]
-    return problems + _check_modifiers(cfg)
+            path = f"{section}.{name}"
+            spec, values, found = check_term(kind, term, path, allow_import=allow_import)
+            problems += found
+            if spec is not None and not found:
+                problems += check_in_task(spec, values, cfg, f"{path}.params", allow_import)
+    return problems + check_corruption(cfg) + _check_modifiers(cfg)
+
+
+def check_in_task(
+    spec: TermSpec, values: Mapping[str, Any], cfg: EnvCfg, path: str, allow_import: bool = True
+) -> list[Problem]:
+    """Check what only the whole task shows: references to commands and sensors, and curricula.
+
+    A term class may bring a class method ``check_task(task, params, allow_import)`` that returns
+    such mistakes, with paths relative to the parameters.
+
+    Args:
+        spec: The term.
+        values: Its parameters as `check_params` returns them.
+        cfg: The task.
+        path: Key path of the parameters.
+        allow_import: See `check_terms`.
+    """
+    found: list[Problem] = []
+    for name, section in _REFERENCES.items():
+        there, value = getattr(cfg, section), values.get(name)
+        if isinstance(value, str) and value not in there and name in spec.params:
+            if section == "sensors" and cfg.id is not None:
+                continue  # Python code may add sensors
+            what, known = section.removesuffix("s"), ", ".join(there) or "none"
+            message = f"no {what} is called {value!r}; there are: {known}"
+            found.append(Problem(name, message, did_you_mean(value, there).strip()))
+    check = getattr(spec.func, "check_task", None)
+    if check is not None:
+        found += check(cfg, values, allow_import)
+    return [Problem(f"{path}.{p.path}", p.message, p.hint) for p in found]
 
 
 def check_term(
@@ -66,7 +106,7 @@ def check_term(
         The function or class behind it (None if there is none), its parameters as `check_params`
         returns them, and every mistake.
     """
-    problems = _check_fields(path, term)
+    problems = check_fields(path, term)
     try:
         spec = resolve_term(kind, term.func, allow_import=allow_import)
     except ConfigError as error:
@@ -75,23 +115,6 @@ def check_term(
     problems += _check_class(f"{path}.func", spec)
     values, found = check_params(spec, term.params, f"{path}.params")
     return spec, values, problems + found
-
-
-def _check_fields(path: str, term: TermCfg) -> list[Problem]:
-    """Check what stands beside `func` and `params`."""
-    found: list[Problem] = []
-    if isinstance(term, EventCfg) and term.interval_range_s is not None:
-        low, high = term.interval_range_s
-        if not 0 < low <= high:
-            found.append(
-                Problem(f"{path}.interval_range_s", f"needs 0 < low <= high, got [{low}, {high}]")
-            )
-    if isinstance(term, ObservationCfg):
-        if term.clip is not None and not term.clip[0] <= term.clip[1]:
-            found.append(Problem(f"{path}.clip", f"low exceeds high in {list(term.clip)}"))
-        if term.name is not None and not all(term.name.split("/")):
-            found.append(Problem(f"{path}.name", f"has an empty part: {term.name!r}"))
-    return found
 
 
 def _check_class(path: str, spec: TermSpec) -> list[Problem]:
@@ -154,7 +177,8 @@ def check_params(
         try:
             values[name] = _convert(hints.get(name, Any), value)
         except ValidationError as error:
-            problems += [_problem(f"{path}.{name}", e) for e in error.errors()]
+            hint = hints.get(name, Any)
+            problems += [_problem(f"{path}.{name}", e, hint) for e in error.errors()]
     for name, parameter in spec.params.items():
         if parameter.default is inspect.Parameter.empty and name not in params:
             message = f"missing; {spec.label} needs it"
@@ -172,15 +196,25 @@ def _convert(hint: Any, value: Any) -> Any:
     return adapter.validate_python(value)
 
 
-def _problem(path: str, error: Any) -> Problem:
+def _problem(path: str, error: Any, hint: Any) -> Problem:
     """One of pydantic's errors as a line with what was found."""
     tail = "".join(f".{part}" for part in error["loc"])
     message = error["msg"].removeprefix("Value error, ")
     message = message[:1].lower() + message[1:]
     if error["type"] == "unexpected_keyword_argument":
-        fields = list(SceneEntityCfg.__dataclass_fields__)
+        fields = _fields(hint)
         hint = did_you_mean(str(error["loc"][-1]), fields).strip()
         return Problem(path + tail, f"unknown key; allowed: {', '.join(fields)}", hint)
     if error["type"] != "missing":
         message += f", got {error['input']!r}"
     return Problem(path + tail, message)
+
+
+def _fields(hint: Any) -> list[str]:
+    """Keys of the config class that an annotation names; of an entity if it names none."""
+    if dataclasses.is_dataclass(hint) and not hasattr(hint, "__get_pydantic_core_schema__"):
+        return [field.name for field in dataclasses.fields(hint)]
+    for part in typing.get_args(hint):
+        if dataclasses.is_dataclass(part):
+            return _fields(part)
+    return list(SceneEntityCfg.__dataclass_fields__)

@@ -38,15 +38,20 @@ class EventManager(Manager[EventCfg]):
     """
 
     def __init__(self, env: BaseEnv, cfgs: Mapping[str, EventCfg]) -> None:
+        self._intervals: list[_Interval] = []
         super().__init__(env, "events", "event", cfgs)
-        self._by_mode: dict[str, list[BuiltTerm[EventCfg]]] = {
-            mode: [t for t in self.terms.values() if t.cfg.mode == mode]
-            for mode in ("startup", "reset", "interval")
-        }
         self._intervals = [_Interval(env, t) for t in self._by_mode["interval"]]
         self._started = False
         self._stream = ""
         self._drawn: dict[str, NDArray[Any]] = {}
+
+    def _bind(self) -> None:
+        self._by_mode: dict[str, list[BuiltTerm[EventCfg]]] = {
+            mode: [t for t in self.terms.values() if t.cfg.mode == mode]
+            for mode in ("startup", "reset", "interval")
+        }
+        for interval in self._intervals:
+            interval.term = self.terms[interval.term.name]
 
     def apply(self, mode: Literal["startup", "reset"], env_ids: EnvIndex | None = None) -> None:
         """Fire every event of a mode; `startup` events fire once, whoever asks again.

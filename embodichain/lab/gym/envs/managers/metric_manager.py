@@ -56,15 +56,17 @@ class MetricManager(Manager[MetricCfg]):
 
     def __init__(self, env: BaseEnv, cfgs: Mapping[str, MetricCfg]) -> None:
         super().__init__(env, "metrics", "metric", cfgs)
-        # `success` first: other metrics may ask for it.
-        ordered = sorted(self.terms.items(), key=lambda item: item[0] != "success")
-        self._calls = [(name, t.call, t.cfg.reduce) for name, t in ordered]
         self._kept: dict[str, torch.Tensor] = {}
         self._count: torch.Tensor | None = None
         if self._calls:
             self._kept = {n: torch.full((self.num_envs,), _START[r]) for n, _, r in self._calls}
             self._count = torch.zeros(self.num_envs)
         self._checked = False
+
+    def _bind(self) -> None:
+        # `success` first: other metrics may ask for it.
+        ordered = sorted(self.terms.items(), key=lambda item: item[0] != "success")
+        self._calls = [(name, t.call, t.cfg.reduce) for name, t in ordered]
 
     @property
     def has_success(self) -> bool:

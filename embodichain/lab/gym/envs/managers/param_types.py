@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
@@ -18,6 +19,7 @@ __all__ = [
     "Box2",
     "Box3",
     "Fraction",
+    "NamedEntity",
     "NonNegative",
     "Positive",
     "Range",
@@ -69,3 +71,12 @@ Box3 = Annotated[list[Vec3], Field(min_length=2, max_length=2), AfterValidator(_
 """[[x, y, z] low, [x, y, z] high]."""
 Axes6 = dict[Literal["x", "y", "z", "roll", "pitch", "yaw"], Range]
 """{axis: [low, high]}: m and rad, or m/s and rad/s; an axis that is absent is 0."""
+
+
+@dataclass
+class NamedEntity:
+    """Points at something of the scene that has no joints or links, such as a light."""
+
+    __pydantic_config__ = {"extra": "forbid"}
+
+    uid: str

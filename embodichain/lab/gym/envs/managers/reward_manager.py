@@ -32,19 +32,29 @@ class RewardManager(Manager[RewardCfg]):
         cfgs: Name -> reward.
 
     Attributes:
+        weights: Name -> weight in force.
         episode_sums: Name -> (N,) float32 sum of value x weight since the episode began.
     """
 
     def __init__(self, env: BaseEnv, cfgs: Mapping[str, RewardCfg]) -> None:
+        self.weights = {name: float(cfg.weight) for name, cfg in cfgs.items()}
         super().__init__(env, "rewards", "reward", cfgs)
-        self._calls = [
-            (name, t.call, float(t.cfg.weight), t.cfg.mode == "replace")
-            for name, t in self.terms.items()
-        ]
         self.episode_sums: dict[str, torch.Tensor] = {}
         if self.terms:
             self.episode_sums = {n: torch.zeros(self.num_envs) for n in self.terms}
         self._checked = False
+
+    def _bind(self) -> None:
+        self._calls = [
+            (name, t.call, self.weights[name], t.cfg.mode == "replace")
+            for name, t in self.terms.items()
+        ]
+
+    def set_weight(self, name: str, weight: float) -> None:
+        """Give a term another weight from the next step on."""
+        if self.weights[name] != weight:
+            self.weights[name] = float(weight)
+            self._bind()
 
     def compute(
         self, rewards: torch.Tensor, obs: Any, action: Any, info: dict[str, Any]
@@ -96,13 +106,16 @@ class RewardManager(Manager[RewardCfg]):
             self.episode_sums[name] = total
 
     def state_dict(self) -> dict[str, Any]:
-        """Sums, and the state of terms that are classes (copies)."""
+        """Sums and weights, and the state of terms that are classes (copies)."""
         return {
             **super().state_dict(),
+            "weights": dict(self.weights),
             "episode_sums": {name: total.clone() for name, total in self.episode_sums.items()},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         super().load_state_dict(state)
+        self.weights = dict(state["weights"])
+        self._bind()
         self.episode_sums = {name: total.clone() for name, total in state["episode_sums"].items()}

@@ -39,9 +39,11 @@ class TerminationManager(Manager[TerminationCfg]):
 
     def __init__(self, env: BaseEnv, cfgs: Mapping[str, TerminationCfg]) -> None:
         super().__init__(env, "terminations", "termination", cfgs)
-        self._calls = [(name, t.call, t.cfg.kind) for name, t in self.terms.items()]
         self.values: Masks = {}
         self._checked = False
+
+    def _bind(self) -> None:
+        self._calls = [(name, t.call, t.cfg.kind) for name, t in self.terms.items()]
 
     @property
     def has_success(self) -> bool:

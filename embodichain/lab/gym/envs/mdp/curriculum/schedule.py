@@ -1,0 +1,185 @@
+"""Curricula that follow the number of control steps."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import Field
+
+from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.gym.envs.managers.base import Manager, Term
+from embodichain.lab.gym.envs.managers.check import SECTIONS, check_params
+from embodichain.lab.gym.envs.managers.param_types import Finite
+from embodichain.lab.gym.envs.managers.registry import register_term, resolve_term
+from embodichain.lab.gym.envs.mdp._schedule import between, get_at, progress, with_value
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.sim.engine.base import EnvIndex
+
+__all__ = ["ModifyRewardWeight", "ModifyTermParam"]
+
+Steps = Annotated[int, Field(ge=0)]
+Section = Literal["commands", "events", "observations", "rewards", "terminations", "metrics"]
+
+
+@register_term("curriculum", name="modify_reward_weight")
+class ModifyRewardWeight(Term):
+    """Gives a reward another weight, once or gradually. Isaac Lab's term of the same name.
+
+    Its value is the weight in force.
+
+    Example:
+        ``{func: modify_reward_weight, params: {term_name: effort, weight: -0.1, num_steps: 9000}}``
+
+    Args:
+        term_name: The reward.
+        weight: The weight it will have.
+        num_steps: Control steps after which it has it: from the first reset on that follows them.
+        interpolate: Whether the weight goes there gradually, in a line.
+        start_step: When a gradual change begins.
+    """
+
+    def __init__(
+        self,
+        env: BaseEnv,
+        term_name: str,
+        weight: Finite,
+        num_steps: Steps,
+        interpolate: bool = False,
+        start_step: Steps = 0,
+    ) -> None:
+        self._name, self._weight = term_name, weight
+        self._first = env.reward_manager.weights[term_name]
+        self._when = start_step, num_steps, interpolate
+
+    @classmethod
+    def check_task(cls, task: EnvCfg, params: Mapping[str, Any], allow_import: bool) -> Any:
+        """Mistakes that only the whole task shows."""
+        return _check_name("rewards", task, params) + _check_times(params)
+
+    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> float:
+        """Set the weight that is due."""
+        share = progress(env.control_step, *self._when)
+        if share > 0.0:
+            env.reward_manager.set_weight(self._name, between(self._first, self._weight, share))
+        return env.reward_manager.weights[self._name]
+
+
+@register_term("curriculum", name="modify_term_param")
+class ModifyTermParam(Term):
+    """Gives a parameter of a term another value, once or gradually.
+
+    What Isaac Lab's ``modify_term_cfg`` does, without code. Its value is the parameter, if that is
+    a number, else the share of the change that is done.
+
+    Example:
+        ``{func: modify_term_param, params: {section: commands, term_name: velocity, param: ranges.lin_vel_x, value: [-2, 2], num_steps: 9000}}``
+
+    Args:
+        section: The section of the task that holds the term.
+        term_name: The term.
+        param: The parameter; with dots it is a part of one: ``position_range.1.2``.
+        value: The value it will have.
+        num_steps: Control steps after which it has it: from the first reset on that follows them.
+        interpolate: Whether the value goes there gradually, number by number, in a line.
+        start_step: When a gradual change begins.
+    """  # noqa: E501  (an example is one line)
+
+    def __init__(
+        self,
+        env: BaseEnv,
+        section: Section,
+        term_name: str,
+        param: str,
+        value: Any,
+        num_steps: Steps,
+        interpolate: bool = False,
+        start_step: Steps = 0,
+    ) -> None:
+        self._manager: Manager[Any] = env.managers[section]
+        self._name, self._value = term_name, value
+        self._path = param.split(".")
+        self._when = start_step, num_steps, interpolate
+        term = self._manager.terms[term_name]
+        self._first = get_at(_declared(term.spec, term.cfg.params), self._path)
+        self._share = 0.0
+
+    @classmethod
+    def check_task(cls, task: EnvCfg, params: Mapping[str, Any], allow_import: bool) -> Any:
+        """Mistakes that only the whole task shows: the term, its parameter, the value's type."""
+        section = params["section"]
+        problems = _check_name(section, task, params)
+        if problems:
+            return problems
+        term = getattr(task, section)[params["term_name"]]
+        try:
+            spec = resolve_term(SECTIONS[section], term.func, allow_import=allow_import)
+        except ConfigError:
+            return []  # found where the term stands
+        path = params["param"].split(".")
+        now = _declared(spec, term.params)
+        try:
+            first = get_at(now, path)
+        except ConfigError as error:
+            return [Problem("param", p.message, p.hint) for p in error.problems]
+        try:
+            if params.get("interpolate"):
+                between(first, params["value"], 0.5)
+        except ConfigError as error:
+            return [Problem("value", p.message) for p in error.problems]
+        found = check_params(spec, with_value(now, path, params["value"]), "")[1]
+        known = {p.path for p in check_params(spec, now, "")[1]}
+        wrong = [p for p in found if p.path not in known]
+        problems = [Problem("value", f"{p.path[1:]}: {p.message}", p.hint) for p in wrong]
+        return problems + _check_times(params)
+
+    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> float:
+        """Set the value that is due."""
+        share = progress(env.control_step, *self._when)
+        value = between(self._first, self._value, share) if 0.0 < share < 1.0 else self._value
+        if share != self._share:
+            term = self._manager.terms[self._name]
+            params = _declared(term.spec, self._manager.params(self._name))
+            self._manager.set_params(self._name, with_value(params, self._path, value))
+            self._share = share
+        number = isinstance(self._first, (int, float)) and not isinstance(self._first, bool)
+        if not number:
+            return share
+        return float(value if share > 0.0 else self._first)
+
+    def state_dict(self) -> dict[str, Any]:
+        """How much of the change is done; the values are their manager's to keep."""
+        return {"share": self._share}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        self._share = state["share"]
+
+
+def _declared(spec: Any, params: Mapping[str, Any]) -> dict[str, Any]:
+    """The parameters of a term, with the defaults of those that the config leaves out."""
+    empty = inspect.Parameter.empty
+    defaults = {k: p.default for k, p in spec.params.items() if p.default is not empty}
+    return {**defaults, **params}
+
+
+def _check_name(section: str, task: EnvCfg, params: Mapping[str, Any]) -> list[Problem]:
+    terms, name = getattr(task, section), params["term_name"]
+    if name in terms:
+        return []
+    message = f"there is no {name!r} in {section}; there are: {', '.join(terms) or 'none'}"
+    return [Problem("term_name", message, did_you_mean(name, terms).strip())]
+
+
+def _check_times(params: Mapping[str, Any]) -> list[Problem]:
+    start, end = params.get("start_step", 0), params["num_steps"]
+    if not params.get("interpolate"):
+        if start:
+            return [Problem("start_step", "has a meaning with interpolate: true only")]
+        return []
+    return [] if start < end else [Problem("start_step", f"must be before num_steps, {end}")]
