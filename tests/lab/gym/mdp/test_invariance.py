@@ -16,6 +16,8 @@ from embodichain.lab.gym.envs.cfg import (
     TerminationCfg,
 )
 from embodichain.lab.gym.envs.managers import TERMS
+from tests.helpers import judge_terms
+from tests.helpers.judge_terms import REWARDS, TERMINATIONS
 from tests.helpers.ur10_task import HOME
 
 ARM = {"entity_cfg": {"uid": "ur10"}}
@@ -24,7 +26,6 @@ GOAL = {"entity_cfg": {"uid": "goal"}}
 TOOL = {"uid": "ur10", "link_names": ["ee_link"]}
 PAIR = {"source_entity_cfg": TOOL, "target_entity_cfg": {"uid": "goal"}}
 BOX = [[-0.2, -0.2, -0.2], [0.2, 0.2, 0.2]]
-WIDE = [[-9, -9, -9], [9, 9, 9]]
 
 
 def joints(pattern: str) -> dict:
@@ -37,6 +38,7 @@ ACTIONS = {
     "relative_joint_position": {**joints("Joint[56]"), "scale": 0.05},
 }
 EVENTS = {
+    **judge_terms.EVENTS,
     "place": EventCfg(
         func="randomize_rigid_object_pose",
         params={**CUBE, "position_range": BOX, "rotation_range": [[-99] * 3, [99] * 3]},
@@ -60,24 +62,13 @@ OBSERVATIONS = {
     "relative_position": PAIR,
     "last_action": {},
 }
-REWARDS = {
-    "distance_between_objects": {**PAIR, "exponential": True, "sigma": 0.3},
-    "within_distance": {**PAIR, "threshold": 0.2},
-    "success_reward": {},
-    "joint_velocity_penalty": ARM,
-    "action_smoothness_penalty": {},
-}
-TERMINATIONS = {
-    "within_distance": {**PAIR, "threshold": 0.08},
-    "time_out": {"time_limit_s": 0.5},
-    "out_of_bounds": {**CUBE, "bounds": WIDE},
-}
 METRICS = {**REWARDS, **TERMINATIONS}
 
 
 def sections() -> dict:
     return {
         "actions": {k: ActionTermCfg(func=k, params=v) for k, v in ACTIONS.items()},
+        "commands": judge_terms.COMMANDS,
         "events": EVENTS,
         "observations": {k: ObservationCfg(func=k, params=v) for k, v in OBSERVATIONS.items()},
         "rewards": {k: RewardCfg(func=k, params=v, weight=0.3) for k, v in REWARDS.items()},

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from embodichain.lab.gym.envs.mdp import _spatial
+from embodichain.lab.gym.envs.mdp._kinematics import links_below
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def distance_to(position: F64, target: F64, use_xy_only: bool) -> F64:
 def tool_of(
     env: BaseEnv, end_effector_cfg: ResolvedEntity | None, part_name: str | None
 ) -> ResolvedEntity:
-    """The link that acts: the one given, else the last link that hangs from a part's last joint.
+    """The link that acts: the one given, else the farthest link that all joints of a part move.
 
     Args:
         env: The environment.
@@ -58,7 +59,7 @@ def tool_of(
         part_name: A control part of the task's robot; None is the whole robot.
 
     Raises:
-        ConfigError: If both are given, or there is no such part or no robot.
+        ConfigError: If both are given, there is no such part or robot, or not one such link.
     """
     if end_effector_cfg is not None:
         if part_name is not None:
@@ -67,15 +68,9 @@ def tool_of(
     if env.robot is None:
         raise ConfigError([Problem("end_effector_cfg", "the task has no robot: give a link")])
     entity = env.scene_entity({"uid": env.robot.uid, "control_parts": part_name})
-    if not entity.joint_ids:
-        raise ConfigError([Problem("end_effector_cfg", f"{entity.uid!r} has no joints")])
-    robot, model = entity.asset, entity.asset.engine.model
-    top = int(model.dof_bodyid[robot.entity.dof_adr[entity.joint_ids[-1]]])
-    link = robot.parsed.link_names[0]
-    for name, body in zip(robot.parsed.link_names, robot.entity.body_ids, strict=True):
-        above = int(body)
-        while above not in (0, top):
-            above = int(model.body_parentid[above])
-        if above == top:
-            link = name
-    return env.scene_entity({"uid": entity.uid, "link_names": [link]})
+    names = entity.asset.parsed.link_names
+    links = [names[i] for i in links_below(entity.asset, entity.joint_ids)]
+    if len(links) != 1:
+        message = f"name one link as the tool; the robot suggests {', '.join(links) or 'none'}"
+        raise ConfigError([Problem("end_effector_cfg", message)])
+    return env.scene_entity({"uid": entity.uid, "link_names": links})
