@@ -176,20 +176,29 @@ class JointWithin(Judge):
         entity_cfg: The robot; its joint names or control parts pick joints.
         bounds: [low, high] in rad or m; either may be infinite.
         periodic: Whether positions are angles that are brought into [-pi, pi) first.
+        relative: Whether the bounds are around each joint's initial position.
 
     Example:
         ``{func: joint_within, params: {entity_cfg: {uid: ur10, joint_names: [Joint1]}, bounds: [-0.2, 0.2]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
-        self, env: BaseEnv, entity_cfg: ResolvedEntity, bounds: Bounds, periodic: bool = False
+        self,
+        env: BaseEnv,
+        entity_cfg: ResolvedEntity,
+        bounds: Bounds,
+        periodic: bool = False,
+        relative: bool = False,
     ) -> None:
         self._joints, self._periodic = Joints(entity_cfg), periodic
         self._low, self._high = bounds
+        self._centre = self._joints.home if relative else None
 
     def value(self) -> Mask:
         """(N,) bool."""
         qpos = self._joints.qpos()
+        if self._centre is not None:
+            qpos = qpos - self._centre
         if self._periodic:
             qpos = wrapped(qpos)
         # Not "none outside": a position that is no number is not within.
