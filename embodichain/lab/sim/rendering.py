@@ -41,7 +41,7 @@ class Drawable(Protocol):
     """What can be drawn: an engine, or a state that was kept of one."""
 
     def data_of(self, env_id: int) -> mujoco.MjData:
-        """One environment's state, every derived field computed."""
+        """One environment's state, every derived field computed; its ``model`` is drawn."""
 
 
 class SceneRenderer:
@@ -58,6 +58,9 @@ class SceneRenderer:
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
         self.size = (width, height)
+        self._option = mujoco.MjvOption()
+        self._camera = mujoco.MjvCamera()
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
         self._cameras = [model.camera(i).name for i in range(model.ncam)]
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
         model.vis.global_.offheight = max(model.vis.global_.offheight, height)
@@ -75,12 +78,23 @@ class SceneRenderer:
         Raises:
             ValueError: If there is no such camera; lists the cameras.
         """
-        if isinstance(camera, str) and camera not in self._cameras:
+        if camera not in (self._cameras if isinstance(camera, str) else range(len(self._cameras))):
             raise ValueError(
                 f"no camera {camera!r}; there are: {', '.join(self._cameras) or 'none'}."
                 f"{did_you_mean(camera, self._cameras)}"
             )
-        self._renderer.update_scene(engine.data_of(env_id), camera)
+        self._camera.fixedcamid = self._cameras.index(camera) if isinstance(camera, str) else camera
+        data = engine.data_of(env_id)
+        # Not `Renderer.update_scene`: colours, lights and cameras are those of the environment.
+        mujoco.mjv_updateScene(
+            data.model,
+            data,
+            self._option,
+            None,
+            self._camera,
+            mujoco.mjtCatBit.mjCAT_ALL.value,
+            self._renderer.scene,
+        )
         picture: np.ndarray[Any, np.dtype[np.uint8]] = self._renderer.render().copy()
         return picture
 

@@ -24,6 +24,9 @@ TERM_SECTIONS = (
     "curriculum",
 )
 
+LIGHT_TERMS = frozenset({"randomize_light"})
+"""Terms whose entity is a light."""
+
 Known = Mapping[str, ParsedArticulation | str | None]
 """Uid -> the articulation (None: unreadable), or what else it is: "rigid object", "light"."""
 
@@ -57,8 +60,19 @@ def check_references(cfg: Any, known: Known, open_scene: bool) -> list[Problem]:
     for section in TERM_SECTIONS:
         for name, term in getattr(cfg, section).items():
             for path, fields in _references(f"{section}.{name}.params", term.params):
-                problems += check_reference(path, fields, known, open_scene)
+                if term.func in LIGHT_TERMS:
+                    problems += _check_light(path, str(fields.get("uid") or ""), known, open_scene)
+                else:
+                    problems += check_reference(path, fields, known, open_scene)
     return problems
+
+
+def _check_light(path: str, uid: str, known: Known, open_scene: bool) -> list[Problem]:
+    lights = [name for name, what in known.items() if what == "light"]
+    if uid in lights or (open_scene and uid and uid not in known):
+        return []
+    message = f"no light is called {uid!r}; there are: {listing(lights)}"
+    return [Problem(f"{path}.uid", message, did_you_mean(uid, lights).strip())]
 
 
 def _references(path: str, params: Any) -> Iterator[tuple[str, dict[str, Any]]]:

@@ -360,12 +360,14 @@ class CpuEngine:
         return self._batch.get_model(env_id)
 
     def data_of(self, env_id: int) -> mujoco.MjData:
-        """One environment's state as an MjData of its own, every derived field computed."""
-        data = mujoco.MjData(self.model)
-        mujoco.mj_setState(
-            self.model, data, self._rows[env_id], mujoco.mjtState.mjSTATE_INTEGRATION
-        )
-        mujoco.mj_forward(self.model_of(env_id) if self._fields.any else self.model, data)
+        """One environment's state as an MjData of its own, every derived field computed.
+
+        Its ``model`` is the environment's, with its own field values.
+        """
+        model = self.model_of(env_id) if self._fields.any else self.model
+        data = mujoco.MjData(model)
+        mujoco.mj_setState(model, data, self._rows[env_id], mujoco.mjtState.mjSTATE_INTEGRATION)
+        mujoco.mj_forward(model, data)
         return data
 
     def state_dict(self) -> dict[str, Any]:

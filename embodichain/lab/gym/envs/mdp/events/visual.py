@@ -1,0 +1,197 @@
+"""Events that change how surfaces look, in each environment by itself. Physics does not notice."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from embodichain.lab.gym.envs.managers.base import Term
+from embodichain.lab.gym.envs.managers.param_types import Box3, Range
+from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.mdp._ranges import constant
+from embodichain.lab.sim.shapes import VisualMaterialCfg
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.sim.engine.base import F64, EnvIndex
+
+__all__ = ["RandomizeVisualMaterial", "SetRigidObjectVisualMaterial"]
+
+_HIDDEN_GROUP = 3
+
+
+class _Surface:
+    """The colours of an entity's visible shapes, and of an object its material.
+
+    An object has a material of its own. Links may share theirs, so of a robot the shapes' own
+    colours are written, which MuJoCo prefers over a material's.
+    """
+
+    def __init__(self, entity: ResolvedEntity) -> None:
+        asset = entity.asset
+        self._engine = engine = asset.engine
+        model = engine.model
+        bodies = np.asarray(asset.entity.body_ids)
+        if entity.link_ids:
+            bodies = bodies[list(entity.link_ids)]
+        geoms = [
+            int(g)
+            for g in asset.entity.geom_ids
+            if model.geom_group[g] < _HIDDEN_GROUP and model.geom_bodyid[g] in bodies
+        ]
+        self.is_object = not hasattr(asset, "parsed")
+        if not geoms:
+            raise ConfigError([Problem("entity_cfg", f"nothing of {entity.uid!r} is visible")])
+        self._material = int(model.geom_matid[geoms[0]])
+        self._field = "mat_rgba" if self.is_object else "geom_rgba"
+        ids = [self._material] if self.is_object else geoms
+        self._columns: NDArray[np.int64] = np.concatenate([4 * i + np.arange(3) for i in ids])
+
+    def paint(self, rgb: F64, env_ids: EnvIndex | None) -> None:
+        """Give every shape the colours (n, 3); opacity stays."""
+        count = len(self._columns) // 3
+        self._engine.write_model(self._field, np.tile(rgb, (1, count)), env_ids, self._columns)
+
+    def fade(self, alpha: float, env_ids: EnvIndex | None) -> None:
+        """Set an object's opacity."""
+        self._write("mat_rgba", alpha, env_ids, 4 * self._material + 3)
+
+    def finish(
+        self, metallic: F64 | float | None, roughness: F64 | float | None, env_ids: EnvIndex | None
+    ) -> None:
+        """Set an object's metallic value and roughness, (n, 1) or one for all.
+
+        MuJoCo's rasterizer draws highlights instead: specular = (1 - roughness) / 2, shininess =
+        1 - roughness, as the compiler has it.
+        """
+        if metallic is not None:
+            self._write("mat_metallic", metallic, env_ids, self._material)
+        if roughness is not None:
+            self._write("mat_roughness", roughness, env_ids, self._material)
+            self._write("mat_specular", 0.5 * (1.0 - roughness), env_ids, self._material)
+            self._write("mat_shininess", 1.0 - roughness, env_ids, self._material)
+
+    def emit(self, strength: float, env_ids: EnvIndex | None) -> None:
+        """Let an object shine by itself."""
+        self._write("mat_emission", strength, env_ids, self._material)
+
+    def _write(self, field: str, values: Any, env_ids: EnvIndex | None, column: int) -> None:
+        self._engine.write_model(field, values, env_ids, slice(column, column + 1))
+
+
+def _within_one(name: str, values: Any) -> None:
+    array = np.asarray(values, np.float64)
+    if (array < 0).any() or (array > 1).any():
+        raise ConfigError([Problem(name, f"must be within [0, 1], got {values}")])
+
+
+@register_term("event", name="randomize_visual_material")
+class RandomizeVisualMaterial(Term):
+    """Gives an entity a random colour, roughness and metallic value in each environment.
+
+    Seen in pictures and in the viewer's log. EmbodiChain's event of the same name without textures
+    and refraction: MuJoCo compiles textures into the model, and its rasterizer does not refract.
+
+    Args:
+        entity_cfg: A rigid object or a robot; link names pick links.
+        base_color_range: [[r, g, b] low, [r, g, b] high] in [0, 1]; uniform a channel.
+        metallic_range: [low, high] in [0, 1]; rigid objects only. Kept in the model, but MuJoCo's
+            rasterizer does not show it.
+        roughness_range: [low, high] in [0, 1]; rigid objects only.
+        random_texture_prob: Accepted; it concerns textures.
+        texture_path: Not available: an error that says so.
+        ior_range: Not available: an error that says so.
+
+    Example:
+        ``{func: randomize_visual_material, mode: reset, params: {entity_cfg: {uid: cube}, base_color_range: [[0.2, 0, 0], [1, 0.6, 0.6]], roughness_range: [0.2, 0.9]}}``
+    """  # noqa: E501  (an example is one line)
+
+    def __init__(
+        self,
+        env: BaseEnv,
+        entity_cfg: ResolvedEntity,
+        base_color_range: Box3 | None = None,
+        metallic_range: Range | None = None,
+        roughness_range: Range | None = None,
+        random_texture_prob: Annotated[float, Field(ge=0, le=1)] = 0.5,
+        texture_path: str | None = None,
+        ior_range: Range | None = None,
+    ) -> None:
+        unavailable = {
+            "texture_path": (texture_path, "textures are compiled into the model: there are none"),
+            "ior_range": (ior_range, "MuJoCo's renderer has no refraction"),
+        }
+        for name, (value, why) in unavailable.items():
+            if value is not None:
+                raise ConfigError([Problem(name, f"not available: {why}; leave it out")])
+        self._surface = _Surface(entity_cfg)
+        ranges = {"metallic": metallic_range, "roughness": roughness_range}
+        if base_color_range is None and not any(r is not None for r in ranges.values()):
+            message = "missing: nothing is to change (or metallic_range, roughness_range)"
+            raise ConfigError([Problem("base_color_range", message)])
+        self._color: tuple[F64, F64] | None = None
+        if base_color_range is not None:
+            _within_one("base_color_range", base_color_range)
+            self._color = constant(base_color_range[0]), constant(base_color_range[1])
+        self._finish: dict[str, tuple[F64, F64]] = {}
+        for name, bounds in ranges.items():
+            if bounds is None:
+                continue
+            _within_one(f"{name}_range", bounds)
+            if not self._surface.is_object:
+                message = "only of rigid objects: links share materials"
+                raise ConfigError([Problem(f"{name}_range", message)])
+            self._finish[name] = constant([bounds[0]]), constant([bounds[1]])
+
+    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+        """Draw and write how the entity looks in these environments."""
+        if self._color is not None:
+            rgb = env.event_manager.draw("base_color", (3,), *self._color, env_ids)
+            self._surface.paint(rgb, env_ids)
+        drawn = {
+            name: env.event_manager.draw(name, (1,), *bounds, env_ids)
+            for name, bounds in self._finish.items()
+        }
+        self._surface.finish(drawn.get("metallic"), drawn.get("roughness"), env_ids)
+
+
+@register_term("event", name="set_rigid_object_visual_material")
+class SetRigidObjectVisualMaterial(Term):
+    """Gives a rigid object a material: EmbodiChain's event of the same name.
+
+    Args:
+        entity_cfg: The object.
+        mat_cfg: Keys of `VisualMaterialCfg`: `base_color` (RGBA in [0, 1]), `metallic`,
+            `roughness`, `emissive`, `emissive_intensity`; what is absent takes its default there.
+
+    Example:
+        ``{func: set_rigid_object_visual_material, mode: startup, params: {entity_cfg: {uid: cube}, mat_cfg: {base_color: [0.1, 0.5, 0.2, 1.0], roughness: 0.3}}}``
+    """  # noqa: E501  (an example is one line)
+
+    def __init__(
+        self, env: BaseEnv, entity_cfg: ResolvedEntity, mat_cfg: VisualMaterialCfg
+    ) -> None:
+        self._surface = _Surface(entity_cfg)
+        if not self._surface.is_object:
+            message = f"{entity_cfg.uid!r} is not a rigid object"
+            raise ConfigError([Problem("entity_cfg.uid", message)])
+        if len(mat_cfg.base_color) != 4:
+            message = f"RGBA has 4 values, got {mat_cfg.base_color}"
+            raise ConfigError([Problem("mat_cfg.base_color", message)])
+        for name in ("base_color", "metallic", "roughness", "emissive"):
+            _within_one(f"mat_cfg.{name}", getattr(mat_cfg, name))
+        self._cfg = mat_cfg
+
+    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+        """Write the material in these environments."""
+        cfg, surface = self._cfg, self._surface
+        count = env.num_envs if env_ids is None else len(env_ids)
+        surface.paint(np.tile(np.asarray(cfg.base_color[:3], np.float64), (count, 1)), env_ids)
+        surface.fade(float(cfg.base_color[3]), env_ids)
+        surface.finish(float(cfg.metallic), float(cfg.roughness), env_ids)
+        surface.emit(float(cfg.emissive_intensity) * float(max(cfg.emissive)), env_ids)
