@@ -18,10 +18,14 @@ if TYPE_CHECKING:
 
 __all__ = [
     "angle_between",
+    "angular_velocity",
+    "body_angular_velocity",
     "body_id",
+    "body_linear_velocity",
     "body_velocity",
     "cos_tilt",
     "heading_velocity",
+    "linear_velocity",
     "orientation",
     "projected_gravity",
     "velocity",
@@ -45,31 +49,62 @@ def orientation(entity: ResolvedEntity) -> F64:
     return found
 
 
-def velocity(entity: ResolvedEntity) -> tuple[F64, F64]:
-    """Linear velocity of the origin in m/s and angular in rad/s, (N, 3) each, world axes.
+def _free_qvel(entity: ResolvedEntity) -> F64 | None:
+    """(N, 6) velocity of a floating root's own joint: linear in world axes, angular in its own."""
+    start = entity.asset.entity.free_qvel_adr
+    if entity.link_body is not None or start < 0:
+        return None
+    found: F64 = entity.asset.engine.state("qvel")[:, start : start + 6]
+    return found
 
-    A floating root's are its joint's own. Else MuJoCo's `cvel`, which is (angular, linear) at the
-    centre of mass of the kinematic tree, moved to the origin: v = v_com + w x (origin - com).
+
+def linear_velocity(entity: ResolvedEntity) -> F64:
+    """(N, 3) m/s of the origin, world axes.
+
+    A floating root's is its joint's own. Else it is MuJoCo's `cvel`, which is (angular, linear) at
+    the centre of mass of the kinematic tree, moved to the origin: v = v_com + w x (origin - com).
     """
-    asset = entity.asset
-    start = asset.entity.free_qvel_adr
-    if entity.link_body is None and start >= 0:
-        qvel = asset.engine.state("qvel")[:, start : start + 6]
-        # A free joint's angular velocity is in the body's frame, its linear one in the world's.
-        return qvel[:, :3], quat_rotate(orientation(entity), qvel[:, 3:])
-    engine, body = asset.engine, body_id(entity)
+    free = _free_qvel(entity)
+    if free is not None:
+        return free[:, :3]
+    engine, body = entity.asset.engine, body_id(entity)
     cvel = engine.derived("cvel")[:, body]
     com = engine.derived("subtree_com")[:, int(engine.model.body_rootid[body])]
-    angular = cvel[:, :3]
     arm = engine.derived("xpos")[:, body] - com
-    return cvel[:, 3:] + cross(angular, arm), angular
+    found: F64 = cvel[:, 3:] + cross(cvel[:, :3], arm)
+    return found
+
+
+def angular_velocity(entity: ResolvedEntity) -> F64:
+    """(N, 3) rad/s, world axes."""
+    free = _free_qvel(entity)
+    if free is not None:
+        return quat_rotate(orientation(entity), free[:, 3:])
+    found: F64 = entity.asset.engine.derived("cvel")[:, body_id(entity), :3]
+    return found
+
+
+def velocity(entity: ResolvedEntity) -> tuple[F64, F64]:
+    """Linear velocity of the origin in m/s and angular in rad/s, (N, 3) each, world axes."""
+    return linear_velocity(entity), angular_velocity(entity)
+
+
+def body_linear_velocity(entity: ResolvedEntity) -> F64:
+    """(N, 3) m/s of the origin, in the axes of the body itself."""
+    return quat_rotate(quat_conjugate(orientation(entity)), linear_velocity(entity))
+
+
+def body_angular_velocity(entity: ResolvedEntity) -> F64:
+    """(N, 3) rad/s, in the axes of the body itself."""
+    free = _free_qvel(entity)
+    if free is not None:
+        return free[:, 3:]
+    return quat_rotate(quat_conjugate(orientation(entity)), angular_velocity(entity))
 
 
 def body_velocity(entity: ResolvedEntity) -> tuple[F64, F64]:
     """`velocity` in the axes of the body itself."""
-    linear, angular = velocity(entity)
-    inverse = quat_conjugate(orientation(entity))
-    return quat_rotate(inverse, linear), quat_rotate(inverse, angular)
+    return body_linear_velocity(entity), body_angular_velocity(entity)
 
 
 def heading_velocity(entity: ResolvedEntity) -> F64:
@@ -78,7 +113,7 @@ def heading_velocity(entity: ResolvedEntity) -> F64:
     The heading is the direction of the body's x axis in the plane; of a body whose x axis is
     vertical, the world's x axis.
     """
-    linear, _ = velocity(entity)
+    linear = linear_velocity(entity)
     w, x, y, z = (orientation(entity)[:, i] for i in range(4))
     ahead, left = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
     length = np.sqrt(ahead * ahead + left * left)

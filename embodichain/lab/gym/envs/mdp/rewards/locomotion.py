@@ -65,9 +65,9 @@ class TrackLinVelXyExp(Judge):
         if self._frame == "yaw":
             velocity = _body.heading_velocity(self._entity)
         elif self._frame == "body":
-            velocity = _body.body_velocity(self._entity)[0]
+            velocity = _body.body_linear_velocity(self._entity)
         else:
-            velocity = _body.velocity(self._entity)[0]
+            velocity = _body.linear_velocity(self._entity)
         error = velocity[:, :2] - self._command()[:, :2]
         return _kernels.gaussian(total(error * error), self._std)
 
@@ -101,8 +101,9 @@ class TrackAngVelZExp(Judge):
 
     def value(self) -> F64:
         """(N,) in [0, 1]."""
-        read = _body.body_velocity if self._frame == "body" else _body.velocity
-        error = read(self._entity)[1][:, 2] - self._command()[:, 2]
+        in_body = self._frame == "body"
+        read = _body.body_angular_velocity if in_body else _body.angular_velocity
+        error = read(self._entity)[:, 2] - self._command()[:, 2]
         return _kernels.gaussian(error * error, self._std)
 
 
@@ -122,7 +123,7 @@ class LinVelZL2(Judge):
 
     def value(self) -> F64:
         """(N,)."""
-        speed = _body.body_velocity(self._entity)[0][:, 2]
+        speed = _body.body_linear_velocity(self._entity)[:, 2]
         return speed * speed
 
 
@@ -144,7 +145,7 @@ class AngVelXyL2(Judge):
 
     def value(self) -> F64:
         """(N,)."""
-        rates = _body.body_velocity(self._entity)[1][:, :2]
+        rates = _body.body_angular_velocity(self._entity)[:, :2]
         return total(rates * rates)
 
 
@@ -218,6 +219,6 @@ class BodyLinAccL2(Recalling):
 
     def value(self) -> F64:
         """(N,)."""
-        linear = _body.velocity(self._entity)[0]
+        linear = _body.linear_velocity(self._entity)
         acceleration = (linear - self.recall(linear)[0]) / self._dt
         return np.where(self.calls > 1, total(acceleration * acceleration), 0.0)

@@ -193,7 +193,7 @@ class ToleranceVelocity(Judge):
 
     def value(self) -> F64:
         """(N,) in [0, 1]."""
-        velocity = _body.velocity(self._entity)[0]
+        velocity = _body.linear_velocity(self._entity)
         if self._direction is None:
             return self._tolerance(_spatial.norm(velocity))
         if self._body_axes:
