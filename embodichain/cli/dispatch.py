@@ -8,7 +8,8 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 
 from embodichain.cli import exits
 from embodichain.cli.reporting import report
@@ -56,11 +57,26 @@ def _call(arguments: list[str]) -> int:
 
         return complete(arguments[1:])
     if first in VERBS:
-        with starting() if first in _CALL_STARTED else nullcontext():
+        with _own_modules(), starting() if first in _CALL_STARTED else nullcontext():
             module = importlib.import_module(f"embodichain.cli.{first}")
             code: int = module.main(arguments[1:])
             return code
     raise ConfigError(_not_a_verb(first, arguments))
+
+
+@contextmanager
+def _own_modules() -> Iterator[None]:
+    """Let a config name functions of modules in the working directory, or in its `src`.
+
+    Its `./conf` is searched too. They come last: nothing that is installed is hidden by them.
+    """
+    added = [folder for folder in (os.getcwd(), os.path.abspath("src")) if folder not in sys.path]
+    sys.path += added
+    try:
+        yield
+    finally:
+        for folder in added:
+            sys.path.remove(folder)
 
 
 def _not_a_verb(first: str, arguments: list[str]) -> str:

@@ -91,14 +91,16 @@ _LIST = Verb(
         ("list tasks", "every task that task=NAME finds"),
         ("list robots", "robot files that a task can name"),
         ("list terms", "functions for events, observations, rewards, ..."),
+        ("list terms --markdown", "the same as a page, with parameters and examples"),
     ),
 )
 _SHOW = Verb(
     "show",
-    "Show a task: resolved config, scene, spaces, terms.",
-    "task=NAME [key=value ...] [options]",
+    "Show a task: resolved config, scene, spaces, terms; or one term.",
+    "task=NAME [key=value ...] | term NAME [options]",
     (
         ("show task=reach", "everything"),
+        ("show term within_distance", "what one term takes, with an example"),
         ("show task=reach --config", "only the resolved config, as YAML"),
         ("show task=reach --json", "everything, for scripts"),
     ),
@@ -124,6 +126,15 @@ _CONVERT = Verb(
         ("convert gym_config.json -o conf/task/push.yaml", "write it; then: run task=push"),
     ),
 )
+_NEW = Verb(
+    "new",
+    "Write a task and its test into your folder or package.",
+    "task NAME [--python] [options]",
+    (
+        ("new task my_reach", "YAML: conf/task/my_reach.yaml and tests/test_my_reach.py"),
+        ("new task my_reach --python", "a class, and the YAML that names it"),
+    ),
+)
 _DOCTOR = Verb(
     "doctor",
     "Check this machine: versions, threads, rendering, disk, optional parts.",
@@ -133,7 +144,9 @@ _DOCTOR = Verb(
 
 VERBS: dict[str, Verb] = {
     verb.name: verb
-    for verb in (_RUN, _TRAIN, _REPLAY, _BENCH, _LIST, _SHOW, _VALIDATE, _CONVERT, _DOCTOR)
+    for verb in (
+        *(_RUN, _TRAIN, _REPLAY, _BENCH, _LIST, _SHOW, _VALIDATE, _CONVERT, _NEW, _DOCTOR),
+    )
 }
 
 EVERYDAY_KEYS = (

@@ -40,8 +40,13 @@ def check_root(root: RootCfg, *, allow_import: bool = True) -> list[Problem]:
     return problems
 
 
-def check_task(task: EnvCfg) -> list[Problem]:
-    """Check values of a task that belong to no term and no entity."""
+def check_task(task: EnvCfg, *, allow_import: bool = True) -> list[Problem]:
+    """Check values of a task that belong to no term and no entity.
+
+    Args:
+        task: What passed the check of types.
+        allow_import: Whether the module of an id ``package.module:id`` may be imported.
+    """
     problems = []
     steps = task.max_episode_steps
     if steps < 1 and steps != -1:
@@ -50,7 +55,7 @@ def check_task(task: EnvCfg) -> list[Problem]:
     if task.id is not None:
         from embodichain.config.plugins import require_registered  # Gymnasium: only when needed
 
-        reason = require_registered(task.id)
+        reason = require_registered(task.id, allow_import=allow_import)
         problems += [Problem("task.id", reason)] if reason else []
     for section in SECTIONS:
         for name, term in getattr(task, section).items():

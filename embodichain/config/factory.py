@@ -62,7 +62,7 @@ def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
         problem = require_registered(cfg.id)
         if problem is not None:
             raise ConfigError([Problem("task.id", problem)])
-        return registration.make(cfg.id, cfg=cfg, **kwargs)
+        return registration.make(cfg.id.rpartition(":")[2], cfg=cfg, **kwargs)
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
     return BaseEnv(cfg, **kwargs)

@@ -34,12 +34,26 @@ def load_task_packages() -> None:
             raise
 
 
-def require_registered(env_id: str) -> str | None:
-    """Return why an id cannot be made, or None if it can; imports packages of tasks to find out."""
-    if env_id not in REGISTERED_ENVS:
+def require_registered(env_id: str, *, allow_import: bool = True) -> str | None:
+    """Return why an id cannot be made, or None if it can; imports packages of tasks to find out.
+
+    Args:
+        env_id: An id, or ``package.module:id`` as Gymnasium writes it: that module is imported,
+            and registers the id.
+        allow_import: Whether such a module may be imported; False for configs read from a log.
+    """
+    module, _, name = env_id.rpartition(":")
+    if module and not allow_import:
+        return f"{module!r} would be imported, which is not done for this config"
+    if module:
+        try:
+            importlib.import_module(module)
+        except ImportError as error:
+            return f"cannot import {module!r}: {error}"
+    elif name not in REGISTERED_ENVS:
         load_task_packages()
     classes = [uid for uid, spec in REGISTERED_ENVS.items() if not isinstance(spec.cls, partial)]
-    if env_id in classes:  # the others are YAML tasks, which a task cannot be made of
+    if name in classes:  # the others are YAML tasks, which a task cannot be made of
         return None
     known = ", ".join(sorted(classes)) or "none"
-    return f"no registered class {env_id!r}; there are: {known}.{did_you_mean(env_id, classes)}"
+    return f"no registered class {name!r}; there are: {known}.{did_you_mean(name, classes)}"

@@ -91,7 +91,8 @@ def _check_meaning(
     root: RootCfg, verb: Verb, missing: Sequence[str], allow_import: bool
 ) -> list[Problem]:
     """Values, terms and scene, of what has the right types."""
-    problems = check_root(root, allow_import=allow_import) + check_task(root.task)
+    problems = check_root(root, allow_import=allow_import)
+    problems += check_task(root.task, allow_import=allow_import)
     if verb == "train" and root.total_timesteps is None:
         message = "missing value: set it, or task.suggested.train.total_timesteps"
         problems.append(Problem("total_timesteps", message))

@@ -9,7 +9,9 @@ import pytest
 import torch
 
 import embodichain
-from embodichain.config import list_options
+from embodichain.config import list_options, resolve
+from embodichain.config.frozen import thaw
+from embodichain.config.resolved import resolve_tree
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.utils.registration import register_env
 from embodichain.utils.errors import ConfigError
@@ -96,3 +98,28 @@ def test_a_package_brings_classes(tmp_path: Path, write_task: WriteTask) -> None
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stdout == "Theirs-v0\n", done.stderr
+
+
+def test_an_id_may_name_the_module_that_registers_it(
+    write_task: WriteTask, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Path("modules").mkdir()
+    Path("modules/mine_only.py").write_text(
+        "from embodichain.lab.gym.utils.registration import register_env\n"
+        "register_env('MineOnly-v0', override=True)(lambda cfg: cfg)\n"
+    )
+    monkeypatch.syspath_prepend("modules")
+    tree = thaw(resolve(["task=reach"], "run").tree)
+    tree["task"]["id"] = "mine_only:MineOnly-v0"
+    with pytest.raises(ConfigError, match="'mine_only' would be imported, which is not done"):
+        resolve_tree(tree, "a log")
+    assert "mine_only" not in sys.modules
+    small = "description: A small task."
+    write_task(small, "id: mine_only:MineOnly-v0")
+    assert embodichain.make("mine").id == "mine_only:MineOnly-v0"
+    write_task(small, "id: mine_onl:MineOnly-v0")
+    with pytest.raises(ConfigError, match="cannot import 'mine_onl'"):
+        embodichain.make("mine")
+    write_task(small, "id: mine_only:MineOnly-v1")
+    with pytest.raises(ConfigError, match="Did you mean 'MineOnly-v0'"):
+        embodichain.make("mine")

@@ -1,0 +1,164 @@
+"""`embodichain new task NAME`: writes a task and its test, where the user's own files are.
+
+What is written stands in `new_files`. Nothing that exists is ever changed.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import keyword
+import sys
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from embodichain.cli import exits
+from embodichain.cli.arguments import VerbParser, add_common, print_json
+from embodichain.cli.new_files import Names, task_files
+from embodichain.cli.verbs import VERBS
+from embodichain.utils.errors import ConfigError
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["main"]
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where the files of a task go.
+
+    Attributes:
+        package: The user's package; empty in a folder without one.
+        source: Its folder's parent, relative to the working directory: what Python must search.
+        needed: What its `pyproject.toml` lacks, so that the task is found where it is installed.
+    """
+
+    package: str = ""
+    source: Path = Path()
+    needed: str = ""
+
+
+def main(arguments: list[str]) -> int:
+    """Write the files and say what to do next.
+
+    Raises:
+        ConfigError: If the name cannot be used, or a file exists; nothing is written.
+    """
+    parser = VerbParser(VERBS["new"])
+    parser.add_argument("what", metavar="task")
+    parser.add_argument("name", metavar="NAME")
+    parser.add_argument("--python", action="store_true", help="a class instead of YAML alone")
+    add_common(parser)
+    options = parser.parse(arguments)
+    if options.what != "task":
+        hint = did_you_mean(options.what, ["task"])
+        raise ConfigError(f"nothing called '{options.what}' can be made.{hint} One of: task")
+    name = _checked(options.name)
+    place = _place(name, python=options.python)
+    module = f"{place.package}.tasks.{name}" if place.package else name
+    names = Names(name, module, place.source, place.package)
+    if options.python and not place.package:
+        _check_module(name)
+    files = task_files(names, python=options.python)
+    _write(files)
+    made = {path.as_posix(): None for path in files}
+    commands = _next(names)
+    if options.json:
+        print_json({"wrote": list(made), "next": commands, "pyproject": place.needed})
+        return exits.OK
+    lines = [f"wrote {path}" for path in made]
+    lines += ["", "next:", *(f"  {command}" for command in commands)]
+    if place.needed:
+        lines += ["", "to find it where the package is installed, add to pyproject.toml:"]
+        lines += [f"  {line}".rstrip() for line in place.needed.splitlines()]
+    sys.stdout.write("\n".join(lines) + "\n")
+    return exits.OK
+
+
+def _checked(name: str) -> str:
+    """Return a name that Python and YAML take, and no task has.
+
+    Raises:
+        ConfigError: If it is another.
+    """
+    if not (name.isidentifier() and name.isascii()) or keyword.iskeyword(name):
+        raise ConfigError(f"'{name}' is no name for a task: letters, digits and _, as in push_cube")
+    from embodichain.config.composed import list_options
+
+    own = Path("conf", "task", f"{name}.yaml")
+    if name in list_options("task") and not own.exists():
+        raise ConfigError(f"there is a task '{name}' already: embodichain show task={name}")
+    return name
+
+
+def _check_module(name: str) -> None:
+    """Refuse a module that another one would hide."""
+    if importlib.util.find_spec(name) is not None and not Path(f"{name}.py").exists():
+        raise ConfigError(f"Python has a module '{name}' already: choose another name")
+
+
+def _place(name: str, *, python: bool) -> Place:
+    """The package whose `pyproject.toml` lies here, else the working directory itself."""
+    project = _project()
+    package = str(project.get("name", "")).replace("-", "_").replace(".", "_")
+    for source in (Path(), Path("src")):
+        if package and (source / package / "__init__.py").is_file():
+            return Place(package, source, _needed(project, package, name, python=python))
+    return Place()
+
+
+def _project() -> dict[str, Any]:
+    try:
+        text = Path("pyproject.toml").read_text(encoding="utf-8")
+        table: dict[str, Any] = tomllib.loads(text).get("project", {})
+    except FileNotFoundError:
+        return {}
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        raise ConfigError(f"pyproject.toml cannot be read: {error}") from error
+    return table
+
+
+def _needed(project: dict[str, Any], package: str, name: str, *, python: bool) -> str:
+    """The entry points that a package does not have yet, as TOML."""
+    if package == "embodichain":  # its own tree is searched anyway
+        return ""
+    groups = project.get("entry-points", {})
+    wanted = [("embodichain.conf", package, f"{package}.conf")]
+    if python:
+        wanted.append(("embodichain.tasks", name, f"{package}.tasks.{name}"))
+    blocks = [
+        f'[project.entry-points."{group}"]\n{key} = "{value}"'
+        for group, key, value in wanted
+        if value not in groups.get(group, {}).values()
+    ]
+    return "\n\n".join(blocks)
+
+
+def _write(files: dict[Path, str]) -> None:
+    """Write new files and their folders.
+
+    Raises:
+        ConfigError: If one exists (nothing is written then), or cannot be written.
+    """
+    there = [path.as_posix() for path in files if path.exists() or path.is_symlink()]
+    if there:
+        raise ConfigError(f"exists already, and is not overwritten: {', '.join(there)}")
+    for path, text in files.items():
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open("x", encoding="utf-8") as stream:
+                stream.write(text)
+        except OSError as error:
+            raise ConfigError(f"{path} cannot be written: {error.strerror}") from error
+
+
+def _next(names: Names) -> list[str]:
+    """What to type now."""
+    where = "" if names.conf == Path("conf") else f" --config-dir {names.conf.as_posix()}"
+    if names.package == "embodichain":
+        where = ""
+    return [
+        f"embodichain validate{where} task={names.task}",
+        f"python -m pytest {names.test.as_posix()}",
+        f"embodichain run{where} task={names.task}",
+    ]
