@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import logging
 import pkgutil
 import re
 import typing
@@ -62,6 +63,8 @@ _EEF_LATER = (
     "end-effector actions come with the IK solvers, in a later version; until then act on joints: "
     "default_offset_joint_position, relative_joint_position or joint_position_to_limits"
 )
+logger = logging.getLogger(__name__)
+
 T = TypeVar("T", bound=Callable[..., Any])
 _BUILTIN = "embodichain.lab.gym.envs.mdp"
 _PACKAGES = (
@@ -136,15 +139,19 @@ class _TermTable(Mapping[Kind, dict[str, TermSpec]]):
 
     def __init__(self) -> None:
         self.registered: dict[Kind, dict[str, TermSpec]] = {kind: {} for kind in KINDS}
+        self.broken: list[str] = []  # entry points that could not be loaded, and why
         self._loaded = False
 
     def __getitem__(self, kind: Kind) -> dict[str, TermSpec]:
         if not self._loaded:
-            self._loaded = True
-            for package in _PACKAGES:
-                _import_modules(f"{_BUILTIN}.{package}")
-            for entry in entry_points(group=ENTRY_POINTS):
-                entry.load()
+            self._loaded = True  # before: a module of terms may look terms up
+            try:
+                for package in _PACKAGES:
+                    _import_modules(f"{_BUILTIN}.{package}")
+            except BaseException:
+                self._loaded = False
+                raise
+            self.broken = _load_entry_points()
         return self.registered[kind]
 
     def __iter__(self) -> Iterator[Kind]:
@@ -152,6 +159,24 @@ class _TermTable(Mapping[Kind, dict[str, TermSpec]]):
 
     def __len__(self) -> int:
         return len(KINDS)
+
+
+def _load_entry_points() -> list[str]:
+    """Import users' modules of terms; what cannot be imported is reported and left out."""
+    broken: list[str] = []
+    for entry in sorted(entry_points(group=ENTRY_POINTS)):
+        try:
+            entry.load()
+        except Exception as error:  # whatever a user's module raises: everything else still works
+            owner = "" if entry.dist is None else f" of {entry.dist.name}"
+            reason = f"{type(error).__name__}: {error}"
+            broken.append(
+                f"the terms of {entry.value!r} (entry point {entry.name!r}{owner}) could not be "
+                f"loaded: {reason}"
+            )
+            logger.warning("%s", broken[-1])
+            logger.debug("the traceback:", exc_info=error)
+    return broken
 
 
 def _import_modules(package: str) -> None:
@@ -257,9 +282,10 @@ def resolve_term(
     if kind == "action" and "eef" in func.lower():
         raise ConfigError(f"{func!r} is not available yet: {_EEF_LATER}")
     names = ", ".join(sorted(TERMS[kind]))
+    missing = "".join(f" Besides, {reason}." for reason in TERMS.broken)
     raise ConfigError(
         f"unknown {kind} term {func!r}; allowed: {names}, or package.module:function."
-        f"{did_you_mean(func, TERMS[kind])}"
+        f"{did_you_mean(func, TERMS[kind])}{missing}"
     )
 
 
