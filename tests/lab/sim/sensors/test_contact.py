@@ -15,8 +15,12 @@ TABLE_LEGS = """
     <body name="top" pos="0 0 0.3">
       <freejoint/>
       <geom type="box" size=".2 .2 .02" mass="3"/>
-      <body name="left_foot" pos="0.15 0 -0.15"><geom type="box" size=".05 .2 .13" mass="1"/></body>
-      <body name="right_foot" pos="-0.15 0 -0.15"><geom type="box" size=".05 .2 .13" mass="1"/></body>
+      <body name="left_foot" pos="0.15 0 -0.15">
+        <geom type="box" size=".05 .2 .13" mass="1"/>
+      </body>
+      <body name="right_foot" pos="-0.15 0 -0.15">
+        <geom type="box" size=".05 .2 .13" mass="1"/>
+      </body>
     </body>
   </worldbody>
 </mujoco>

@@ -10,7 +10,12 @@ from tests.lab.sim.sensors.conftest import cube
 
 G = 9.81
 HALF = np.sqrt(0.5)
-ABOUT_X = (HALF, HALF, 0.0, 0.0)  # a quarter turn: its z axis is the world's -y, its y the world's z
+ABOUT_X = (
+    HALF,
+    HALF,
+    0.0,
+    0.0,
+)  # a quarter turn: its z axis is the world's -y, its y the world's z
 
 
 def imu(uid="imu", on="cube", **kwargs):
