@@ -64,6 +64,7 @@ class SceneEntityCfg:
     link_names: Names = None
     body_names: Names = None
     control_parts: Names = None
+    """Without joints that mimic another: nobody drives those."""
     preserve_order: bool = False
     joint_ids: list[int] | None = None
     body_ids: list[int] | None = None
@@ -227,7 +228,7 @@ class EnvCfg:
     # ours: the declared task. Maps are keyed by name; an entity's uid is its key.
     description: str = dataclasses.field(default="", kw_only=True)
     id: str | None = dataclasses.field(default=None, kw_only=True)
-    """A registered Python class instead of the generic one."""
+    """A registered Python class instead of the generic one; ``package.module:ID`` imports it."""
     physics: PhysicsTaskCfg | None = dataclasses.field(default=None, kw_only=True)
     decimation: Annotated[int, Field(ge=1)] | None = dataclasses.field(default=None, kw_only=True)
     """Another name of `sim_steps_per_control`; wins when given."""
