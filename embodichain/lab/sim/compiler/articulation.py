@@ -147,6 +147,8 @@ def parse_with_problems(
         if cfg.gravcomp is not None:
             for body in file.spec.bodies[1:]:  # the first is the world
                 body.gravcomp = float(cfg.gravcomp)
+        for body in file.spec.bodies[1:]:
+            body.simple = 0  # its centre of mass may move: see `add_object`
         spec, root = set_root(file.spec, cfg.fix_base)
         model = compile_quietly(spec)
     except (ConfigError, *MUJOCO_ERRORS) as error:

@@ -110,6 +110,9 @@ def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) 
     body.mocap = cfg.body_type == "kinematic"
     if cfg.body_type == "dynamic":
         body.add_freejoint(name=f"{uid}/free")
+        # A body compiled as "simple" has a diagonal mass matrix, and could never get another
+        # centre of mass per environment.
+        body.simple = 0
     geom = body.add_geom(name=f"{uid}/geom")
     set_shape(spec, geom, uid, cfg.shape, np.asarray(cfg.body_scale, np.float64))
     geom.material = surface(spec, uid, cfg.shape.visual_material, number)

@@ -75,7 +75,8 @@ class ModelFields:
         self._views = {name: self._expand(name) for name in self._views}
 
     def _expand(self, name: str) -> NDArray[Any]:
-        return self._batch.expand(name).reshape(self._num_envs, -1)
+        view: NDArray[Any] = self._batch.expand(name).reshape(self._num_envs, -1)
+        return view
 
     def view(self, name: str) -> NDArray[Any]:
         """(N, size) live values of a field.

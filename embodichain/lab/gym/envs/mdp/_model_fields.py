@@ -86,7 +86,7 @@ class Quantity:
         self.factors = low[self.ids], high[self.ids]
         self.default: F64 = np.array(default, np.float64)[self.ids]
         if operation != "abs" and not np.isfinite(self.default).all():
-            wrong = [names[i] for i in self.ids if not np.isfinite(default[i])]
+            wrong = [names[int(i)] for i in self.ids if not np.isfinite(default[i])]
             message = f"{finite}: {', '.join(wrong)}; use operation: abs"
             raise ConfigError([Problem(param, message)])
         ends = [self.apply(f) for f in self.factors]
@@ -94,7 +94,7 @@ class Quantity:
         least = np.minimum(self.low, self.high)
         if lowest is not None and (least < lowest).any():
             worst = int(np.argmin(least))
-            message = f"would give {names[self.ids[worst]]} {least[worst]:g}, below {lowest:g}"
+            message = f"would give {names[int(self.ids[worst])]} {least[worst]:g}, below {lowest:g}"
             raise ConfigError([Problem(param, message)])
 
     def apply(self, drawn: F64) -> F64:

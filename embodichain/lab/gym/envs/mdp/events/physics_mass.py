@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -171,6 +172,7 @@ def _mass_of(entity: ResolvedEntity, body: int) -> float:
 
 
 def _matching(patterns: str | list[str], names: list[str]) -> list[int]:
-    picks = {p: [0.0, 0.0] for p in ([patterns] if isinstance(patterns, str) else patterns)}
-    zeros = np.zeros(len(names))
-    return Quantity("link_names", picks, names, zeros, "abs").ids.tolist()
+    """Indices of the names that a pattern matches in full."""
+    zero: Sequence[float] = [0.0, 0.0]
+    picks = dict.fromkeys([patterns] if isinstance(patterns, str) else patterns, zero)
+    return [int(i) for i in Quantity("link_names", picks, names, np.zeros(len(names)), "abs").ids]
