@@ -270,3 +270,10 @@ def test_what_a_term_remembers_of_actions_is_reset_and_restored(make, func) -> N
     env.reset(options={"reset_ids": [1]})
     found = env.step(actions[4])[1]
     assert found[1] == 0.0 and (found[[0, 2]] != 0).all()
+
+
+def test_actions_without_an_order_are_refused() -> None:
+    from embodichain.lab.gym.envs.mdp.rewards.actions import action_l2
+
+    with pytest.raises(TypeError, match="needs an action tensor, got dict"):
+        action_l2(None, None, {"qpos": torch.zeros(3, 6)}, {})

@@ -1,5 +1,6 @@
 """Rewards of distances, orientations and progress, on cases worked by hand."""
 
+import inspect
 import math
 from collections.abc import Iterator
 from typing import Any
@@ -9,6 +10,7 @@ import pytest
 import torch
 
 from embodichain.lab.gym.envs.cfg import EventCfg, RewardCfg
+from embodichain.lab.gym.envs.managers import TERMS
 from embodichain.utils.errors import ConfigError
 from tests.helpers.judging import put, reward, turned
 from tests.helpers.ur10_task import builder
@@ -177,3 +179,55 @@ def test_progress_in_the_plane_only(make) -> None:
         put(env, "goal", pos)
         reward_ = env.step(env.robot.get_qpos(target=True))[1]
         assert reward_.tolist() == pytest.approx([paid] * 3)
+
+
+NEEDED = object()
+# EmbodiChain's published signatures; our robot_uid None is the task's robot, whatever its name.
+UPSTREAM = {
+    "distance_between_objects": {
+        "source_entity_cfg": NEEDED,
+        "target_entity_cfg": NEEDED,
+        "exponential": False,
+        "sigma": 1.0,
+    },
+    "distance_to_target": {
+        "source_entity_cfg": NEEDED,
+        "target_pose_key": "target_pose",
+        "exponential": False,
+        "sigma": 1.0,
+        "use_xy_only": False,
+    },
+    "incremental_distance_to_target": {
+        "source_entity_cfg": NEEDED,
+        "target_pose_key": "target_pose",
+        "tanh_scale": 10.0,
+        "positive_weight": 1.0,
+        "negative_weight": 1.0,
+        "use_xy_only": False,
+    },
+    "orientation_alignment": {"source_entity_cfg": NEEDED, "target_entity_cfg": NEEDED},
+    "reaching_behind_object": {
+        "object_cfg": NEEDED,
+        "target_pose_key": "goal_pose",
+        "behind_offset": 0.015,
+        "height_offset": 0.015,
+        "distance_scale": 5.0,
+        "part_name": None,
+    },
+    "success_reward": {},
+    "joint_velocity_penalty": {"robot_uid": None, "joint_ids": None, "part_name": None},
+    "action_smoothness_penalty": {},
+    "joint_limit_penalty": {"robot_uid": None, "joint_ids": None, "margin": 0.1},
+}
+
+
+@pytest.mark.parametrize("name", sorted(UPSTREAM))
+def test_embodichains_rewards_keep_their_parameters_and_defaults(name) -> None:
+    params = TERMS["reward"][name].params
+    found = {
+        key: NEEDED if params[key].default is inspect.Parameter.empty else params[key].default
+        for key in UPSTREAM[name]
+    }
+    assert found == UPSTREAM[name]
+    added = [parameter for key, parameter in params.items() if key not in UPSTREAM[name]]
+    assert all(parameter.default is not inspect.Parameter.empty for parameter in added)
