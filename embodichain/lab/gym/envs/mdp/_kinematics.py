@@ -163,16 +163,21 @@ def _constants(model: Any, joint: int, addresses: dict[int, int], offset: F64, t
 
 
 def links_below(asset: Any, joints: Sequence[int]) -> list[int]:
-    """Links that all the given joints move, as indices; those farthest from the root only."""
+    """Links that all the given joints move, and none beyond; the farthest from the root only.
+
+    As indices. A hand that is fixed to an arm's last link is the arm's; its fingers are not.
+    """
     model, index = asset.engine.model, asset.entity
     movers = {int(model.dof_bodyid[d]) for d in np.asarray(index.dof_adr)[list(joints)]}
     found: list[tuple[int, int]] = []
     for link, body in enumerate(np.asarray(index.body_ids)):
-        above, here = set(), int(body)
+        above, here, carrier = set(), int(body), 0
         while here != 0:
             above.add(here)
+            if carrier == 0 and model.body_dofnum[here]:
+                carrier = here
             here = int(model.body_parentid[here])
-        if movers <= above:
+        if movers <= above and carrier in movers:
             found.append((len(above), link))
     deepest = max((depth for depth, _ in found), default=0)
     return [link for depth, link in found if depth == deepest]

@@ -31,7 +31,8 @@ class JointEffort(AffineJointTerm):
     (MuJoCo's ``qfrc_applied``), constant over a control step, whatever the drive type: a drive that
     is there acts beside it, as in EmbodiChain. For pure effort control declare
     ``drive_pros: {drive_type: none}`` (the limit is then the file's) or stiffness and damping 0 (a
-    stiff drive would hold its own target; a warning says so).
+    stiff drive would hold its own target; a warning says so). A randomized actuator strength scales
+    what is applied.
 
     Example:
         ``{func: joint_effort, params: {entity_cfg: {uid: ur10}, scale: 10.0, clip: [-1, 1]}}``
@@ -64,8 +65,10 @@ class JointEffort(AffineJointTerm):
 
     def apply(self, action: torch.Tensor) -> None:
         """Apply the efforts of (N, A) actions, N m or N."""
-        effort, most = self._value(action), self._asset.drives.max_effort[:, self._ids]
-        effort = np.minimum(np.maximum(effort, -most), most)
+        drives = self._asset.drives
+        most = drives.max_effort[:, self._ids]
+        effort = np.minimum(np.maximum(self._value(action), -most), most)
+        effort = effort * drives.strength[:, self._ids]
         self._asset.engine.write("qfrc_applied", effort, None, self._dofs)
 
     def home(self) -> F64:

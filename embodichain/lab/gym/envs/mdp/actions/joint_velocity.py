@@ -91,8 +91,9 @@ class JointVelocity(AffineJointTerm):
 
     def _push(self, velocity: F64) -> None:
         """Apply damping x target, kept so that the whole drive stays within its limit now."""
-        joints, asset = self._ids[self._free], self._asset
-        damping, most = asset.drives.damping[:, joints], asset.drives.max_effort[:, joints]
+        joints, asset, drives = self._ids[self._free], self._asset, self._asset.drives
+        damping = drives.damping[:, joints]
+        most = drives.max_effort[:, joints] * drives.strength[:, joints]
         drag = damping * asset.read_qvel()[:, joints]
         effort = damping * velocity
         effort = np.minimum(np.maximum(effort, drag - most), drag + most)
