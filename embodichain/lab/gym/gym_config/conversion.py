@@ -85,7 +85,7 @@ def convert(config: Mapping[str, Any]) -> Conversion:
         _control_period(draft, env)
         convert_actions(draft, env, robot)
         for section in ("events", "observations", "rewards"):
-            convert_terms(draft, section, env.get(section), robot)
+            convert_terms(draft, section, env, robot)
     _suggest(draft, config)
     task = {key: draft.task[key] for key in _ORDER if key in draft.task}
     name = str(config.get("id") or "")

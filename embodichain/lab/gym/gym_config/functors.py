@@ -10,7 +10,7 @@ from typing import Final
 
 from embodichain.lab.gym.gym_config.vocabulary import Left
 
-__all__ = ["ACTIONS", "LEFT_OUT", "RENAMED", "left_out_functors"]
+__all__ = ["ACTIONS", "LEFT_OUT", "VISUAL", "left_out_functors"]
 
 _RAYS = "it changes what only a ray tracer draws"
 _CAMERA = "cameras are not available yet"
@@ -21,39 +21,22 @@ _FILES = "a mesh is compiled once, from its file"
 LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
     "event": {
         "replace_assets_from_group": _FILES,
-        "prepare_extra_attr": "entities carry no free attributes; use extensions",
-        "register_entity_attrs": "entities carry no free attributes; use extensions",
-        "register_entity_pose": "terms read poses where they need them",
-        "register_info_to_env": "terms read poses where they need them",
         "drop_rigid_object_group_sequentially": _GROUPS,
-        "wait_for_dynamic_objects_to_settle": "an event cannot step physics: a reset takes no time",
-        "set_detached_uids_for_env_reset": "a reset puts every object back",
         "create_rigid_constraint": "constraints are not available yet",
         "remove_rigid_constraint": "constraints are not available yet",
         "apply_expansion_profile_reset": "scene expansion is not available",
-        "randomize_robot_eef_pose": _IK,
-        "planner_grid_cell_sampler": "there is no planner",
-        "randomize_anchor_height": "the anchor and what stands on it are moved one by one",
         "sample_rigid_object_pose_from_workspace": _IK,
         "ExpandSceneLayout": "scene expansion is not available",
-        "randomize_visual_material": _RAYS,
         "randomize_indirect_lighting": _RAYS,
-        "randomize_light": _RAYS,
         "randomize_emission_light": _RAYS,
-        "randomize_camera_extrinsics": _CAMERA,
         "randomize_camera_intrinsics": _CAMERA,
-        "set_rigid_object_visual_material": "write visual_material in the object's shape",
         "set_rigid_object_group_visual_material": _GROUPS,
-        "randomize_rigid_object_scale": "sizes are randomized by randomize_geom_size",
-        "randomize_rigid_objects_scale": "sizes are randomized by randomize_geom_size",
-        "randomize_rigid_object_body_scale": "sizes are randomized by randomize_geom_size",
-        "push_articulation_by_setting_velocity": "no event of this name is here yet",
+        "randomize_rigid_object_body_scale": "it is deprecated: use randomize_rigid_object_scale",
         "record_camera_data": "the log of a run is the recording",
         "record_camera_data_async": "the log of a run is the recording",
         "validation_cameras": _CAMERA,
     },
     "observation": {
-        "get_object_uid": "an observation is a number that changes",
         "get_sensor_pose_in_robot_frame": _CAMERA,
         "get_sensor_intrinsics": _CAMERA,
         "compute_semantic_mask": _CAMERA,
@@ -71,12 +54,17 @@ LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
 }
 """Kind -> functor -> why it is left out. A term of ours with the same name goes before it."""
 
-RENAMED: Final[Mapping[str, Mapping[str, str]]] = {
-    "event": {},
-    "observation": {"get_rigid_object_pose": "get_object_pose"},
-    "reward": {},
-}
-"""Kind -> functor -> our term. A term of ours with the functor's own name goes before it."""
+VISUAL: Final = (
+    "randomize_visual_material",
+    "randomize_indirect_lighting",
+    "randomize_light",
+    "randomize_emission_light",
+    "randomize_camera_extrinsics",
+    "randomize_camera_intrinsics",
+    "set_rigid_object_visual_material",
+    "set_rigid_object_group_visual_material",
+)
+"""Events that `env.filter_visual_rand` leaves out."""
 
 _RELATIVE = "relative_joint_position"
 _ABSOLUTE = "joint_position"

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from embodichain.lab.gym.envs.managers.registry import TERMS, TermSpec
 from embodichain.lab.gym.gym_config.draft import Draft, Path
-from embodichain.lab.gym.gym_config.functors import ACTIONS, LEFT_OUT, RENAMED
+from embodichain.lab.gym.gym_config.functors import ACTIONS, LEFT_OUT, VISUAL
 from embodichain.lab.gym.gym_config.vocabulary import (
     ACTION,
     EVENT,
@@ -41,19 +41,22 @@ _CLIPPED_THERE = ("default_offset_joint_position",)
 """Terms whose actions EmbodiChain clamps too, to the same bounds."""
 
 
-def convert_terms(draft: Draft, section: str, data: Any, robot: str) -> None:
+def convert_terms(draft: Draft, section: str, env: Mapping[str, Any], robot: str) -> None:
     """Convert `env.events`, `env.observations` or `env.rewards`.
 
     Args:
         draft: Grows by the terms.
         section: Which of them.
-        data: Name -> functor.
+        env: The section `env`.
         robot: The robot's uid, for functors that name none.
     """
     kind, vocabulary = _TABLES[section]
-    for source, name, functor in draft.entries(data, ("env", section)):
+    for source, name, functor in draft.entries(env.get(section), ("env", section)):
         spec, func = _find(draft, kind, functor, source)
         if func is None:
+            continue
+        if func in VISUAL and env.get("filter_visual_rand"):
+            draft.note(source, f"{func}: env.filter_visual_rand leaves it out")
             continue
         target = (section, name)
         draft.put((*target, "func"), func, (*source, "func"))
@@ -110,8 +113,6 @@ def _find(
     known = TERMS[kind]
     if kind == "action":
         name = ACTIONS.get(name, name)
-    elif name not in known:
-        name = RENAMED[kind].get(name, name)
     if name not in known and name in LEFT_OUT[kind]:
         message = f"{name}: {LEFT_OUT[kind][name]}"
         if kind == "action" and name != "QposNormalizedTerm":

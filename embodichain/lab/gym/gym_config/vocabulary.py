@@ -292,7 +292,7 @@ ENV: Vocabulary = {
     "dataset": "data sets in LeRobot's form are not written: the log holds every step",
     "task_instruction": "it belongs to data sets",
     "expert_trajectory": "expert data is not collected here",
-    "filter_visual_rand": "visual randomization needs a ray tracer",
+    "filter_visual_rand": HANDLED,
     "filter_dataset_saving": "data sets in LeRobot's form are not written",
     "init_rollout_buffer": "a learner keeps its own buffer",
     "rollout_action_semantics": "a learner keeps its own buffer",

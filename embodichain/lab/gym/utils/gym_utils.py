@@ -96,6 +96,8 @@ def build_env_cfg_from_args(
         config = gym_config_modifier(config) or config
     given = {key: getattr(args, key, default) for key, default in _FLAGS.items()}
     flags = {key: value for key, value in given.items() if value != _FLAGS[key]}
+    if getattr(args, "filter_visual_rand", False):
+        flags["env"] = {**(config.get("env") or {}), "filter_visual_rand": True}
     cfg = config_to_cfg({**config, **flags})
     action = read_gym_config(args.action_config) if args.action_config else {}
     return cfg, config, action

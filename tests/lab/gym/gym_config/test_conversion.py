@@ -66,7 +66,7 @@ def test_terms_keep_names_parameters_and_defaults_of_there() -> None:
     task = convert(read("push.yaml")).task
     assert task["observations"]["qpos"]["mode"] == "modify"  # the default there; ours is add
     assert task["observations"]["qpos"]["name"] == "robot/qpos"
-    assert task["observations"]["cube"]["func"] == "get_object_pose"  # was an alias there
+    assert task["observations"]["cube"]["func"] == "get_rigid_object_pose"
     assert task["rewards"]["near"] == {
         "func": "distance_to_target",
         "mode": "add",
@@ -264,6 +264,14 @@ def test_one_component_is_the_robot() -> None:
     conversion = convert({"robot": {"urdf_cfg": {"components": [{"urdf_path": "a/b.urdf"}]}}})
     assert conversion.task["robot"] == {"fpath": "a/b.urdf"}
     assert notes(conversion)["robot.urdf_cfg"].startswith("its one component is the robot")
+
+
+def test_visual_events_are_left_out_where_that_is_asked_for() -> None:
+    events = {"lamp": {"func": "embodichain.lab.gym.envs.managers.events.randomize_light"}}
+    assert convert({"env": {"events": events}}).task["events"]["lamp"]["func"] == "randomize_light"
+    conversion = convert({"env": {"events": events, "filter_visual_rand": True}})
+    assert "events" not in conversion.task
+    assert "leaves it out" in notes(conversion)["env.events.lamp"]
 
 
 def test_a_class_of_ones_own_stays() -> None:
