@@ -16,7 +16,7 @@ from embodichain.lab.gym.envs.cfg import (
     TerminationCfg,
 )
 from embodichain.lab.gym.envs.managers import TERMS
-from tests.helpers import judge_terms
+from tests.helpers import judge_terms, spatial_events
 from tests.helpers.judge_terms import REWARDS, TERMINATIONS
 from tests.helpers.ur10_task import HOME
 
@@ -39,6 +39,7 @@ ACTIONS = {
 }
 EVENTS = {
     **judge_terms.EVENTS,
+    **spatial_events.EVENTS,
     "place": EventCfg(
         func="randomize_rigid_object_pose",
         params={**CUBE, "position_range": BOX, "rotation_range": [[-99] * 3, [99] * 3]},
@@ -70,6 +71,7 @@ def sections() -> dict:
         "actions": {k: ActionTermCfg(func=k, params=v) for k, v in ACTIONS.items()},
         "commands": judge_terms.COMMANDS,
         "events": EVENTS,
+        "lights": spatial_events.LIGHTS,
         "observations": {k: ObservationCfg(func=k, params=v) for k, v in OBSERVATIONS.items()},
         "rewards": {k: RewardCfg(func=k, params=v, weight=0.3) for k, v in REWARDS.items()},
         "terminations": {k: TerminationCfg(func=k, params=v) for k, v in TERMINATIONS.items()},

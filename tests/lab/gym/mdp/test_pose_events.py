@@ -11,7 +11,7 @@ from embodichain.lab.gym.envs.mdp._kinematics import Chain
 from embodichain.lab.gym.envs.mdp.events.eef_pose import reach_of
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.math import quat_to_matrix
-from tests.helpers.ur10_task import CUBE_POS, HOME
+from tests.helpers.ur10_task import CUBE_POS, GOAL_POS, HOME
 from tests.lab.gym.mdp.test_events import build, poses
 
 BOX = [[-0.1, -0.2, 0.1], [0.1, 0.2, 0.3]]
@@ -235,3 +235,39 @@ def test_wrong_parameters(make, what, part) -> None:
     with pytest.raises(ConfigError) as caught:
         make(events={"e": what})
     assert part in str(caught.value)
+
+
+def reach_event(**params) -> EventCfg:
+    return event(
+        "sample_rigid_object_pose_from_workspace",
+        robot_cfg=TOOL["entity_cfg"],
+        entity_cfg={"uid": "goal"},
+        **params,
+    )
+
+
+def test_objects_are_placed_where_the_tool_can_reach(make) -> None:
+    # The base stands at z = 1; the arm's links are 0.612 + 0.5723 m long, its wrist about 0.2 m.
+    what = reach_event(
+        position_bounds=[[-2, -2, 0], [2, 2, 3]], rotation_range=[[0, 0, 45], [0, 0, 45]]
+    )
+    env, _ = build(make, what, num_envs=64)
+    pos, quat = poses(env, "goal")
+    assert len(np.unique(pos[:, 0])) == 64
+    far = np.linalg.norm(pos - [0, 0, 1.1273], axis=1)
+    assert far.max() < 1.4 and far.mean() > 0.7
+    assert np.allclose(rotation(quat).as_euler("xyz", degrees=True), [0, 0, 45], atol=1e-9)
+
+
+def test_positions_out_of_reach_are_drawn_again(make) -> None:
+    # Only a tenth of this box is within reach; the height is fixed.
+    what = reach_event(position_bounds=[[0.8, -0.2, 0], [6.0, 0.2, 0]], reference_height=1.2)
+    env, _ = build(make, what, num_envs=32)
+    pos = poses(env, "goal")[0]
+    assert (pos[:, 2] == 1.2).all() and (pos[:, 0] < 1.4).all()
+
+
+def test_an_object_stays_if_nothing_is_within_reach(make) -> None:
+    what = reach_event(position_bounds=[[5, 5, 5], [6, 6, 6]], max_attempts=3)
+    env, _ = build(make, what)
+    assert np.array_equal(poses(env, "goal")[0], np.tile(GOAL_POS, (3, 1)))

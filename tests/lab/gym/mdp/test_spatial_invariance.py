@@ -1,0 +1,91 @@
+"""Every event that places, pushes or paints gives environment i the same bytes for any N."""
+
+import numpy as np
+
+from embodichain.lab.gym.envs.managers import TERMS
+from tests.helpers.spatial_events import EVENTS, LIGHTS
+
+PACKAGE = "embodichain.lab.gym.envs.mdp.events."
+OTHERS = ("object_pose", "robot_qpos", "record")
+FIELDS = ("mat_rgba", "mat_specular", "geom_rgba", "light_pos", "light_diffuse", "cam_quat")
+
+
+def tensors(env) -> list[np.ndarray]:
+    """(N, ...) what the events leave on the environment."""
+    found = [env.lift, env.target_pose, *env.affordance_datas.values()]
+    return [np.asarray(value) for value in found]
+
+
+def rollout(make, num_envs: int) -> list[list[bytes]]:
+    """Bytes of the first environment after resets and steps."""
+    env = make(num_envs=num_envs, events=EVENTS, lights=LIGHTS)
+    engine = env.sim.engine
+    found = []
+
+    def look() -> None:
+        row = [engine.rows[0].tobytes(), *(value[0].tobytes() for value in tensors(env))]
+        found.append(row + [engine.model_field(field)[0].tobytes() for field in FIELDS])
+
+    env.reset()
+    look()
+    for step in range(10):
+        if step == 4:
+            env.reset(options={"reset_ids": [0]})
+            look()
+        env.step(env.robot.get_qpos(target=True))
+        look()
+    return found
+
+
+def test_bytes_do_not_depend_on_the_number_of_environments(make) -> None:
+    wide = rollout(make, 17)
+    for num_envs in (1, 3):
+        for step, (a, b) in enumerate(zip(rollout(make, num_envs), wide, strict=True)):
+            for item, (x, y) in enumerate(zip(a, b, strict=True)):
+                assert x == y, f"N={num_envs}, look {step}, item {item}"
+
+
+def test_a_partial_reset_touches_nobody_else(make) -> None:
+    env = make(num_envs=4, events=EVENTS, lights=LIGHTS)
+    env.reset()
+    engine = env.sim.engine
+
+    def others() -> list[np.ndarray]:
+        rows = [engine.rows, *tensors(env), *(engine.model_field(f) for f in FIELDS)]
+        return [value[[0, 2, 3]].copy() for value in rows]
+
+    before, own = others(), engine.rows[1].copy()
+    for _ in range(5):
+        env.reset(options={"reset_ids": [1]})
+    assert all(np.array_equal(a, b) for a, b in zip(before, others(), strict=True))
+    assert not np.array_equal(own, engine.rows[1])
+
+
+def test_a_restored_environment_continues_to_the_byte(make) -> None:
+    env = make(num_envs=3, max_episode_steps=4, events=EVENTS, lights=LIGHTS)
+    env.reset()
+
+    def run() -> list[bytes]:
+        found = []
+        for _ in range(9):
+            env.step(env.robot.get_qpos(target=True))
+            found += [env.sim.engine.rows.tobytes(), *(v.tobytes() for v in tensors(env))]
+            found += [env.sim.engine.model_field(f).tobytes() for f in FIELDS]
+        return found
+
+    env.step(env.robot.get_qpos(target=True))
+    saved = env.state_dict()
+    first = run()
+    env.load_state_dict(saved)
+    assert run() == first
+
+
+def test_every_event_of_these_modules_takes_part() -> None:
+    names = {
+        name
+        for name, spec in TERMS["event"].items()
+        if spec.func.__module__.startswith(PACKAGE)
+        and not spec.func.__module__.removeprefix(PACKAGE).startswith(("physics_", *OTHERS))
+    }
+    wanted = names | {"randomize_articulation_root_pose"}  # stands beside objects' event
+    assert {str(event.func) for event in EVENTS.values()} == wanted
