@@ -40,9 +40,9 @@ BAD = {
         "conf/task/mine.yaml:3: task.max_episode_step: unknown key; allowed: "
         "sim_steps_per_control, ignore_terminations, max_episode_steps, description, id, "
         "physics, decimation, episode_length_s, robot, robots, objects, articulations, "
-        "lights, sensors, actions, events, commands, observations, rewards, "
-        "terminations, metrics, curriculum, extensions, suggested. Did you mean "
-        "'max_episode_steps'?",
+        "lights, sensors, actions, events, commands, observations, "
+        "enable_corruption, rewards, terminations, metrics, curriculum, extensions, suggested. "
+        "Did you mean 'max_episode_steps'?",
         old="max_episode_steps: 50",
         new="max_episode_step: 50",
     ),
@@ -51,8 +51,8 @@ BAD = {
         "init_pos, init_rot, init_local_pose, init_quat, fpath, drive_pros, body_scale, "
         "attrs, fix_base, disable_self_collision, init_qpos, sleep_threshold, "
         "min_position_iters, min_velocity_iters, build_pk_chain, compute_uv, "
-        "use_usd_properties, control_parts, urdf_cfg, solver_cfg. Did you mean "
-        "'init_qpos'?",
+        "use_usd_properties, attachments, gravcomp, control_parts, urdf_cfg, solver_cfg. "
+        "Did you mean 'init_qpos'?",
         old="  init_qpos: [0",
         new="  init_qps: [0",
     ),
@@ -244,10 +244,54 @@ BAD = {
     ),
     "not available yet": bad(
         "command line: video: not available yet; leave it at null",
-        "command line: task.commands: not available yet; leave it out",
+        overrides=("video=true",),
+    ),
+    "wrong command": bad(
+        "command line: task.commands.go.func: unknown command term 'uniform_velocty'; allowed: "
+        "uniform_joint_position, uniform_pose, uniform_velocity, or package.module:function. "
+        "Did you mean 'uniform_velocity'?",
+        "command line: task.commands.there.resampling_time_s: needs 0 < low <= high, got "
+        "[2.0, 1.0]",
+        "command line: task.commands.there.params.position_range: missing; command term "
+        "'uniform_pose' needs it",
+        "command line: task.observations.go.params.command_name: no command is called 'thre'; "
+        "there are: go, there. Did you mean 'there'?",
         overrides=(
-            "video=true",
-            "+task.commands.go={}",
+            "+task.commands.go={func: uniform_velocty}",
+            "+task.commands.there={func: uniform_pose, resampling_time_s: [2, 1], "
+            "params: {entity_cfg: {uid: arm}}}",
+            "+task.observations.go={func: generated_command, params: {command_name: thre}}",
+        ),
+    ),
+    "wrong curriculum": bad(
+        "command line: task.curriculum.a.params.term_name: there is no 'neer' in rewards; there "
+        "are: near. Did you mean 'near'?",
+        "command line: task.curriculum.b.params.param: there is no 'treshold' in the parameters; "
+        "there is: use_xy_only, source_entity_cfg, target_entity_cfg, threshold. "
+        "Did you mean 'threshold'?",
+        overrides=(
+            "+task.curriculum.a={func: modify_reward_weight, params: {term_name: neer, weight: 2, "
+            "num_steps: 5}}",
+            "+task.curriculum.b={func: modify_term_param, params: {section: rewards, "
+            "term_name: near, param: treshold, value: 1, num_steps: 5}}",
+        ),
+    ),
+    "wrong noise, delay and history": bad(
+        "command line: task.observations.a.noise.type: expected one of 'gaussian', 'uniform', "
+        "'constant', got 'guassian'. Did you mean 'gaussian'?",
+        "command line: task.observations.b.noise.sdt: unknown key; allowed: type, operation, mean, "
+        "std, low, high, n_min, n_max, bias. Did you mean 'std'?",
+        "command line: task.observations.d.history_length: must be at least 0, got -1",
+        "command line: task.observations.c.noise.std: must not be negative, got -1.0",
+        "command line: task.observations.c.delay: needs 0 <= low <= high, got [2, 1]",
+        "command line: task.enable_corruption.polcy: no observation is in group 'polcy'; there "
+        "are: policy. Did you mean 'policy'?",
+        overrides=(
+            "+task.observations.a={func: last_action, noise: {type: guassian, std: 1}}",
+            "+task.observations.b={func: last_action, noise: {std: 1, sdt: 1}}",
+            "+task.observations.c={func: last_action, noise: {std: -1.0}, delay: [2, 1]}",
+            "+task.observations.d={func: last_action, history_length: -1}",
+            "+task.enable_corruption={polcy: false}",
         ),
     ),
     "unknown sensor": bad(
@@ -548,8 +592,8 @@ BAD = {
         "command line: task.robot.foo: unknown key; allowed: uid, init_pos, init_rot, "
         "init_local_pose, init_quat, fpath, drive_pros, body_scale, attrs, fix_base, "
         "disable_self_collision, init_qpos, sleep_threshold, min_position_iters, "
-        "min_velocity_iters, build_pk_chain, compute_uv, use_usd_properties, "
-        "control_parts, urdf_cfg, solver_cfg.",
+        "min_velocity_iters, build_pk_chain, compute_uv, use_usd_properties, attachments, "
+        "gravcomp, control_parts, urdf_cfg, solver_cfg.",
         "command line: task.objects.box.shape.size: expected 3 values, got 2: [1, 2]",
         "conf/task/mine.yaml:20: task.events.move.mode: expected one of 'startup', "
         "'reset', 'interval', got 'intervall'. Did you mean 'interval'?",

@@ -406,10 +406,9 @@ def test_every_mistake_of_a_config_is_reported(make_env):
             max_episode_steps=0,
             sim_steps_per_control=0,
             seed="one",
-            commands={"velocity": 1},
         )
     paths = {problem.path for problem in caught.value.problems}
-    assert paths == {"num_envs", "max_episode_steps", "sim_steps_per_control", "seed", "commands"}
+    assert paths == {"num_envs", "max_episode_steps", "sim_steps_per_control", "seed"}
 
 
 def test_scene_and_terms_are_checked_together(make_env):

@@ -73,8 +73,8 @@ def test_every_mistake_is_found_at_once() -> None:
     assert found[4] == (
         "events.b.params.entity_cfg: missing; event term 'randomize_rigid_object_pose' needs it"
     )
-    assert found[5].startswith("rewards.near.params.threshold: input should be greater than 0")
-    assert found[6].startswith("commands.velocity.func: unknown command term 'uniform_velocty'")
+    assert found[6].startswith("rewards.near.params.threshold: input should be greater than 0")
+    assert found[5].startswith("commands.velocity.func: unknown command term 'uniform_velocty'")
 
 
 @pytest.mark.parametrize(
@@ -200,8 +200,8 @@ def test_delays_and_groups() -> None:
         },
     )
     assert found == [
-        "observations.a.delay: needs 0 <= low <= high, got [3, 1]",
         "commands.v.resampling_time_s: needs 0 < low <= high, got [0.0, 1.0]",
+        "observations.a.delay: needs 0 <= low <= high, got [3, 1]",
         "enable_corruption.critc: no observation is in group 'critc'; there are: critic "
         "Did you mean 'critic'?",
     ]

@@ -26,11 +26,11 @@ __all__ = ["SECTIONS", "check_in_task", "check_params", "check_term", "check_ter
 SECTIONS: dict[str, Kind] = {
     "actions": "action",
     "events": "event",
+    "commands": "command",
     "observations": "observation",
     "rewards": "reward",
     "terminations": "termination",
     "metrics": "metric",
-    "commands": "command",
     "curriculum": "curriculum",
 }
 """Sections of a task and the kind of term each holds."""

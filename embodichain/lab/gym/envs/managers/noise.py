@@ -65,7 +65,7 @@ class Noise:
         else:
             self._low = self._high = sized("bias")
         # Before the first draw nothing changes; in the place of a value stands the lower bound.
-        start = {"add": 0.0, "scale": 1.0, "abs": self._low}[cfg.operation]
+        start: Any = {"add": 0.0, "scale": 1.0, "abs": self._low}[cfg.operation]
         rows = np.broadcast_to(start if self._draws else self._low, (streams.num_envs, self._width))
         self.last: torch.Tensor = self._tensor(rows)
 

@@ -141,14 +141,14 @@ def _joints(cfg: SceneEntityCfg, parsed: Any) -> list[int]:
     if cfg.joint_ids is not None:
         return _ids(cfg.joint_ids, names, "joint", cfg.uid, "joint_ids")
     picked: list[int] = []
+    mimic = {int(i) for i in parsed.mimic_ids}
     if cfg.control_parts is not None:
         parts = list(parsed.control_parts)
         for part in _pick(cfg.control_parts, parts, "control part", cfg.uid, "control_parts"):
-            picked += parsed.control_parts[parts[part]]
+            picked += [i for i in parsed.control_parts[parts[part]] if i not in mimic]
     if cfg.joint_names is not None:
         picked += _pick(cfg.joint_names, names, "joint", cfg.uid, "joint_names")
     if cfg.joint_names is None and cfg.control_parts is None:
-        mimic = {int(i) for i in parsed.mimic_ids}
         return [i for i in range(len(names)) if i not in mimic]
     return _ordered(picked, cfg)
 
