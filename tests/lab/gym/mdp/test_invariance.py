@@ -5,20 +5,19 @@ the test, so that new terms are added here.
 """
 
 import numpy as np
+import pytest
 import torch
 
 from embodichain.lab.gym.envs.cfg import (
-    ActionTermCfg,
     EventCfg,
     MetricCfg,
-    ObservationCfg,
     RewardCfg,
     TerminationCfg,
 )
 from embodichain.lab.gym.envs.managers import TERMS
 from tests.helpers import judge_terms, spatial_events
+from tests.helpers.acting_terms import ACTIONS, OBSERVATIONS
 from tests.helpers.judge_terms import REWARDS, TERMINATIONS
-from tests.helpers.ur10_task import HOME
 
 ARM = {"entity_cfg": {"uid": "ur10"}}
 CUBE = {"entity_cfg": {"uid": "cube"}}
@@ -27,16 +26,6 @@ TOOL = {"uid": "ur10", "link_names": ["ee_link"]}
 PAIR = {"source_entity_cfg": TOOL, "target_entity_cfg": {"uid": "goal"}}
 BOX = [[-0.2, -0.2, -0.2], [0.2, 0.2, 0.2]]
 
-
-def joints(pattern: str) -> dict:
-    return {"entity_cfg": {"uid": "ur10", "joint_names": pattern}}
-
-
-ACTIONS = {
-    "joint_position": joints("Joint[12]"),
-    "default_offset_joint_position": {**joints("Joint[34]"), "scale": 0.3},
-    "relative_joint_position": {**joints("Joint[56]"), "scale": 0.05},
-}
 EVENTS = {
     **judge_terms.EVENTS,
     **spatial_events.EVENTS,
@@ -52,27 +41,16 @@ EVENTS = {
     ),
     "qpos": EventCfg(func="randomize_robot_qpos", params={**ARM, "qpos_range": [-0.1, 0.1]}),
 }
-OBSERVATIONS = {
-    "get_object_pose": CUBE,
-    "link_pose": {"entity_cfg": TOOL, "to_matrix": True},
-    "link_velocity": {"entity_cfg": TOOL},
-    "get_rigid_object_velocity": CUBE,
-    "joint_position": joints("Joint[246]"),
-    "joint_position_relative": ARM,
-    "joint_velocity": ARM,
-    "relative_position": PAIR,
-    "last_action": {},
-}
 METRICS = {**REWARDS, **TERMINATIONS}
 
 
 def sections() -> dict:
     return {
-        "actions": {k: ActionTermCfg(func=k, params=v) for k, v in ACTIONS.items()},
+        "actions": ACTIONS,
         "commands": judge_terms.COMMANDS,
         "events": EVENTS,
         "lights": spatial_events.LIGHTS,
-        "observations": {k: ObservationCfg(func=k, params=v) for k, v in OBSERVATIONS.items()},
+        "observations": OBSERVATIONS,
         "rewards": {k: RewardCfg(func=k, params=v, weight=0.3) for k, v in REWARDS.items()},
         "terminations": {k: TerminationCfg(func=k, params=v) for k, v in TERMINATIONS.items()},
         "metrics": {
@@ -94,8 +72,9 @@ def rollout(make, num_envs: int) -> list[list[np.ndarray]]:
     for step in range(20):
         if step == 4:  # a partial reset of environment 0
             obs, _ = env.reset(options={"reset_ids": [0]})
-        wave = 0.3 * np.sin(0.7 * step + np.arange(64)[:, None] + np.arange(6)[None, :])
-        wave[:, :2] += HOME[:2]
+        columns = np.arange(env.action_manager.action_dim)
+        wave = 0.3 * np.sin(0.7 * step + np.arange(64)[:, None] + columns[None, :])
+        wave = wave + env.action_manager.home()
         action = torch.from_numpy(wave[:num_envs].astype(np.float32))
         obs, reward, terminated, truncated, info = env.step(action)
         row = [manager.flatten(obs), reward, terminated, truncated, info["success"]]
@@ -139,19 +118,21 @@ def test_a_restored_environment_continues_to_the_byte(make) -> None:
     assert run() == first
 
 
-def test_every_registered_builtin_term_takes_part() -> None:
-    used = {
-        "action": set(ACTIONS),
-        "event": {e.func for e in EVENTS.values()},
-        "observation": set(OBSERVATIONS),
-        "reward": set(REWARDS),
-        "termination": set(TERMINATIONS),
-        "metric": set(METRICS),
+USED = {
+    "action": set(ACTIONS),
+    "event": {e.func for e in EVENTS.values()},
+    "observation": {o.func for o in OBSERVATIONS.values()},
+    "reward": set(REWARDS),
+    "termination": set(TERMINATIONS),
+    "metric": set(METRICS),
+}
+
+
+@pytest.mark.parametrize("kind", USED)
+def test_every_registered_builtin_term_takes_part(kind) -> None:
+    builtin = {
+        name
+        for name, spec in TERMS[kind].items()
+        if spec.func.__module__.startswith("embodichain.")
     }
-    for kind, names in used.items():
-        builtin = {
-            name
-            for name, spec in TERMS[kind].items()
-            if spec.func.__module__.startswith("embodichain.")
-        }
-        assert names == builtin, kind
+    assert USED[kind] == builtin
