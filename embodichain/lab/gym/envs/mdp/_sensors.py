@@ -1,11 +1,14 @@
 """Sensors as terms read them: by name, of the kind that the term needs.
 
-Lengths of forces are summed in a fixed order. What a sensor measures is `lab.sim.sensors`.
+A term that reads one has the kind's class (`ReadsContact`...) among its bases, so that a config
+with another kind is found wrong before anything is built. Lengths of forces are summed in a fixed
+order. What a sensor measures is `lab.sim.sensors`.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -14,12 +17,57 @@ from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.sim.engine.base import F64
     from embodichain.lab.sim.sensors.contact import ContactSensor
     from embodichain.lab.sim.sensors.force_torque import ForceTorqueSensor
     from embodichain.lab.sim.sensors.imu import ImuSensor
 
-__all__ = ["contact", "force_torque", "imu", "magnitude"]
+__all__ = [
+    "ReadsContact",
+    "ReadsForceTorque",
+    "ReadsImu",
+    "contact",
+    "force_torque",
+    "imu",
+    "magnitude",
+]
+
+
+class _Reads:
+    """Base of terms whose parameter `sensor` names a sensor of one kind."""
+
+    sensor_type: ClassVar[str]
+
+    @classmethod
+    def check_task(
+        cls, task: EnvCfg, params: Mapping[str, Any], allow_import: bool
+    ) -> list[Problem]:
+        """Return what is wrong with the sensor's kind; that it exists is checked elsewhere."""
+        name = params.get("sensor")
+        types = {uid: cfg.sensor_type for uid, cfg in task.sensors.items()}
+        if types.get(str(name), cls.sensor_type) == cls.sensor_type:
+            return []
+        there = [uid for uid, kind in types.items() if kind == cls.sensor_type]
+        return [_another_kind(str(name), cls.sensor_type, there)]
+
+
+class ReadsContact(_Reads):
+    """Base of terms that read a contact sensor."""
+
+    sensor_type = "contact"
+
+
+class ReadsImu(_Reads):
+    """Base of terms that read an inertial measurement unit."""
+
+    sensor_type = "imu"
+
+
+class ReadsForceTorque(_Reads):
+    """Base of terms that read a force-torque sensor."""
+
+    sensor_type = "force_torque"
 
 
 def contact(env: BaseEnv, name: str) -> ContactSensor:
@@ -49,9 +97,16 @@ def _find(env: BaseEnv, name: str, kind: str, method: str) -> Any:
     there = [uid for uid, sensor in env.sensors.items() if hasattr(sensor, method)]
     if name in there:
         return env.sensors[name]
-    what = f"{name!r} is no {kind} sensor" if name in env.sensors else f"no sensor {name!r}"
-    message = f"{what}; {kind} sensors: {', '.join(there) or 'none'}"
+    if name in env.sensors:
+        raise ConfigError([_another_kind(name, kind, there)])
+    message = f"no sensor is called {name!r}; {kind} sensors: {', '.join(there) or 'none'}"
     raise ConfigError([Problem("sensor", message, did_you_mean(name, there).strip())])
+
+
+def _another_kind(name: str, kind: str, there: Iterable[str]) -> Problem:
+    """A sensor of the wrong kind."""
+    message = f"{name!r} is no {kind} sensor; {kind} sensors: {', '.join(there) or 'none'}"
+    return Problem("sensor", message)
 
 
 def magnitude(forces: F64) -> F64:

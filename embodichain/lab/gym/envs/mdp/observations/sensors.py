@@ -45,7 +45,7 @@ class _Reading(Term):
 
 
 @register_term("observation", name="contact_found")
-class ContactFound(_Reading):
+class ContactFound(_Reading, _sensors.ReadsContact):
     """(N, n) 1 where a link of a contact sensor is touched, else 0.
 
     Args:
@@ -68,7 +68,7 @@ class ContactFound(_Reading):
 
 
 @register_term("observation", name="contact_force")
-class ContactForce(_Reading):
+class ContactForce(_Reading, _sensors.ReadsContact):
     """(N, n, 3) net contact force on each link of a contact sensor, N, world axes.
 
     Args:
@@ -89,7 +89,7 @@ class ContactForce(_Reading):
 
 
 @register_term("observation", name="imu_acceleration")
-class ImuAcceleration(_Reading):
+class ImuAcceleration(_Reading, _sensors.ReadsImu):
     """(N, 3) specific force that an IMU reads, m/s^2, its axes: 9.81 upwards at rest.
 
     Isaac Lab's `imu_lin_acc`.
@@ -110,7 +110,7 @@ class ImuAcceleration(_Reading):
 
 
 @register_term("observation", name="imu_angular_velocity")
-class ImuAngularVelocity(_Reading):
+class ImuAngularVelocity(_Reading, _sensors.ReadsImu):
     """(N, 3) angular velocity that an IMU reads, rad/s, its axes. Isaac Lab's `imu_ang_vel`.
 
     Args:
@@ -129,7 +129,7 @@ class ImuAngularVelocity(_Reading):
 
 
 @register_term("observation", name="imu_orientation")
-class ImuOrientation(_Reading):
+class ImuOrientation(_Reading, _sensors.ReadsImu):
     """(N, 4) wxyz: an IMU's axes in the world. Isaac Lab's observation of the same name.
 
     Args:
@@ -148,7 +148,7 @@ class ImuOrientation(_Reading):
 
 
 @register_term("observation", name="imu_projected_gravity")
-class ImuProjectedGravity(_Reading):
+class ImuProjectedGravity(_Reading, _sensors.ReadsImu):
     """(N, 3) the world's unit vector straight down, in an IMU's axes: (0, 0, -1) when upright.
 
     Isaac Lab's observation of the same name.
@@ -169,7 +169,7 @@ class ImuProjectedGravity(_Reading):
 
 
 @register_term("observation", name="body_incoming_wrench")
-class BodyIncomingWrench(_Reading):
+class BodyIncomingWrench(_Reading, _sensors.ReadsForceTorque):
     """(N, 6 n) force in N, then torque in N m, of each link of a force-torque sensor, its axes.
 
     Isaac Lab's observation of the same name; the sign is the sensor's.

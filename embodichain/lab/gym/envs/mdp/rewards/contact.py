@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["ContactForces", "DesiredContacts", "FeetAirTime", "FeetSlide", "UndesiredContacts"]
 
 
-class _Contacts(Judge):
+class _Contacts(Judge, _sensors.ReadsContact):
     """Knows which links are touched by more than a force."""
 
     def __init__(self, env: BaseEnv, sensor: str, threshold: float) -> None:
@@ -85,7 +85,7 @@ class DesiredContacts(_Contacts):
 
 
 @register_term("reward", "metric", name="contact_forces")
-class ContactForces(Judge):
+class ContactForces(Judge, _sensors.ReadsContact):
     """Sum over links of max(|f| - threshold, 0), N: touching too hard. Isaac Lab's of the name.
 
     Args:

@@ -20,7 +20,7 @@ __all__ = ["IllegalContact"]
 
 
 @register_term("termination", "metric", name="illegal_contact")
-class IllegalContact(Judge):
+class IllegalContact(Judge, _sensors.ReadsContact):
     """True where a link of a sensor is touched by more than a force. Isaac Lab's of the same name.
 
     The force is the length of the net contact force on one link in the last physics step.
