@@ -32,7 +32,10 @@ class RandomizeRobotQpos(Term):
             joint; rad or m.
         relative_qpos: True adds the draw to the initial position, False takes it as the position.
         joint_ids: Picks joints by index instead.
-    """
+
+    Example:
+        ``{func: randomize_robot_qpos, mode: reset, params: {entity_cfg: {uid: ur10}, qpos_range: [-0.1, 0.1]}}``
+    """  # noqa: E501  (an example is one line)
 
     def __init__(
         self,
