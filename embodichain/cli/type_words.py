@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import types
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
@@ -19,7 +20,12 @@ _WORDS: dict[Any, str] = {
     list: "list",
     tuple: "list",
 }
-_ENTITIES = ("ResolvedEntity", "SceneEntityCfg")
+_NAMED = {
+    "NamedEntity": "entity",
+    "ResolvedEntity": "entity",
+    "SceneEntityCfg": "entity",
+    "TermCfg": "term",
+}
 _LIMITS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
 
 
@@ -38,9 +44,12 @@ def type_words(hint: Any) -> str:
         return " or ".join(map(str, arguments))
     if origin is not None:
         return _container(origin, arguments, [])
-    if getattr(hint, "__name__", "") in _ENTITIES:
-        return "entity"
-    return _WORDS.get(hint, getattr(hint, "__name__", str(hint)))
+    name = getattr(hint, "__name__", str(hint))
+    if name in _NAMED:
+        return _NAMED[name]
+    if dataclasses.is_dataclass(hint):
+        return f"map with {', '.join(field.name for field in dataclasses.fields(hint))}"
+    return _WORDS.get(hint, name)
 
 
 def _flat(metadata: Iterable[Any]) -> Iterator[Any]:

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
 import pytest
@@ -10,6 +11,7 @@ from pydantic import AfterValidator, Field
 from embodichain.cli import main
 from embodichain.cli.term_docs import parse_doc
 from embodichain.cli.type_words import type_words
+from embodichain.lab.gym.envs.cfg import TermCfg
 from embodichain.lab.gym.envs.managers.param_types import Box3, NonNegative, Positive, Range, Vec3
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 
@@ -54,6 +56,12 @@ def test_an_unknown_term_is_reported_with_the_closest(capsys: pytest.CaptureFixt
     assert "Did you mean 'within_distance'?" in capsys.readouterr().err
     assert main(["show", "term"]) == 2
     assert "one name" in capsys.readouterr().err
+
+
+@dataclass
+class RandomStep:
+    low: float
+    high: float = 1.0
 
 
 DOC = """Draws a length, in metres.
@@ -110,6 +118,8 @@ def test_a_docstring_is_taken_apart() -> None:
         (dict, "map"),
         (Literal["a", "b"], "a or b"),
         (ResolvedEntity, "entity"),
+        (list[TermCfg], "list of term"),
+        (RandomStep, "map with low, high"),
         (Any, "anything"),
         (Annotated[Positive, Field(lt=2)], "number > 0 and < 2"),
     ],

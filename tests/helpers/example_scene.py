@@ -1,0 +1,104 @@
+"""A scene in which the example of every registered term can be built.
+
+It has the robots `ur10`, `go` (a quadruped on a floating base) and `panda` (with a gripper), the
+objects `cube` and `goal`, a light, sensors, commands, and poses kept by name. Terms and the scene
+itself are declared in YAML and go the way that a user's task goes.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+import embodichain
+from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = ["environment"]
+
+_LEG = """
+    <body name="{name}_thigh" pos="{x} {y} 0">
+      <joint name="{name}_hip" axis="0 1 0" range="-1.5 1.5"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.4"/>
+      <body name="{name}_calf" pos="0 0 -0.2">
+        <joint name="{name}_knee" axis="0 1 0" range="-2.5 0.1"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.015" mass="0.2"/>
+        <body name="{name}_foot" pos="0 0 -0.2"><geom size="0.025" mass="0.05"/></body>
+      </body>
+    </body>"""
+_LEGS = {"FL": (0.2, 0.1), "FR": (0.2, -0.1), "RL": (-0.2, 0.1), "RR": (-0.2, -0.1)}
+_QUADRUPED = """<mujoco model="go"><worldbody><body name="trunk">
+    <freejoint/>
+    <geom type="box" size="0.22 0.08 0.05" mass="5"/>{legs}
+</body></worldbody></mujoco>"""
+
+_SCENE = """
+description: Everything that an example may name.
+max_episode_steps: 50
+robot: {uid: ur10, fpath: UniversalRobots/UR10/UR10.urdf, init_pos: [0, 0, 1],
+        init_qpos: [1.57, -1.57, 1.57, -1.57, -1.57, 0]}
+robots:
+  panda: {fpath: panda_description/urdf/panda.urdf, init_pos: [0, -1.5, 0]}
+  go: {fix_base: false, init_pos: [2, 0, 0.45],
+       drive_pros: {stiffness: 40, damping: 2}}
+objects:
+  cube: {shape: {shape_type: Cube, size: [0.1, 0.1, 0.1]}, init_pos: [0.6, 0.3, 0.05]}
+  goal: {shape: {shape_type: Sphere, radius: 0.02}, body_type: kinematic,
+         attrs: {enable_collision: false}, init_pos: [0.5, 0.2, 0.5]}
+lights:
+  lamp: {init_pos: [0, 0, 3]}
+sensors:
+  contacts: {sensor_type: contact, entity_cfg: {uid: go, link_names: [".*foot.*"]}}
+  imu: {sensor_type: imu, entity_cfg: {uid: go, link_names: [trunk]}}
+  wrench: {sensor_type: force_torque, entity_cfg: {uid: ur10, link_names: [wrist_3_link]}}
+commands:
+  velocity: {func: uniform_velocity, params: {entity_cfg: {uid: go}, ranges: {lin_vel_x: [-1, 1]}}}
+  pose:
+    func: uniform_pose
+    params:
+      entity_cfg: {uid: ur10, link_names: [ee_link]}
+      position_range: [[0.2, 0.2, 1], [0.5, 0.5, 1.3]]
+actions:
+  arm: {func: joint_position, params: {entity_cfg: {uid: ur10}}}
+events:
+  target: &pose
+    func: randomize_target_pose
+    params: {position_range: [[0.3, -0.3, 0.5], [0.7, 0.3, 0.9]], store_key: target_pose}
+  goal:
+    <<: *pose
+    params: {position_range: [[0.3, -0.3, 0.5], [0.7, 0.3, 0.9]], store_key: goal_pose}
+rewards:
+  effort: {func: action_l2, weight: -0.01}
+"""
+
+
+@contextmanager
+def environment(
+    section: str, terms: dict[str, dict[str, Any]], folder: Path, num_envs: int = 2
+) -> Iterator[BaseEnv]:
+    """Make the scene's environment with further terms in a section, and close it in the end.
+
+    Args:
+        section: Of the task: ``rewards``.
+        terms: Name -> declaration.
+        folder: An empty one for the task's files.
+        num_envs: N.
+    """
+    legs = "".join(_LEG.format(name=n, x=x, y=y) for n, (x, y) in _LEGS.items())
+    tree = copy.deepcopy(yaml.safe_load(_SCENE))
+    if section == "actions":
+        tree["actions"] = {}
+    tree.setdefault(section, {}).update(terms)
+    (folder / "task").mkdir(parents=True)
+    tree["robots"]["go"]["fpath"] = str(folder / "task" / "go.xml")
+    (folder / "task" / "go.xml").write_text(_QUADRUPED.format(legs=legs))
+    (folder / "task" / "everything.yaml").write_text(yaml.safe_dump(tree, sort_keys=False))
+    env = embodichain.make("everything", num_envs, ["seed=1"], config_dir=folder)
+    try:
+        yield env
+    finally:
+        env.close()

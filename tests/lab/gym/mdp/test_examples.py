@@ -1,0 +1,94 @@
+"""The example in every registered term's docstring: it is YAML, of that term, and it works.
+
+All examples of a section are built into one environment and stepped. Only where that fails is each
+built alone, so that every term with a broken example is named at once.
+"""
+
+import dataclasses
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import pytest
+import torch
+import yaml
+
+from embodichain.cli.term_entries import SECTION_OF, TermEntry, all_entries
+from embodichain.lab.gym.envs.cfg import EnvCfg
+from tests.helpers.example_scene import environment
+
+ENTRIES = [e for e in all_entries() if e.spec.func.__module__.startswith("embodichain.")]
+HINTS = get_type_hints(EnvCfg)
+KEYS = {
+    kind: {field.name for field in dataclasses.fields(get_args(HINTS[section])[1])}
+    for kind, section in SECTION_OF.items()
+}
+NO_PARAMETER = {"env", "env_ids", "obs", "action", "info", "data"}
+
+
+def declared(entry: TermEntry) -> dict[str, Any]:
+    """The example as a term; an error that says what is wrong with it."""
+    if not entry.doc.example:
+        raise ValueError("has no `Example:` in its docstring")
+    example = yaml.safe_load(entry.doc.example)
+    if not isinstance(example, dict) or example.get("func") != entry.name:
+        raise ValueError(f"its example is not one of it: {entry.doc.example}")
+    if not any(set(example) <= KEYS[kind] for kind in entry.kinds):
+        raise ValueError(f"no section of {entry.kinds} has all keys of {sorted(example)}")
+    return example
+
+
+def undocumented(entry: TermEntry) -> list[str]:
+    return [name for name in entry.spec.params if not entry.doc.params.get(name)]
+
+
+def report(wrong: dict[str, str]) -> str:
+    return "\n".join([f"{len(wrong)} terms:", *(f"{name}: {what}" for name, what in wrong.items())])
+
+
+def works(section: str, terms: dict[str, dict[str, Any]], folder: Path) -> None:
+    """Builds, resets and steps; raises what goes wrong."""
+    with environment(section, terms, folder) as env:
+        env.reset()
+        for _ in range(3):
+            action = torch.from_numpy(env.action_manager.hold()).float()
+            obs, reward, _, _, info = env.step(action)
+        assert not info["diverged"].any(), "it diverges"
+        assert torch.isfinite(reward).all()
+
+
+def test_every_term_says_what_it_does_what_it_takes_and_how_it_is_used() -> None:
+    wrong = {}
+    for entry in ENTRIES:
+        try:
+            declared(entry)
+        except (ValueError, yaml.YAMLError) as error:
+            wrong[entry.name] = str(error)
+        if not entry.doc.summary:
+            wrong[entry.name] = "has no docstring"
+        if missing := undocumented(entry):
+            wrong[entry.name] = f"its Args lack {', '.join(missing)}"
+        if unknown := set(entry.doc.params) - set(entry.spec.params) - NO_PARAMETER:
+            wrong[entry.name] = f"its Args name what it does not take: {', '.join(sorted(unknown))}"
+    assert not wrong, report(wrong)
+
+
+@pytest.mark.parametrize("kind", SECTION_OF)
+def test_every_example_works(kind: str, tmp_path: Path) -> None:
+    terms: dict[str, dict[str, Any]] = {}
+    for entry in ENTRIES:
+        if kind in entry.kinds and entry.doc.example:
+            example = yaml.safe_load(entry.doc.example)
+            terms[entry.name] = {k: v for k, v in example.items() if k in KEYS[kind]}
+    assert terms
+    section = SECTION_OF[kind]
+    try:
+        works(section, terms, tmp_path / "all")
+    except Exception as error:
+        failing = {}
+        for name, term in terms.items():
+            try:
+                works(section, {name: term}, tmp_path / name)
+            except Exception as alone:  # noqa: BLE001  (reported below)
+                failing[name] = f"{type(alone).__name__}: {alone}"
+        assert not failing, report(failing)
+        raise AssertionError("each works alone, but not together") from error
