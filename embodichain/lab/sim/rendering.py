@@ -81,7 +81,7 @@ class SceneRenderer:
         if camera not in (self._cameras if isinstance(camera, str) else range(len(self._cameras))):
             raise ValueError(
                 f"no camera {camera!r}; there are: {', '.join(self._cameras) or 'none'}."
-                f"{did_you_mean(camera, self._cameras)}"
+                f"{did_you_mean(str(camera), self._cameras)}"
             )
         self._camera.fixedcamid = self._cameras.index(camera) if isinstance(camera, str) else camera
         data = engine.data_of(env_id)
