@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from embodichain.cli import main
 
 REPO = Path(__file__).parents[2]
+GYM_CONFIG = REPO / "tests" / "helpers" / "gym_configs" / "push.yaml"  # what commands call so
 ELSEWHERE = ("make", "git clone", "pip")  # what sets a machine up: tests/packaging runs it
 BLOCK = re.compile(r"^```(?:bash|sh|shell)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
@@ -29,6 +31,7 @@ def test_pages_have_commands() -> None:
 
 @pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=lambda page: page.name)
 def test_commands_run(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copy(GYM_CONFIG, "gym_config.yaml")
     for command in commands(page):
         program, *arguments = shlex.split(command, comments=True)
         assert program == "embodichain", f"{page.name}: this test cannot run: {command}"

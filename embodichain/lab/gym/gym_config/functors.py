@@ -25,7 +25,6 @@ LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
         "create_rigid_constraint": "constraints are not available yet",
         "remove_rigid_constraint": "constraints are not available yet",
         "apply_expansion_profile_reset": "scene expansion is not available",
-        "sample_rigid_object_pose_from_workspace": _IK,
         "ExpandSceneLayout": "scene expansion is not available",
         "randomize_indirect_lighting": _RAYS,
         "randomize_emission_light": _RAYS,
