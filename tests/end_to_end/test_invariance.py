@@ -7,6 +7,7 @@ import pytest
 import torch
 
 import embodichain
+from embodichain.config import list_options
 
 STEPS = 24
 
@@ -88,6 +89,17 @@ def reference():
 )
 def test_an_environment_makes_the_same_bytes(reference, task, num_envs, threads, persistent):
     assert history(task, num_envs, threads, persistent) == reference[task][:num_envs]
+
+
+OTHERS = sorted({*list_options("task")} - {"random_reach", "push_cube", "reach", "hold_still"})
+
+
+@pytest.mark.parametrize("task", OTHERS)
+def test_every_other_task_too(task):
+    reference = history(task, 6, 2, True)
+    assert len(set(reference)) == 6
+    assert history(task, 1, 1, False) == reference[:1]
+    assert history(task, 3, 2, False) == reference[:3]
 
 
 def test_environments_differ_from_each_other(reference):

@@ -1,0 +1,138 @@
+"""What every task that ships must do: stated once, run over all of them."""
+
+import warnings
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+import yaml
+from gymnasium.utils.env_checker import check_env
+
+import embodichain
+import embodichain.tasks
+from embodichain.config import compose, list_options
+from embodichain.lab.gym.single import SingleEnv
+from embodichain.learning import SB3VecEnv
+from embodichain.recording import McapRecorder
+from embodichain.recording.replay import verify
+from tests.end_to_end.test_invariance import action_of, tensors
+
+CONF = Path(embodichain.__file__).parent / "conf" / "task"
+TASKS = list_options("task")
+
+
+def declared(task):
+    return yaml.safe_load((CONF / f"{task}.yaml").read_text(encoding="utf-8"))
+
+
+def test_the_tasks_are_those_of_the_folder():
+    assert sorted(TASKS) == sorted(path.stem for path in CONF.glob("*.yaml"))
+    expected = {
+        "random_reach",
+        "reach",
+        "reach_workspace",
+        "reach_pose",
+        "cart_pole",
+        "cart_pole_swing_up",
+        "push_cube",
+        "lift_cube",
+        "quadruped_velocity",
+        "hold_still",
+    }
+    assert expected <= set(TASKS)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_its_file_is_short_and_says_what_it_is(task):
+    text = (CONF / f"{task}.yaml").read_text(encoding="utf-8")
+    assert len(text.splitlines()) < 80
+    assert len(declared(task)["description"]) > 20
+    assert text.startswith("#")
+
+
+@pytest.mark.parametrize("task", [t for t in TASKS if t != "random_reach"])
+def test_it_has_a_reward_and_a_success(task):
+    tree = declared(task)
+    assert tree["rewards"]
+    assert "success" in tree["metrics"]
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_it_is_registered_with_gymnasium(task):
+    env = gym.make(f"embodichain/{task}-v0", num_envs=2)
+    obs, _ = env.reset(seed=0)
+    assert all(len(leaf) == 2 for leaf in tensors(obs))
+    env.close()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_one_environment_of_it_passes_gymnasiums_checker(task):
+    env = SingleEnv(embodichain.make(task, num_envs=1))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # it recommends other spaces
+        check_env(env, skip_render_check=True)
+    env.close()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_observations_are_finite_and_in_their_space(task):
+    env = embodichain.make(task, num_envs=3, overrides=["seed=4"])
+    space = env.single_observation_space
+    obs, _ = env.reset()
+    for step in range(30):
+        obs, reward, *_ = env.step(action_of(env, step))
+        assert torch.isfinite(reward).all()
+        assert all(torch.isfinite(leaf).all() for leaf in tensors(obs))
+    flat = [leaf.shape[1:] for leaf in tensors(obs)]
+    assert sum(int(np.prod(shape)) for shape in flat) == gym.spaces.utils.flatdim(space)
+    env.close()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_log_of_it_verifies(task, tmp_path):
+    env = embodichain.make(task, num_envs=2, overrides=["seed=1", "task.max_episode_steps=7"])
+    env.add_observer(McapRecorder(tmp_path / "log.mcap", env))
+    env.reset()
+    for step in range(10):
+        env.step(action_of(env, step))
+    env.close()
+    report = verify(tmp_path / "log.mcap")
+    assert report.ok, report
+
+
+@pytest.mark.parametrize("task", [t for t in TASKS if t != "random_reach"])
+def test_sb3s_vector_environment_plays_it(task):
+    env = SB3VecEnv(embodichain.make(task, num_envs=2, overrides=["task.max_episode_steps=5"]))
+    obs = env.reset()
+    ended = 0
+    for _ in range(6):
+        action = np.stack([env.action_space.sample() for _ in range(2)])
+        obs, _, dones, infos = env.step(action)
+        ended += sum("episode" in info for info in infos)
+        assert dones.sum() == sum("terminal_observation" in info for info in infos)
+    assert ended >= 2
+    assert obs is not None
+    env.close()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_same_seed_gives_the_same_bytes_and_another_does_not(task):
+    def played(seed):
+        env = embodichain.make(task, num_envs=2, overrides=[f"seed={seed}"])
+        obs, _ = env.reset()
+        for step in range(5):
+            obs, *_ = env.step(action_of(env, step))
+        found = [leaf.numpy().tobytes() for leaf in tensors(obs)]
+        env.close()
+        return found
+
+    assert played(1) == played(1)
+    if "events" in declared(task):
+        assert played(1) != played(2)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_its_config_composes_to_one_tree(task):
+    assert compose([f"task={task}"]).tree["task"]["description"] == declared(task)["description"]
