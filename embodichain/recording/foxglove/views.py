@@ -36,6 +36,11 @@ __all__ = ["Views", "ids_text"]
 
 BIG_SCENE = 1 << 20
 """A scene of more bytes than this is repeated at a reset only if it has changed."""
+SEEN = (
+    *("geom_size", "geom_pos", "geom_quat", "geom_sameframe", "geom_rgba", "geom_matid", "mat_"),
+    *("body_pos", "body_quat", "body_sameframe", "jnt_pos", "jnt_axis", "qpos0"),
+)
+"""Model fields that move or colour anything begin so."""
 
 Emit = Callable[[str, tuple[Part, ...]], None]
 Push = Callable[[Job], None]
@@ -87,7 +92,7 @@ class Views:
 
     def on_model_write(self, write: Write) -> None:
         """A model field of viewed environments changed: their looks and links may have."""
-        if write.values is None:
+        if write.values is None or not write.field.startswith(SEEN):
             return
         ids = self._ids if write.env_ids is None else np.intersect1d(self._ids, write.env_ids)
         for env_id in ids.tolist():
@@ -187,8 +192,6 @@ class _Viewed:
         """Give this environment's own model other values, (k,) columns of a flattened field."""
         if not self._owned:
             self._model, self._owned = copy.copy(self._model), True
-        if field.startswith("opt."):
-            return  # no option moves or colours anything
         getattr(self._model, field).reshape(-1)[columns] = values
         self._scene = None
 

@@ -102,12 +102,13 @@ class ModelFields:
         return {name: values for name, values in found.items() if values is not None}
 
     def default(self, name: str) -> NDArray[Any]:
-        """(size,) the compiled values of a field."""
+        """(size,) the compiled values of a field, as much of it as `view` has."""
         owner: Any = self._batch.model
         *path, last = name.split(".")
         for part in path:
             owner = getattr(owner, part)
-        return np.asarray(getattr(owner, last)).reshape(-1)
+        # Of bounding volumes the batch keeps only the bodies', which precede the meshes'.
+        return np.asarray(getattr(owner, last)).reshape(-1)[: self.view(name).shape[1]]
 
     # -- derived constants -------------------------------------------------------------------------
 
