@@ -12,18 +12,13 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     name_of,
 )
-from embodichain.lab.sim.compiler import parse_articulation
+from embodichain.lab.sim.compiler import ParsedArticulation, parse_articulation
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.sensors.base import BaseSensor
-from embodichain.lab.sim.sensors.cfg import (
-    ContactSensorCfg,
-    ForceTorqueSensorCfg,
-    ImuSensorCfg,
-    SensorCfg,
-)
+from embodichain.lab.sim.sensors.cfg import SensorCfg
 from embodichain.lab.sim.sensors.contact import ContactSensor
 from embodichain.lab.sim.sensors.force_torque import ForceTorqueSensor
 from embodichain.lab.sim.sensors.imu import ImuSensor
@@ -36,10 +31,10 @@ __all__ = ["Declaration", "Handle"]
 
 Handle = Articulation | RigidObject
 
-_SENSORS: dict[type[SensorCfg], type[BaseSensor]] = {
-    ContactSensorCfg: ContactSensor,
-    ForceTorqueSensorCfg: ForceTorqueSensor,
-    ImuSensorCfg: ImuSensor,
+_SENSORS: dict[str, type[BaseSensor]] = {
+    "contact": ContactSensor,
+    "force_torque": ForceTorqueSensor,
+    "imu": ImuSensor,
 }
 
 
@@ -120,7 +115,7 @@ class Declaration:
         """
         uid = self._claim(cfg)
         articulations = {**self.robots, **self.articulations}
-        known = {
+        known: dict[str, ParsedArticulation | str | None] = {
             **{name: handle.parsed for name, handle in articulations.items()},
             **dict.fromkeys(self.rigid_objects, "rigid object"),
             **dict.fromkeys(self.lights, "light"),
@@ -128,7 +123,7 @@ class Declaration:
         plan, problems = plan_sensor(uid, cfg, known, ground=self.sim_config.ground_plane)
         if plan is None:
             raise ConfigError([Problem(f"{uid}.{p.path}", p.message, p.hint) for p in problems])
-        sensor = self.sensors[uid] = _SENSORS[type(cfg)](plan, self._simulation())
+        sensor = self.sensors[uid] = _SENSORS[cfg.sensor_type](plan, self._simulation())
         return sensor
 
     def sensor_plans(self) -> dict[str, SensorPlan]:

@@ -277,9 +277,10 @@ class SimulationManager(Declaration):
             *self.robots.values(),
             *self.articulations.values(),
             *self.rigid_objects.values(),
-            *self.sensors.values(),
         ):
             handle.destroy()
+        for sensor in self.sensors.values():
+            sensor.destroy()
         self._engine = None
         _instances.pop(self.instance_id, None)
 

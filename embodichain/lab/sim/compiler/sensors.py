@@ -14,9 +14,7 @@ import numpy as np
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
 from embodichain.lab.sim.sensors.cfg import (
     ContactSensorCfg,
-    ForceTorqueSensorCfg,
     ImuSensorCfg,
-    SensorCfg,
 )
 
 __all__ = ["SensorIndex", "add_sensors", "index_sensors"]
@@ -28,10 +26,10 @@ _CONTACT_DATA = (1 << int(mujoco.mjtConDataField.mjCONDATA_FOUND)) | (
 )
 _NET_FORCE = 3  # `reduce="netforce"` in MJCF: one contact, the sum of all, in world axes
 
-_KINDS: dict[type[SensorCfg], tuple[mujoco.mjtSensor, ...]] = {
-    ContactSensorCfg: (_SENSOR.mjSENS_CONTACT,),
-    ImuSensorCfg: (_SENSOR.mjSENS_FRAMEQUAT, _SENSOR.mjSENS_GYRO, _SENSOR.mjSENS_ACCELEROMETER),
-    ForceTorqueSensorCfg: (_SENSOR.mjSENS_FORCE, _SENSOR.mjSENS_TORQUE),
+_KINDS: dict[str, tuple[mujoco.mjtSensor, ...]] = {
+    "contact": (_SENSOR.mjSENS_CONTACT,),
+    "imu": (_SENSOR.mjSENS_FRAMEQUAT, _SENSOR.mjSENS_GYRO, _SENSOR.mjSENS_ACCELEROMETER),
+    "force_torque": (_SENSOR.mjSENS_FORCE, _SENSOR.mjSENS_TORQUE),
 }
 
 
@@ -77,7 +75,7 @@ def _add_sites(spec: mujoco.MjSpec, plan: SensorPlan) -> None:
             site.pos = np.asarray(cfg.pos, np.float64)
             quat = np.asarray(cfg.quat, np.float64)
             site.quat = quat / np.sqrt((quat * quat).sum())
-        for j, kind in enumerate(_KINDS[type(cfg)]):
+        for j, kind in enumerate(_KINDS[cfg.sensor_type]):
             sensor = spec.add_sensor(name=f"{plan.uid}/{i}/{j}", type=kind)
             sensor.objtype, sensor.objname = _OBJECT.mjOBJ_SITE, site.name
 
@@ -93,7 +91,7 @@ def _index(model: mujoco.MjModel, plan: SensorPlan) -> SensorIndex:
         parts = max(1, len(plan.others))
         shape: tuple[int, ...] = (count, parts, 4)
     else:
-        parts = len(_KINDS[type(plan.cfg)])
+        parts = len(_KINDS[plan.cfg.sensor_type])
         shape = (10,) if isinstance(plan.cfg, ImuSensorCfg) else (count, 6)
     first = model.sensor(f"{plan.uid}/0/0").id
     last = model.sensor(f"{plan.uid}/{count - 1}/{parts - 1}").id

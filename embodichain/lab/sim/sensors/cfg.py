@@ -54,14 +54,13 @@ class SensorCfg:
         Raises:
             ConfigError: If the type or a key is unknown; lists what exists.
         """
-        if cls is not SensorCfg:
-            return from_dict(cls, init_dict)
         kind = str(init_dict.get("sensor_type", ""))
-        if kind not in _SENSORS:
+        if cls is SensorCfg and kind not in _SENSORS:
             hint = did_you_mean(kind, _SENSORS).strip()
             message = f"unknown sensor_type {kind!r}; one of: {', '.join(_SENSORS)}."
             raise ConfigError([Problem("sensor_type", message, hint)])
-        return from_dict(_SENSORS[kind], init_dict)
+        built: SensorCfg = from_dict(_SENSORS[kind] if cls is SensorCfg else cls, init_dict)
+        return built
 
 
 @configclass

@@ -194,11 +194,6 @@ def test_a_name_that_cannot_be_used_is_named(cfg, expected):
     assert lines(cfg) == [expected]
 
 
-@pytest.mark.parametrize("section", ["commands", "curriculum"])
-def test_sections_that_are_not_available_say_so(section):
-    assert lines(reach(**{section: {"x": 1}})) == [f"{section}: not available yet; leave it out"]
-
-
 @pytest.mark.parametrize(
     ("entity", "expected"),
     [

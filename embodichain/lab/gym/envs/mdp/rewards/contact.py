@@ -16,7 +16,7 @@ from embodichain.lab.gym.envs.managers.param_types import NonNegative
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.mdp import _sensors, _spatial
 from embodichain.lab.gym.envs.mdp._commands import columns
-from embodichain.lab.gym.envs.mdp._judge import Judge, total
+from embodichain.lab.gym.envs.mdp._judge import Judge, any_column, total
 from embodichain.utils.math import cross
 
 if TYPE_CHECKING:
@@ -80,8 +80,7 @@ class DesiredContacts(_Contacts):
 
     def value(self) -> F64:
         """(N,) 0 or 1."""
-        none: F64 = 1.0 - self.touched().any(axis=1)
-        return none
+        return np.where(any_column(self.touched()), 0.0, 1.0)
 
 
 @register_term("reward", "metric", name="contact_forces")

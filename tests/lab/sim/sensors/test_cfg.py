@@ -1,0 +1,54 @@
+"""Configs of sensors: built by their type, closed keys, importable without torch."""
+
+import subprocess
+import sys
+
+import pytest
+
+from embodichain.lab.sim.sensors import (
+    ContactSensorCfg,
+    ForceTorqueSensorCfg,
+    ImuSensorCfg,
+    LinksCfg,
+    SensorCfg,
+)
+from embodichain.utils.errors import ConfigError
+
+
+@pytest.mark.parametrize(
+    ("kind", "cls"),
+    [("contact", ContactSensorCfg), ("imu", ImuSensorCfg), ("force_torque", ForceTorqueSensorCfg)],
+)
+def test_the_type_chooses_the_class(kind, cls):
+    cfg = SensorCfg.from_dict(
+        {"sensor_type": kind, "entity_cfg": {"uid": "go", "link_names": [".*foot"]}}
+    )
+    assert type(cfg) is cls
+    assert cfg.entity_cfg == LinksCfg(uid="go", link_names=[".*foot"])
+    assert cfg.observe is False
+    assert cls.from_dict(cfg.to_dict()).to_dict() == cfg.to_dict()
+
+
+@pytest.mark.parametrize(
+    ("given", "path", "match"),
+    [
+        ({"sensor_type": "Camera"}, "sensor_type", "one of: contact, imu, force_torque"),
+        ({"sensor_type": "im"}, "sensor_type", "Did you mean 'imu'"),
+        ({}, "sensor_type", "unknown sensor_type ''"),
+        ({"sensor_type": "imu", "agianst": {}}, "agianst", "unknown key"),
+        ({"sensor_type": "contact", "entity_cfg": {"uid": 3}}, "entity_cfg.uid", "string"),
+    ],
+)
+def test_a_wrong_config_is_refused_with_what_exists(given, path, match):
+    with pytest.raises(ConfigError, match=match) as error:
+        SensorCfg.from_dict(given)
+    assert [p.path for p in error.value.problems] == [path]
+
+
+def test_configs_need_neither_torch_nor_mujoco():
+    code = (
+        "import sys; from embodichain.lab.sim.sensors import ContactSensorCfg, ImuSensorCfg; "
+        "print({'torch', 'mujoco'} & set(sys.modules))"
+    )
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.strip() == "set()"
