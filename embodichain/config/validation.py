@@ -26,6 +26,8 @@ from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["check_tree", "validate"]
 
+_SAME = {"episode_length_s": "max_episode_steps", "decimation": "sim_steps_per_control"}
+"""Task keys that win over another one when given, see `EnvCfg`."""
 _ENTITY = re.compile(r"task(\.(robot|(robots|objects|articulations)(\.[^.]+)?)(\.(uid|fpath))?)?")
 """Paths whose loss makes references to entities fail that are not wrong."""
 
@@ -44,6 +46,7 @@ def validate(composed: Composed, verb: Verb = "run") -> list[LocatedProblem]:
     unknown = _unknown_entries(composed)
     lost = [p.path for p in (*problems, *unknown)]
     chosen = composed.locator.chosen
+    unknown += _said_twice(composed)
     found = [*unknown, *check_tree(composed.tree, verb, chosen=chosen, lost=lost)]
     return problems + [LocatedProblem.of(p, _source(p.path, composed)) for p in found]
 
@@ -107,6 +110,19 @@ def _check_meaning(
         in_task += describe(root.task)
     found = [Problem(_in_task(p.path), p.message, p.hint) for p in in_task]
     return problems + [p for p in found if p.path not in known]
+
+
+def _said_twice(composed: Composed) -> list[Problem]:
+    """Two names of one thing, both set: the one that would lose is usually the one just typed."""
+    task = composed.tree.get("task")
+    problems = []
+    for name, other in _SAME.items():
+        given = isinstance(task, dict) and task.get(name) is not None
+        if given and composed.locator.chosen(f"task.{other}", ""):
+            back = f"task.{name}=null"
+            message = f"task.{name} says it as well; set one of them ({back} takes it back)"
+            problems.append(Problem(f"task.{other}", message))
+    return problems
 
 
 def _unknown_entries(composed: Composed) -> list[Problem]:
