@@ -146,7 +146,7 @@ EVENTS = {
         direction_range=SMALL,
     ),
     "camera": _at(
-        "reset", "randomize_camera_extrinsics", pos_range=SMALL, euler_range=[[-3] * 3, [3] * 3]
+        "reset", "randomize_camera_pose", position_range=SMALL, rotation_range=[[-3] * 3, [3] * 3]
     ),
     "view": _at("reset", "randomize_camera_fovy", fovy_range=[30, 50]),
 }

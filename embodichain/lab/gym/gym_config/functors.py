@@ -10,7 +10,7 @@ from typing import Final
 
 from embodichain.lab.gym.gym_config.vocabulary import Left
 
-__all__ = ["ACTIONS", "LEFT_OUT", "VISUAL", "left_out_functors"]
+__all__ = ["ACTIONS", "LEFT_OUT", "PARAMS_LEFT_OUT", "VISUAL", "left_out_functors"]
 
 _RAYS = "it changes what only a ray tracer draws"
 _CAMERA = "cameras are not available yet"
@@ -28,6 +28,8 @@ LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
         "ExpandSceneLayout": "scene expansion is not available",
         "randomize_indirect_lighting": _RAYS,
         "randomize_emission_light": _RAYS,
+        "randomize_camera_extrinsics": _CAMERA,
+        "randomize_camera_extrinsics": _CAMERA,
         "randomize_camera_intrinsics": _CAMERA,
         "set_rigid_object_group_visual_material": _GROUPS,
         "randomize_rigid_object_body_scale": "it is deprecated: use randomize_rigid_object_scale",
@@ -52,6 +54,22 @@ LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
     },
 }
 """Kind -> functor -> why it is left out. A term of ours with the same name goes before it."""
+
+_TEXTURES = "textures are not drawn: colours are"
+PARAMS_LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
+    "randomize_anchor_height": {"include_groups": _GROUPS},
+    "sample_rigid_object_pose_from_workspace": dict.fromkeys(
+        ("strategy", "use_workspace_orientation", "min_score"), "there is no workspace analysis"
+    ),
+    "randomize_visual_material": {
+        "shared": "environments are drawn one by one",
+        **dict.fromkeys(
+            ("fallback_to_new", "p_original", "p_library", "p_solid", "solid_texture_count"),
+            _TEXTURES,
+        ),
+    },
+}
+"""Functor -> parameter that our term of that name lacks -> why."""
 
 VISUAL: Final = (
     "randomize_visual_material",
@@ -98,6 +116,8 @@ ACTIONS: Final[Mapping[str, str]] = {
 
 
 def left_out_functors() -> Iterator[Left]:
-    """Every functor that is known and has no term here, in the order of the tables."""
+    """Every functor and parameter that is known and left out, in the order of the tables."""
     for kind, reasons in LEFT_OUT.items():
-        yield from (Left(kind, name, reason) for name, reason in reasons.items())
+        yield from (Left(f"{kind}s", name, reason) for name, reason in reasons.items())
+    for functor, reasons in PARAMS_LEFT_OUT.items():
+        yield from (Left(f"`{functor}`", name, reason) for name, reason in reasons.items())

@@ -112,9 +112,9 @@ def test_a_camera_moves_around_its_place(make) -> None:
     env = make(
         events={
             "pose": event(
-                "randomize_camera_extrinsics",
-                pos_range=[[0.1, -0.2, 0], [0.3, 0.2, 0]],
-                euler_range=[[0, 0, 30], [0, 0, 30]],
+                "randomize_camera_pose",
+                position_range=[[0.1, -0.2, 0], [0.3, 0.2, 0]],
+                rotation_range=[[0, 0, 30], [0, 0, 30]],
             ),
             "view": event("randomize_camera_fovy", fovy_range=[30, 50]),
         },
@@ -197,7 +197,7 @@ def test_physics_does_not_notice(make) -> None:
             "mat_cfg",
         ),
         (event("randomize_light", entity_cfg={"uid": "lmp"}), "Did you mean 'lamp'?"),
-        (event("randomize_camera_extrinsics", camera="defualt"), "Did you mean 'default'?"),
+        (event("randomize_camera_pose", camera="defualt"), "Did you mean 'default'?"),
         (event("randomize_camera_fovy", fovy_range=[0, 50]), "within (0, 180)"),
     ],
 )

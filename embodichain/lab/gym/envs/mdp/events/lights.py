@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
-__all__ = ["RandomizeCameraExtrinsics", "RandomizeCameraFovy", "RandomizeLight"]
+__all__ = ["RandomizeCameraPose", "RandomizeCameraFovy", "RandomizeLight"]
 
 _FULL_INTENSITY = 30.0
 """`LightCfg.intensity` at which MuJoCo's diffuse colour is the light's colour."""
@@ -114,38 +114,38 @@ def _camera(env: BaseEnv, name: str) -> int:
     return cameras.index(name)
 
 
-@register_term("event", name="randomize_camera_extrinsics")
-class RandomizeCameraExtrinsics(Term):
+@register_term("event", name="randomize_camera_pose")
+class RandomizeCameraPose(Term):
     """Moves and turns a camera of the scene in each environment by itself.
 
-    EmbodiChain's event of the same name, for cameras that are mounted somewhere; there it takes a
-    sensor.
+    As EmbodiChain's `randomize_camera_extrinsics` for cameras that are mounted somewhere, which
+    takes a sensor.
 
     Args:
-        pos_range: [[x, y, z] low, [x, y, z] high] in metres, added to the compiled position.
-        euler_range: The same for Euler angles in **degrees**, intrinsic XYZ, about the camera's own
-            axes (x right, y up, z towards the viewer).
+        position_range: [[x, y, z] low, [x, y, z] high] in metres, added to the compiled position.
+        rotation_range: The same for Euler angles in **degrees**, intrinsic XYZ, about the camera's
+            own axes (x right, y up, z towards the viewer).
         camera: Its name; `default` is the one that pictures are taken with.
 
     Example:
-        ``{func: randomize_camera_extrinsics, mode: reset, params: {pos_range: [[-0.1, -0.1, -0.1], [0.1, 0.1, 0.1]], euler_range: [[-2, -2, -2], [2, 2, 2]]}}``
+        ``{func: randomize_camera_pose, mode: reset, params: {position_range: [[-0.1, -0.1, -0.1], [0.1, 0.1, 0.1]], rotation_range: [[-2, -2, -2], [2, 2, 2]]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
         self,
         env: BaseEnv,
-        pos_range: Box3 | None = None,
-        euler_range: Box3 | None = None,
+        position_range: Box3 | None = None,
+        rotation_range: Box3 | None = None,
         camera: str = "default",
     ) -> None:
         self._id, self._engine = _camera(env, camera), env.sim.engine
         model = self._engine.model
         self._pos0: F64 = np.array(model.cam_pos[self._id], np.float64)
         self._quat0: F64 = np.tile(model.cam_quat[self._id], (env.num_envs, 1))
-        self._move = _box(pos_range)
+        self._move = _box(position_range)
         self._turn: tuple[F64, F64] | None = None
-        if euler_range is not None:
-            low, high = (np.deg2rad(np.asarray(row, np.float64)) for row in euler_range)
+        if rotation_range is not None:
+            low, high = (np.deg2rad(np.asarray(row, np.float64)) for row in rotation_range)
             self._turn = constant(low), constant(high)
 
     def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
