@@ -149,9 +149,13 @@ def _terms(env: BaseEnv, section: str) -> Rows:
         values = {f.name: getattr(cfg, f.name) for f in dataclasses.fields(cfg)}
         func, params = values.pop("func"), values.pop("params")
         shape = {"shape": shapes[name]} if name in shapes else {}
-        rest = {key: value for key, value in values.items() if value is not None}
+        rest = {key: _plain(value) for key, value in values.items() if value is not None}
         rows.append({"term": name, "func": _name(func), **shape, **rest, "params": _yaml(params)})
     return rows
+
+
+def _plain(value: Any) -> Any:
+    return _flow(value) if dataclasses.is_dataclass(value) else value
 
 
 def _name(func: Any) -> str:
@@ -168,8 +172,8 @@ def _shapes(env: BaseEnv, section: str) -> dict[str, str]:
         terms = env.cfg.observations.items()
         return {name: shapes[cfg.name or name] for name, cfg in terms}
     if section == "commands" and env.cfg.commands:
-        values = env.command_manager.values
-        return {name: str(values(name).shape[1:]) for name in env.cfg.commands}
+        names = env.command_manager.names
+        return {n: f"({len(names(n))},) {', '.join(names(n))}" for n in env.cfg.commands}
     return {}
 
 

@@ -1,8 +1,14 @@
-"""Every command in README.md and docs/ runs, in the order of its page, as it is written there."""
+"""Every command in README.md and docs/ runs, in the order of its page, as it is written there.
+
+A block below a comment that names a file, ``<!-- conf/task/mine.yaml -->``, is that file from there
+on.
+"""
 
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,28 +18,59 @@ from embodichain.cli import main
 REPO = Path(__file__).parents[2]
 GYM_CONFIG = REPO / "tests" / "helpers" / "gym_configs" / "push.yaml"  # what commands call so
 ELSEWHERE = ("make", "git clone", "pip")  # what sets a machine up: tests/packaging runs it
-BLOCK = re.compile(r"^```(?:bash|sh|shell)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+BLOCK = re.compile(
+    r"^(?:<!-- (?P<file>[\w/.]+) -->\n)?```(?P<language>\w+)\n(?P<text>.*?)^```",
+    re.MULTILINE | re.DOTALL,
+)
+SHELLS = ("bash", "sh", "shell")
 
 
-def commands(page: Path) -> list[str]:
-    """The commands of a page's shell blocks, continued lines joined."""
-    text = "\n".join(BLOCK.findall(page.read_text(encoding="utf-8"))).replace("\\\n", " ")
-    lines = (line.strip() for line in text.splitlines())
+def commands(text: str) -> list[str]:
+    """The commands of shell blocks, continued lines joined."""
+    lines = (line.strip() for line in text.replace("\\\n", " ").splitlines())
     return [line for line in lines if line and not line.startswith(("#", *ELSEWHERE))]
 
 
-PAGES = [REPO / "README.md", *sorted((REPO / "docs").glob("*.md"))]
+def steps(page: Path) -> list[tuple[str, str]]:
+    """What a reader does, in order: a command ("", line), or writing a file (path, text)."""
+    found: list[tuple[str, str]] = []
+    for block in BLOCK.finditer(page.read_text(encoding="utf-8")):
+        if block["file"]:
+            found.append((block["file"], block["text"]))
+        elif block["language"] in SHELLS:
+            found += [("", command) for command in commands(block["text"])]
+    return found
+
+
+PAGES = [
+    page
+    for page in (REPO / "README.md", *sorted((REPO / "docs").glob("*.md")))
+    if any(not path for path, _ in steps(page))
+]
+
+
+def run(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    program, *arguments = shlex.split(command, comments=True)
+    assert program in ("embodichain", "python"), f"this test cannot run: {command}"
+    if program == "embodichain":
+        assert main(arguments) == 0, f"{command}\n{capsys.readouterr().err}"
+        return
+    done = subprocess.run(
+        [sys.executable, *arguments], capture_output=True, text=True, timeout=250, check=False
+    )
+    assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
 
 
 def test_pages_have_commands() -> None:
-    assert sum(len(commands(page)) for page in PAGES) > 15
+    assert sum(len(steps(page)) for page in PAGES) > 15
 
 
-@pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_commands_run(page: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copy(GYM_CONFIG, "gym_config.yaml")
-    for command in commands(page):
-        program, *arguments = shlex.split(command, comments=True)
-        assert program == "embodichain", f"{page.name}: this test cannot run: {command}"
-        code = main(arguments)
-        assert code == 0, f"{page.name}: {command}\n{capsys.readouterr().err}"
+    for path, text in steps(page):
+        if path:
+            Path(path).parent.mkdir(parents=True, exist_ok=True)
+            Path(path).write_text(text, encoding="utf-8")
+        else:
+            run(text, capsys)
