@@ -22,7 +22,7 @@ def table() -> str:
             f"`{item.key}`"
         )
     for item in left_out_functors():
-        rows.setdefault((f"{item.section}s", item.reason), []).append(f"`{item.key}`")
+        rows.setdefault((item.section, item.reason), []).append(f"`{item.key}`")
     lines = [f"| {where} | {', '.join(keys)} | {why} |" for (where, why), keys in rows.items()]
     return "\n".join(["| where | what | why |", "| --- | --- | --- |", *lines]) + "\n"
 

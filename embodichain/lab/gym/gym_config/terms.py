@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from embodichain.lab.gym.envs.managers.registry import TERMS, TermSpec
 from embodichain.lab.gym.gym_config.draft import Draft, Path
-from embodichain.lab.gym.gym_config.functors import ACTIONS, LEFT_OUT, VISUAL
+from embodichain.lab.gym.gym_config.functors import ACTIONS, LEFT_OUT, PARAMS_LEFT_OUT, VISUAL
 from embodichain.lab.gym.gym_config.vocabulary import (
     ACTION,
     EVENT,
@@ -64,7 +64,7 @@ def convert_terms(draft: Draft, section: str, env: Mapping[str, Any], robot: str
             # EmbodiChain's default is to modify, ours to add.
             draft.put((*target, "mode"), functor.get("mode", "modify"), (*source, "mode"))
         draft.carry(functor, source, target, vocabulary)
-        params = _params(draft, functor, source)
+        params = _known_params(draft, _params(draft, functor, source), spec, source)
         if params:
             fitted = _with_entity(params, spec, {"uid": robot})
             draft.put((*target, "params"), fitted, (*source, "params"))
@@ -137,6 +137,19 @@ def _params(draft: Draft, functor: Mapping[str, Any], source: Path) -> dict[str,
         draft.refuse((*source, "params"), f"expected a map, got {params!r}")
         return {}
     return dict(params or {})
+
+
+def _known_params(
+    draft: Draft, params: dict[str, Any], spec: TermSpec | None, source: Path
+) -> dict[str, Any]:
+    """Parameters without those that are known there and mean nothing to our term."""
+    if spec is None:
+        return params
+    reasons = PARAMS_LEFT_OUT.get(spec.name, {})
+    left = [key for key in params if key in reasons and key not in spec.params]
+    for key in left:
+        draft.note((*source, "params", key), reasons[key])
+    return {key: value for key, value in params.items() if key not in left}
 
 
 def _with_entity(
