@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from embodichain.lab.gym.envs.cfg import ActionTermCfg, RewardCfg, TerminationCfg
+from embodichain.lab.gym.envs.cfg import ActionTermCfg, EventCfg, RewardCfg, TerminationCfg
 from embodichain.lab.sim.cfg import JointDrivePropertiesCfg, RobotCfg
 from embodichain.utils.errors import ConfigError
 from tests.helpers.judging import bend, ends, reward
@@ -201,6 +201,30 @@ def test_a_drives_own_maximum_counts_where_it_is_smaller(make) -> None:
     action = torch.tensor([HOME]).repeat(3, 1)
     action[0, 0] += 1.0  # 1e4 N m wanted, cut off at 20
     assert env.step(action)[2][0]
+
+
+def test_limits_are_those_in_force_in_each_environment(make) -> None:
+    narrow = EventCfg(
+        func="randomize_joint_parameters", params={**FIRST, "upper_limit_range": [0.2, 0.6]}
+    )
+    env = make(
+        events={"narrow": narrow}, rewards={"r": RewardCfg(func="joint_pos_limits", params=FIRST)}
+    )
+    env.reset()
+    high = env.robot.get_qpos_limits()[:, :2, 1].double().numpy()
+    assert len(np.unique(high)) == 6
+    assert (high >= 0.2).all() and (high < 0.6).all()
+    env.sim.engine.write("qpos", 1.0, None, np.asarray(env.robot.entity.qpos_adr)[:2])
+    found = reward(env, "joint_pos_limits", **FIRST)
+    assert found == pytest.approx((1.0 - high).sum(1), abs=1e-6)
+    low = -2 * math.pi
+    width = 0.9 * (high - low)
+    soft = (1.0 - (0.5 * (high + low) + 0.5 * width)).sum(1)
+    found = reward(env, "joint_pos_limits", **FIRST, soft_ratio=0.9)
+    assert found == pytest.approx(soft, abs=1e-5)
+    assert ends(env, "joint_pos_out_of_limit", **FIRST) == [True] * 3
+    found = reward(env, "joint_limit_penalty", **FIRST)
+    assert found == pytest.approx(-(0.1 - (high - 1.0) / (high - low)).sum(1), abs=1e-5)
 
 
 WHEEL = """

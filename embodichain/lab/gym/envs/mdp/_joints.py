@@ -72,7 +72,7 @@ class Joints:
     # -- limits ----------------------------------------------------------------------------------
 
     def position_limits(self, soft_ratio: float = 1.0) -> tuple[F64, F64]:
-        """Low and high, (K,) each; infinite without a limit.
+        """Low and high in force, (K,) or (N, K) each; infinite without a limit.
 
         Args:
             soft_ratio: How much of the range counts, around its middle.
@@ -80,10 +80,13 @@ class Joints:
         Raises:
             ConfigError: If no joint has a limit.
         """
-        low, high = np.asarray(self.asset.parsed.qpos_limits, np.float64)[self.ids].T.copy()
-        limited = np.isfinite(low) & np.isfinite(high)
+        low, high = self.asset.drives.limits.of(self.ids, None)
         self._need(bool((np.isfinite(low) | np.isfinite(high)).any()), "position")
-        inset = np.where(limited, 0.5 * (1.0 - soft_ratio) * (high - low), 0.0)
+        if soft_ratio == 1.0:
+            return low, high
+        limited = np.isfinite(low) & np.isfinite(high)
+        width = np.subtract(high, low, where=limited, out=np.zeros_like(low))
+        inset = 0.5 * (1.0 - soft_ratio) * width
         return low + inset, high - inset
 
     def velocity_limits(self) -> F64:
@@ -92,9 +95,10 @@ class Joints:
         return self._smaller(self.asset.drives.max_velocity, most, "velocity")
 
     def effort_limits(self) -> F64:
-        """(N, K) N m or N: the smaller of the drive's maximum and the file's limit."""
+        """(N, K) N m or N: the smaller of what the drive yields at most and the file's limit."""
         most = np.asarray(self.asset.parsed.qf_limits, np.float64)
-        return self._smaller(self.asset.drives.max_effort, most, "effort")
+        drives = self.asset.drives
+        return self._smaller(drives.max_effort * drives.strength, most, "effort")
 
     def _smaller(self, drive: F64, file: F64, what: str) -> F64:
         limits = np.minimum(drive[:, self.ids], file[self.ids])

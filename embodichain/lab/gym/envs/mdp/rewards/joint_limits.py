@@ -49,18 +49,17 @@ class JointLimitPenalty(Judge):
         entity_cfg: ResolvedEntity | None = None,
     ) -> None:
         self._joints = pick_joints(env, entity_cfg, robot_uid, joint_ids)
-        low, high = self._joints.position_limits()
-        self._low, self._high, self._margin = low, high, margin
-        # An infinite range would make inf / inf of the distance to a joint's only limit.
-        self._range = np.where(np.isfinite(high - low), high - low, 1.0)
-        self._limited = np.isfinite(high - low)
+        self._margin = margin
+        self._joints.position_limits()
 
     def value(self) -> F64:
         """(N,), not positive."""
         qpos = self._joints.qpos()
-        near = np.minimum(qpos - self._low, self._high - qpos) / self._range
-        inside = np.where(self._limited, np.maximum(self._margin - near, 0.0), 0.0)
-        return -total(inside)
+        low, high = self._joints.position_limits()
+        limited = np.isfinite(low) & np.isfinite(high)
+        width = np.subtract(high, low, where=limited, out=np.ones_like(low))
+        near = np.minimum(qpos - low, high - qpos) / width
+        return -total(np.where(limited, np.maximum(self._margin - near, 0.0), 0.0))
 
 
 @register_term("reward", "metric", name="joint_pos_limits")
@@ -80,13 +79,14 @@ class JointPosLimits(Judge):
     def __init__(
         self, env: BaseEnv, entity_cfg: ResolvedEntity, soft_ratio: Fraction = 1.0
     ) -> None:
-        self._joints = Joints(entity_cfg)
-        self._low, self._high = self._joints.position_limits(soft_ratio)
+        self._joints, self._ratio = Joints(entity_cfg), soft_ratio
+        self._joints.position_limits()
 
     def value(self) -> F64:
         """(N,)."""
         qpos = self._joints.qpos()
-        return total(np.maximum(np.maximum(self._low - qpos, qpos - self._high), 0.0))
+        low, high = self._joints.position_limits(self._ratio)
+        return total(np.maximum(np.maximum(low - qpos, qpos - high), 0.0))
 
 
 @register_term("reward", "metric", name="joint_vel_limits")

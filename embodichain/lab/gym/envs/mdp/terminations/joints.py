@@ -48,12 +48,12 @@ class JointPosOutOfLimit(Judge):
     def __init__(
         self, env: BaseEnv, entity_cfg: ResolvedEntity, soft_ratio: Fraction = 1.0
     ) -> None:
-        self._joints = Joints(entity_cfg)
-        self._low, self._high = self._joints.position_limits(soft_ratio)
+        self._joints, self._ratio = Joints(entity_cfg), soft_ratio
+        self._joints.position_limits()
 
     def value(self) -> Mask:
         """(N,) bool."""
-        return _any_outside(self._joints.qpos(), self._low, self._high)
+        return _any_outside(self._joints.qpos(), *self._joints.position_limits(self._ratio))
 
 
 @register_term("termination", "metric", name="joint_pos_outside")
