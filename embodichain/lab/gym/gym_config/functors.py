@@ -29,7 +29,6 @@ LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
         "randomize_indirect_lighting": _RAYS,
         "randomize_emission_light": _RAYS,
         "randomize_camera_extrinsics": _CAMERA,
-        "randomize_camera_extrinsics": _CAMERA,
         "randomize_camera_intrinsics": _CAMERA,
         "set_rigid_object_group_visual_material": _GROUPS,
         "randomize_rigid_object_body_scale": "it is deprecated: use randomize_rigid_object_scale",

@@ -5,7 +5,6 @@ Which terms exist is asked of the registry; that parameters fit is checked with 
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Mapping
 from typing import Any, Literal
 
@@ -159,7 +158,7 @@ def _with_entity(
     if spec is None or "entity_cfg" not in spec.params or "entity_cfg" in params:
         return params
     picked = {k: params[k] for k in (*_JOINTS, "robot_uid") if k in params and k not in spec.params}
-    if not picked and spec.params["entity_cfg"].default is not inspect.Parameter.empty:
+    if not picked and spec.kind != "action":  # a term's entity is for the user to name
         return params
     rest = {k: v for k, v in params.items() if k not in picked}
     wanted = {_JOINTS[k]: v for k, v in picked.items() if k in _JOINTS and v is not None}

@@ -88,6 +88,15 @@ def test_terms_keep_names_parameters_and_defaults_of_there() -> None:
     }
 
 
+def test_an_entity_that_a_term_needs_is_not_guessed() -> None:
+    config = read("push.yaml")
+    config["env"]["observations"] = {"pose": {"func": "get_object_pose", "mode": "add"}}
+    assert convert(config).task["observations"]["pose"] == {
+        "func": "get_object_pose",
+        "mode": "add",
+    }
+
+
 def test_spellings_of_release_0_3() -> None:
     conversion = convert(read("cart_pole.json"))
     task = conversion.task
