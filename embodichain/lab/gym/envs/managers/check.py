@@ -17,7 +17,9 @@ from pydantic import PydanticSchemaGenerationError, TypeAdapter, ValidationError
 
 from embodichain.lab.gym.envs.cfg import EnvCfg, SceneEntityCfg, TermCfg
 from embodichain.lab.gym.envs.managers.check_fields import check_corruption, check_fields
+from embodichain.lab.gym.envs.managers.param_types import FORMS
 from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec, resolve_term
+from embodichain.lab.sim.sensors.cfg import readings
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -134,8 +136,10 @@ def _check_class(path: str, spec: TermSpec) -> list[Problem]:
 
 
 def _check_modifiers(cfg: EnvCfg) -> list[Problem]:
-    """An entry that is modified must have been added before, or be the robot's own."""
+    """An entry that is modified must have been added before, or be the robot's or a sensor's."""
     known: list[str] = ["robot/qpos", "robot/qvel", "robot/qf"]
+    for uid, sensor in cfg.sensors.items():
+        known += [f"sensor/{uid}/{name}" for name in readings(sensor) if sensor.observe]
     found: list[Problem] = []
     for key, term in cfg.observations.items():
         name = term.name or key
@@ -198,7 +202,7 @@ def _convert(hint: Any, value: Any) -> Any:
 
 def _problem(path: str, error: Any, hint: Any) -> Problem:
     """One of pydantic's errors as a line with what was found."""
-    tail = "".join(f".{part}" for part in error["loc"])
+    tail = "".join(f".{part}" for part in error["loc"] if part not in FORMS)
     message = error["msg"].removeprefix("Value error, ")
     message = message[:1].lower() + message[1:]
     if error["type"] == "unexpected_keyword_argument":

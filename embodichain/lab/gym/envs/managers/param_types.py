@@ -6,13 +6,14 @@ Pure declarations: no torch, no MuJoCo.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Discriminator, Field, Tag
 
 __all__ = [
+    "FORMS",
     "Angle",
     "Axes6",
     "Bounds",
@@ -23,6 +24,8 @@ __all__ = [
     "NonNegative",
     "Positive",
     "Range",
+    "RangeOrBox",
+    "Ranges",
     "UnitInterval",
     "Vec3",
 ]
@@ -69,6 +72,29 @@ Box2 = Annotated[list[Vec2], Field(min_length=2, max_length=2), AfterValidator(_
 """[[x, y] low, [x, y] high]."""
 Box3 = Annotated[list[Vec3], Field(min_length=2, max_length=2), AfterValidator(_ordered)]
 """[[x, y, z] low, [x, y, z] high]."""
+FORMS = ("for all", "by name", "by axis")
+"""Tags of the forms that a range takes: they tell pydantic which form is meant, users nothing."""
+
+
+def _named_form(value: Any) -> str:
+    return "by name" if isinstance(value, Mapping) else "for all"
+
+
+def _axis_form(value: Any) -> str:
+    nested = isinstance(value, Sequence) and any(isinstance(v, Sequence) for v in value)
+    return "by axis" if nested else "for all"
+
+
+Ranges = Annotated[
+    Annotated[Range, Tag("for all")] | Annotated[dict[str, Range], Tag("by name")],
+    Discriminator(_named_form),
+]
+"""[low, high] for all, or {name regex: [low, high]}."""
+RangeOrBox = Annotated[
+    Annotated[Range, Tag("for all")] | Annotated[Box3, Tag("by axis")],
+    Discriminator(_axis_form),
+]
+"""[low, high], or [[x, y, z] low, [x, y, z] high]."""
 Axes6 = dict[Literal["x", "y", "z", "roll", "pitch", "yaw"], Range]
 """{axis: [low, high]}: m and rad, or m/s and rad/s; an axis that is absent is 0."""
 

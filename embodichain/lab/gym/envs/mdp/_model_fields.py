@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.param_types import Range
+from embodichain.lab.gym.envs.managers.param_types import Ranges
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.utils.errors import ConfigError, Problem
@@ -43,8 +43,6 @@ Operation = Literal["add", "scale", "abs"]
 Distribution = Literal["uniform", "log_uniform", "gaussian"]
 """Over [low, high]: uniform; uniform in the logarithm; normal with its mean in the middle and the
 bounds at three standard deviations, clipped there."""
-Ranges = Range | dict[str, Range]
-"""[low, high] for all, or {name regex: [low, high]}; what no key names stays as it is."""
 
 
 class Quantity:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.managers.base import Term
+from embodichain.lab.gym.envs.managers.param_types import Ranges
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._model_fields import (
@@ -15,7 +16,6 @@ from embodichain.lab.gym.envs.mdp._model_fields import (
     Draw,
     Operation,
     Quantity,
-    Ranges,
     bodies_of,
 )
 from embodichain.utils.errors import ConfigError, Problem

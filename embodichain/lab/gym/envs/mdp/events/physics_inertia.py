@@ -8,14 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.managers.base import Term
-from embodichain.lab.gym.envs.managers.param_types import Box3
+from embodichain.lab.gym.envs.managers.param_types import Box3, Ranges
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._model_fields import (
     Distribution,
     Draw,
     Quantity,
-    Ranges,
     articulation_of,
     bodies_of,
     object_of,

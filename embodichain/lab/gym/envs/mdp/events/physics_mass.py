@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.managers.base import Term
-from embodichain.lab.gym.envs.managers.param_types import Positive
+from embodichain.lab.gym.envs.managers.param_types import Positive, Ranges
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._model_fields import (
@@ -17,7 +17,6 @@ from embodichain.lab.gym.envs.mdp._model_fields import (
     Draw,
     Operation,
     Quantity,
-    Ranges,
     articulation_of,
     bodies_of,
     object_of,

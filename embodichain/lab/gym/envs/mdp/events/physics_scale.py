@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.base import Term
-from embodichain.lab.gym.envs.managers.param_types import Box3, Range
+from embodichain.lab.gym.envs.managers.param_types import RangeOrBox
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._model_fields import Distribution, Draw, Quantity, object_of
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["RandomizeRigidObjectScale", "RandomizeRigidObjectsScale"]
 
-FactorRange = Range | Box3
-"""[low, high], or [[x, y, z] low, [x, y, z] high] where every axis has its own factor."""
-
 
 class _Scale(Term):
     """Draws factors for some objects."""
@@ -32,7 +29,7 @@ class _Scale(Term):
         self,
         entities: Sequence[ResolvedEntity],
         path: str,
-        scale_factor_range: FactorRange,
+        scale_factor_range: RangeOrBox,
         same_scale_all_axes: bool,
         shared_sample: bool,
         fixed_density: bool,
@@ -109,7 +106,7 @@ class RandomizeRigidObjectScale(_Scale):
         self,
         env: BaseEnv,
         entity_cfg: ResolvedEntity,
-        scale_factor_range: FactorRange,
+        scale_factor_range: RangeOrBox,
         same_scale_all_axes: bool = True,
         fixed_density: bool = True,
         distribution: Distribution = "uniform",
@@ -147,7 +144,7 @@ class RandomizeRigidObjectsScale(_Scale):
         self,
         env: BaseEnv,
         entity_cfgs: list[ResolvedEntity],
-        scale_factor_range: FactorRange,
+        scale_factor_range: RangeOrBox,
         same_scale_all_axes: bool = True,
         shared_sample: bool = False,
         fixed_density: bool = True,

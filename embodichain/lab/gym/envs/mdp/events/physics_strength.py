@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.managers.base import Term
+from embodichain.lab.gym.envs.managers.param_types import Ranges
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._model_fields import (
     Distribution,
     Draw,
     Quantity,
-    Ranges,
     articulation_of,
 )
 from embodichain.utils.errors import ConfigError, Problem
