@@ -8,9 +8,15 @@ import pytest
 import torch
 
 from embodichain.lab.gym.envs.base_env import BaseEnv
-from embodichain.lab.gym.envs.cfg import EnvCfg, EventCfg
+from embodichain.lab.gym.envs.cfg import EnvCfg, EventCfg, ObservationCfg
 from embodichain.lab.sim.cfg import RigidBodyAttributesCfg, RigidObjectCfg, SimulationManagerCfg
-from embodichain.lab.sim.sensors import ContactSensorCfg, ImuSensorCfg, LinksCfg
+from embodichain.lab.sim.sensors import (
+    ContactSensorCfg,
+    ForceTorqueSensorCfg,
+    ImuSensorCfg,
+    LinksCfg,
+)
+from embodichain.lab.sim.sensors.cfg import readings as readings_of
 from embodichain.lab.sim.shapes import CubeCfg
 from embodichain.recording import verify
 from embodichain.recording.recorder import McapRecorder
@@ -253,3 +259,34 @@ def test_wrong_sensors_are_all_named(make) -> None:
         "sensors.imu.uid",
         "sensors.imu.entity_cfg.link_names",
     ]
+
+
+def test_an_observed_reading_can_be_modified(make) -> None:
+    imu = ImuSensorCfg(entity_cfg=LinksCfg(uid="ur10", link_names="ee_link"), observe=True)
+    entries = [f"sensor/imu/{name}" for name in readings_of(imu)]
+    terms = {
+        f"m{i}": ObservationCfg(func=halve, mode="modify", name=name)
+        for i, name in enumerate(entries)
+    }
+    env = make(sensors=sensors(imu=imu), observations=terms)
+    obs, _ = env.reset()
+    data = env.get_sensor("imu").get_data()
+    assert tuple(data) == readings_of(imu) == tuple(obs["sensor", "imu"].keys())
+    for name, value in data.items():
+        assert torch.equal(obs["sensor", "imu", name], value / 2)
+    with pytest.raises(ConfigError, match=r"before it: .*sensor/imu/orientation.*Did you mean"):
+        wrong = ObservationCfg(func=halve, mode="modify", name="sensor/imu/acelleration")
+        make(sensors=sensors(imu=imu), observations={"m": wrong})
+
+
+@pytest.mark.parametrize("uid", ["touch", "imu", "wrench"])
+def test_readings_are_what_a_sensor_gives(make, uid) -> None:
+    wrench = ForceTorqueSensorCfg(entity_cfg=LinksCfg(uid="ur10", link_names="ee_link"))
+    sensor = make(sensors=sensors(wrench=wrench)).get_sensor(uid)
+    data = sensor.get_data()
+    assert tuple(data) == readings_of(sensor.cfg)
+    assert {(v.dtype, v.shape[0]) for v in data.values()} == {(torch.float32, 3)}
+
+
+def halve(env: Any, data: torch.Tensor) -> torch.Tensor:
+    return data / 2

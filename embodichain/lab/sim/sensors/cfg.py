@@ -19,6 +19,7 @@ __all__ = [
     "ImuSensorCfg",
     "LinksCfg",
     "SensorCfg",
+    "readings",
 ]
 
 
@@ -95,6 +96,18 @@ _SENSORS: dict[str, type[SensorCfg]] = {
     "imu": ImuSensorCfg,
     "force_torque": ForceTorqueSensorCfg,
 }
+
+_READINGS = {
+    "contact": ("found", "force"),
+    "imu": ("orientation", "angular_velocity", "acceleration", "projected_gravity"),
+    "force_torque": ("force", "torque"),
+}
+
+
+def readings(cfg: SensorCfg) -> tuple[str, ...]:
+    """Return the names of what a sensor's `get_data` gives."""
+    return _READINGS.get(cfg.sensor_type, ())
+
 
 AnySensorCfg = Annotated[
     ContactSensorCfg | ImuSensorCfg | ForceTorqueSensorCfg, Field(discriminator="sensor_type")
