@@ -10,7 +10,7 @@ from typing import Final
 
 from embodichain.lab.gym.gym_config.vocabulary import Left
 
-__all__ = ["ACTIONS", "LEFT_OUT", "PARAMS_LEFT_OUT", "VISUAL", "left_out_functors"]
+__all__ = ["ACTIONS", "LEFT_OUT", "NEEDS_ANY", "PARAMS_LEFT_OUT", "VISUAL", "left_out_functors"]
 
 _RAYS = "it changes what only a ray tracer draws"
 _CAMERA = "cameras are not available yet"
@@ -62,13 +62,26 @@ PARAMS_LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
     ),
     "randomize_visual_material": {
         "shared": "environments are drawn one by one",
+        "ior_range": "MuJoCo's rasterizer does not refract",
         **dict.fromkeys(
-            ("fallback_to_new", "p_original", "p_library", "p_solid", "solid_texture_count"),
+            (
+                "texture_path",
+                "random_texture_prob",
+                "fallback_to_new",
+                "p_original",
+                "p_library",
+                "p_solid",
+                "solid_texture_count",
+            ),
             _TEXTURES,
         ),
     },
 }
-"""Functor -> parameter that our term of that name lacks -> why."""
+"""Functor -> parameter that means nothing to our term of that name -> why."""
+NEEDS_ANY: Final[Mapping[str, tuple[str, ...]]] = {
+    "randomize_visual_material": ("base_color_range", "metallic_range", "roughness_range"),
+}
+"""Functor -> parameters of which one at least must be left, or there is nothing to do."""
 
 VISUAL: Final = (
     "randomize_visual_material",

@@ -10,7 +10,13 @@ from typing import Any, Literal
 
 from embodichain.lab.gym.envs.managers.registry import TERMS, TermSpec
 from embodichain.lab.gym.gym_config.draft import Draft, Path
-from embodichain.lab.gym.gym_config.functors import ACTIONS, LEFT_OUT, PARAMS_LEFT_OUT, VISUAL
+from embodichain.lab.gym.gym_config.functors import (
+    ACTIONS,
+    LEFT_OUT,
+    NEEDS_ANY,
+    PARAMS_LEFT_OUT,
+    VISUAL,
+)
 from embodichain.lab.gym.gym_config.vocabulary import (
     ACTION,
     EVENT,
@@ -57,13 +63,17 @@ def convert_terms(draft: Draft, section: str, env: Mapping[str, Any], robot: str
         if func in VISUAL and env.get("filter_visual_rand"):
             draft.note(source, f"{func}: env.filter_visual_rand leaves it out")
             continue
+        params = _known_params(draft, _params(draft, functor, source), func, source)
+        needed = NEEDS_ANY.get(func)
+        if needed is not None and not any(params.get(key) is not None for key in needed):
+            draft.note(source, f"{func}: nothing is left that it would change")
+            continue
         target = (section, name)
         draft.put((*target, "func"), func, (*source, "func"))
         if section == "observations":
             # EmbodiChain's default is to modify, ours to add.
             draft.put((*target, "mode"), functor.get("mode", "modify"), (*source, "mode"))
         draft.carry(functor, source, target, vocabulary)
-        params = _known_params(draft, _params(draft, functor, source), spec, source)
         if params:
             fitted = _with_entity(params, spec, {"uid": robot})
             draft.put((*target, "params"), fitted, (*source, "params"))
@@ -138,17 +148,13 @@ def _params(draft: Draft, functor: Mapping[str, Any], source: Path) -> dict[str,
     return dict(params or {})
 
 
-def _known_params(
-    draft: Draft, params: dict[str, Any], spec: TermSpec | None, source: Path
-) -> dict[str, Any]:
+def _known_params(draft: Draft, params: dict[str, Any], func: str, source: Path) -> dict[str, Any]:
     """Parameters without those that are known there and mean nothing to our term."""
-    if spec is None:
-        return params
-    reasons = PARAMS_LEFT_OUT.get(spec.name, {})
-    left = [key for key in params if key in reasons and key not in spec.params]
-    for key in left:
-        draft.note((*source, "params", key), reasons[key])
-    return {key: value for key, value in params.items() if key not in left}
+    reasons = PARAMS_LEFT_OUT.get(func, {})
+    for key in params:
+        if key in reasons:
+            draft.note((*source, "params", key), reasons[key])
+    return {key: value for key, value in params.items() if key not in reasons}
 
 
 def _with_entity(

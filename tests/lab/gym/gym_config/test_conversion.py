@@ -283,6 +283,23 @@ def test_visual_events_are_left_out_where_that_is_asked_for() -> None:
     assert "leaves it out" in notes(conversion)["env.events.lamp"]
 
 
+def test_textures_are_left_out_and_what_needs_them() -> None:
+    texture = {"entity_cfg": {"uid": "cube"}, "texture_path": "pictures", "random_texture_prob": 1}
+    events = {
+        "only": {"func": "randomize_visual_material", "params": texture},
+        "both": {
+            "func": "randomize_visual_material",
+            "params": {**texture, "base_color_range": [[0, 0, 0], [1, 1, 1]]},
+        },
+    }
+    conversion = convert({"env": {"events": events}})
+    assert set(conversion.task["events"]) == {"both"}
+    assert set(conversion.task["events"]["both"]["params"]) == {"entity_cfg", "base_color_range"}
+    found = notes(conversion)
+    assert found["env.events.only"].endswith("nothing is left that it would change")
+    assert "textures are not drawn" in found["env.events.both.params.texture_path"]
+
+
 def test_a_class_of_ones_own_stays() -> None:
     assert convert({"id": "Mine-v0", "env": {}}).task["id"] == "Mine-v0"
 
