@@ -46,6 +46,7 @@ PREDICATES: dict[str, dict[str, Any]] = {
     "at_rest": {**LINK, "linear_threshold": 0.001, "angular_threshold": 0.1},
     "all_of": {"terms": NEAR_AND_HIGH},
     "any_of": {"terms": NEVER},
+    "follows_velocity": {**CUBE, **VELOCITY, "linear_threshold": 0.1},
     "held_for": {"term": NEAR_AND_HIGH["near"], "steps": 7},
 }
 REWARDS: dict[str, dict[str, Any]] = {

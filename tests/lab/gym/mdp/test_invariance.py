@@ -15,9 +15,8 @@ from embodichain.lab.gym.envs.cfg import (
     TerminationCfg,
 )
 from embodichain.lab.gym.envs.managers import TERMS
-from tests.helpers import judge_terms, spatial_events
-from tests.helpers.acting_terms import ACTIONS, OBSERVATIONS
-from tests.helpers.judge_terms import REWARDS, TERMINATIONS
+from tests.helpers import acting_terms, judge_terms, sensor_terms, spatial_events
+from tests.helpers.acting_terms import ACTIONS
 
 ARM = {"entity_cfg": {"uid": "ur10"}}
 CUBE = {"entity_cfg": {"uid": "cube"}}
@@ -41,6 +40,9 @@ EVENTS = {
     ),
     "qpos": EventCfg(func="randomize_robot_qpos", params={**ARM, "qpos_range": [-0.1, 0.1]}),
 }
+OBSERVATIONS = {**acting_terms.OBSERVATIONS, **sensor_terms.OBSERVATIONS}
+REWARDS = {**judge_terms.REWARDS, **sensor_terms.REWARDS}
+TERMINATIONS = {**judge_terms.TERMINATIONS, **sensor_terms.TERMINATIONS}
 METRICS = {**REWARDS, **TERMINATIONS}
 
 
@@ -49,6 +51,7 @@ def sections() -> dict:
         "actions": ACTIONS,
         "commands": judge_terms.COMMANDS,
         "events": EVENTS,
+        "sensors": sensor_terms.SENSORS,
         "lights": spatial_events.LIGHTS,
         "observations": OBSERVATIONS,
         "rewards": {k: RewardCfg(func=k, params=v, weight=0.3) for k, v in REWARDS.items()},

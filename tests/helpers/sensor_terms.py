@@ -1,0 +1,40 @@
+"""Sensors for the UR10 scene of the tests, and parameters of every built-in term that reads one."""
+
+from typing import Any
+
+from embodichain.lab.gym.envs.cfg import ObservationCfg
+from embodichain.lab.sim.sensors.cfg import (
+    ContactSensorCfg,
+    ForceTorqueSensorCfg,
+    ImuSensorCfg,
+    LinksCfg,
+)
+
+SENSORS = {
+    "contacts": ContactSensorCfg(entity_cfg=LinksCfg(uid="cube")),
+    "imu": ImuSensorCfg(entity_cfg=LinksCfg(uid="ur10", link_names="ee_link")),
+    "wrench": ForceTorqueSensorCfg(entity_cfg=LinksCfg(uid="ur10", link_names="wrist_3_link")),
+}
+READ = {
+    "contact_found": "contacts",
+    "contact_force": "contacts",
+    "imu_acceleration": "imu",
+    "imu_angular_velocity": "imu",
+    "imu_orientation": "imu",
+    "imu_projected_gravity": "imu",
+    "body_incoming_wrench": "wrench",
+}
+OBSERVATIONS = {
+    name: ObservationCfg(func=name, params={"sensor": sensor}) for name, sensor in READ.items()
+}
+TOUCH = {"sensor": "contacts", "threshold": 1.0}
+REWARDS: dict[str, dict[str, Any]] = {
+    "undesired_contacts": TOUCH,
+    "desired_contacts": TOUCH,
+    "contact_forces": TOUCH,
+    "feet_slide": TOUCH,
+    "feet_air_time": {"sensor": "contacts", "command_name": "velocity", "threshold": 0.1},
+}
+TERMINATIONS: dict[str, dict[str, Any]] = {
+    "illegal_contact": {"sensor": "contacts", "threshold": 1e9},
+}
