@@ -15,7 +15,7 @@ from embodichain.lab.gym.envs.cfg import (
     TerminationCfg,
 )
 from embodichain.lab.gym.envs.managers import TERMS
-from tests.helpers import acting_terms, judge_terms, sensor_terms, spatial_events
+from tests.helpers import acting_terms, judge_terms, randomizers, sensor_terms, spatial_events
 from tests.helpers.acting_terms import ACTIONS
 
 ARM = {"entity_cfg": {"uid": "ur10"}}
@@ -121,9 +121,12 @@ def test_a_restored_environment_continues_to_the_byte(make) -> None:
     assert run() == first
 
 
+# Randomizers of model fields have a test like this one of their own, in test_randomizers_exact;
+# a film changes nothing.
+ELSEWHERE = {case.func for case in randomizers.CASES} | {"record_camera_data"}
 USED = {
     "action": set(ACTIONS),
-    "event": {e.func for e in EVENTS.values()},
+    "event": {e.func for e in EVENTS.values()} | ELSEWHERE,
     "observation": {o.func for o in OBSERVATIONS.values()},
     "reward": set(REWARDS),
     "termination": set(TERMINATIONS),
