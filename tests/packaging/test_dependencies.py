@@ -51,7 +51,8 @@ def imports(repo: Path) -> dict[str, set[str]]:
 
 
 def test_what_is_imported_is_declared(repo: Path, project: dict[str, Any]) -> None:
-    optional = names(project["optional-dependencies"]["robots"])
+    extras = project["optional-dependencies"]
+    optional = names(extras["robots"]) | names(extras["video"])
     declared = names(project["dependencies"]) | optional
     assert {n: m for n, m in imports(repo).items() if n not in declared} == {}
 

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import mujoco
@@ -15,7 +17,7 @@ import numpy as np
 from embodichain.utils.errors import RenderError
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["Drawable", "SceneRenderer"]
+__all__ = ["Drawable", "SceneRenderer", "View"]
 
 _HINT = (
     "off-screen rendering needs EGL: `apt-get install libegl1 libgl1-mesa-dri` (Debian, Ubuntu), "
@@ -44,6 +46,53 @@ class Drawable(Protocol):
         """One environment's state, every derived field computed; its ``model`` is drawn."""
 
 
+@dataclass(frozen=True)
+class View:
+    """A place to look from that is no camera of the scene.
+
+    Attributes:
+        eye: (3,) metres, environment's frame.
+        forward: (3,) unit vector.
+        up: (3,) unit vector at right angles to it.
+        fovy: Vertical field of view in degrees.
+    """
+
+    eye: tuple[float, ...]
+    forward: tuple[float, ...]
+    up: tuple[float, ...]
+    fovy: float
+
+    @classmethod
+    def look_at(
+        cls, eye: Sequence[float], target: Sequence[float], up: Sequence[float], fovy: float
+    ) -> View:
+        """A view from one point to another; +x is up where ``up`` lies along the view.
+
+        Raises:
+            ValueError: If the points are the same.
+        """
+        forward = np.subtract(target, eye).astype(np.float64)
+        length = float(np.linalg.norm(forward))
+        if length < 1e-9:
+            raise ValueError(f"the eye is at the target, {list(eye)}")
+        forward /= length
+        for upwards in (up, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
+            side = np.cross(forward, upwards)
+            size = float(np.linalg.norm(side))
+            if size > 1e-6:
+                above = np.cross(side / size, forward)
+                return cls(tuple(eye), tuple(forward.tolist()), tuple(above.tolist()), fovy)
+        raise ValueError("no direction is at right angles to the view")
+
+    def aim(self, scene: mujoco.MjvScene) -> None:
+        """Look at an updated scene from here."""
+        for camera in scene.camera:
+            camera.pos, camera.forward, camera.up = self.eye, self.forward, self.up
+            camera.frustum_top = camera.frustum_near * np.tan(np.radians(self.fovy) / 2)
+            camera.frustum_bottom = -camera.frustum_top
+            camera.frustum_center = camera.frustum_width = 0.0
+
+
 class SceneRenderer:
     """An off-screen renderer of one size.
 
@@ -60,7 +109,7 @@ class SceneRenderer:
         self.size = (width, height)
         self._option = mujoco.MjvOption()
         self._camera = mujoco.MjvCamera()
-        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
         self._cameras = [model.camera(i).name for i in range(model.ncam)]
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
         model.vis.global_.offheight = max(model.vis.global_.offheight, height)
@@ -71,19 +120,22 @@ class SceneRenderer:
             raise RenderError(f"no picture can be made here ({error}); {_HINT}") from error
 
     def draw(
-        self, engine: Drawable, env_id: int, camera: str | int
+        self, engine: Drawable, env_id: int, camera: str | int | View
     ) -> np.ndarray[Any, np.dtype[np.uint8]]:
         """Return (height, width, 3) RGB of one environment; changes nothing of it.
 
         Raises:
             ValueError: If there is no such camera; lists the cameras.
         """
-        if camera not in (self._cameras if isinstance(camera, str) else range(len(self._cameras))):
+        known = self._cameras if isinstance(camera, str) else range(len(self._cameras))
+        if not isinstance(camera, View) and camera not in known:
             raise ValueError(
                 f"no camera {camera!r}; there are: {', '.join(self._cameras) or 'none'}."
                 f"{did_you_mean(str(camera), self._cameras)}"
             )
-        self._camera.fixedcamid = self._cameras.index(camera) if isinstance(camera, str) else camera
+        if not isinstance(camera, View):
+            chosen = self._cameras.index(camera) if isinstance(camera, str) else camera
+            self._camera.fixedcamid = chosen
         data = engine.data_of(env_id)
         # Not `Renderer.update_scene`: colours, lights and cameras are those of the environment.
         mujoco.mjv_updateScene(
@@ -95,6 +147,8 @@ class SceneRenderer:
             mujoco.mjtCatBit.mjCAT_ALL.value,
             self._renderer.scene,
         )
+        if isinstance(camera, View):
+            camera.aim(self._renderer.scene)
         picture: np.ndarray[Any, np.dtype[np.uint8]] = self._renderer.render().copy()
         return picture
 

@@ -28,7 +28,7 @@ from embodichain.lab.sim.objects.entity import not_available
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.base import F64, EnvIndex
-    from embodichain.lab.sim.rendering import SceneRenderer
+    from embodichain.lab.sim.rendering import SceneRenderer, View
     from embodichain.lab.sim.viewer import NativeViewer
 
 __all__ = ["SimulationManager"]
@@ -195,7 +195,11 @@ class SimulationManager(Declaration):
     # -- pictures ------------------------------------------------------------------------------
 
     def render(
-        self, env_id: int = 0, camera: str | int = "default", width: int = 640, height: int = 480
+        self,
+        env_id: int = 0,
+        camera: str | int | View = "default",
+        width: int = 640,
+        height: int = 480,
     ) -> np.ndarray[Any, np.dtype[np.uint8]]:
         """Draw one environment off screen, (height, width, 3) RGB.
 

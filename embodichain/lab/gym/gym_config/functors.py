@@ -32,8 +32,7 @@ LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
         "randomize_camera_intrinsics": _CAMERA,
         "set_rigid_object_group_visual_material": _GROUPS,
         "randomize_rigid_object_body_scale": "it is deprecated: use randomize_rigid_object_scale",
-        "record_camera_data": "the log of a run is the recording",
-        "record_camera_data_async": "the log of a run is the recording",
+        "record_camera_data_async": "use record_camera_data: one encoder process an environment",
         "validation_cameras": _CAMERA,
     },
     "observation": {

@@ -6,7 +6,7 @@ from embodichain.lab.gym.envs.managers import TERMS
 from tests.helpers.spatial_events import EVENTS, LIGHTS
 
 PACKAGE = "embodichain.lab.gym.envs.mdp.events."
-OTHERS = ("object_pose", "robot_qpos", "record")
+OTHERS = ("object_pose", "robot_qpos")
 FIELDS = ("mat_rgba", "mat_specular", "geom_rgba", "light_pos", "light_diffuse", "cam_quat")
 
 

@@ -1,0 +1,66 @@
+"""`VideoFile`: pictures become an MP4 while they come; needs the extra `video` (imageio-ffmpeg)."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Generator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.utils.errors import ConfigError, Problem
+
+__all__ = ["VideoFile", "need_encoder"]
+
+
+def need_encoder() -> None:
+    """Refuse if the encoder is not installed.
+
+    Raises:
+        ConfigError: Names the extra.
+    """
+    if importlib.util.find_spec("imageio_ffmpeg") is None:
+        hint = "pip install 'embodichain[video]'"
+        raise ConfigError([Problem("", "videos need the package imageio-ffmpeg", hint)])
+
+
+class VideoFile:
+    """One MP4 (H.264, yuv420p), written as pictures come; it has its name once it is complete.
+
+    Args:
+        path: Where it goes; a number is added to the name if it exists already.
+        size: Width and height in pixels, both even.
+        fps: Pictures a second.
+    """
+
+    def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
+        import imageio_ffmpeg
+
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self._path = path
+        self._part = path.with_name(f".{path.stem}.part{path.suffix}")
+        self._writer: Generator[None, Any, None] = imageio_ffmpeg.write_frames(
+            str(self._part),
+            size,
+            fps=fps,
+            codec="libx264",
+            macro_block_size=2,
+            output_params=["-preset", "veryfast", "-threads", "1"],
+        )
+        self._writer.send(None)
+
+    def write(self, picture: NDArray[np.uint8]) -> None:
+        """Append an RGB picture, (height, width, 3)."""
+        self._writer.send(np.ascontiguousarray(picture))
+
+    def close(self) -> Path:
+        """Finish the file and return where it is."""
+        self._writer.close()
+        path, number = self._path, 1
+        while path.exists():
+            number += 1
+            path = self._path.with_name(f"{self._path.stem}_{number}{self._path.suffix}")
+        self._part.replace(path)
+        return path

@@ -1,0 +1,146 @@
+"""Events that film environments: one MP4 an episode."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from embodichain.lab.gym.envs.managers.base import Term
+from embodichain.lab.gym.envs.managers.param_types import Finite, Positive, Vec3
+from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.mdp._video import VideoFile, need_encoder
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.sim.engine.base import EnvIndex
+
+__all__ = ["RecordCameraData"]
+
+Pixels = Annotated[int, Field(ge=2, multiple_of=2)]
+Intrinsics = Annotated[list[Finite], Field(min_length=4, max_length=4)]
+
+
+@register_term("event", name="record_camera_data")
+class RecordCameraData(Term):
+    """Films environments from a fixed place, one MP4 for each episode of each.
+
+    Give it `mode: interval`; with `interval_step: 1` every control step is a picture. A file is
+    finished when its environment is reset or the task is closed, and is called
+    ``NAME_envI_episodeK.mp4``. EmbodiChain's event of the same name; it needs the extra `video`.
+
+    Args:
+        name: Begins the files' names.
+        resolution: [width, height] in pixels, both even; None is [640, 480].
+        eye: Where the camera is, metres, environment's frame; None is [0, 0, 2].
+        target: What it looks at; None is the origin.
+        up: What is upwards in the picture; if it lies along the view, +x takes its place. None is
+            [0, 0, 1].
+        intrinsics: [fx, fy, cx, cy] in pixels: square pixels, and the axis in the middle. None is
+            a focal length of 600.
+        max_env_num: Environments filmed at most: the first ones. Each is one encoder process.
+        save_path: Folder; None is `videos` in the run's folder, or `outputs/videos` without one.
+        camera: A camera of the scene to film with instead, such as `default`.
+        fps: Pictures a second of the video; None is the control frequency: real time with
+            `interval_step: 1`.
+
+    Example:
+        ``{func: record_camera_data, mode: interval, interval_step: 1, params: {resolution: [320, 240], camera: default, max_env_num: 1}}``
+    """  # noqa: E501  (an example is one line)
+
+    def __init__(
+        self,
+        env: BaseEnv,
+        name: str = "default",
+        resolution: Annotated[list[Pixels], Field(min_length=2, max_length=2)] | None = None,
+        eye: Vec3 | None = None,
+        target: Vec3 | None = None,
+        up: Vec3 | None = None,
+        intrinsics: Intrinsics | None = None,
+        max_env_num: Annotated[int, Field(ge=1)] = 16,
+        save_path: str | None = None,
+        camera: str | None = None,
+        fps: Positive | None = None,
+    ) -> None:
+        need_encoder()
+        if not name or Path(name).name != name:
+            raise ConfigError([Problem("name", f"is not part of a file's name: {name!r}")])
+        self._env, self._name, self._count = env, name, max_env_num
+        width, height = self._size = tuple(resolution or (640, 480))
+        self._camera: Any = camera
+        if camera is None:
+            fovy = _fovy(intrinsics or [600.0, 600.0, width / 2, height / 2], width, height)
+            self._camera = _view(eye or [0, 0, 2], target or [0, 0, 0], up or [0, 0, 1], fovy)
+        else:
+            model = env.sim.engine.model
+            known = [model.camera(i).name for i in range(model.ncam)]
+            if camera not in known:
+                message = f"no camera is called {camera!r}; there are: {', '.join(known)}"
+                raise ConfigError([Problem("camera", message)])
+        self._folder = Path(save_path) if save_path is not None else None
+        self._fps = fps if fps is not None else env.control_frequency
+        self._videos: dict[int, VideoFile] = {}
+        _finish_at_close(env, self)
+
+    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+        """Take one picture of each environment that is filmed."""
+        ids = np.arange(env.num_envs) if env_ids is None else env_ids
+        width, height = self._size
+        for i in ids[ids < self._count].tolist():
+            video = self._videos.get(i)
+            if video is None:
+                path = self._where() / f"{self._name}_env{i}_episode{int(env.episode_ids[i])}.mp4"
+                video = self._videos[i] = VideoFile(path, (width, height), self._fps)
+            video.write(env.sim.render(i, self._camera, width, height))
+
+    def _where(self) -> Path:
+        if self._folder is not None:
+            return self._folder
+        run = self._env.run_dir
+        return Path("outputs/videos") if run is None else run / "videos"
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Finish the files of these environments' episodes."""
+        ids = list(self._videos) if env_ids is None else env_ids.tolist()
+        for i in ids:
+            video = self._videos.pop(i, None)
+            if video is not None:
+                video.close()
+
+
+def _fovy(intrinsics: list[float], width: int, height: int) -> float:
+    """Vertical field of view in degrees of a camera with square pixels and a centred axis."""
+    fx, fy, cx, cy = intrinsics
+    if not fx > 0 or not math.isclose(fx, fy):
+        message = f"the rasterizer's pixels are square: fx = fy > 0, got {fx} and {fy}"
+        raise ConfigError([Problem("intrinsics", message)])
+    if abs(cx - width / 2) > 0.5 or abs(cy - height / 2) > 0.5:
+        message = (
+            f"the rasterizer's axis is in the middle, ({width / 2}, {height / 2}), got {cx, cy}"
+        )
+        raise ConfigError([Problem("intrinsics", message)])
+    return 2 * math.degrees(math.atan(height / (2 * fy)))
+
+
+def _view(eye: list[float], target: list[float], up: list[float], fovy: float) -> Any:
+    from embodichain.lab.sim.rendering import View
+
+    try:
+        return View.look_at(eye, target, up, fovy)
+    except ValueError as error:
+        raise ConfigError([Problem("target", str(error))]) from error
+
+
+def _finish_at_close(env: BaseEnv, term: RecordCameraData) -> None:
+    """Have a term's files finished when the environment closes."""
+    from embodichain.lab.gym.envs.observers import StepObserver
+
+    class Finisher(StepObserver):
+        def on_close(self, env: BaseEnv) -> None:
+            term.reset(None)
+
+    env.add_observer(Finisher())
