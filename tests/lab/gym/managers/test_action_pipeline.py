@@ -113,6 +113,9 @@ def test_without_either_the_term_gets_the_callers_tensor(make) -> None:
     ("fields", "path"),
     [
         ({"delay": [3, 1]}, "actions.a.delay"),
+        ({"delay": -1}, "actions.a.delay"),
+        ({"noise": NoiseCfg()}, "actions.a.noise.std"),
+        ({"noise": NoiseCfg(type="uniform", low=1.0, high=0.0)}, "actions.a.noise"),
         ({"noise": NoiseCfg(std=[1.0, 2.0])}, "actions.a.noise.std"),
     ],
 )

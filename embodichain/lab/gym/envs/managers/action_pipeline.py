@@ -14,7 +14,6 @@ import numpy as np
 
 from embodichain.lab.gym.envs.cfg import ActionTermCfg
 from embodichain.lab.gym.envs.managers.noise import Noise
-from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     import torch
@@ -45,7 +44,7 @@ class ActionPipeline:
         hold: Gives the action, (A,) or (N, A), that changes nothing now.
 
     Raises:
-        ConfigError: If the delay or the noise is wrong.
+        ConfigError: If a list of the noise's is not one value a column.
     """
 
     hold: Callable[[], F64]
@@ -54,7 +53,8 @@ class ActionPipeline:
         path = f"actions.{name}"
         self._streams, self._stream = streams, path
         count = streams.num_envs
-        self._shortest, self._longest = _delay_range(cfg.delay, f"{path}.delay")
+        delay = cfg.delay
+        self._shortest, self._longest = (delay, delay) if isinstance(delay, int) else delay
         self._lags: NDArray[np.int64] = np.full(count, self._shortest, np.int64)
         self._past: F64 = np.zeros((self._longest, count, width))
         self._empty: NDArray[np.bool_] = np.ones(count, np.bool_)
@@ -100,10 +100,3 @@ class ActionPipeline:
         """Continue where `state_dict` was taken."""
         self._past, self._lags = state["past"].copy(), state["lags"].copy()
         self._empty = state["empty"].copy()
-
-
-def _delay_range(delay: Any, path: str) -> tuple[int, int]:
-    low, high = (delay, delay) if isinstance(delay, int) else delay
-    if low > high:
-        raise ConfigError([Problem(path, f"low {low} exceeds high {high}")])
-    return low, high

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from embodichain.lab.gym.envs.cfg import (
+    ActionTermCfg,
     CommandCfg,
     EnvCfg,
     EventCfg,
@@ -44,7 +45,7 @@ def check_fields(path: str, term: TermCfg) -> list[Problem]:
         return _check_times(f"{path}.resampling_time_s", term.resampling_time_s)
     if isinstance(term, ObservationCfg):
         return _check_observation(path, term)
-    return []
+    return _check_disturbance(path, term) if isinstance(term, ActionTermCfg) else []
 
 
 def _check_times(path: str, seconds: Sequence[float] | None) -> list[Problem]:
@@ -54,16 +55,21 @@ def _check_times(path: str, seconds: Sequence[float] | None) -> list[Problem]:
 
 
 def _check_observation(path: str, term: ObservationCfg) -> list[Problem]:
-    found: list[Problem] = []
-    if term.noise is not None:
-        found += _check_noise(f"{path}.noise", term.noise)
+    found = _check_disturbance(path, term)
     if term.clip is not None and not term.clip[0] <= term.clip[1]:
         found.append(Problem(f"{path}.clip", f"low exceeds high in {list(term.clip)}"))
-    delay: Any = term.delay
-    if not isinstance(delay, int) and not 0 <= delay[0] <= delay[1]:
-        found.append(Problem(f"{path}.delay", f"needs 0 <= low <= high, got {list(delay)}"))
     if term.name is not None and not all(term.name.split("/")):
         found.append(Problem(f"{path}.name", f"has an empty part: {term.name!r}"))
+    return found
+
+
+def _check_disturbance(path: str, term: ActionTermCfg | ObservationCfg) -> list[Problem]:
+    """Check noise and delay, which actions and observations have."""
+    found = [] if term.noise is None else _check_noise(f"{path}.noise", term.noise)
+    delay: Any = term.delay
+    low, high = (delay, delay) if isinstance(delay, int) else delay
+    if not 0 <= low <= high:
+        found.append(Problem(f"{path}.delay", f"needs 0 <= low <= high, got {delay}"))
     return found
 
 
