@@ -20,7 +20,12 @@ from embodichain.lab.sim.compiler.objects import add_object, check_object, dampi
 from embodichain.lab.sim.compiler.options import apply_options, replace_options
 from embodichain.lab.sim.compiler.pose import initial_pose
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
-from embodichain.lab.sim.compiler.sensors import SensorIndex, add_sensors, index_sensors
+from embodichain.lab.sim.compiler.sensors import (
+    SensorIndex,
+    add_sensors,
+    deaf_sensors,
+    index_sensors,
+)
 from embodichain.lab.sim.compiler.visuals import (
     GROUND,
     add_ground,
@@ -106,6 +111,9 @@ def compile_scene(
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
         raise ConfigError(f"MuJoCo cannot compile the scene: {as_line(error)[0]}") from error
+    if report:
+        for note in deaf_sensors(model, sensors):
+            _log.warning("%s", note)
     entities = {p.uid: _index_articulation(model, p) for p in articulations}
     for uid, cfg in objects.items():
         index = entities[uid] = _index_object(model, uid, cfg)

@@ -17,7 +17,7 @@ from embodichain.lab.sim.sensors.cfg import (
     ImuSensorCfg,
 )
 
-__all__ = ["SensorIndex", "add_sensors", "index_sensors"]
+__all__ = ["SensorIndex", "add_sensors", "deaf_sensors", "index_sensors"]
 
 _OBJECT = mujoco.mjtObj
 _SENSOR = mujoco.mjtSensor
@@ -83,6 +83,19 @@ def _add_sites(spec: mujoco.MjSpec, plan: SensorPlan) -> None:
 def index_sensors(model: mujoco.MjModel, plans: Mapping[str, SensorPlan]) -> dict[str, SensorIndex]:
     """Find every sensor's columns in the compiled model."""
     return {uid: _index(model, plan) for uid, plan in plans.items()}
+
+
+def deaf_sensors(model: mujoco.MjModel, plans: Mapping[str, SensorPlan]) -> list[str]:
+    """Return one line for every contact sensor that can never report anything."""
+    collides = (model.geom_contype | model.geom_conaffinity) != 0
+    collides[np.concatenate([model.pair_geom1, model.pair_geom2])] = True  # a file's own pairs
+    bodies = set(model.geom_bodyid[collides].tolist())
+    return [
+        f"{plan.uid}: no shape of {', '.join(plan.bodies)} collides, so it reports no contact"
+        for plan in plans.values()
+        if isinstance(plan.cfg, ContactSensorCfg)
+        and not bodies.intersection(model.body(name).id for name in plan.bodies)
+    ]
 
 
 def _index(model: mujoco.MjModel, plan: SensorPlan) -> SensorIndex:

@@ -166,3 +166,15 @@ def test_a_sensor_may_be_taken_back(scene):
     assert sim.remove_asset("touch") and sim.get_sensor("touch") is None
     sim.update(step=1)
     assert sim.engine.model.nsensor == 0
+
+
+def test_a_sensor_that_can_hear_nothing_says_so(scene, caplog):
+    from embodichain.lab.sim.cfg import RigidBodyAttributesCfg
+
+    ghost = cube("ghost", body_type="kinematic")
+    ghost.attrs = RigidBodyAttributesCfg(enable_collision=False)
+    sim = scene([cube("cube"), ghost], [contact("deaf", "ghost"), contact("fine", "cube")])
+    sim.compile()
+    assert [r.getMessage() for r in caplog.records] == [
+        "deaf: no shape of ghost collides, so it reports no contact"
+    ]
