@@ -25,7 +25,7 @@ class GymConfig:
     """A converted gym config.
 
     Attributes:
-        name: What the task is called: the config's `id`, else the file's stem.
+        name: What the task is called: its `id`, or the file's stem if that is the generic one.
         task: The task, not checked.
         file: Its keys, each at the line of the gym config that it came from.
         notes: What was left out or is read otherwise.

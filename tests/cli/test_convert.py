@@ -34,7 +34,7 @@ TASK = """\
 # Left out, or read otherwise:
 #   rigid_object.0.attrs.restitution: MuJoCo has no restitution coefficient
 #   sensor.0: cameras are not available yet
-description: EmbodiChain's task EmbodiedEnv-v1.
+description: A task, converted from EmbodiChain's own form.
 sim_steps_per_control: 2
 objects:
   ball:
@@ -43,27 +43,26 @@ objects:
 
 
 @pytest.mark.parametrize("name", ["push.yaml", "cart_pole.json", "everything.yaml"])
-def test_convert_validate_run(name: str, embodichain: Run, tmp_path: Path) -> None:
-    source = shutil.copy(CONFIGS / name, tmp_path)
-    before = Path(source).read_bytes()
-    converted = embodichain("convert", name, "-o", "conf/task/mine.yaml", cwd=tmp_path)
+def test_convert_validate_run(
+    name: str, embodichain: Run, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = Path(shutil.copy(CONFIGS / name, "."))
+    before = source.read_bytes()
+    converted = embodichain("convert", name, "-o", "conf/task/mine.yaml")
     assert converted.returncode == 0, converted.stderr
     assert "still wrong" not in converted.stderr
-    checked = embodichain("validate", "conf/task/mine.yaml", cwd=tmp_path)
-    assert (checked.returncode, checked.stdout) == (0, "conf/task/mine.yaml: ok\n"), checked.stderr
+    assert main(["validate", "conf/task/mine.yaml"]) == 0
+    assert capsys.readouterr().out == "conf/task/mine.yaml: ok\n"
     values = ("num_envs=2", "max_steps=5", "seed=1", "record=none", "--json")
-    ours = embodichain("run", "task=mine", *values, cwd=tmp_path)
-    theirs = embodichain("run", "--gym-config", name, *values, cwd=tmp_path)
-    results = []
-    for done in (ours, theirs):
-        assert done.returncode == 0, done.stderr
-        summary = json.loads(done.stdout)
-        assert summary["control_steps"] == 5
-        results.append({k: summary[k] for k in ("return", "terminated", "diverged", "rewards")})
-        assert summary["diverged"] == 0
-    assert results[0] == results[1]
-    assert Path(source).read_bytes() == before
-    folder = Path(tmp_path, json.loads(theirs.stdout)["folder"])
+    theirs = embodichain("run", "--gym-config", name, *values)
+    assert theirs.returncode == 0, theirs.stderr
+    assert main(["run", "task=mine", *values]) == 0
+    first, second = json.loads(theirs.stdout), json.loads(capsys.readouterr().out)
+    assert (first["control_steps"], first["diverged"]) == (5, 0)
+    for key in ("control_steps", "return", "terminated", "diverged", "rewards"):
+        assert first[key] == second[key]
+    assert source.read_bytes() == before
+    folder = Path(first["folder"])
     assert yaml.safe_load((folder / "config.yaml").read_text())["gym_config"] == name
     assert (folder / "run.log").read_text().count("WARNING") >= theirs.stderr.count("warning: ") > 0
 
@@ -81,7 +80,7 @@ def test_report_and_task_file(gym: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert (out, err) == (TASK, REPORT)
     assert main(["convert", "gym.yaml", "-o", "new/dir/ball.yaml"]) == 0
     out, err = capsys.readouterr()
-    assert (out, err) == ("new/dir/ball.yaml: EmbodiedEnv-v1, from gym.yaml\n", REPORT)
+    assert (out, err) == ("new/dir/ball.yaml: gym, from gym.yaml\n", REPORT)
     assert Path("new/dir/ball.yaml").read_text() == TASK
     assert [p.name for p in Path("new/dir").iterdir()] == ["ball.yaml"]
     assert gym.read_text() == SMALL
@@ -139,8 +138,8 @@ def test_sweep_over_a_gym_config(gym: Path, capsys: pytest.CaptureFixture[str]) 
     assert main([*arguments, "--json", "--quiet"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [(s["task"], s["seed"], s["control_steps"]) for s in lines] == [
-        ("EmbodiedEnv-v1", 0, 2),
-        ("EmbodiedEnv-v1", 1, 2),
+        ("gym", 0, 2),
+        ("gym", 1, 2),
     ]
 
 

@@ -33,7 +33,7 @@ def small(folder: Path, text: str = SMALL, name: str = "gym.yaml") -> str:
 def test_overrides_change_what_was_converted(tmp_path: Path) -> None:
     lines = [small(tmp_path), "task.rewards.done.weight=5", "~task.objects.cube", "num_envs=2"]
     resolved = resolve(lines)
-    assert resolved.task_name == "EmbodiedEnv-v1"
+    assert resolved.task_name == "gym"
     assert resolved.tree["task"]["rewards"]["done"]["weight"] == 5
     assert resolved.tree["task"]["objects"] == {}
     assert resolved.tree["num_envs"] == 2

@@ -42,7 +42,7 @@ class Conversion:
     """What became of a gym config.
 
     Attributes:
-        name: The task's name, from `id`; empty if there is none.
+        name: The task's name, from `id`; empty for the generic environment.
         task: The task; plain values, not checked.
         origins: Path in the task -> path in the gym config, for whole subtrees.
         notes: What was left out or is read otherwise; paths are the gym config's.
@@ -88,7 +88,7 @@ def convert(config: Mapping[str, Any]) -> Conversion:
             convert_terms(draft, section, env, robot)
     _suggest(draft, config)
     task = {key: draft.task[key] for key in _ORDER if key in draft.task}
-    name = str(config.get("id") or "")
+    name = "" if config.get("id") in (None, *_GENERIC) else str(config["id"])
     return Conversion(name, task, draft.origins, tuple(draft.notes), tuple(draft.problems))
 
 
@@ -99,7 +99,8 @@ def _identity(draft: Draft, name: Any) -> None:
     if not isinstance(name, str):
         draft.refuse(where, f"expected text, got {name!r}")
         return
-    draft.put(("description",), f"EmbodiChain's task {name}.", where)
+    words = "A task" if name in _GENERIC else f"The task {name}"
+    draft.put(("description",), f"{words}, converted from EmbodiChain's own form.", where)
     if name in _CLASSES:
         message = (
             f"{name} is a Python class of EmbodiChain's: what it computes itself (success, "
