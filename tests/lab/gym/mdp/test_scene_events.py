@@ -287,3 +287,19 @@ def test_wrong_attributes(make, attr, part) -> None:
     with pytest.raises(ConfigError) as caught:
         make(events={"e": event("prepare_extra_attr", attrs=[attr])})
     assert part in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["sensors", "streams", "no name", "_hidden", "robot"])
+def test_registries_take_no_attribute_of_the_environment(make, name: str) -> None:
+    what = event("register_entity_pose", **CUBE, registration=name)
+    with pytest.raises(ConfigError, match="registration: .* taken by the environment"):
+        make(events={"e": what})
+
+
+def test_a_registry_may_be_declared(make) -> None:
+    what = event("register_entity_pose", **CUBE, registration="mine")
+    env = make(events={"e": what}, extensions={"mine": {"old": 1}})
+    env.reset()
+    assert set(env.mine) >= {"old", "cube_pose"}
+    with pytest.raises(ConfigError, match=r"env\.mine is a list; a dict is kept there"):
+        make(events={"e": what}, extensions={"mine": [1]})

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 __all__ = ["stored"]
 
 T = TypeVar("T")
-_OURS = "_stored_by_terms"
 
 
 def stored(env: BaseEnv, name: str, first: Callable[[], T], path: str) -> T:
@@ -21,21 +20,19 @@ def stored(env: BaseEnv, name: str, first: Callable[[], T], path: str) -> T:
 
     Args:
         env: The environment.
-        name: The attribute. Terms may share it, and ``extensions`` may declare it.
+        name: The attribute. Terms may share it, ``extensions`` may declare it, and a user's class
+            may have it.
         first: Makes the first value.
         path: The parameter that names it, for messages.
 
     Raises:
         ConfigError: If the name is no identifier, or belongs to the environment.
     """
-    ours: set[str] = env.__dict__.setdefault(_OURS, set())
-    known = name in ours or name in env.cfg.extensions
-    if not known:
-        if not name.isidentifier() or name.startswith("_") or hasattr(env, name):
-            message = f"{name!r} is no name, or taken by the environment"
-            raise ConfigError([Problem(path, message)])
+    if not name.isidentifier() or name.startswith("_") or _is_environments(name):
+        message = f"{name!r} is no name, or taken by the environment"
+        raise ConfigError([Problem(path, message)])
+    if not hasattr(env, name):
         setattr(env, name, first())
-        ours.add(name)
     found: Any = getattr(env, name)
     if type(found) is not type(first()):
         wanted = type(first()).__name__
@@ -43,3 +40,13 @@ def stored(env: BaseEnv, name: str, first: Callable[[], T], path: str) -> T:
         raise ConfigError([Problem(path, message)])
     value: T = found
     return value
+
+
+def _is_environments(name: str) -> bool:
+    """Whether an attribute is `BaseEnv`'s own."""
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+    return any(
+        name in vars(base) or name in vars(base).get("__annotations__", {})
+        for base in BaseEnv.__mro__
+    )
