@@ -110,7 +110,7 @@ class AffineJointTerm(JointTerm):
         """(N, A) the value of an action."""
         given: F64 = action.numpy()
         if self._clips:
-            given = np.minimum(np.maximum(given, self._least), self._most)
+            given = np.minimum(np.maximum(given, self.low), self.high)  # float32: no conversion
         return given if self._plain else self._centre + self._scale * given
 
     def _action_for(self, value: F64 | float) -> F64:

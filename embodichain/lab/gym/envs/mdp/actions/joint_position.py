@@ -157,7 +157,8 @@ class JointPositionToLimits(AffineJointTerm):
     """Joint position targets over the joints' whole range.
 
     With u = clamp(offset + scale x clamp(action, clip), range), target = low + (high - low) x
-    (u - range[0]) / (range[1] - range[0]), low and high the joint's limits (+-2 pi without limits).
+    (u - range[0]) / (range[1] - range[0]), low and high the joint's declared limits (+-2 pi without
+    any); where an event has narrowed them, the drive clamps.
     EmbodiChain's QposDenormalizedTerm; Isaac Lab's JointPositionToLimitsAction.
 
     Example:
