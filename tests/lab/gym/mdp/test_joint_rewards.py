@@ -126,13 +126,13 @@ def test_efforts_applied_beside_the_drives_count(make) -> None:
 
 
 def test_joint_acceleration_is_the_change_over_a_step(make) -> None:
-    env = make(rewards={"r": RewardCfg(func="joint_acc_l2", params=FIRST)})
+    env = make(rewards={"r": RewardCfg(func="joint_acc_l2", params=ARM)})
     env.reset()
     assert env.step(torch.tensor([HOME]).repeat(3, 1))[1].tolist() == [0.0] * 3
-    before = env.robot.read_qvel()[:, :2].copy()
+    before = env.robot.read_qvel().copy()
     action = torch.tensor([HOME]).repeat(3, 1) + torch.tensor([[0.0], [0.1], [0.2]])
     paid = env.step(action)[1]
-    change = (env.robot.read_qvel()[:, :2] - before) / 0.04
+    change = (env.robot.read_qvel() - before) / 0.04
     assert paid.tolist() == pytest.approx((change**2).sum(1), rel=1e-5)
     env.reset(options={"reset_ids": [2]})
     paid = env.step(action)[1]

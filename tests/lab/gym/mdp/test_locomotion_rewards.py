@@ -9,9 +9,11 @@ import pytest
 import torch
 
 from embodichain.lab.gym.envs.cfg import CommandCfg, RewardCfg
+from embodichain.lab.sim.cfg import RobotCfg
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.math import quat_multiply
 from tests.helpers.judging import bend, move, put, reward, turned
-from tests.helpers.ur10_task import HOME, builder
+from tests.helpers.ur10_task import HOME, UR10, builder
 
 CUBE = {"entity_cfg": {"uid": "cube"}}
 TOOL = {"entity_cfg": {"uid": "ur10", "link_names": ["ee_link"]}}
@@ -23,15 +25,18 @@ TURN = [[0, 0, 0.4], [0, 0, 0.4]]
 
 @pytest.fixture(scope="module")
 def scene() -> Iterator[Any]:
-    """Commands: 1 and 0.5 m/s, -1 rad/s; and a pose in the frame of the arm's root."""
+    """Commands: 1 and 0.5 m/s, -1 rad/s; and a pose in the frame of the arm's root, turned."""
     pose = {**TOOL, "position_range": POSE, "euler_range": TURN}
     with builder() as build:
         env = build(
+            robot=RobotCfg(
+                uid="ur10", fpath=UR10, init_pos=(0, 0, 1), init_rot=(0, 0, 90), init_qpos=HOME
+            ),
             commands={
                 "v": CommandCfg(func="uniform_velocity", params={**CUBE, "ranges": SPEED}),
                 "still": CommandCfg(func="uniform_velocity", params={**CUBE, "ranges": {}}),
                 "pose": CommandCfg(func="uniform_pose", params=pose),
-            }
+            },
         )
         env.reset()
         yield env
@@ -100,7 +105,9 @@ def test_a_links_velocity_is_that_of_its_origin(scene) -> None:
     ("degrees", "flat", "up"), [(0, 0.0, 1.0), (30, 0.25, 0.933013), (120, 0.75, 0.25)]
 )
 def test_upright(scene, degrees, flat, up) -> None:
-    tilt = turned((0.6, 0.8, 0), math.radians(degrees))
+    tilt = quat_multiply(
+        np.array(turned(UP, 0.9)), np.array(turned((0.6, 0.8, 0), math.radians(degrees)))
+    )
     put(scene, "cube", (0, 0, 3), tilt)
     assert reward(scene, "flat_orientation_l2", **CUBE) == pytest.approx([flat] * 3, abs=1e-6)
     assert reward(scene, "upright", **CUBE) == pytest.approx([up] * 3, abs=1e-6)
@@ -145,16 +152,16 @@ def test_stand_still_counts_only_without_a_command(scene) -> None:
 
 
 def test_errors_of_a_commanded_pose(scene) -> None:
-    """The pose is in the frame of the arm's root, which stands at z = 1, not turned."""
+    """The pose is in the frame of the arm's root, at z = 1, turned by 90 degrees."""
     bend(scene, HOME)
     tool = scene.robot.get_link_pose("ee_link")[0].double().numpy()
-    distance = float(np.linalg.norm(tool[:3] - [0.1, 0.2, 1.3]))
+    distance = float(np.linalg.norm(tool[:3] - [-0.2, 0.1, 1.3]))
     params = {**TOOL, "command_name": "pose"}
     found = reward(scene, "position_command_error", **params)
     assert found == pytest.approx([distance] * 3, abs=1e-6)
     found = reward(scene, "position_command_error_tanh", **params, std=0.5)
     assert found == pytest.approx([1 - math.tanh(2 * distance)] * 3, abs=1e-6)
-    half = abs(float(np.dot(tool[3:], turned(UP, 0.4))))
+    half = abs(float(np.dot(tool[3:], turned(UP, 0.4 + math.pi / 2))))
     found = reward(scene, "orientation_command_error", **params)
     assert found == pytest.approx([2 * math.acos(half)] * 3, abs=1e-5)
 

@@ -51,6 +51,7 @@ def test_joint_within_takes_bounds_in_and_every_joint_counts(scene) -> None:
     bend(scene, qpos)
     picked = {"entity_cfg": {"uid": "ur10", "joint_names": "Joint[12]"}}
     assert holds(scene, "joint_within", **picked, bounds=[-0.1, 0.2]) == [True, False, False]
+    assert holds(scene, "joint_within", **picked, bounds=[-0.2, 0.2]) == [True, False, True]
     assert holds(scene, "joint_within", **picked, bounds=[-math.inf, 0.2]) == [True, False, True]
 
 
