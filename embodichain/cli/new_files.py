@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from string import Template
@@ -38,18 +39,24 @@ class Names:
     @property
     def conf(self) -> Path:
         """The folder whose `task` folder gets the YAML."""
-        return self.source / self.package / "conf" if self.package else Path("conf")
+        return self._inside("conf") if self.package else Path("conf")
 
     @property
     def python(self) -> Path:
         """The file of the class."""
-        folder = self.source / self.package / "tasks" if self.package else self.source
+        folder = self._inside("tasks") if self.package else self.source
         return folder / f"{self.task}.py"
 
     @property
     def test(self) -> Path:
         """The test."""
-        return Path("tests", f"test_{self.task}.py")
+        tests = Path("tests", "tasks")
+        return (tests if tests.is_dir() else tests.parent) / f"test_{self.task}.py"
+
+    def _inside(self, name: str) -> Path:
+        """A folder of the package; where it is a link, what it points to."""
+        folder = self.source / self.package / name
+        return Path(os.path.relpath(folder.resolve())) if folder.is_symlink() else folder
 
 
 def task_files(names: Names, *, python: bool) -> dict[Path, str]:
@@ -66,6 +73,7 @@ def task_files(names: Names, *, python: bool) -> dict[Path, str]:
         "id": names.env_id,
         "module": names.module,
         "conf": "/".join(f'"{part}"' for part in names.conf.parts).replace("/", " / "),
+        "up": str(len(names.test.parts) - 1),
         "source": " / ".join(["ROOT", *(f'"{part}"' for part in names.source.parts)]),
     }
     files = {names.conf / "task" / f"{names.task}.yaml": _CLASS_YAML if python else _YAML}
@@ -128,14 +136,26 @@ suggested:                         # values of root keys that the command line d
 """
 
 _CLASS_YAML = """\
-# The class is in $module; it may declare here, or build in its hooks, what it likes.
+# The scene is built by the class in $module. Terms can be declared beside it.
 description: Bring the tool of a UR10 to a marker, as a Python class.
 id: $module:$id
 physics: {physics_dt: 0.005}       # seconds a physics step
 sim_steps_per_control: 4           # physics steps a control step
 max_episode_steps: 100             # control steps
+observations:                      # what a learner sees, in this order
+  qpos: {func: joint_position_relative, params: {entity_cfg: {uid: ur10}}}
+  to_marker:
+    func: relative_position
+    params: &pair
+      source_entity_cfg: {uid: ur10, link_names: [ee_link]}
+      target_entity_cfg: {uid: marker}
+rewards:                           # added to what `get_reward` returns
+  near: {func: within_distance, weight: 0.5, params: {<<: *pair, threshold: 0.1}}
+metrics:                           # success: what the last step of an episode says
+  success: {func: within_distance, reduce: last, params: {<<: *pair, threshold: 0.05}}
 suggested:                         # values of root keys that the command line does not give
   run: {num_envs: 4, episodes: 2, policy: random_around_home}
+  train: {num_envs: 64, total_timesteps: 200_000}
 """
 
 _CLASS = '''\
@@ -185,6 +205,7 @@ class $cls(BaseEnv):
         )
         low, high = robot.body_data.qpos_limits[0].unbind(dim=1)
         self.single_action_space = gym.spaces.Box(low.numpy(), high.numpy(), dtype=np.float32)
+        self.arm = robot
         return robot
 
     def _prepare_scene(self, **kwargs: Any) -> None:
@@ -206,26 +227,19 @@ class $cls(BaseEnv):
         self.marker.set_local_pose(pose, env_ids=env_ids)
 
     def _step_action(self, action: EnvAction) -> EnvAction:
-        self.robot.set_qpos(action)
+        self.arm.set_qpos(action)
         return action
 
-    def _to_marker(self) -> torch.Tensor:
-        """(N, 3) from the tool to the marker, m."""
-        tool = self.robot.get_link_pose("ee_link")[:, :3]
-        return self.marker.get_local_pose()[:, :3] - tool
-
-    def _extend_obs(self, obs: EnvObs, **kwargs: Any) -> EnvObs:
-        obs["to_marker"] = self._to_marker()
-        return obs
-
     def evaluate(self, **kwargs: Any) -> Mapping[str, Any]:
-        """How far the tool is, and whether that is a success, which ends the episode."""
-        distance = torch.linalg.vector_norm(self._to_marker(), dim=1)
+        """How far the tool is from the marker; a success ends the episode."""
+        tool = self.arm.get_link_pose("ee_link")[:, :3]
+        distance = torch.linalg.vector_norm(self.marker.get_local_pose()[:, :3] - tool, dim=1)
         return {"distance": distance, "success": distance < self.near}
 
     def get_reward(self, obs: EnvObs, action: EnvAction, info: dict[str, Any]) -> torch.Tensor:
         """(N,) the nearer, the better."""
-        return -info["distance"]
+        distance: torch.Tensor = info["distance"]
+        return -distance
 '''
 
 _HEAD = '''\
@@ -240,7 +254,7 @@ import torch
 import embodichain
 from embodichain.lab.gym.envs import BaseEnv
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[$up]
 CONF = ROOT / $conf
 
 Make = Callable[[int], BaseEnv]

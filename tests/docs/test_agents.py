@@ -1,0 +1,110 @@
+"""AGENTS.md and the skills: what they name exists, and every command in their blocks runs.
+
+Commands run in a copy of the checkout, as its own tools would, and change nothing in this one.
+"""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import pytest
+import yaml
+
+REPO = Path(__file__).parents[2]
+SKILLS = sorted((REPO / ".claude" / "skills").glob("*/SKILL.md"))
+PAGES = [REPO / "AGENTS.md", *SKILLS]
+BLOCK = re.compile(r"^( *)```bash\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
+SLOW = ("add-task-env", "pre-commit-check")
+
+
+def commands(page: Path) -> list[str]:
+    text = page.read_text(encoding="utf-8")
+    blocks = (textwrap.dedent(body) for _, body in BLOCK.findall(text))
+    return [line for block in blocks for line in block.splitlines() if line.strip()]
+
+
+@pytest.fixture
+def checkout(tmp_path: Path) -> Path:
+    """A copy of what is tracked, and of what will be."""
+    names = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard", "-z"],
+        cwd=REPO,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout.split("\0")
+    copy = tmp_path / "checkout"
+    for name in filter(None, names):
+        source, target = REPO / name, copy / name
+        if not source.exists():
+            continue
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(source, target, follow_symlinks=False)
+    return copy
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, id=page.parent.name, marks=[pytest.mark.slow] if slow else [])
+        for page in PAGES
+        for slow in [page.parent.name in SLOW]
+    ],
+)
+def test_commands_run(page: Path, checkout: Path) -> None:
+    tools = Path(sys.executable).parent
+    environment = {
+        **os.environ,
+        "PATH": f"{tools}{os.pathsep}{os.environ['PATH']}",
+        "PYTHONPATH": str(checkout),
+        "PYTEST_ADDOPTS": "-p no:cacheprovider",
+    }
+    assert commands(page)
+    for command in commands(page):
+        done = subprocess.run(
+            ["bash", "-c", command],
+            cwd=checkout,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
+
+
+def test_there_are_three_skills_and_agents_md_names_them() -> None:
+    assert [skill.parent.name for skill in SKILLS] == [
+        "add-task-env",
+        "add-test",
+        "pre-commit-check",
+    ]
+    text = (REPO / "AGENTS.md").read_text(encoding="utf-8")
+    for skill in SKILLS:
+        assert f"]({skill.relative_to(REPO).as_posix()})" in text
+
+
+@pytest.mark.parametrize("skill", SKILLS, ids=lambda skill: skill.parent.name)
+def test_a_skill_says_its_name_and_when_to_use_it(skill: Path) -> None:
+    _, head, body = skill.read_text(encoding="utf-8").split("---\n", 2)
+    about = yaml.safe_load(head)
+    assert set(about) == {"name", "description"}
+    assert about["name"] == skill.parent.name
+    assert "Use " in about["description"]
+    assert body.lstrip().startswith("# ")
+    assert len(body.splitlines()) < 60
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.parent.name)
+def test_files_and_targets_that_are_named_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    targets = re.findall(r"^([\w-]+):", (REPO / "Makefile").read_text(), re.MULTILINE)
+    for target in re.findall(r"`make (\w+)`", text):
+        assert target in targets, target
+    for name in re.findall(r"`([\w./-]+/[\w./-]*|[A-Z]\w+\.md)`", text):
+        if "KIND" in name or "my_task" in name or name == "SKILL.md":
+            continue
+        assert (REPO / name).exists() or (page.parent / name).exists(), name
