@@ -52,6 +52,7 @@ class SimulationManager(Declaration):
         self.num_envs = int(self.sim_config.num_envs)
         super().__init__()
         self._scene: CompiledScene | None = None
+        self._destroyed = False
         self._engine: CpuEngine | None = None
         self._initial_row: F64 = np.zeros(0)
         self._renderer: SceneRenderer | None = None
@@ -114,6 +115,8 @@ class SimulationManager(Declaration):
         """Compile the declared scene and start its engine; does nothing the second time."""
         if self._scene is not None:
             return
+        if self._destroyed:
+            raise RuntimeError("the simulation was destroyed")
         cfg = self.sim_config
         articulations: list[Articulation] = [*self.robots.values(), *self.articulations.values()]
         self._scene = compile_scene(
@@ -285,7 +288,9 @@ class SimulationManager(Declaration):
             handle.destroy()
         for sensor in self.sensors.values():
             sensor.destroy()
-        self._engine = None
+        # What is large goes now, not when Python collects the cycle of handles and environment.
+        self._engine = self._scene = None
+        self._destroyed = True
         _instances.pop(self.instance_id, None)
 
     def draw_marker(self, cfg: MarkerCfg) -> None:

@@ -102,8 +102,9 @@ class BaseEnv(EnvOutcome):
     ) -> tuple[EnvObs, dict[str, Any]]:
         """Start new episodes.
 
-        Curricula come first, and see the episodes that end. A reset is MuJoCo's own (velocities, warm start, controls, applied forces, time), then every
-        entity's configured state, `_initialize_episode`, reset events, commands, and `mj_forward`.
+        Curricula come first, and see the episodes that end. A reset is MuJoCo's own (velocities,
+        warm start, controls, applied forces, time), then every entity's configured state,
+        `_initialize_episode`, reset events, commands, and `mj_forward`.
 
         Args:
             seed: Starts every random stream anew, those of all N environments; also Gymnasium's
@@ -341,6 +342,8 @@ class BaseEnv(EnvOutcome):
         self._closed = True
         for observer in self.observers:
             observer.on_close(self)
+        # Nothing holds the engine then: its memory is free at once, not when cycles are collected.
+        self.__dict__.pop("_dump", None)
         self.sim.destroy()
 
 

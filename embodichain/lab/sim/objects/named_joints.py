@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
+
+import mujoco
 
 from embodichain.lab.sim.objects._arrays import names_matching
 from embodichain.lab.sim.objects.entity import BatchEntity
@@ -25,6 +28,12 @@ class NamedJoints(BatchEntity):
     ) -> None:
         super().__init__(cfg, parsed.uid, sim)
         self.parsed = parsed
+
+    def destroy(self) -> None:
+        """Drop the handle's hold on the engine, and the file's own model; its names stay."""
+        super().destroy()
+        empty = mujoco.MjSpec()
+        self.parsed = dataclasses.replace(self.parsed, spec=empty, model=empty.compile())
 
     @property
     def dof(self) -> int:
