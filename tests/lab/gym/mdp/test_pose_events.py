@@ -9,6 +9,7 @@ from embodichain.lab.gym.envs.cfg import EventCfg
 from embodichain.lab.gym.envs.mdp._ik import solve
 from embodichain.lab.gym.envs.mdp._kinematics import Chain
 from embodichain.lab.gym.envs.mdp.events.eef_pose import reach_of
+from embodichain.lab.sim.cfg import RobotCfg
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.math import quat_to_matrix
 from tests.helpers.ur10_task import CUBE_POS, GOAL_POS, HOME
@@ -85,7 +86,7 @@ def test_forward_kinematics_are_mujocos(make) -> None:
         mine = now.anchors if name == "xanchor" else now.axes
         joints = [model.joint(f"ur10/{j}").id for j in robot.joint_names]
         theirs = env.sim.engine.derived(name)[:, joints]
-        assert np.allclose(np.stack(mine, axis=1), theirs, atol=1e-12), name
+        assert np.allclose(np.swapaxes(mine, 0, 1), theirs, atol=1e-12), name
 
 
 def test_inverse_kinematics_find_reachable_poses(make) -> None:
@@ -271,3 +272,50 @@ def test_an_object_stays_if_nothing_is_within_reach(make) -> None:
     what = reach_event(position_bounds=[[5, 5, 5], [6, 6, 6]], max_attempts=3)
     env, _ = build(make, what)
     assert np.array_equal(poses(env, "goal")[0], np.tile(GOAL_POS, (3, 1)))
+
+
+GANTRY = """<mujoco model="gantry"><worldbody><body name="base"><geom size="0.05" mass="1"/>
+  <body name="cart" pos="0.1 0 0.2" euler="10 20 30">
+    <joint name="x" type="slide" axis="1 0.5 0" range="-1 1"/><geom size="0.05" mass="1"/>
+    <body name="arm" pos="0 0.1 0.1">
+      <joint name="pan" axis="0 0 1" pos="0.05 0.02 0" range="-3 3"/>
+      <joint name="tilt" axis="0 1 0.3" pos="0 0 0.1" range="-3 3"/>
+      <geom size="0.05" mass="1"/>
+      <body name="plate" pos="0.3 0 0" euler="0 0 45"><geom size="0.02" mass="0.1"/>
+        <body name="lift" pos="0 0 0.1"><joint name="z" type="slide" axis="0 0 1" range="-1 1"/>
+          <geom size="0.02" mass="0.1"/>
+          <body name="tip" pos="0.05 0 0.02"><geom size="0.01" mass="0.1"/></body>
+      </body></body>
+    </body>
+  </body>
+</body></worldbody></mujoco>"""
+
+
+def test_slides_and_axes_off_the_origin(make, tmp_path) -> None:
+    path = tmp_path / "gantry.xml"
+    path.write_text(GANTRY)
+    robot = {"uid": "gantry"}
+    env = make(
+        robot=RobotCfg(uid="gantry", fpath=str(path), init_pos=(0.3, 0, 1), init_rot=(0, 40, 9)),
+        events={"q": event("randomize_robot_qpos", entity_cfg=robot, qpos_range=[-0.8, 0.8])},
+        num_envs=32,
+    )
+    env.reset()
+    gantry, body = env.robot, env.robot.body_of("tip")
+    reach = reach_of(env.scene_entity({"uid": "gantry", "link_names": "tip"}))
+    pos, quat = gantry.read_pose()
+    frame = pos, quat_to_matrix(quat)
+    qpos = gantry.read_qpos().copy()
+    now = reach.chain.posture(*frame, qpos)
+    derived = env.sim.engine.derived
+    assert np.allclose(now.pos, derived("xpos")[:, body], atol=1e-12)
+    assert np.allclose(now.mat, quat_to_matrix(derived("xquat")[:, body]), atol=1e-12)
+    joints = [env.sim.engine.model.joint(f"gantry/{j}").id for j in gantry.joint_names]
+    assert np.allclose(np.swapaxes(now.axes, 0, 1), derived("xaxis")[:, joints], atol=1e-12)
+    assert list(reach.chain.slides) == [True, False, False, True]
+    # Positions alone: four joints, three equations.
+    found, solved = solve(reach, *frame, np.zeros_like(qpos), now.pos, None)
+    assert solved.mean() > 0.9
+    again = reach.chain.posture(*frame, found)
+    assert np.linalg.norm(again.pos - now.pos, axis=1)[solved].max() < 5e-4
+    assert (np.abs(found[:, [0, 3]]) <= 1).all()

@@ -3,8 +3,8 @@
 Each step solves (J J^T + c I) y = e and moves the joints by J^T y, where e is the pose error and
 the damping c = |e|^2 / 2 + 1e-6 falls with it, so that the method is safe where no solution exists
 and fast near one (T. Sugihara, "Solvability-unconcerned inverse kinematics by the
-Levenberg-Marquardt method", IEEE Transactions on Robotics 27(5), 2011). A row is frozen as soon as
-it is solved; no row's result depends on another's.
+Levenberg-Marquardt method", IEEE Transactions on Robotics 27(5), 2011). A row is left alone as soon
+as it is solved or does not move any more; no row's result depends on another's.
 """
 
 from __future__ import annotations
@@ -28,10 +28,12 @@ POSITION_TOLERANCE = 5e-4
 """Metres; EmbodiChain's `pos_eps`."""
 ROTATION_TOLERANCE = 5e-4
 """Rad; EmbodiChain's `rot_eps`."""
-MAX_ITERATIONS = 100
+MAX_ITERATIONS = 60
 _DAMPING = 1e-6
 _LONGEST_STEP = 0.5
 """Rad or m: no joint moves farther in one iteration."""
+_SHORTEST_STEP = 1e-5
+"""Rad or m: where no joint moves farther than this there is nothing nearer to the pose."""
 
 
 @dataclass(frozen=True)
@@ -67,19 +69,23 @@ def solve(
         (n, D) joint positions within the limits, and (n,) whether they reach the pose within
         0.5 mm and 0.5 mrad.
     """
-    solved = np.zeros(len(qpos), np.bool_)
+    qpos, solved = qpos.copy(), np.zeros(len(qpos), np.bool_)
+    columns = reach.chain.columns[reach.moving]
+    low, high = reach.low[columns], reach.high[columns]
+    left = np.arange(len(qpos))
     for _ in range(MAX_ITERATIONS):
-        now = reach.chain.posture(root_pos, root_mat, qpos)
-        error, solved = _error(now, pos, mat)
-        if solved.all():
+        joints = qpos[left]
+        now = reach.chain.posture(root_pos[left], root_mat[left], joints)
+        error, good = _error(now, pos[left], None if mat is None else mat[left])
+        solved[left] = good
+        step = _step(reach, now, error)
+        before = joints[:, columns]
+        after = np.minimum(np.maximum(before + step, low), high)
+        going = ~good & (np.abs(after - before).max(axis=1) > _SHORTEST_STEP)
+        left = left[going]
+        if not len(left):
             break
-        moved = np.where(solved[:, None], 0.0, _step(reach, now, error))
-        qpos = qpos.copy()
-        columns = reach.chain.columns[reach.moving]
-        wanted = qpos[:, columns] + moved
-        qpos[:, columns] = np.clip(wanted, reach.low[columns], reach.high[columns])
-    else:
-        solved = _error(reach.chain.posture(root_pos, root_mat, qpos), pos, mat)[1]
+        qpos[left[:, None], columns] = after[going]
     return qpos, solved
 
 
@@ -112,39 +118,34 @@ def _step(reach: Reach, now: Posture, error: F64) -> F64:
     """(n, K') how far each moving joint goes."""
     rows = error.shape[1]
     jacobian = _jacobian(reach, now, rows)
-    weight = np.zeros(len(error))
-    for row in range(rows):
-        weight = weight + error[:, row] * error[:, row]
+    squares = error * error
+    weight = squares[:, 0]
+    for row in range(1, rows):
+        weight = weight + squares[:, row]
     matrix = np.zeros((rows, rows + 1, len(error)))
     for column in jacobian:
         matrix[:, :rows] += column[:, None] * column[None, :]
-    for row in range(rows):
-        matrix[row, row] += 0.5 * weight + _DAMPING
+    diagonal = np.arange(rows)
+    matrix[diagonal, diagonal] += 0.5 * weight + _DAMPING
     matrix[:, rows] = error.T
     y = _eliminate(matrix)
-    steps = []
-    for column in jacobian:
-        step = column[0] * y[0]
-        for row in range(1, rows):
-            step = step + column[row] * y[row]
-        steps.append(step)
-    moved = np.stack(steps, axis=1)
+    terms = jacobian * y
+    moved = terms[:, 0]
+    for row in range(1, rows):
+        moved = moved + terms[:, row]
+    moved = moved.T
     longest = np.abs(moved).max(axis=1)
     scale: F64 = np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-12))
     return moved * scale[:, None]
 
 
-def _jacobian(reach: Reach, now: Posture, rows: int) -> list[F64]:
-    """Of each moving joint (rows, n): how the link moves and turns with it."""
-    columns = []
-    for number in np.flatnonzero(reach.moving):
-        axis = now.axes[number]
-        slides = bool(reach.chain.slides[number])
-        linear = axis if slides else cross(axis, now.pos - now.anchors[number])
-        angular = np.zeros_like(axis) if slides else axis
-        both = np.concatenate([linear, angular], axis=1)
-        columns.append(np.ascontiguousarray(both[:, :rows].T))
-    return columns
+def _jacobian(reach: Reach, now: Posture, rows: int) -> F64:
+    """(K', rows, n) how the link moves, and turns, with each moving joint."""
+    axes, arms = now.axes[reach.moving], now.pos - now.anchors[reach.moving]
+    slides = reach.chain.slides[reach.moving][:, None, None]
+    linear = np.where(slides, axes, cross(axes, arms))
+    both = [linear] if rows == 3 else [linear, np.where(slides, 0.0, axes)]
+    return np.ascontiguousarray(np.concatenate(both, axis=2).transpose(0, 2, 1))
 
 
 def _eliminate(matrix: F64) -> F64:

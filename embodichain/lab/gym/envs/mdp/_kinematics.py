@@ -25,44 +25,42 @@ _SLIDE, _HINGE = 2, 3  # mjtJoint
 
 
 def matmul(a: F64, b: F64) -> F64:
-    """Products of 3x3 matrices, (..., 3, 3), summed from the first column on."""
-    out: F64 = (
-        a[..., :, 0:1] * b[..., 0:1, :]
-        + a[..., :, 1:2] * b[..., 1:2, :]
-        + a[..., :, 2:3] * b[..., 2:3, :]
-    )
+    """Products of matrices, (..., i, 3) and (..., 3, j), summed from the first column on."""
+    terms = a[..., :, :, None] * b[..., None, :, :]
+    out: F64 = terms[..., 0, :] + terms[..., 1, :] + terms[..., 2, :]
     return out
 
 
 def apply(a: F64, v: F64) -> F64:
     """Matrices (..., 3, 3) times vectors (..., 3)."""
-    out: F64 = a[..., :, 0] * v[..., 0:1] + a[..., :, 1] * v[..., 1:2] + a[..., :, 2] * v[..., 2:3]
+    terms = a * v[..., None, :]
+    out: F64 = terms[..., 0] + terms[..., 1] + terms[..., 2]
     return out
 
 
 @dataclass(frozen=True)
 class _Joint:
-    """One joint of the chain, constants only.
+    """One joint of the chain, constants only, in the frame before it.
 
     Attributes:
-        offset, turn: Pose of its body in the frame before it, (3,) and (3, 3).
-        axis: (3,) in the body's frame.
-        anchor: (3,) in the body's frame.
+        lines: (3, 2) where its body is, and its axis.
+        turn: (3, 3) the body's axes in the joint's reference posture.
+        sine, versine: (3, 3) what sin(t) and 1 - cos(t) add to them: Rodrigues' formula,
+            R = I + sin(t) K + (1 - cos(t)) K^2 (zeros of a slide).
+        anchor: (3,) where the axis passes, in the body's frame; None is the body's origin.
         slides: Whether it is prismatic.
         column: Its index among the articulation's joints.
         zero: Its position in the model's reference posture.
-        cross, square: K and K^2 of Rodrigues' formula R = I + sin(t) K + (1 - cos(t)) K^2.
     """
 
-    offset: F64
+    lines: F64
     turn: F64
-    axis: F64
-    anchor: F64
+    sine: F64
+    versine: F64
+    anchor: F64 | None
     slides: bool
     column: int
     zero: float
-    cross: F64
-    square: F64
 
 
 @dataclass(frozen=True)
@@ -72,14 +70,14 @@ class Posture:
     Attributes:
         pos: (n, 3) metres, environment's frame.
         mat: (n, 3, 3) its axes as columns.
-        anchors: Of each joint of the chain, (n, 3).
-        axes: Of each joint of the chain, (n, 3).
+        anchors: (K, n, 3) a point on the axis of each joint of the chain.
+        axes: (K, n, 3).
     """
 
     pos: F64
     mat: F64
-    anchors: list[F64]
-    axes: list[F64]
+    anchors: F64
+    axes: F64
 
 
 class Chain:
@@ -111,6 +109,10 @@ class Chain:
                 self._joints.append(_constants(model, joint, addresses, offset, turn))
                 offset, turn = np.zeros(3), np.eye(3)
         self._tail = offset, turn
+        self._turns = np.array([j.turn for j in self._joints]).reshape(-1, 3, 3)
+        self._sines = np.array([j.sine for j in self._joints]).reshape(-1, 3, 3)
+        self._versines = np.array([j.versine for j in self._joints]).reshape(-1, 3, 3)
+        self._zeros = np.array([j.zero for j in self._joints])
         self.columns: NDArray[np.int64] = np.array([j.column for j in self._joints], np.int64)
         self.slides: NDArray[np.bool_] = np.array([j.slides for j in self._joints], np.bool_)
 
@@ -123,24 +125,26 @@ class Chain:
             qpos: (n, D) all joints of the articulation, rad or m.
         """
         pos, mat = root_pos, root_mat
+        moved = qpos[:, self.columns] - self._zeros
+        sin, cos = np.sin(moved)[:, :, None, None], np.cos(moved)[:, :, None, None]
+        turns = self._turns + sin * self._sines + (1.0 - cos) * self._versines
         anchors: list[F64] = []
         axes: list[F64] = []
-        for joint in self._joints:
-            pos = pos + apply(mat, joint.offset)
-            mat = matmul(mat, joint.turn)
-            anchor = pos + apply(mat, joint.anchor)
-            anchors.append(anchor)
-            axes.append(apply(mat, joint.axis))
-            # Contiguous: numpy may round a strided transcendental function differently.
-            moved = np.ascontiguousarray(qpos[:, joint.column]) - joint.zero
+        for number, joint in enumerate(self._joints):
+            lines = matmul(mat, joint.lines)
+            pos, axis = pos + lines[:, :, 0], lines[:, :, 1]
+            before, mat = mat, matmul(mat, turns[:, number])
+            anchor = pos
             if joint.slides:
-                pos = pos + axes[-1] * moved[:, None]
-                continue
-            sin, cos = np.sin(moved)[:, None, None], np.cos(moved)[:, None, None]
-            mat = matmul(mat, np.eye(3) + sin * joint.cross + (1.0 - cos) * joint.square)
-            pos = anchor - apply(mat, joint.anchor)
+                pos = pos + axis * moved[:, number, None]
+            elif joint.anchor is not None:
+                anchor = pos + apply(matmul(before, joint.turn), joint.anchor)
+                pos = anchor - apply(mat, joint.anchor)
+            anchors.append(anchor)
+            axes.append(axis)
         offset, turn = self._tail
-        return Posture(pos + apply(mat, offset), matmul(mat, turn), anchors, axes)
+        where = pos + apply(mat, offset)
+        return Posture(where, matmul(mat, turn), np.array(anchors), np.array(axes))
 
 
 def _constants(model: Any, joint: int, addresses: dict[int, int], offset: F64, turn: F64) -> _Joint:
@@ -149,16 +153,18 @@ def _constants(model: Any, joint: int, addresses: dict[int, int], offset: F64, t
         raise ValueError("a chain may hold hinge and slide joints only")
     x, y, z = axis = np.array(model.jnt_axis[joint], np.float64)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    if kind == _SLIDE:
+        cross = np.zeros((3, 3))
+    anchor = np.array(model.jnt_pos[joint], np.float64)
     return _Joint(
-        offset=offset,
+        lines=np.stack([offset, apply(turn, axis)], axis=1),
         turn=turn,
-        axis=axis,
-        anchor=np.array(model.jnt_pos[joint], np.float64),
+        sine=matmul(turn, cross),
+        versine=matmul(turn, matmul(cross, cross)),
+        anchor=anchor if anchor.any() else None,
         slides=kind == _SLIDE,
         column=addresses[address],
         zero=float(model.qpos0[address]),
-        cross=cross,
-        square=matmul(cross, cross),
     )
 
 
