@@ -127,6 +127,16 @@ EVENTS = {
         force_range=[-5, 5],
         torque_range=[-0.1, 0.1],
     ),
+    "impulse": _at(
+        "interval",
+        "apply_body_impulse",
+        every=1,
+        **CUBE,
+        force_range=[-5, 5],
+        torque_range=[-0.1, 0.1],
+        duration_s=[0.04, 0.12],
+        cooldown_s=[0.04, 0.12],
+    ),
     "paint": _at(
         "reset",
         "randomize_visual_material",

@@ -201,6 +201,34 @@ def test_forces_on_links_reach_those_links(make) -> None:
     assert np.count_nonzero(applied.any(axis=(0, 2))) == 4
 
 
+def test_an_impulse_begins_and_ends(make) -> None:
+    # Control steps of 0.04 s: a rest of two steps, a push of three, and so on.
+    push = event(
+        "apply_body_impulse",
+        "interval",
+        **CUBE,
+        force_range=[2.0, 3.0],
+        torque_range=[0.0, 0.0],
+        duration_s=[0.12, 0.12],
+        cooldown_s=[0.08, 0.08],
+    )
+    env = make(events={"push": push})
+    env.reset()
+    body = env.sim.get_asset("cube").entity.root_body_id
+    seen = []
+    for step in range(9):
+        if step == 4:
+            env.reset(options={"reset_ids": [2]})
+        env.step(hold(env))
+        seen.append(env.sim.engine.state("xfrc_applied")[:, 6 * body : 6 * body + 6].copy())
+    forces = np.array(seen)
+    on = forces[:, :, 0] > 0
+    assert on[:, 0].tolist() == [False, True, True, True, False, False, True, True, True]
+    assert on[:, 2].tolist() == [False, True, True, True, False, True, True, True, False]
+    assert (forces[on][:, :3] >= 2).all() and (forces[on][:, :3] < 3).all()
+    assert not forces[..., 3:].any() and not forces[~on].any()
+
+
 @pytest.mark.parametrize(
     ("what", "part"),
     [
@@ -230,6 +258,17 @@ def test_forces_on_links_reach_those_links(make) -> None:
                 velocity_range={"x": [0, 1]},
             ),
             "needs 0 < low",
+        ),
+        (
+            event(
+                "apply_body_impulse",
+                **CUBE,
+                force_range=[0, 1],
+                torque_range=[0, 0],
+                duration_s=[0, 1],
+                cooldown_s=[1, 1],
+            ),
+            "duration_s: needs 0 < low",
         ),
         (event("apply_external_force_torque", **ARM), "the root of 'ur10' does not move"),
         (event("reset_joints_by_offset", **CUBE, position_range=[0, 1]), "'cube' has no joints"),
