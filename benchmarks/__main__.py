@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks import memory, startup, step_profile, step_speed
+from benchmarks import memory, randomization, startup, step_profile, step_speed
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -20,6 +20,7 @@ PAGE = ROOT / "docs" / "performance.md"
 REPORTS = {
     "step_speed": step_speed.report,
     "step_profile": step_profile.report,
+    "randomization": randomization.report,
     "memory": memory.report,
     "startup": startup.report,
 }

@@ -41,6 +41,15 @@ def test_step_profile_accounts_for_every_part(tmp_path):
     assert all(value > 0 for name, value in parts.items() if name != "the rest of step()")
 
 
+def test_randomization(tmp_path):
+    table, facts = run(
+        "randomization", "--rounds=1", "--sizes", "2", "--seconds=0", "--episode=4",
+        out=tmp_path / "raw.json",
+    )  # fmt: skip
+    assert len(facts["results"]) == 4
+    assert table.count("| N=2, ") == 2
+
+
 def test_memory(tmp_path):
     table, facts = run("memory", "--sizes", "1", "600", out=tmp_path / "m.json")
     for found in facts["bytes"].values():

@@ -6,6 +6,7 @@ Checks of environment indices, shapes, devices and finiteness live here, once.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,7 +28,12 @@ def to_tensor(array: NDArray[Any]) -> torch.Tensor:
 
 def columns_of(ids: Sequence[int] | NDArray[Any]) -> Columns:
     """A slice where indices are evenly spaced and ascend (views, no copies), else the indices."""
-    array = np.asarray(ids, np.int64)
+    return _columns(np.asarray(ids, np.int64).tobytes())
+
+
+@lru_cache(maxsize=1024)
+def _columns(ids: bytes) -> Columns:
+    array = np.frombuffer(ids, np.int64)
     if not len(array):
         return array
     step = int(array[1] - array[0]) if len(array) > 1 else 1
