@@ -17,7 +17,7 @@ from embodichain.utils.errors import ConfigError
 
 __all__ = ["complete"]
 
-_WORDS = {"list": ("tasks", "robots", "terms"), "replay": ("last",)}
+_WORDS = {"list": ("tasks", "robots", "terms"), "new": ("task",), "replay": ("last",)}
 
 
 def complete(arguments: list[str]) -> int:

@@ -150,6 +150,8 @@ def _terms(env: BaseEnv, section: str) -> Rows:
         func, params = values.pop("func"), values.pop("params")
         shape = {"shape": shapes[name]} if name in shapes else {}
         rest = {key: _plain(value) for key, value in values.items() if value is not None}
+        if section == "commands":
+            rest["columns"] = list(env.command_manager.names(name))
         rows.append({"term": name, "func": _name(func), **shape, **rest, "params": _yaml(params)})
     return rows
 
@@ -172,8 +174,7 @@ def _shapes(env: BaseEnv, section: str) -> dict[str, str]:
         terms = env.cfg.observations.items()
         return {name: shapes[cfg.name or name] for name, cfg in terms}
     if section == "commands" and env.cfg.commands:
-        names = env.command_manager.names
-        return {n: f"({len(names(n))},) {', '.join(names(n))}" for n in env.cfg.commands}
+        return {name: f"({len(env.command_manager.names(name))},)" for name in env.cfg.commands}
     return {}
 
 

@@ -43,7 +43,8 @@ def print_table(title: str, rows: Sequence[Mapping[str, Any]], detail: str | Non
     Args:
         title: Stands above.
         rows: What each row holds; a key that is absent is a dash.
-        detail: A key whose long texts go below their rows where the table is wider than the screen.
+        detail: A key whose long texts go below their rows where the table is wider than the screen,
+            and then those of columns from the right, until it fits.
     """
     if not rows:
         sys.stdout.write(f"{title}: none\n\n")
@@ -54,15 +55,21 @@ def print_table(title: str, rows: Sequence[Mapping[str, Any]], detail: str | Non
         _print(whole)
         return
     names.remove(detail)
+    below: list[str] = []
+    while len(names) > 1 and not _fits(_table(title, names, rows)):
+        below.insert(0, names.pop())
     lines = _lines(_table(title, names, rows))
     first = 1 + next(i for i, line in enumerate(lines) if line.strip().startswith("─"))
     body = [line for line in lines[first:] if line.strip()]
     if len(body) != len(rows):  # a row needs several lines: nothing can go between
         _print(whole)
         return
-    details = (_indented(str(row.get(detail, ""))) for row in rows)
-    below = "".join(f"{line}\n{text}" for line, text in zip(body, details, strict=True))
-    sys.stdout.write("\n".join(lines[:first]) + f"\n{below}\n")
+    sys.stdout.write("\n".join(lines[:first]) + "\n")
+    for line, row in zip(body, rows, strict=True):
+        extra = [f"{name}: {number(row[name])}" for name in below if row.get(name) is not None]
+        details = (_indented(text) for text in (*extra, str(row.get(detail, ""))))
+        sys.stdout.write(f"{line}\n{''.join(details)}")
+    sys.stdout.write("\n")
 
 
 def _table(title: str, names: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> Table:

@@ -188,6 +188,7 @@ def test_config_is_printed_without_running(capsys: pytest.CaptureFixture[str]) -
         ("embodichain train task=reach alg", {"algo="}),
         ("embodichain show task=reach task.physics.phys", {"task.physics.physics_dt="}),
         ("embodichain replay la", {"last"}),
+        ("embodichain new ", {"task"}),
         ("embodichain nonsense ", set()),
     ],
 )

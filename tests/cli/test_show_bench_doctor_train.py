@@ -57,21 +57,49 @@ def test_tables_of_terms_fit_80_columns(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    assert main(["show", "task=push_cube"]) == 0
+    assert main(["new", "task", "mine"]) == 0
+    assert main(["show", "task=mine"]) == 0
     text = capsys.readouterr().out.partition("\nspaces\n")[2]
     assert [line for line in text.splitlines() if len(line) > 80] == []
-    rewards = text.partition("\nrewards\n")[2].partition("\nterminations\n")[0].splitlines()
+    rewards = text.partition("\nrewards\n")[2].partition("\nterminations")[0].splitlines()
     assert [" ".join(line.split()) for line in rewards if line and "──" not in line] == [
         "term func weight",  # `mode` is everywhere what it is anyway
-        "touch distance_between_objects 0.2",
+        "distance distance_between_objects 1",
         "{source_entity_cfg: {uid: ur10, link_names: [ee_link]}, target_entity_cfg:",
-        "{uid: cube}, exponential: true, sigma: 0.1}",
-        "push distance_between_objects 1",
-        "{source_entity_cfg: {uid: cube}, target_entity_cfg: {uid: goal},",
-        "use_xy_only: true, exponential: true, sigma: 0.1}",
-        "there within_distance 0.5",
-        "{source_entity_cfg: {uid: cube}, target_entity_cfg: {uid: goal}, threshold:",
-        "0.05, use_xy_only: true}",
+        "{uid: marker}}",
+        "near within_distance 0.5",
+        "{source_entity_cfg: {uid: ur10, link_names: [ee_link]}, target_entity_cfg:",
+        "{uid: marker}, threshold: 0.05}",
+    ]
+
+
+def test_show_tells_sensors_commands_and_curriculum(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    change = "{func: modify_reward_weight, params: {term_name: rate, weight: -1, num_steps: 9}}"
+    words = ("task=quadruped_velocity", f"+task.curriculum.later={change}")
+    data = told(capsys, "show", *words)
+    (command,) = data["commands"]
+    assert (command["term"], command["shape"]) == ("velocity", "(3,)")
+    assert command["columns"] == ["lin_vel_x", "lin_vel_y", "ang_vel_z"]
+    assert [row["func"] for row in data["curriculum"]] == ["modify_reward_weight"]
+    sensors = {row["sensor"]: row for row in data["sensors"]}
+    assert (sensors["feet"]["type"], sensors["feet"]["params"]) == (
+        "contact",
+        "{entity_cfg: {uid: go2, link_names: [.*_foot]}}",
+    )
+    noise = {row["term"]: row.get("noise") for row in data["observations"]}
+    assert noise["gravity"] == "{type: uniform, operation: add, low: -0.05, high: 0.05}"
+    assert noise["action"] is None
+    monkeypatch.setenv("COLUMNS", "60")
+    assert main(["show", *words]) == 0
+    text = capsys.readouterr().out.partition("\nspaces\n")[2]
+    assert [line for line in text.splitlines() if len(line) > 60] == []
+    lines = [" ".join(line.split()) for line in text.splitlines()]
+    at = lines.index("gravity projected_gravity (3,) policy")
+    assert lines[at + 1 : at + 3] == [
+        "noise: {type: uniform, operation: add, low: -0.05,",
+        "high: 0.05}",
     ]
 
 
