@@ -146,7 +146,7 @@ def joints(**params: Any) -> dict[str, CommandCfg]:
 def test_joint_positions_around_home(make) -> None:
     env = make(commands=joints(position_range={"Joint1": [0.1, 0.1], "Joint[23]": [-0.2, -0.2]}))
     env.reset()
-    wanted = np.array(HOME) + [0.1, -0.2, -0.2, 0, 0, 0]
+    wanted = np.add(HOME, [0.1, -0.2, -0.2, 0, 0, 0])
     assert env.command_manager.values("q")[1] == pytest.approx(wanted)
     found = env.command_manager.terms["q"].instance.metrics()["joint_error"]
     assert found == pytest.approx([0.3] * 3)

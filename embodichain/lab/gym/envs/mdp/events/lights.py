@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
-__all__ = ["RandomizeCameraPose", "RandomizeCameraFovy", "RandomizeLight"]
+__all__ = ["RandomizeCameraFovy", "RandomizeCameraPose", "RandomizeLight"]
 
 _FULL_INTENSITY = 30.0
 """`LightCfg.intensity` at which MuJoCo's diffuse colour is the light's colour."""
