@@ -188,6 +188,7 @@ class EnvAssembly(EnvBasics):
             for leaf in leaves_of(first).values()
         )
         as_float32(first)
+        self._check_terms(first)
         self.streams.load_state_dict(saved)  # looking once does not count
         self._memory = ObservationMemory(first, count)
         self.single_observation_space = observation_space(first)
@@ -203,5 +204,9 @@ class EnvAssembly(EnvBasics):
         self.cfg.sim_cfg.headless = True
 
     def _observed(self, kwargs: dict[str, Any]) -> EnvObs:
+        """Defined in `outcome.py`."""
+        raise NotImplementedError
+
+    def _check_terms(self, obs: EnvObs) -> None:
         """Defined in `outcome.py`."""
         raise NotImplementedError

@@ -13,6 +13,7 @@ import torch
 from embodichain.lab.gym.envs.assembly import EnvAssembly
 from embodichain.lab.gym.envs.autoreset import blanked
 from embodichain.lab.gym.envs.flags import Flags, Mask, mask_of
+from embodichain.lab.gym.envs.managers.dry_run import check_shapes
 from embodichain.lab.gym.envs.observation_memory import as_float32
 from embodichain.lab.gym.utils.tensordicts import unchecked
 from embodichain.lab.sim.engine.base import F64, EnvIndex
@@ -104,6 +105,12 @@ class EnvOutcome(EnvAssembly):
             info["curriculum"] = dict(self.curriculum_manager.values)
         self._success = success.copy() if reached is None else reached.numpy().copy()
         return info, Flags(success, fail, time_out)
+
+    def _check_terms(self, obs: EnvObs) -> None:
+        """Refuse terms of the wrong shape, unless they may rely on a subclass's own ``info``."""
+        own = type(self)
+        if own.evaluate is EnvOutcome.evaluate and own.get_info is EnvOutcome.get_info:
+            check_shapes(self, obs)  # type: ignore[arg-type]
 
     # -- reward --------------------------------------------------------------------------------
 

@@ -22,10 +22,9 @@ def noisy(env, obs, action, info):
         ({"terminations": {"t": TerminationCfg(**WRONG)}}, "termination term 't'"),
     ],
 )
-def test_wrong_shapes_are_found(make, sections, part) -> None:
+def test_wrong_shapes_are_refused_at_build(make, sections, part) -> None:
     with pytest.raises(ValueError, match=part):
-        env = make(**sections)
-        check_shapes(env, env.get_obs())
+        make(**sections)
 
 
 def test_it_leaves_no_trace(make) -> None:
@@ -57,3 +56,21 @@ def test_each_manager_checks_its_first_call(make) -> None:
     manager = RewardManager(env, {"late": RewardCfg(**WRONG)})
     with pytest.raises(ValueError, match="reward term 'late' must return shape"):
         manager.compute(torch.zeros(3), None, None, {})
+
+
+def test_a_class_with_an_info_of_its_own_is_checked_in_its_first_step() -> None:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from tests.helpers.ur10_task import HOME, task
+
+    class Mine(BaseEnv):
+        def get_info(self, **kwargs):
+            return {**super().get_info(**kwargs), "bonus": torch.ones(self.num_envs)}
+
+    def bonus(env, obs, action, info):
+        return info["bonus"]
+
+    env = Mine(task(rewards={"b": RewardCfg(func=bonus), "w": RewardCfg(**WRONG)}))
+    env.reset()
+    with pytest.raises(ValueError, match="reward term 'w' must return shape"):
+        env.step(torch.tensor([HOME] * 3))
+    env.close()
