@@ -13,8 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.cli.progress import ProgressDisplay
-from embodichain.cli.statistics import EpisodeStatistics
 from embodichain.cli.stopping import StopFlag
+from embodichain.learning.episode_statistics import (
+    EpisodeStatistics,
+    ended_values,
+    judges_success,
+)
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -71,7 +75,7 @@ def play(
         stop: Its flag ends the loop after a whole step.
     """
     statistics = EpisodeStatistics(env.num_envs, episodes)
-    has_success = _has_success(env)
+    has_success = judges_success(env)
     limit = float("inf") if max_steps is None else max_steps
     start = time.perf_counter()
     status: Status = "finished"
@@ -82,7 +86,7 @@ def play(
         obs, reward, terminated, truncated, info = env.step(policy(obs, env))
         done = _array(terminated) | _array(truncated)
         ended = bool(done.any())
-        kept = _kept(info, _array(terminated), has_success) if ended else {}
+        kept = ended_values(info, _array(terminated), has_success) if ended else {}
         statistics.add(_array(reward), done, kept)
         if ended:
             policy.reset(np.flatnonzero(done))
@@ -99,30 +103,6 @@ def _array(value: Any) -> NDArray[Any]:
     """A tensor of the environment as numpy."""
     array: NDArray[Any] = value.numpy(force=True)
     return array
-
-
-def _kept(
-    info: dict[str, Any], terminated: NDArray[Any], has_success: bool
-) -> dict[str, NDArray[Any]]:
-    """What is kept of episodes that end in this step, by name, each (N,)."""
-    metrics = {name: _array(value) for name, value in info["metrics"].items()}
-    kept = {"terminated": terminated, "diverged": _array(info["diverged"])}
-    if has_success:
-        kept["success"] = metrics["success"] if "success" in metrics else _array(info["success"])
-    kept |= {f"metrics/{name}": value for name, value in metrics.items()}
-    kept |= {f"rewards/{name}": _array(v) for name, v in info["episode_sums"].items()}
-    return kept
-
-
-def _has_success(env: BaseEnv) -> bool:
-    """Whether the task says what success is: a metric, a termination, or its own `evaluate`."""
-    from embodichain.lab.gym.envs.hooks import overrides
-
-    cfg = env.cfg
-    declared = "success" in cfg.metrics or any(
-        term.kind == "success" for term in cfg.terminations.values()
-    )
-    return declared or overrides(env, ["evaluate"])["evaluate"]
 
 
 def _progress(

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from embodichain.cli.rollout import Outcome
-from embodichain.cli.statistics import EpisodeStatistics
 from embodichain.cli.tables import number, print_facts
+from embodichain.learning.episode_statistics import EpisodeStatistics
 
 __all__ = ["print_summary", "summarize"]
 
@@ -29,7 +29,7 @@ def summarize(outcome: Outcome, facts: dict[str, Any]) -> dict[str, Any]:
         "seconds": round(outcome.seconds, 6),
         "fps": round(outcome.fps, 3),
         "episodes": counted.episodes,
-        "episodes_wanted": counted.quota * counted.num_envs,
+        "episodes_wanted": counted.wanted,
         "return": _spread(counted, "return"),
         "length": _spread(counted, "length"),
         "success_rate": counted.mean("success"),

@@ -13,6 +13,7 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from embodichain.learning.checkpoint import find_checkpoint
+    from embodichain.learning.evaluation import Evaluation, evaluate
     from embodichain.learning.policy import LearnedPolicy, load_policy
     from embodichain.learning.vec_env import SB3VecEnv
 
@@ -20,14 +21,17 @@ __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "checkpoint": ["find_checkpoint"],
+        "evaluation": ["Evaluation", "evaluate"],
         "policy": ["LearnedPolicy", "load_policy"],
         "vec_env": ["SB3VecEnv"],
     },
 )
 
 __all__ = [
+    "Evaluation",
     "LearnedPolicy",
     "SB3VecEnv",
+    "evaluate",
     "find_checkpoint",
     "load_policy",
 ]

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from embodichain.cli.statistics import EpisodeStatistics
+from embodichain.learning.episode_statistics import EpisodeStatistics
 
 
 def test_first_episodes_of_each_environment_count() -> None:
@@ -38,3 +38,14 @@ def test_what_is_given_at_the_end_of_an_episode_is_kept_for_those_that_end() -> 
     assert counted.column("metrics/x").tolist() == [1.0, 4.0]
     assert counted.column("env").tolist() == [0, 2]
     assert counted.mean("metrics/x") == pytest.approx(2.5)
+
+
+def test_each_environment_may_have_a_quota_of_its_own() -> None:
+    counted = EpisodeStatistics(3, quota=[2, 1, 0])
+    for step in range(2):
+        assert not counted.complete
+        counted.add(np.full(3, 1.0 + step), np.ones(3, bool), {})
+    assert counted.complete
+    assert counted.wanted == counted.episodes == 3
+    pairs = zip(counted.column("env").tolist(), counted.column("return").tolist(), strict=True)
+    assert list(pairs) == [(0, 1.0), (1, 1.0), (0, 2.0)]

@@ -1,17 +1,21 @@
 """Episodes counted over a batch: returns, lengths, successes of the first few of each environment.
 
-Numpy only; knows neither environments nor terminals.
+Imports neither torch nor Stable-Baselines3, and knows no terminals: `run` and `evaluate` count with
+it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-__all__ = ["EpisodeStatistics"]
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = ["EpisodeStatistics", "ended_values", "judges_success"]
 
 Flags = NDArray[np.bool_]
 
@@ -21,19 +25,23 @@ class EpisodeStatistics:
 
     Args:
         num_envs: N.
-        quota: Episodes that count for each environment; later ones are ignored, so that
-            environments with short episodes do not weigh more.
+        quota: Episodes that count for each environment, one number or (N,); later ones are
+            ignored, so that environments with short episodes do not weigh more.
     """
 
-    def __init__(self, num_envs: int, quota: int) -> None:
-        self.num_envs, self.quota = num_envs, quota
+    def __init__(self, num_envs: int, quota: ArrayLike) -> None:
+        self.num_envs = num_envs
+        self.quota = np.broadcast_to(np.asarray(quota, np.int64), (num_envs,))
+        """(N,) episodes that count."""
+        self.wanted = int(self.quota.sum())
+        """Their sum."""
         self.counts = np.zeros(num_envs, np.int64)
         """(N,) episodes finished and counted."""
         self.steps = 0
         """Control steps of the batch."""
         self._return = np.zeros(num_envs)
         self._length = np.zeros(num_envs, np.int64)
-        self._missing = num_envs * quota
+        self._missing = self.wanted
         self._records: list[dict[str, NDArray[Any]]] = []
 
     @property
@@ -44,7 +52,7 @@ class EpisodeStatistics:
     @property
     def episodes(self) -> int:
         """Episodes counted so far, over all environments."""
-        return self.num_envs * self.quota - self._missing
+        return self.wanted - self._missing
 
     def add(self, reward: NDArray[Any], done: Flags, values: Mapping[str, NDArray[Any]]) -> None:
         """Count one control step.
@@ -85,3 +93,39 @@ class EpisodeStatistics:
         """Mean over the counted episodes, None before the first."""
         column = self.column(name)
         return float(column.mean()) if column.size else None
+
+
+def judges_success(env: BaseEnv) -> bool:
+    """Whether a task says what success is: a metric, a termination, or its own `evaluate`."""
+    from embodichain.lab.gym.envs.hooks import overrides
+
+    cfg = env.cfg
+    declared = "success" in cfg.metrics or any(
+        term.kind == "success" for term in cfg.terminations.values()
+    )
+    return declared or overrides(env, ["evaluate"])["evaluate"]
+
+
+def ended_values(
+    info: Mapping[str, Any], terminated: Flags, has_success: bool
+) -> dict[str, NDArray[Any]]:
+    """Return what is kept of episodes that end in a step, by name, each (N,).
+
+    Args:
+        info: What the step returned; it is from before an automatic reset.
+        terminated: (N,) which ended by themselves.
+        has_success: What `judges_success` says of the task.
+    """
+    metrics = {name: _array(value) for name, value in info["metrics"].items()}
+    kept = {"terminated": terminated, "diverged": _array(info["diverged"])}
+    if has_success:
+        kept["success"] = metrics["success"] if "success" in metrics else _array(info["success"])
+    kept |= {f"metrics/{name}": value for name, value in metrics.items()}
+    kept |= {f"rewards/{name}": _array(v) for name, v in info["episode_sums"].items()}
+    return kept
+
+
+def _array(value: Any) -> NDArray[Any]:
+    """A tensor of the environment as numpy."""
+    array: NDArray[Any] = value.numpy(force=True)
+    return array

@@ -1,0 +1,199 @@
+"""`evaluate`: exactly N episodes of a policy, each as likely to count as any other.
+
+How numbers become intervals is in `statistics.py`, where policies come from in `policy.py`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from embodichain.config.schema import LARGEST_TRAINING_SEED
+from embodichain.lab.gym.policies import Policy, resolve_policy
+from embodichain.learning.episode_statistics import (
+    EpisodeStatistics,
+    ended_values,
+    judges_success,
+)
+from embodichain.learning.statistics import CONFIDENCE, Estimate, Rate, estimate, rate
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = ["EVAL_SEED_OFFSET", "Evaluation", "evaluate", "quotas"]
+
+EVAL_SEED_OFFSET = LARGEST_TRAINING_SEED + 1
+"""Added to an evaluation's seed: no training can have the same streams, its seeds end below."""
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Evaluation:
+    """What episodes of a policy were; `eval.json` has the same keys.
+
+    Attributes:
+        episodes: Episodes that count: as many as were asked for, unless it was stopped.
+        complete: Whether they are all there.
+        num_envs: Environments stepped together.
+        seed: As given; the environments' own is `EVAL_SEED_OFFSET` higher.
+        env_steps: Control steps taken, summed over environments.
+        seconds: Wall time of the loop.
+        confidence: Of every interval.
+        returns: Undiscounted sums of rewards; None without episodes.
+        length: Control steps of an episode.
+        success: None where the task does not say what a success is.
+        terminated: Episodes that ended by themselves instead of by time.
+        diverged: Episodes whose physics diverged.
+        rewards: Mean over episodes of each reward term's sum, weight included.
+        metrics: Mean over episodes of each metric.
+        per_episode: ``env``, ``return``, ``length`` and, where known, ``success`` of each episode,
+            ordered by environment, then by time.
+    """
+
+    episodes: int
+    complete: bool
+    num_envs: int
+    seed: int
+    env_steps: int
+    seconds: float
+    confidence: float
+    returns: Estimate | None
+    length: Estimate | None
+    success: Rate | None
+    terminated: int
+    diverged: int
+    rewards: dict[str, float]
+    metrics: dict[str, float]
+    per_episode: dict[str, list[Any]]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data, for JSON."""
+        return dataclasses.asdict(self)
+
+
+def evaluate(
+    env: BaseEnv,
+    policy: str | Path | Mapping[str, Any] | Callable[..., Any],
+    episodes: int = 100,
+    *,
+    seed: int = 0,
+    deterministic: bool = True,
+    watch: Callable[[EpisodeStatistics], bool | None] | None = None,
+) -> Evaluation:
+    """Play a policy for exactly so many episodes.
+
+    Environment *i* plays a fixed number of episodes, its own first ones (`quotas`), and later ones
+    do not count. Taking the first N episodes to end, whosever they are, would favour short ones.
+
+    Args:
+        env: A batched environment with ``autoreset_mode`` SAME_STEP; it is reset first.
+        policy: A policy, a file or folder of one, or whatever else a config may name.
+        episodes: How many, over all environments.
+        seed: Of the environments (`EVAL_SEED_OFFSET` is added) and of drawn actions.
+        deterministic: For files: the mean action; False draws from the policy's distribution.
+        watch: Called after every control step; returns True to stop.
+
+    Returns:
+        What the episodes were.
+
+    Raises:
+        ConfigError: If there is no such policy or it does not fit.
+        ValueError: If `episodes` or `seed` is out of range, or the environment resets otherwise.
+    """
+    if episodes < 1:
+        raise ValueError(f"episodes must be at least 1, got {episodes}")
+    if not 0 <= seed <= LARGEST_TRAINING_SEED:
+        raise ValueError(f"seed must be from 0 to {LARGEST_TRAINING_SEED}, got {seed}")
+    mode = env.metadata.get("autoreset_mode")
+    if mode is not AutoresetMode.SAME_STEP:
+        raise ValueError(f"evaluate needs autoreset_mode SAME_STEP, got an environment with {mode}")
+    acting = _resolve(env, policy, deterministic)
+    counted = EpisodeStatistics(env.num_envs, quotas(episodes, env.num_envs))
+    with torch.random.fork_rng(devices=()):  # the caller draws on as if nothing had been
+        seconds = _play(env, acting, counted, EVAL_SEED_OFFSET + seed, watch)
+    return _sum_up(counted, seed, seconds)
+
+
+def quotas(episodes: int, num_envs: int) -> NDArray[np.int64]:
+    """Return (N,) how many episodes each environment plays; the first ones play one more."""
+    rest = np.arange(num_envs) < episodes % num_envs
+    return np.int64(episodes // num_envs) + rest.astype(np.int64)
+
+
+def _resolve(env: BaseEnv, policy: Any, deterministic: bool) -> Policy:
+    def load(path: Path) -> Policy:
+        from embodichain.learning.policy import load_policy
+
+        return load_policy(path, env, deterministic=deterministic)
+
+    return load(policy) if isinstance(policy, Path) else resolve_policy(policy, load_file=load)
+
+
+def _play(
+    env: BaseEnv,
+    policy: Policy,
+    counted: EpisodeStatistics,
+    seed: int,
+    watch: Callable[[EpisodeStatistics], bool | None] | None,
+) -> float:
+    """Step until the quota is met; returns the seconds it took."""
+    has_success = judges_success(env)
+    obs, _ = env.reset(seed=seed)
+    policy.reset(None)
+    start = time.perf_counter()
+    while not counted.complete:
+        with torch.no_grad():
+            action = policy(obs, env)
+        obs, reward, terminated, truncated, info = env.step(action)
+        ended = terminated.numpy(force=True)
+        done = ended | truncated.numpy(force=True)
+        finished = bool(done.any())
+        kept = ended_values(info, ended, has_success) if finished else {}
+        counted.add(reward.numpy(force=True), done, kept)
+        if finished:
+            policy.reset(np.flatnonzero(done))
+        if watch is not None and watch(counted):
+            break
+    return time.perf_counter() - start
+
+
+def _sum_up(counted: EpisodeStatistics, seed: int, seconds: float) -> Evaluation:
+    order = np.lexsort((counted.column("episode"), counted.column("env")))
+
+    def column(name: str) -> NDArray[Any]:
+        return counted.column(name)[order]
+
+    names = counted.names()
+    success = column("success").astype(np.bool_) if "success" in names else None
+    listed = {name: column(name).tolist() for name in ("env", "return", "length")}
+    if success is not None:
+        listed["success"] = success.tolist()
+    return Evaluation(
+        episodes=counted.episodes,
+        complete=counted.complete,
+        num_envs=counted.num_envs,
+        seed=seed,
+        env_steps=counted.steps * counted.num_envs,
+        seconds=seconds,
+        confidence=CONFIDENCE,
+        returns=estimate(column("return")),
+        length=estimate(column("length")),
+        success=rate(success) if success is not None else None,
+        terminated=int(counted.column("terminated").sum()),
+        diverged=int(counted.column("diverged").sum()),
+        rewards=_means(counted, "rewards/"),
+        metrics=_means(counted, "metrics/"),
+        per_episode=listed,
+    )
+
+
+def _means(counted: EpisodeStatistics, prefix: str) -> dict[str, float]:
+    names = [name for name in counted.names() if name.startswith(prefix)]
+    return {name.removeprefix(prefix): float(counted.column(name).mean()) for name in names}
