@@ -178,6 +178,8 @@ def test_sections_are_those_of_the_config() -> None:
         (NoiseCfg(type="uniform", low=0.0, n_min=0.0, high=1.0), [".n_min: means the same as low"]),
         (NoiseCfg(type="uniform", std=1.0), [".std: noise of type 'uniform' takes low, high"]),
         (NoiseCfg(type="constant"), [".bias: missing"]),
+        (NoiseCfg(type="normal"), [".type: unknown type 'normal'; one of: gaussian, uniform"]),
+        ({"std": 0.1}, [": must be a NoiseCfg, got dict"]),
     ],
 )
 def test_noise(noise, expected: list[str]) -> None:

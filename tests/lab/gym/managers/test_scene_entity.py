@@ -3,7 +3,9 @@
 import pytest
 
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
+from embodichain.lab.sim.cfg import RobotCfg
 from embodichain.utils.errors import ConfigError
+from tests.helpers.ur10_task import UR10
 
 
 @pytest.fixture
@@ -27,6 +29,23 @@ def test_joints_by_regex_keep_the_robots_order(env) -> None:
     assert found.joint_ids == (2, 0, 1)
     assert found.joints == [2, 0, 1]
     assert not found.all_joints
+
+
+def test_control_parts(make) -> None:
+    parts = {"wrist": ["Joint[56]"], "arm": ["Joint[1-3]"]}
+    robot = RobotCfg(uid="ur10", fpath=UR10, control_parts=parts)
+    env = make(robot=robot)
+
+    def names(**cfg) -> tuple[str, ...]:
+        return env.scene_entity({"uid": "ur10", **cfg}).joint_names
+
+    assert names(control_parts="arm") == ("Joint1", "Joint2", "Joint3")
+    both = ["wrist", "arm"]
+    assert names(control_parts=both) == ("Joint1", "Joint2", "Joint3", "Joint5", "Joint6")
+    kept = names(control_parts=both, joint_names=["Joint4", "Joint1"], preserve_order=True)
+    assert kept == ("Joint5", "Joint6", "Joint1", "Joint2", "Joint3", "Joint4")
+    with pytest.raises(ConfigError, match="there are: wrist, arm"):
+        names(control_parts="leg")
 
 
 def test_one_name_and_one_link(env) -> None:

@@ -74,6 +74,13 @@ def _check_disturbance(path: str, term: ActionTermCfg | ObservationCfg) -> list[
 
 
 def _check_noise(path: str, noise: NoiseCfg) -> list[Problem]:
+    if not isinstance(noise, NoiseCfg):  # of Python's API: YAML's is checked for types before
+        kind = type(noise).__name__
+        return [Problem(path, f"must be a NoiseCfg, got {kind}; NoiseCfg.from_dict makes one")]
+    if noise.type not in _NOISE:
+        hint = did_you_mean(str(noise.type), _NOISE).strip()
+        message = f"unknown type {noise.type!r}; one of: {', '.join(_NOISE)}"
+        return [Problem(f"{path}.type", message, hint)]
     allowed = _NOISE[noise.type]
     given = [n for names in _NOISE.values() for n in names if getattr(noise, n) is not None]
     strange = [name for name in given if name not in allowed]
