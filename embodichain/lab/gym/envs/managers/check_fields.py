@@ -73,7 +73,7 @@ def _check_disturbance(path: str, term: ActionTermCfg | ObservationCfg) -> list[
     return found
 
 
-def _check_noise(path: str, noise: NoiseCfg) -> list[Problem]:
+def _check_noise(path: str, noise: Any) -> list[Problem]:
     if not isinstance(noise, NoiseCfg):  # of Python's API: YAML's is checked for types before
         kind = type(noise).__name__
         return [Problem(path, f"must be a NoiseCfg, got {kind}; NoiseCfg.from_dict makes one")]
