@@ -21,6 +21,10 @@ BLOCK = re.compile(r"^( *)```bash\n(.*?)^\1```", re.MULTILINE | re.DOTALL)
 SLOW = ("add-task-env", "pre-commit-check")
 
 
+def named(page: Path) -> str:
+    return page.stem if page.parent == REPO else page.parent.name
+
+
 def commands(page: Path) -> list[str]:
     text = page.read_text(encoding="utf-8")
     blocks = (textwrap.dedent(body) for _, body in BLOCK.findall(text))
@@ -50,7 +54,7 @@ def checkout(tmp_path: Path) -> Path:
 @pytest.mark.parametrize(
     "page",
     [
-        pytest.param(page, id=page.parent.name, marks=[pytest.mark.slow] if slow else [])
+        pytest.param(page, id=named(page), marks=[pytest.mark.slow] if slow else [])
         for page in PAGES
         for slow in [page.parent.name in SLOW]
     ],
@@ -98,7 +102,7 @@ def test_a_skill_says_its_name_and_when_to_use_it(skill: Path) -> None:
     assert len(body.splitlines()) < 60
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.parent.name)
+@pytest.mark.parametrize("page", PAGES, ids=named)
 def test_files_and_targets_that_are_named_exist(page: Path) -> None:
     text = page.read_text(encoding="utf-8")
     targets = re.findall(r"^([\w-]+):", (REPO / "Makefile").read_text(), re.MULTILINE)
