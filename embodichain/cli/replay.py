@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from embodichain.cli import exits
 from embodichain.cli.arguments import VerbParser, add_common, print_json
+from embodichain.cli.log_files import log_of
 from embodichain.cli.tables import print_facts, print_table
 from embodichain.cli.verbs import VERBS
-from embodichain.config.newest import LOG, newest_run
-from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.recording.summary import Episode, LogSummary
@@ -35,25 +34,8 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--quiet", "-q", action="store_true", help="no progress, no report")
     add_common(parser)
     options = parser.parse(arguments)
-    path = _log_of(options.file)
+    path = log_of(options.file)
     return _verify(path, options) if options.verify else _inspect(path, options)
-
-
-def _log_of(name: str) -> Path:
-    """The log that is meant: a file, the one in a run's folder, or the newest one.
-
-    Raises:
-        ConfigError: There is no log yet, or the folder has none.
-    """
-    path = newest_run("outputs", LOG) if name == "last" else Path(name)
-    if path is None:
-        raise ConfigError("no run in outputs has a log yet: embodichain run task=NAME")
-    if not path.is_dir():
-        return path
-    log = path.resolve() / LOG
-    if not log.exists():
-        raise ConfigError(f"{path.resolve()} has no {LOG}: it was run with record=none")
-    return log
 
 
 def _inspect(path: Path, options: argparse.Namespace) -> int:
@@ -131,6 +113,8 @@ def _print_report(report: VerifyReport) -> None:
     what = f"{report.steps} control steps of {report.envs} environments"
     if report.ok:
         sys.stdout.write(f"verified: {what}, every bit as recorded\n")
+        for note in report.notes:
+            sys.stderr.write(f"warning: {report.path}: {note}\n")
         return
     sys.stderr.write(f"NOT verified: {report.path}, {what} compared\n")
     if report.difference is not None:

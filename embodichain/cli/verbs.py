@@ -73,6 +73,15 @@ _REPLAY = Verb(
         ("replay outputs/latest/rollout.mcap --json", "what it holds, for scripts"),
     ),
 )
+_RECOVER = Verb(
+    "recover",
+    "Write a clean log from a broken one, up to where it is good.",
+    "IN|last OUT [options]",
+    (
+        ("recover last saved.mcap", "the newest run's log; it is only read"),
+        ("recover broken.mcap saved.mcap --json", "what was saved, for scripts"),
+    ),
+)
 _BENCH = Verb(
     "bench",
     "Measure control steps/s beside the bare batch of the same model.",
@@ -145,7 +154,19 @@ _DOCTOR = Verb(
 VERBS: dict[str, Verb] = {
     verb.name: verb
     for verb in (
-        *(_RUN, _TRAIN, _REPLAY, _BENCH, _LIST, _SHOW, _VALIDATE, _CONVERT, _NEW, _DOCTOR),
+        *(
+            _RUN,
+            _TRAIN,
+            _REPLAY,
+            _RECOVER,
+            _BENCH,
+            _LIST,
+            _SHOW,
+            _VALIDATE,
+            _CONVERT,
+            _NEW,
+            _DOCTOR,
+        ),
     )
 }
 

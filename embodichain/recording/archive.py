@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+import zlib
 from pathlib import Path, PurePosixPath
 from xml.etree import ElementTree
 
@@ -17,6 +18,8 @@ __all__ = ["load_mjz", "scene_archive"]
 
 _FOLDERS = ("assetdir", "meshdir", "texturedir")
 _ROOT = "model.xml"
+_MOST_BYTES = 2**29
+"""Unpacked, an archive of more is not believed."""
 
 
 def scene_archive(spec: mujoco.MjSpec) -> bytes:
@@ -73,8 +76,10 @@ def load_mjz(data: bytes) -> mujoco.MjModel:
     """
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            if sum(info.file_size for info in archive.infolist()) > _MOST_BYTES:
+                raise ValueError(f"more than {_MOST_BYTES} bytes when unpacked")
             files = {name: archive.read(name) for name in archive.namelist()}
         root = files.pop(_ROOT)
-    except (zipfile.BadZipFile, KeyError) as error:
+    except (zipfile.BadZipFile, KeyError, zlib.error, NotImplementedError) as error:
         raise ValueError(f"not an MJZ archive with a {_ROOT}: {error!r}") from error
     return mujoco.MjModel.from_xml_string(root.decode(), files)

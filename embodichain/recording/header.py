@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 
+from embodichain.recording.mcap_file import CHUNK_LIMIT
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["FORMAT_VERSION", "METADATA", "METADATA_END", "Header", "LogError", "why_unverifiable"]
+__all__ = [
+    "FORMAT_VERSION",
+    "METADATA",
+    "METADATA_END",
+    "METADATA_RECOVERED",
+    "Header",
+    "LogError",
+    "why_unverifiable",
+]
 
 METADATA = "embodichain"
 METADATA_END = "embodichain.end"
+METADATA_RECOVERED = "embodichain.recovered"
+"""In a file that was saved from a broken one: from which, and why it ends where it does."""
 FORMAT_VERSION = 1
 
 
@@ -89,9 +101,37 @@ class Header:
             }
             fields["columns"] = [(int(a), int(b)) for a, b in fields["columns"]]
             fields["layout"] = {k: (int(a), int(b)) for k, (a, b) in fields["layout"].items()}
-            return cls(**fields)
-        except (KeyError, TypeError, ValueError) as error:
+            header = cls(**fields)
+            header._check()
+        except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
             raise LogError(f"the metadata record {METADATA!r} is damaged: {error!r}") from error
+        return header
+
+    def _check(self) -> None:
+        """Raise ValueError unless arrays of these sizes can be made and filled."""
+        whole = ("seed", "num_envs", "substeps", "start_ns", "state_sig", "nstate")
+        wrong = [name for name in whole if type(getattr(self, name)) is not int]
+        wrong += [n for n in ("num_envs", "substeps", "nstate") if not getattr(self, n) > 0]
+        for name in ("control_dt", "physics_dt"):
+            if not 0 < getattr(self, name) < math.inf:
+                wrong.append(name)
+        at = 0
+        for start, stop in self.columns:
+            if not at <= start <= stop <= self.nstate:
+                wrong.append("columns")
+            at = stop
+        if any(not 0 <= a <= b <= self.nstate for a, b in self.layout.values()):
+            wrong.append("layout")
+        if {"qpos", "qvel"} - self.layout.keys():
+            wrong.append("layout")
+        if self.state_sig != int(mujoco.mjtState.mjSTATE_INTEGRATION):
+            wrong.append("state_sig")
+        if not all(type(i) is int and 0 <= i < self.num_envs for i in self.view_envs):
+            wrong.append("view_envs")
+        if 8 * self.num_envs * self.nstate > CHUNK_LIMIT:
+            wrong.append("num_envs")
+        if wrong:
+            raise ValueError(f"impossible values of {', '.join(dict.fromkeys(wrong))}")
 
     @property
     def period_ns(self) -> int:

@@ -21,7 +21,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-__all__ = ["COMPRESSORS", "MAGIC", "McapFile", "Part"]
+__all__ = ["CHUNK_LIMIT", "COMPRESSORS", "MAGIC", "McapFile", "Part"]
 
 Part = bytes | NDArray[Any]
 """A piece of a payload; arrays are contiguous."""
@@ -30,6 +30,9 @@ MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 2**20
 """A chunk is closed when it holds more than this: large enough to compress, small enough to stay in
 the cache between being gathered and being compressed."""
+CHUNK_LIMIT = 2**27
+"""Bytes of the largest chunk that is written or believed: a million numbers of state for each of
+16 environments, or 123 for each of 136,000."""
 
 COMPRESSORS: Mapping[str, Callable[[bytes], bytes]] = {
     "none": bytes,

@@ -45,10 +45,13 @@ class Calls:
     failed: EnvIndex | None
 
     @classmethod
-    def decode(cls, data: bytes) -> Calls:
+    def decode(cls, data: bytes | memoryview) -> Calls:
         """Read a `PhysicsCall`."""
         f = wire.parse(data)
-        return cls(_uint(f, 1), _uint(f, 2), _ids(f, 3), wire.unpack(f, 4, "<u8"), _ids(f, 5))
+        ids, hashes = _ids(f, 3), wire.unpack(f, 4, "<u8")
+        if ids is not None and len(hashes) not in (0, len(ids)):
+            raise wire.WireError(f"{len(hashes)} hashes of {len(ids)} environments")
+        return cls(_uint(f, 1), _uint(f, 2), ids, hashes, _ids(f, 5))
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +65,7 @@ class State:
     rows: F64
 
     @classmethod
-    def decode(cls, data: bytes) -> State:
+    def decode(cls, data: bytes | memoryview) -> State:
         """Read a `BatchedState`.
 
         Raises:
@@ -88,7 +91,7 @@ class StepOutcome:
     physics: Calls
 
     @classmethod
-    def decode(cls, data: bytes) -> StepOutcome:
+    def decode(cls, data: bytes | memoryview) -> StepOutcome:
         """Read a `Step`.
 
         Raises:
@@ -100,15 +103,12 @@ class StepOutcome:
         if action.size != n * width:
             raise wire.WireError(f"{action.size} numbers where {n} actions of {width} are")
         calls = Calls(step, _uint(f, 2), None, wire.unpack(f, 10, "<u8"), _ids(f, 11))
-        return cls(
-            step,
-            action.reshape(n, width),
-            wire.unpack(f, 6, "<f8"),
-            wire.unpack(f, 7, "?"),
-            wire.unpack(f, 8, "?"),
-            wire.unpack(f, 9, "<i8"),
-            calls,
-        )
+        reward, ids = wire.unpack(f, 6, "<f8"), wire.unpack(f, 9, "<i8")
+        terminated, truncated = wire.unpack(f, 7, "?"), wire.unpack(f, 8, "?")
+        sizes = {len(reward), len(terminated), len(truncated), len(ids)}
+        if sizes != {n} or len(calls.hashes) not in (0, n):
+            raise wire.WireError(f"a step of {n} environments lacks some of them")
+        return cls(step, action.reshape(n, width), reward, terminated, truncated, ids, calls)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +124,7 @@ class WriteRecord:
     values: F64
 
     @classmethod
-    def decode(cls, data: bytes) -> WriteRecord:
+    def decode(cls, data: bytes | memoryview) -> WriteRecord:
         """Read a `Write`."""
         f = wire.parse(data)
         columns = wire.unpack(f, 7, "<u4")
@@ -150,12 +150,21 @@ def _uint(fields: wire.Fields, number: int) -> int:
 
 def _text(fields: wire.Fields, number: int) -> str:
     values = fields.get(number)
-    return bytes(values[-1]).decode() if values else ""
+    if not values:
+        return ""
+    if not isinstance(values[-1], memoryview):
+        raise wire.WireError(f"field {number} is not a text")
+    try:
+        return bytes(values[-1]).decode()
+    except UnicodeDecodeError as error:
+        raise wire.WireError(f"field {number} is not a text: {error}") from error
 
 
 def _ids(fields: wire.Fields, number: int) -> EnvIndex | None:
-    ids = wire.unpack(fields, number, "<u4")
-    return ids.astype(np.int64) if ids.size else None
+    ids = wire.unpack(fields, number, "<u4").astype(np.int64)
+    if (np.diff(ids) <= 0).any():
+        raise wire.WireError(f"field {number} does not name environments in ascending order")
+    return ids if ids.size else None
 
 
 def _env_ids(field: int, ids: EnvIndex | None) -> bytes:

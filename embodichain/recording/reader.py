@@ -1,56 +1,39 @@
 """Reads a log from front to back, also one that ends in the middle; nothing in it is executed.
 
-Only records come out here: what they mean is known in `summary` and `verify`.
+Only records come out here: how they are parsed safely is `records`, what they mean is known in
+`summary` and `replay`.
 """
 
 from __future__ import annotations
 
-import struct
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO
 
-import zstandard
-from mcap.exceptions import McapError, RecordLengthLimitExceeded, UnsupportedCompressionError
-from mcap.records import (
-    Attachment,
-    Channel,
-    Chunk,
-    DataEnd,
-    Footer,
-    Message,
-    Metadata,
-    Schema,
-    Statistics,
-)
-from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Message, Metadata, Schema, Statistics
 
-from embodichain.recording.header import METADATA, METADATA_END, Header, LogError
+from embodichain.recording.header import (
+    METADATA,
+    METADATA_END,
+    METADATA_RECOVERED,
+    Header,
+    LogError,
+)
 from embodichain.recording.mcap_file import MAGIC
+from embodichain.recording.records import (
+    DamageError,
+    Record,
+    blocks,
+    chunk_content,
+    parse,
+    records_in_chunk,
+)
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["LogReader"]
-
-RECORD_LIMIT = 2**31
-"""Bytes of the largest record that is believed; a longer one is damage."""
-
-_DAMAGE = (
-    McapError,
-    CRCValidationError,
-    struct.error,
-    zlib.error,
-    zstandard.ZstdError,
-    EOFError,
-    IndexError,
-    KeyError,
-    MemoryError,
-    OverflowError,
-    RuntimeError,  # lz4's
-    UnicodeDecodeError,
-)
 
 
 @dataclass
@@ -76,9 +59,13 @@ class LogReader:
     compressions: set[str] = field(default_factory=set, init=False)
     finished: bool = field(default=False, init=False)
     """Whether the recorder closed the log itself."""
+    recovered: str = field(default="", init=False)
+    """Why the file ends where it does, if it was saved from a broken one; see `recover`."""
     complete: bool = field(default=False, init=False)
     """Whether the file has its end and all that was announced; known after the last message."""
     damage: str = field(default="", init=False)
+    good_bytes: int = field(default=0, init=False)
+    """Bytes from the start up to the end of the last record that was good."""
 
     def __post_init__(self) -> None:
         self.path = Path(self.path)
@@ -116,52 +103,68 @@ class LogReader:
         Raises:
             LogError: If the file is not a log of embodichain's that this version reads.
         """
-        read = 0
-        records = StreamReader(
-            self._stream, emit_chunks=True, record_size_limit=RECORD_LIMIT
-        ).records
-        while True:
-            try:
-                record = next(records, None)
-                if record is None:
-                    break
-                found = breakup_chunk(record, True) if isinstance(record, Chunk) else [record]
-            except _DAMAGE as error:
-                self.complete, self.damage = False, _describe(error)
-                return
-            if isinstance(record, Chunk):
-                self.compressions.add(record.compression or "none")
-            for item in found:
-                if not isinstance(item, Message):
-                    self._take(item)
-                    continue
-                channel = self.channels.get(item.channel_id)
-                if channel is None:
-                    self.damage = f"a message belongs to channel {item.channel_id}, unknown here"
-                    return
-                read += 1
-                yield channel.topic, item
-        self._check_count(read)
+        for record in self.records():
+            if isinstance(record, Message):
+                yield self.channels[record.channel_id].topic, record
 
-    def _take(self, record: object) -> None:
+    def records(self) -> Iterator[Record]:
+        """Yield everything that was recorded, in file order: messages, and what belongs to them.
+
+        Raises:
+            LogError: As `messages` does.
+        """
+        read = 0
+        try:
+            for block in blocks(self._stream):
+                for record in self._open(block):
+                    if isinstance(record, Message):
+                        if record.channel_id not in self.channels:
+                            unknown = f"channel {record.channel_id}, unknown here"
+                            raise DamageError(f"a message belongs to {unknown}")
+                        read += 1
+                    else:
+                        self._take(record)
+                    yield record
+                self.complete = block[0] == Opcode.FOOTER
+                self.good_bytes = self._stream.tell()
+        except DamageError as error:
+            self.complete, self.damage = False, str(error)
+        except OSError as error:
+            self.complete, self.damage = False, f"the disk could not be read ({error})"
+        else:
+            self._check_count(read)
+
+    def _open(self, block: tuple[int, bytes]) -> Iterator[Record]:
+        """The records of one block; those of a chunk."""
+        if block[0] == Opcode.CHUNK:
+            compression, content = chunk_content(block[1])
+            self.compressions.add(compression)
+            yield from records_in_chunk(content)
+            return
+        record = parse(block)
+        if record is not None:
+            yield record
+
+    def _take(self, record: Record) -> None:
+        # The index repeats schemas and channels; what stood with the messages counts.
         if isinstance(record, Channel):
-            self.channels[record.id] = record
+            self.channels.setdefault(record.id, record)
         elif isinstance(record, Schema):
-            self.schemas[record.id] = record
+            self.schemas.setdefault(record.id, record)
         elif isinstance(record, Attachment):
             self.attachments[record.name] = record.data
         elif isinstance(record, Metadata):
             self._take_metadata(record)
         elif isinstance(record, Statistics):
             self.statistics = record
-        elif isinstance(record, (DataEnd, Footer)):
-            self.complete = isinstance(record, Footer)
 
     def _take_metadata(self, record: Metadata) -> None:
         if record.name == METADATA:
             self.header = Header.from_metadata(record.metadata)
         elif record.name == METADATA_END:
             self.finished = True
+        elif record.name == METADATA_RECOVERED:
+            self.recovered = record.metadata.get("why", "") or "no reason is given"
 
     def _check_count(self, read: int) -> None:
         if self.statistics is not None and self.statistics.message_count != read:
@@ -180,16 +183,3 @@ class LogReader:
             why = f" ({self.damage})" if self.damage else ""
             raise LogError(f"{self.path} has no metadata record {METADATA!r}{why}")
         return self.header
-
-
-def _describe(error: BaseException) -> str:
-    if isinstance(error, CRCValidationError):
-        return "a chunk is damaged: its checksum is wrong"
-    if isinstance(error, UnsupportedCompressionError):
-        return str(error)
-    if isinstance(error, RecordLengthLimitExceeded):
-        return "a record has an impossible length"
-    name = type(error).__name__
-    if name == "EndOfFile":
-        return "the file ends early: it was not closed, or cut"
-    return f"a record is damaged ({name}: {error})"

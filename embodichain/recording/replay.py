@@ -17,7 +17,7 @@ from embodichain.lab.sim.engine.base import EnvIndex
 from embodichain.recording.archive import load_mjz
 from embodichain.recording.attachments import load_mjb, model_digest
 from embodichain.recording.header import Header, LogError
-from embodichain.recording.messages import StepOutcome
+from embodichain.recording.messages import State, StepOutcome
 from embodichain.recording.reader import LogReader
 from embodichain.recording.resimulate import ActiveSteps, Found, Resimulation
 from embodichain.recording.summary import LogSummary, summarize
@@ -74,11 +74,23 @@ def verify(
 
 
 def _head(path: Path) -> tuple[Header, dict[str, bytes]]:
-    """What precedes the first message."""
+    """What precedes the first rows; an engine of that many environments is believed then."""
     with LogReader(path) as reader:
-        for _ in reader.messages():
-            break
+        for topic, message in reader.messages():
+            header = reader.require_header()
+            if topic == "/sim/state":
+                _check_rows(header, message.data)
+                break
         return reader.require_header(), reader.attachments
+
+
+def _check_rows(header: Header, data: bytes) -> None:
+    try:
+        rows = State.decode(data).rows
+    except WireError:
+        return  # following the log will end here, and say so
+    if len(rows) > header.num_envs or rows.shape[1] > header.nstate:
+        raise LogError(f"the first rows, {rows.shape}, are not of {header.num_envs} environments")
 
 
 def _select(header: Header, env: int | None) -> EnvIndex:
@@ -147,7 +159,10 @@ def _episode(path: Path, selected: EnvIndex, episode: int) -> ActiveSteps:
     with LogReader(path) as reader:
         for topic, message in reader.messages():
             if topic == "/sim/step":
-                ids = StepOutcome.decode(message.data).episode_ids[selected]
+                try:
+                    ids = StepOutcome.decode(message.data).episode_ids[selected]
+                except (WireError, IndexError):
+                    break  # where following it will end too, and say so
                 masks.append(ids == episode)
                 last = max(last, int(ids.max()))
     if not any(mask.any() for mask in masks):
@@ -170,6 +185,7 @@ def _follow(
         "/sim/physics": simulation.on_call,
     }
     difference = None
+    notes: list[str] = []
     with LogReader(path) as reader:
         try:
             for topic, message in reader.messages():
@@ -185,17 +201,21 @@ def _follow(
             problems = [*problems, f"after {simulation.steps} steps: {error}"]
         else:
             problems = [*problems, *_end(reader, simulation.steps)]
+            if reader.recovered and reader.complete:
+                notes.append(f"the log ends {_where(simulation.steps)}: {reader.recovered}")
     ok = difference is None and not problems
-    return VerifyReport(
-        path, ok, simulation.steps, envs, difference, problems, simulation.largest_error
-    )
+    errors = simulation.largest_error
+    return VerifyReport(path, ok, simulation.steps, envs, difference, problems, errors, notes)
 
 
 def _end(reader: LogReader, steps: int) -> list[str]:
     """What is missing at the end of a log."""
-    where = f"after step {steps - 1}" if steps else "before its first step was complete"
     if not reader.complete:
-        return [f"the log ends {where}: {reader.damage or 'its end is missing'}"]
-    if not reader.finished:
-        return [f"the log ends {where}: the recorder did not close it"]
+        return [f"the log ends {_where(steps)}: {reader.damage or 'its end is missing'}"]
+    if not reader.finished and not reader.recovered:
+        return [f"the log ends {_where(steps)}: the recorder did not close it"]
     return []
+
+
+def _where(steps: int) -> str:
+    return f"after step {steps - 1}" if steps else "before its first step was complete"

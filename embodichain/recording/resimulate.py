@@ -21,6 +21,9 @@ from embodichain.recording.verify_report import Difference
 
 __all__ = ["ActiveSteps", "Found", "Resimulation"]
 
+MOST_PHYSICS_STEPS = 1_000_000
+"""A single call of more is not believed: nobody would see the end of it."""
+
 
 class Found(Exception):
     """The first difference: ends the pass; it is a result, not an error."""
@@ -131,6 +134,11 @@ class Resimulation:
         state = State.decode(data)
         if state.rows.shape[1] not in (self._header.nstate, _width(self._header)):
             raise LogError(f"step {state.step}: rows have {state.rows.shape[1]} columns")
+        count = self._header.num_envs if state.env_ids is None else len(state.env_ids)
+        if len(state.rows) != count:
+            raise LogError(f"step {state.step}: {len(state.rows)} rows")
+        if state.nstep > MOST_PHYSICS_STEPS:
+            raise LogError(f"step {state.step}: {state.nstep} physics steps at once")
         local, rows = self._local(state.env_ids)
         active = self._active(state.step)
         compared = active & self._followed
@@ -231,7 +239,14 @@ class Resimulation:
         ids, hashes = done
         everywhere = calls.env_ids if calls.env_ids is not None else None
         envs = self._selected[ids]
-        at = envs if everywhere is None else np.searchsorted(everywhere, envs)
+        if everywhere is None:
+            at = envs
+        elif np.isin(envs, everywhere).all():
+            at = np.searchsorted(everywhere, envs)
+        else:
+            raise LogError(f"step {calls.step}: physics ran in other environments than it ended in")
+        if len(calls.hashes) <= int(at[-1]):
+            raise LogError(f"step {calls.step}: {len(calls.hashes)} hashes")
         recorded = calls.hashes[at]
         wrong = np.flatnonzero(recorded != hashes)
         if len(wrong):

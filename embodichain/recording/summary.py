@@ -7,11 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from mcap.records import Channel
 
 from embodichain.recording.attachments import model_digest
 from embodichain.recording.header import Header
 from embodichain.recording.messages import StepOutcome
 from embodichain.recording.reader import LogReader
+from embodichain.recording.wire import WireError
 
 __all__ = ["ChannelInfo", "Episode", "LogSummary", "summarize"]
 
@@ -100,6 +102,8 @@ class _Episodes:
         self.ended: list[Episode] = []
 
     def add(self, step: StepOutcome) -> None:
+        if len(step.reward) != len(self._sums):
+            raise WireError(f"step {step.step} is of {len(step.reward)} environments")
         self._sums += step.reward
         self._lengths += 1
         for env in np.flatnonzero(step.terminated | step.truncated).tolist():
@@ -129,17 +133,21 @@ def summarize(path: str | Path) -> LogSummary:
         for topic, message in reader.messages():
             counts[topic] += 1
             if topic == "/sim/step":
-                steps += 1
                 if episodes is None:
                     episodes = _Episodes(reader.require_header().num_envs)
-                episodes.add(StepOutcome.decode(message.data))
+                try:
+                    episodes.add(StepOutcome.decode(message.data))
+                except WireError as error:
+                    reader.complete, reader.damage = False, f"a step is damaged ({error})"
+                    break
+                steps += 1
             elif topic == "/sim/state" and not reader.header:
                 reader.require_header()
         header = reader.require_header()
         channels = [
             ChannelInfo(
                 channel.topic,
-                reader.schemas[channel.schema_id].name if channel.schema_id else "",
+                _schema_name(reader, channel),
                 channel.message_encoding,
                 counts[channel.topic],
             )
@@ -159,9 +167,17 @@ def summarize(path: str | Path) -> LogSummary:
         )
 
 
+def _schema_name(reader: LogReader, channel: Channel) -> str:
+    schema = reader.schemas.get(channel.schema_id)
+    return schema.name if schema is not None else ""
+
+
 def _warnings(reader: LogReader, steps: int) -> list[str]:
     warnings = []
-    if not reader.complete:
+    if reader.recovered and reader.complete:
+        where = f"after step {steps - 1}" if steps else "before its first step was complete"
+        warnings.append(f"recovered from a broken file; it ends {where}: {reader.recovered}")
+    elif not reader.complete:
         why = reader.damage or "its end is missing"
         where = f"what followed step {steps - 1} is missing" if steps else "no step is in it"
         warnings.append(f"incomplete: {why}; {where}")

@@ -48,6 +48,7 @@ class VerifyReport:
         difference: The first difference, or None.
         problems: Why `ok` is False otherwise, one line each.
         largest_error: Approximate mode: component to largest absolute difference after one step.
+        notes: What is no mistake but should be known: where a recovered log ends.
     """
 
     path: Path
@@ -57,12 +58,13 @@ class VerifyReport:
     difference: Difference | None = None
     problems: list[str] = field(default_factory=list)
     largest_error: dict[str, float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
 
     def __str__(self) -> str:
         """Return the verdict, and every reason on its own line."""
         count = f"{self.steps} steps of {self.envs} environment{'s' if self.envs != 1 else ''}"
         if self.ok:
-            return f"verified: {count} are identical to the bit"
+            return "\n".join([f"verified: {count} are identical to the bit", *self.notes])
         lines = [f"NOT verified ({count} compared)"]
         if self.difference is not None:
             lines.append(f"first difference: {self.difference}")
