@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from embodichain.learning.made_by import made_by
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -74,8 +75,8 @@ def read_note(path: Path) -> dict[str, Any]:
     """Read a checkpoint's note without running anything that the file holds.
 
     Returns:
-        The note; for a file that Stable-Baselines3 itself wrote, ``algo`` from the arguments in it
-        and ``group`` ``policy``.
+        The note; for a file that Stable-Baselines3 itself wrote, ``algo`` told from the attributes
+        in it and ``group`` ``policy``.
 
     Raises:
         ConfigError: If the file cannot be read or is no checkpoint of a known algorithm.
@@ -93,8 +94,9 @@ def read_note(path: Path) -> dict[str, Any]:
     note = data.get(NOTE) if isinstance(data, dict) else None
     if isinstance(note, dict):
         return note
-    if isinstance(data, dict) and {"clip_range", "n_epochs"} <= data.keys():
-        return {"algo": "ppo", "group": "policy"}
+    algo = made_by(data) if isinstance(data, dict) else None
+    if algo is not None:
+        return {"algo": algo, "group": "policy"}
     raise _wrong(path, "it does not say which algorithm made it")
 
 

@@ -1,18 +1,30 @@
-"""`load_policy`: a trained checkpoint as something that acts in an environment.
+"""`load_policy`: a trained policy's file as something that acts in an environment.
 
-Policies without learning are in `embodichain.lab.gym.policies`.
+Models of Stable-Baselines3 act here, ONNX and TorchScript in `exported.py`; policies without
+learning are in `embodichain.lab.gym.policies`.
 """
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
+import yaml
+from gymnasium import spaces
+from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from embodichain.learning.algorithms import algorithm_class
 from embodichain.learning.checkpoint import find_checkpoint, read_note
+from embodichain.learning.exported import SUFFIXES, ExportedPolicy, load_exported
+from embodichain.learning.normalization import (
+    NormalizeStatistics,
+    load_statistics,
+    statistics_path,
+)
 from embodichain.learning.spaces import ActionScale, flat_observation, observation_box
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -21,19 +33,26 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.base import EnvIndex
     from embodichain.lab.sim.types import EnvObs
 
-__all__ = ["LearnedPolicy", "load_policy"]
+__all__ = ["LearnedPolicy", "load_model", "load_policy"]
+
+# What acting does not need; a replay buffer for a million steps above all.
+_UNUSED = {"seed": None, "buffer_size": 1, "learning_starts": 0, "tensorboard_log": None}
+_OBS_NORMALIZED = ("obs", "both", True)
+_log = logging.getLogger(__name__)
 
 
 def load_policy(
     path: str | Path, env: BaseEnv | None = None, *, deterministic: bool = True
-) -> LearnedPolicy:
-    """Load a policy that `embodichain train`, or Stable-Baselines3 on an `SB3VecEnv`, has saved.
+) -> LearnedPolicy | ExportedPolicy:
+    """Load a policy that `embodichain train` or `export`, or Stable-Baselines3 itself, has saved.
 
-    Loading runs code from the file: Stable-Baselines3 stores Python objects in it with
-    cloudpickle. **Load only files that you trust**, as you would run only programs that you trust.
+    Loading a zip runs code from the file: Stable-Baselines3 stores Python objects in it with
+    cloudpickle. **Load only zips that you trust**, as you would run only programs that you trust;
+    one that lies in no run folder is warned about. ONNX and TorchScript files hold no Python.
 
     Args:
-        path: A zip file, or a run folder with ``checkpoints/final.zip``.
+        path: A zip file with, where observations were normalized, ``NAME.normalize.npz`` beside it;
+            an ``.onnx``, ``.pt`` or ``.ts`` file; or a run folder with ``checkpoints/final.zip``.
         env: Where it will act; given, that it fits is checked now instead of at the first action.
         deterministic: The mean action; otherwise actions are drawn from torch's global generator.
 
@@ -41,21 +60,48 @@ def load_policy(
         The policy: ``policy(obs, env) -> (N, A)``.
 
     Raises:
-        ConfigError: If there is no such file, if it is no policy, or if it does not fit.
+        ConfigError: If there is no such file, if it is no policy, if its statistics are missing, or
+            if it does not fit.
     """
     file = find_checkpoint(path)
+    policy: LearnedPolicy | ExportedPolicy
+    if file.suffix not in SUFFIXES:
+        policy = load_model(file, deterministic=deterministic)
+    elif deterministic:
+        policy = load_exported(file)
+    else:
+        message = f"{file} gives mean actions only: leave deterministic=false out"
+        raise ConfigError([Problem("policy", message)])
+    if env is not None:
+        policy.check(env)
+    return policy
+
+
+def load_model(file: Path, *, deterministic: bool = True) -> LearnedPolicy:
+    """Load a zip of Stable-Baselines3 with its statistics; see `load_policy` on trust.
+
+    Raises:
+        ConfigError: If it is no policy, or its statistics are missing.
+    """
     note = read_note(file)
     algorithm = algorithm_class(str(note.get("algo")))
+    statistics = _statistics(file)
+    if not _in_run_folder(file):
+        _log.warning(
+            "loading %s runs code from it: trust it as you would a program "
+            "(embodichain export policy writes files that run none)",
+            file,
+        )
     try:
         # Without its seed, and aside: nothing that runs in this process draws other numbers.
         with torch.random.fork_rng(devices=()):
-            model = algorithm.load(file, device="cpu", custom_objects={"seed": None})
+            model = algorithm.load(file, device="cpu", custom_objects=dict(_UNUSED))
     except Exception as error:  # a damaged pickle may raise anything
         message = f"{file} cannot be loaded: {type(error).__name__}: {error}"
         raise ConfigError([Problem("policy", message)]) from error
-    policy = LearnedPolicy(model, str(note.get("group", "policy")), str(file), deterministic)
-    if env is not None:
-        policy.check(env)
+    group = str(note.get("group", "policy"))
+    policy = LearnedPolicy(model, group, str(file), deterministic, statistics)
+    policy.algo, policy.task = str(note.get("algo")), note.get("task")
     return policy
 
 
@@ -63,21 +109,38 @@ class LearnedPolicy:
     """A model of Stable-Baselines3 that acts in batched environments.
 
     Args:
-        model: The model.
+        model: The model, trained on an `SB3VecEnv`.
         group: The observation group it was trained on.
         name: What messages call it.
         deterministic: Whether it takes the mean action.
+        statistics: What normalizes observations for it; None where nothing did in training.
+
+    Raises:
+        ConfigError: If the model sees or does something else than an `SB3VecEnv` has.
     """
 
     def __init__(
-        self, model: BaseAlgorithm, group: str, name: str = "policy", deterministic: bool = True
+        self,
+        model: BaseAlgorithm,
+        group: str,
+        name: str = "policy",
+        deterministic: bool = True,
+        statistics: NormalizeStatistics | None = None,
     ) -> None:
         self.model = model
         self.group = group
         self.name = name
         self.deterministic = deterministic
+        self.statistics = statistics
+        self.algo: str | None = None
+        """The algorithm's name, where the file says it."""
+        self.task: str | None = None
+        """The task's, likewise."""
         self._env: BaseEnv | None = None
         self._scale: ActionScale | None = None
+        self._state: tuple[NDArray[Any], ...] | None = None
+        self._starts: NDArray[np.bool_] | None = None
+        self._check_spaces()
 
     def check(self, env: BaseEnv) -> ActionScale:
         """Check that the policy fits an environment.
@@ -98,7 +161,20 @@ class LearnedPolicy:
         if problems:
             raise ConfigError(problems)
         self._env, self._scale = env, scale
+        self._state, self._starts = None, np.ones(env.num_envs, np.bool_)
         return scale
+
+    def predict(self, flat: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return (N, A) actions in [-1, 1] for flat observations (N, K) as the task gives them."""
+        seen: Any = flat if self.statistics is None else self.statistics.normalize(flat)
+        actions, state = self.model.predict(
+            seen, state=self._state, episode_start=self._starts, deterministic=self.deterministic
+        )
+        self._state = state
+        if self._starts is not None:
+            self._starts[:] = False
+        result: NDArray[np.float32] = np.asarray(actions, np.float32)
+        return result
 
     def __call__(self, obs: EnvObs, env: BaseEnv) -> torch.Tensor:
         """Return (N, A) float32 actions for an observation.
@@ -109,9 +185,45 @@ class LearnedPolicy:
         scale = self._scale if env is self._env else None
         if scale is None:
             scale = self.check(env)
-        flat: Any = flat_observation(env, obs, self.group)
-        actions, _ = self.model.predict(flat, deterministic=self.deterministic)
+        actions = self.predict(flat_observation(env, obs, self.group))
         return torch.from_numpy(scale(actions)).to(env.device)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Nothing is kept from step to step."""
+        """Forget what a recurrent policy remembers of these environments' episodes."""
+        if self._starts is not None:
+            self._starts[... if env_ids is None else env_ids] = True
+
+    def _check_spaces(self) -> None:
+        seen, done = self.model.observation_space, self.model.action_space
+        problems = []
+        if not isinstance(seen, spaces.Box) or len(seen.shape) != 1:
+            problems.append(f"sees {seen}, not one flat vector")
+        elif self.statistics is not None and self.statistics.obs_mean.shape != seen.shape:
+            have = self.statistics.obs_mean.shape
+            problems.append(f"sees observations {seen.shape}, its statistics are of {have}")
+        whole = isinstance(done, spaces.Box) and (done.low == -1).all() and (done.high == 1).all()
+        if not whole:
+            problems.append(f"acts in {done}, not in [-1, 1] as on an SB3VecEnv")
+        if problems:
+            raise ConfigError([Problem("policy", f"{self.name} {what}") for what in problems])
+
+
+def _statistics(file: Path) -> NormalizeStatistics | None:
+    """The statistics beside a checkpoint; required where its run normalized observations."""
+    path = statistics_path(file)
+    return load_statistics(path) if path.exists() or _was_normalized(file) else None
+
+
+def _was_normalized(file: Path) -> bool:
+    config = file.resolve().parent.parent / "config.yaml"
+    try:
+        tree = yaml.safe_load(config.read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError):
+        return False
+    algo = tree.get("algo") if isinstance(tree, dict) else None
+    return isinstance(algo, dict) and algo.get("normalize") in _OBS_NORMALIZED
+
+
+def _in_run_folder(file: Path) -> bool:
+    """Whether a file is a checkpoint of a run that somebody made here."""
+    return (file.resolve().parent.parent / "config.yaml").is_file()

@@ -6,11 +6,14 @@ import zipfile
 
 import numpy as np
 import pytest
+import stable_baselines3
 import torch
+from stable_baselines3.common.vec_env import VecNormalize
 
 from embodichain.learning import SB3VecEnv, find_checkpoint, load_policy
 from embodichain.learning.algorithms import build_algorithm, check_arguments
 from embodichain.learning.checkpoint import read_note, save_checkpoint
+from embodichain.learning.normalization import save_statistics, statistics_path
 from embodichain.utils.errors import ConfigError
 from tests.learning.counting import CountingEnv
 
@@ -150,3 +153,83 @@ def test_policy_of_another_task_names_both_shapes(run_dir):
     late = load_policy(run_dir)
     with pytest.raises(ConfigError, match=r"has observations \(3,\), this task has \(2,\)"):
         late(env.reset()[0], env)
+
+
+ANY = {
+    "a2c": {"n_steps": 4},
+    "sac": {"buffer_size": 100, "learning_starts": 4},
+    "td3": {"buffer_size": 100, "learning_starts": 4},
+    "ddpg": {"buffer_size": 100, "learning_starts": 4},
+}
+
+
+@pytest.mark.parametrize("algo", ANY)
+def test_zips_of_other_algorithms_are_played(tmp_path, algo, caplog):
+    made = getattr(stable_baselines3, algo.upper())
+    vec_env = SB3VecEnv(CountingEnv([0, 3]))
+    model = made("MlpPolicy", vec_env, device="cpu", **ANY[algo]).learn(8)
+    model.save(tmp_path / "mine.zip")
+    env = CountingEnv([0, 3])
+    obs, _ = env.reset()
+    played = load_policy(tmp_path / "mine.zip", env)(obs, env)
+    means, _ = model.predict(np.float32([[0, 0, 0], [1, 0, 0]]), deterministic=True)
+    np.testing.assert_allclose(played.numpy(), means, atol=1e-6)
+    assert "runs code from it" in caplog.text  # it lies in nobody's run folder
+
+
+@pytest.fixture
+def normalized(tmp_path):
+    """A run folder whose training normalized observations, and what it was trained with."""
+    vec_env = VecNormalize(SB3VecEnv(CountingEnv([0, 3])), clip_obs=1.5)
+    arguments = check_arguments("ppo", {"n_steps": 4, "batch_size": 8})
+    model = build_algorithm("ppo", arguments, vec_env, 0).learn(16)
+    path = tmp_path / "run/checkpoints/final.zip"
+    save_checkpoint(model, path, NOTE)
+    save_statistics(statistics_path(path), vec_env)
+    (tmp_path / "run/config.yaml").write_text("algo: {name: ppo, normalize: obs}\n")
+    return path, model, vec_env
+
+
+def test_observations_are_normalized_as_in_training(normalized, caplog):
+    path, model, vec_env = normalized
+    env = CountingEnv([0, 3])
+    obs, _ = env.reset()
+    seen = vec_env.normalize_obs(np.float32([[0, 0, 0], [1, 0, 0]]))
+    means, _ = model.predict(seen, deterministic=True)
+    np.testing.assert_allclose(load_policy(path, env)(obs, env).numpy(), means, atol=1e-6)
+    assert caplog.text == ""  # a run of one's own is no stranger
+
+
+def test_missing_statistics_are_one_error(normalized):
+    path, _, _ = normalized
+    statistics_path(path).unlink()
+    with pytest.raises(ConfigError, match=r"final\.normalize\.npz is missing") as caught:
+        load_policy(path.parent.parent)
+    assert len(caught.value.problems) == 1
+    (path.parent.parent / "config.yaml").write_text("algo: {name: ppo, normalize: reward}\n")
+    load_policy(path)  # rewards are of no use when playing
+
+
+def test_statistics_of_another_task(normalized):
+    path, _, _ = normalized
+    other = VecNormalize(SB3VecEnv(CountingEnv([0])))
+    other.obs_rms.mean, other.obs_rms.var = np.zeros(2), np.ones(2)
+    save_statistics(statistics_path(path), other)
+    with pytest.raises(ConfigError, match=r"observations \(3,\), its statistics are of \(2,\)"):
+        load_policy(path)
+
+
+def test_models_of_other_environments_are_refused(tmp_path):
+    model = stable_baselines3.PPO("MlpPolicy", "Pendulum-v1", n_steps=4, batch_size=4, device="cpu")
+    model.save(tmp_path / "pendulum.zip")
+    with pytest.raises(ConfigError, match=r"acts in Box\(-2.0, 2.0.*not in \[-1, 1\]") as caught:
+        load_policy(tmp_path / "pendulum.zip")
+    assert len(caught.value.problems) == 1
+
+
+def test_loading_takes_no_memory_for_a_replay_buffer(tmp_path):
+    vec_env = SB3VecEnv(CountingEnv([0, 3]))
+    model = stable_baselines3.SAC("MlpPolicy", vec_env, buffer_size=50, device="cpu")
+    model.buffer_size = 10**12
+    model.save(tmp_path / "sac.zip")
+    assert load_policy(tmp_path / "sac.zip").model.replay_buffer.buffer_size == 1

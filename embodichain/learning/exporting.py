@@ -1,0 +1,216 @@
+"""`export_policy`: a model of Stable-Baselines3 as one ONNX or TorchScript file that needs neither.
+
+The file takes flat observations as the task gives them: normalization, clipping and scaling to the
+task's bounds are part of the network. Reading such files is in `exported.py`.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from embodichain import __version__
+from embodichain.learning.columns import observation_columns
+from embodichain.learning.exported import (
+    INPUT,
+    METADATA,
+    OUTPUT,
+    ExportedPolicy,
+    PolicyMetadata,
+    load_exported,
+    need_onnx,
+)
+from embodichain.learning.normalization import NormalizeStatistics
+from embodichain.learning.policy import LearnedPolicy
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = ["FORMATS", "TOLERANCE", "Format", "export_policy"]
+
+Format = Literal["onnx", "torchscript"]
+FORMATS: dict[Format, str] = {"onnx": ".onnx", "torchscript": ".pt"}
+"""Formats, with the suffix of their files."""
+TOLERANCE = 1e-5
+"""Most that an exported action may differ, in units of half the action's range, at least of 1."""
+_CHECKED = 256  # observations that the file is compared on
+_OPSET = 17
+F32 = NDArray[np.float32]
+
+
+def export_policy(
+    policy: LearnedPolicy, env: BaseEnv, path: str | Path, form: Format, *, task: str | None = None
+) -> float:
+    """Write a policy's deterministic action into a new file, and check the file.
+
+    Args:
+        policy: What `load_policy` returned for a zip; takes its mean action.
+        env: An environment of its task: columns of observations, bounds of actions.
+        path: A file that does not exist yet.
+        form: ``onnx`` or ``torchscript``.
+        task: What the file says; None takes what the checkpoint says.
+
+    Returns:
+        The largest difference of actions from Stable-Baselines3's own, in the task's units.
+
+    Raises:
+        ConfigError: If the policy does not fit, remembers (it is recurrent), draws its actions, or
+            the file exists or cannot be written, or a package is missing.
+        RuntimeError: If the written file acts otherwise; it is removed.
+    """
+    path = Path(path)
+    _refuse(policy, path)
+    if form == "onnx":
+        for package in ("onnx", "onnxruntime"):
+            need_onnx(package)
+    scale = policy.check(env)
+    network = _Network(policy, env)
+    metadata = PolicyMetadata(
+        task=task or policy.task or "unknown",
+        algo=policy.algo or "unknown",
+        group=policy.group,
+        columns=observation_columns(env, policy.group),
+        action_low=tuple(network.low.tolist()),
+        action_high=tuple(network.high.tolist()),
+        embodichain=__version__,
+    )
+    observations = _observations(policy)
+    wanted = scale(policy.predict(observations))
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}{FORMATS[form]}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _WRITERS[form](network, observations[:2], temporary, metadata)
+        written = load_exported(temporary)
+        worst = _compare(written, observations, wanted, network)
+        os.link(temporary, path)  # unlike a rename, it refuses a name that is taken
+    except FileExistsError as error:
+        raise _taken(path) from error
+    except OSError as error:
+        raise ConfigError([Problem("output", f"cannot write {path}: {error}")]) from error
+    finally:
+        temporary.unlink(missing_ok=True)
+    return worst
+
+
+class _Network(torch.nn.Module):
+    """Observations (N, K) of the task to actions (N, A) of the task."""
+
+    mean: torch.Tensor
+    deviation: torch.Tensor
+    low: torch.Tensor
+    high: torch.Tensor
+
+    def __init__(self, policy: LearnedPolicy, env: BaseEnv) -> None:
+        super().__init__()
+        self.policy = policy.model.policy.eval()
+        space: Any = env.single_action_space
+        statistics = policy.statistics
+        self.normalizes = statistics is not None and statistics.norm_obs
+        self.clip = statistics.clip_obs if statistics is not None else 0.0
+        self._buffers_of(statistics)
+        self.register_buffer("low", torch.from_numpy(np.array(space.low, np.float32)))
+        self.register_buffer("high", torch.from_numpy(np.array(space.high, np.float32)))
+
+    def _buffers_of(self, statistics: NormalizeStatistics | None) -> None:
+        if statistics is None:
+            return
+        # float64, as `VecNormalize` computes: a large mean would cost digits otherwise.
+        deviation = np.sqrt(statistics.obs_var + statistics.epsilon)
+        self.register_buffer("mean", torch.from_numpy(statistics.obs_mean.copy()))
+        self.register_buffer("deviation", torch.from_numpy(deviation))
+
+    def forward(self, obs: torch.Tensor) -> torch.Tensor:
+        """Return actions within the task's bounds."""
+        if self.normalizes:
+            scaled = (obs.double() - self.mean) / self.deviation
+            obs = scaled.clamp(-self.clip, self.clip).float()
+        action = self.policy._predict(obs, deterministic=True).clamp(-1.0, 1.0)
+        return 0.5 * ((1.0 - action) * self.low + (1.0 + action) * self.high)
+
+
+def _refuse(policy: LearnedPolicy, path: Path) -> None:
+    if os.path.lexists(path):
+        raise _taken(path)
+    if not policy.deterministic:
+        raise ConfigError([Problem("policy", "only deterministic policies are exported")])
+    if hasattr(policy.model.policy, "lstm_actor"):
+        message = f"{policy.name} is recurrent: a file without memory cannot act as it does"
+        raise ConfigError([Problem("policy", message)])
+
+
+def _observations(policy: LearnedPolicy) -> F32:
+    """(n, K) observations about where the policy has seen them, some far off."""
+    space: Any = policy.model.observation_space
+    drawn = np.random.default_rng(0).normal(size=(_CHECKED, *space.shape))
+    drawn[::4] *= 20.0  # beyond what clips
+    if policy.statistics is not None:
+        drawn = policy.statistics.obs_mean + drawn * np.sqrt(policy.statistics.obs_var)
+    return drawn.astype(np.float32)
+
+
+def _compare(written: ExportedPolicy, observations: F32, wanted: F32, network: _Network) -> float:
+    """The largest difference; one row and all rows must agree with the model.
+
+    Raises:
+        RuntimeError: If it is too large.
+    """
+    found = written.act(observations)
+    single = written.act(observations[-1:])
+    half = np.maximum((network.high - network.low).numpy() / 2, 1.0)
+    error = np.abs(np.concatenate([found - wanted, single - wanted[-1:]]))
+    # `not <=`: NaN is no agreement.
+    if not (error <= TOLERANCE * half).all():
+        raise RuntimeError(
+            f"the exported policy differs from the model by {np.max(error):.3g}, more than "
+            f"{TOLERANCE:g} of the actions' range: nothing was written"
+        )
+    return float(error.max())
+
+
+def _write_onnx(network: _Network, example: F32, path: Path, metadata: PolicyMetadata) -> None:
+    onnx = need_onnx("onnx")
+    with warnings.catch_warnings(), torch.no_grad():
+        # The exporter by tracing: the other one needs a compiler package for the same graph.
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            network,
+            (torch.from_numpy(example),),
+            str(path),
+            input_names=[INPUT],
+            output_names=[OUTPUT],
+            dynamic_axes={INPUT: {0: "N"}, OUTPUT: {0: "N"}},
+            opset_version=_OPSET,
+            dynamo=False,
+        )
+    model = onnx.load(str(path))
+    entry = model.metadata_props.add()
+    entry.key, entry.value = METADATA, metadata.to_json()
+    onnx.checker.check_model(model)
+    onnx.save(model, str(path))
+
+
+def _write_torchscript(
+    network: _Network, example: F32, path: Path, metadata: PolicyMetadata
+) -> None:
+    with warnings.catch_warnings(), torch.no_grad():
+        warnings.simplefilter("ignore")  # deprecated, and still what C++ programs load
+        traced: Any = torch.jit.trace(network, torch.from_numpy(example))  # type: ignore[no-untyped-call]
+        torch.jit.save(traced, str(path), _extra_files={METADATA: metadata.to_json()})
+
+
+_WRITERS: dict[Format, Callable[[_Network, F32, Path, PolicyMetadata], None]] = {
+    "onnx": _write_onnx,
+    "torchscript": _write_torchscript,
+}
+
+
+def _taken(path: Path) -> ConfigError:
+    return ConfigError([Problem("output", f"{path} exists; it is never replaced")])
