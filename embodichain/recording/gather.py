@@ -1,0 +1,303 @@
+"""Fills arrays from the messages of a log: states by component, and what steps gave.
+
+One copy out of a chunk while it is in the cache, one into the result; nothing is parsed number by
+number.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.recording import wire
+from embodichain.recording.arrays import LogArrays
+from embodichain.recording.chunks import ChunkFile, Found
+from embodichain.recording.header import Header, LogError
+from embodichain.recording.messages import State, StepOutcome
+from embodichain.recording.model_columns import Column
+
+__all__ = ["OUTCOMES", "Gatherer", "Steps"]
+
+OUTCOMES = {
+    "actions": "action",
+    "rewards": "reward",
+    "terminated": "terminated",
+    "truncated": "truncated",
+    "episodes": "episode_ids",
+}
+"""Field to the attribute of `StepOutcome` it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Control steps [start, stop); `stop` None is the end."""
+
+    start: int = 0
+    stop: int | None = None
+
+    def last(self) -> int:
+        """The last step that may be meant."""
+        return sys.maxsize if self.stop is None else self.stop - 1
+
+
+@dataclass
+class _Row:
+    """Where a state lies."""
+
+    step: int
+    payload: memoryview
+    offset: int
+    width: int
+
+
+@dataclass
+class Gatherer:
+    """Reads some fields of some environments and steps.
+
+    The row of a step is the one that its physics received, after every write: the first of all
+    environments with the step's number of physics steps; before the first step, where a reset may
+    let things settle, the last.
+
+    Args:
+        file: The log.
+        components: State components to read.
+        outcomes: Keys of `OUTCOMES` to read.
+        env_ids: Environments, (n,).
+        span: Steps.
+    """
+
+    file: ChunkFile
+    components: Sequence[str]
+    outcomes: Sequence[str]
+    env_ids: NDArray[np.int64]
+    span: Steps
+    values: dict[str, NDArray[Any]] = field(default_factory=dict, init=False)
+    steps: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64), init=False)
+
+    def __post_init__(self) -> None:
+        self._header: Header = self.file.require_header()
+        n = self._header.num_envs
+        self._all = len(self.env_ids) == n and bool((self.env_ids == np.arange(n)).all())
+        self._tail = wire.uint(6, self._header.substeps)
+        narrow = sum(b - a for a, b in self._header.columns)
+        self._heads = {
+            width: wire.uint(2, n) + wire.uint(3, width) + wire.packed(4, 8 * n * width)
+            for width in {narrow, self._header.nstate}
+        }
+        self._pending: _Row | None = None
+
+    def run(self) -> None:
+        """Read, and set `steps` and `values`.
+
+        Raises:
+            LogError: If the file says what cannot be.
+        """
+        chunks = self.file.between(*self._times())
+        self._make(self._bound(sum(c.size for c in chunks)))
+        rows, outcomes = 0, 0
+        state_steps = np.empty(len(self.steps), np.int64)
+        try:
+            for block in self.file.blocks(chunks):
+                states, steps = self._sort(block)
+                state_steps = _fit(state_steps, rows + len(states))
+                state_steps[rows : rows + len(states)] = [row.step for row in states]
+                self._put_states(states, rows)
+                rows += len(states)
+                outcomes = self._put_outcomes(steps, outcomes)
+        except wire.WireError as error:
+            raise LogError(f"{self.file.path}: a message is damaged: {error}") from error
+        self._trim(state_steps[:rows], self.steps[:outcomes])
+
+    def shape_of(self, name: str) -> int:
+        """Columns of a field that was read; 0 if no step was."""
+        values = self.values.get(name)
+        return 0 if values is None else int(values.shape[-1])
+
+    def arrays(self, columns: Mapping[str, list[Column]]) -> LogArrays:
+        """What was read, states first."""
+        dtypes = {"terminated": np.bool_, "truncated": np.bool_, "episodes": np.int64}
+        empty = (0, len(self.env_ids))
+        for name in self.outcomes:  # of no step at all
+            shape = (*empty, len(columns[name])) if name == "actions" else empty
+            self.values.setdefault(name, np.empty(shape, dtypes.get(name, np.float64)))
+        wanted = [*self.components, *self.outcomes]
+        return LogArrays(
+            self.steps,
+            self.env_ids,
+            self._header.control_dt,
+            {name: columns[name] for name in wanted},
+            {name: self.values[name] for name in wanted},
+        )
+
+    def _times(self) -> tuple[int, int]:
+        start, period = self._header.start_ns, self._header.period_ns
+        return start + self.span.start * period, start + self.span.last() * period
+
+    def _bound(self, size: int) -> int:
+        """At most so many steps are there: by times, and by the bytes a step takes at least."""
+        chunks = self.file.between(*self._times())
+        if not chunks:
+            return 0
+        start, period = self._header.start_ns, self._header.period_ns
+        last = min(self.span.last(), (max(c.end_ns for c in chunks) - start) // period)
+        by_bytes = size // (8 * self._header.num_envs + 31) + 1
+        return max(0, min(last - self.span.start + 1, by_bytes))
+
+    def _make(self, bound: int) -> None:
+        n = len(self.env_ids)
+        try:
+            self.steps = np.empty(bound, np.int64)
+            for name in self.components:
+                a, b = self._header.layout[name]
+                self.values[name] = np.empty((bound, n, b - a))
+        except (MemoryError, ValueError) as error:
+            raise LogError(f"{self.file.path}: {bound} steps of {n} rows: {error}") from error
+
+    # -- messages of a chunk -----------------------------------------------------------------------
+
+    def _sort(self, block: list[Found]) -> tuple[list[_Row], list[tuple[int, memoryview]]]:
+        """Rows and steps that are wanted."""
+        rows: list[_Row] = []
+        steps: list[tuple[int, memoryview]] = []
+        first, last = self.span.start, self.span.last()
+        for topic, _, payload in block:
+            if topic == "/sim/step":
+                step = _first_uint(payload)
+                if first <= step <= last:
+                    if self._pending is not None and self._pending.step == step:
+                        rows.append(self._pending)
+                    self._pending = None
+                    steps.append((step, payload))
+            elif topic == "/sim/state" and self.components:
+                step = _first_uint(payload)
+                if first <= step <= last:
+                    self._consider(step, payload)
+        return rows, steps
+
+    def _consider(self, step: int, payload: memoryview) -> None:
+        """Take a message for the row of its step, if it is."""
+        pending = self._pending
+        if pending is not None and pending.step == step and step > 0:
+            return
+        row = self._row(step, payload)
+        if row is not None:
+            self._pending = row
+
+    def _row(self, step: int, payload: memoryview) -> _Row | None:
+        """Where the rows lie in a message of all environments; None for any other."""
+        begin = 1 + len(wire.varint(step)) if step else 0
+        for width, head in self._heads.items():
+            offset = begin + len(head)
+            if payload[begin:offset] == head:
+                end = offset + 8 * self._header.num_envs * width
+                tail = payload[end:]
+                if len(tail) and tail[0] == 0x28:  # call
+                    at = 1
+                    while at < len(tail) and tail[at] & 0x80:
+                        at += 1
+                    tail = tail[at + 1 :]
+                return _Row(step, payload, offset, width) if tail == self._tail else None
+        State.decode(payload)  # raises if it is none: it is one of some environments
+        return None
+
+    # -- into the result ---------------------------------------------------------------------------
+
+    def _put_states(self, rows: list[_Row], at: int) -> None:
+        """Copy rows that follow each other, as many at a time as have one width."""
+        while rows:
+            width = rows[0].width
+            same = next((i for i, row in enumerate(rows) if row.width != width), len(rows))
+            self._put_block(rows[:same], at)
+            rows, at = rows[same:], at + same
+
+    def _put_block(self, rows: list[_Row], at: int) -> None:
+        n, width, count = self._header.num_envs, rows[0].width, len(rows)
+        block = np.empty((count, n * width))
+        for target, row in zip(block, rows, strict=True):
+            target[:] = np.frombuffer(row.payload, "<f8", n * width, row.offset)
+        shaped = block.reshape(count, n, width)
+        if not self._all:
+            shaped = shaped[:, self.env_ids]
+        for name in self.components:
+            target = self.values[name] = _fit(self.values[name], at + count)
+            columns = self._within(name, width)
+            target[at : at + count] = 0.0 if columns is None else shaped[..., columns]
+
+    def _within(self, component: str, width: int) -> slice | None:
+        """Columns of a component in rows of a width; None where they were left out as zero."""
+        start, stop = self._header.layout[component]
+        if width == self._header.nstate:
+            return slice(start, stop)
+        at = 0
+        for a, b in self._header.columns:
+            if a <= start and stop <= b:
+                return slice(at + start - a, at + stop - a)
+            at += b - a
+        return None
+
+    def _put_outcomes(self, steps: list[tuple[int, memoryview]], at: int) -> int:
+        end = at + len(steps)
+        self.steps = _fit(self.steps, end)
+        self.steps[at:end] = [step for step, _ in steps]
+        if self.outcomes and steps:
+            decoded = [StepOutcome.decode(payload) for _, payload in steps]
+            for name in self.outcomes:
+                stacked = _stack([getattr(d, OUTCOMES[name]) for d in decoded])[:, self.env_ids]
+                if name not in self.values:
+                    shape = (len(self.steps), *stacked.shape[1:])
+                    self.values[name] = np.empty(shape, stacked.dtype)
+                target = self.values[name] = _fit(self.values[name], end)
+                target[at:end] = stacked
+        return end
+
+    def _trim(self, of_states: NDArray[np.int64], of_outcomes: NDArray[np.int64]) -> None:
+        """Keep the steps of which everything is there."""
+        rows, outcomes = len(of_states), len(of_outcomes)
+        same = not self.components or np.array_equal(of_states, of_outcomes)
+        self.steps = of_outcomes
+        for name, values in self.values.items():
+            self.values[name] = values[: rows if name in self.components else outcomes]
+        if same:
+            return
+        both, left, right = np.intersect1d(of_states, of_outcomes, return_indices=True)
+        self.steps = both
+        for name, values in self.values.items():
+            self.values[name] = values[left if name in self.components else right]
+
+
+def _first_uint(payload: memoryview) -> int:
+    """Field 1 of a message, which begins with it unless it is 0."""
+    if not len(payload) or payload[0] != 0x08:
+        return 0
+    value = shift = 0
+    for byte in payload[1:11]:
+        value |= (byte & 0x7F) << shift
+        if byte < 0x80:
+            return value
+        shift += 7
+    raise wire.WireError("a step number does not end")
+
+
+def _fit(values: NDArray[Any], size: int) -> NDArray[Any]:
+    """The array, or a larger copy where the file held more than its times say."""
+    if size <= len(values):
+        return values
+    larger = np.empty((max(size, 2 * len(values)), *values.shape[1:]), values.dtype)
+    larger[: len(values)] = values
+    return larger
+
+
+def _stack(arrays: list[NDArray[Any]]) -> NDArray[Any]:
+    """(T, N, ...) of equally shaped arrays.
+
+    Raises:
+        WireError: If their shapes differ.
+    """
+    if len({a.shape for a in arrays}) > 1:
+        raise wire.WireError("steps have different numbers of environments or actions")
+    return np.stack(arrays)

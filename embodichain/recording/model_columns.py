@@ -1,0 +1,123 @@
+"""What the columns of each state component are called, and in which unit they are.
+
+Names are the model's: ``arm/shoulder`` for a joint with one coordinate, ``cube/free.qw`` for a
+coordinate of one with several, ``goal.x`` for a mocap body. SI units, radians, quaternions wxyz.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import NamedTuple
+
+import mujoco
+
+__all__ = ["Column", "state_columns"]
+
+
+class Column(NamedTuple):
+    """One number of a state."""
+
+    name: str
+    unit: str
+    """Empty where it has none: quaternions, flags, controls of unknown meaning."""
+
+
+_QUAT = tuple((f"q{axis}", "") for axis in "wxyz")
+_POSITION = tuple((axis, "m") for axis in "xyz")
+_SPIN = tuple((f"w{axis}", "rad/s") for axis in "xyz")
+_VELOCITY = tuple((f"v{axis}", "m/s") for axis in "xyz")
+_FORCE = tuple((f"f{axis}", "N") for axis in "xyz")
+_TORQUE = tuple((f"t{axis}", "N m") for axis in "xyz")
+
+Parts = tuple[tuple[str, str], ...]
+_FREE, _BALL, _SLIDE, _HINGE = (
+    int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("FREE", "BALL", "SLIDE", "HINGE")
+)
+_QPOS: Mapping[int, Parts] = {
+    _FREE: (*_POSITION, *_QUAT),
+    _BALL: _QUAT,
+    _SLIDE: (("", "m"),),
+    _HINGE: (("", "rad"),),
+}
+_QVEL: Mapping[int, Parts] = {
+    _FREE: (*_VELOCITY, *_SPIN),
+    _BALL: _SPIN,
+    _SLIDE: (("", "m/s"),),
+    _HINGE: (("", "rad/s"),),
+}
+_FORCES: Mapping[int, Parts] = {
+    _FREE: (*_FORCE, *_TORQUE),
+    _BALL: _TORQUE,
+    _SLIDE: (("", "N"),),
+    _HINGE: (("", "N m"),),
+}
+_ACCELERATIONS = {
+    kind: tuple((f"a{part[1:]}" if part[:1] == "v" else part, f"{unit}^2") for part, unit in parts)
+    for kind, parts in _QVEL.items()
+}
+# Of actuators that are not servos only the transmission is known, not what a control means.
+_SERVO = {_SLIDE: "m", _HINGE: "rad"}
+
+
+def state_columns(
+    model: mujoco.MjModel, layout: Mapping[str, tuple[int, int]]
+) -> dict[str, list[Column]]:
+    """Name and unit of every column of every component that has any.
+
+    Args:
+        model: The recorded model.
+        layout: Component of a row to its (start, stop) columns.
+    """
+    makers: Mapping[str, Callable[[], Iterator[Column]]] = {
+        "time": lambda: iter([Column("time", "s")]),
+        "qpos": lambda: _joints(model, _QPOS),
+        "qvel": lambda: _joints(model, _QVEL),
+        "qacc_warmstart": lambda: _joints(model, _ACCELERATIONS),
+        "qfrc_applied": lambda: _joints(model, _FORCES),
+        "xfrc_applied": lambda: _bodies(model, (*_FORCE, *_TORQUE), mocap=False),
+        "mocap_pos": lambda: _bodies(model, _POSITION, mocap=True),
+        "mocap_quat": lambda: _bodies(model, _QUAT, mocap=True),
+        "ctrl": lambda: _controls(model),
+    }
+    found: dict[str, list[Column]] = {}
+    for component, (start, stop) in layout.items():
+        if stop <= start:
+            continue
+        named = list(makers[component]()) if component in makers else []
+        if len(named) != stop - start:  # a component whose columns have no names of their own
+            named = [Column(str(i), "") for i in range(stop - start)]
+        found[component] = named
+    return found
+
+
+def _joints(model: mujoco.MjModel, parts: Mapping[int, Parts]) -> Iterator[Column]:
+    for joint in range(model.njnt):
+        name = model.joint(joint).name or f"joint_{joint}"
+        yield from _named(name, parts[int(model.jnt_type[joint])])
+
+
+def _bodies(model: mujoco.MjModel, parts: Parts, mocap: bool) -> Iterator[Column]:
+    ids = range(model.nbody)
+    if mocap:
+        placed = {int(model.body_mocapid[i]): i for i in ids if model.body_mocapid[i] >= 0}
+        ids = [placed[i] for i in sorted(placed)]  # type: ignore[assignment]
+    for body in ids:
+        yield from _named(model.body(body).name or f"body_{body}", parts)
+
+
+def _controls(model: mujoco.MjModel) -> Iterator[Column]:
+    for actuator in range(model.nu):
+        name = model.actuator(actuator).name
+        on_joint = int(model.actuator_trntype[actuator]) == int(mujoco.mjtTrn.mjTRN_JOINT)
+        joint = int(model.actuator_trnid[actuator, 0])
+        if not name:
+            name = model.joint(joint).name if on_joint else f"actuator_{actuator}"
+        # A position servo: force = kp (ctrl - qpos) - ..., so its control is a joint position.
+        kp = float(model.actuator_gainprm[actuator, 0])
+        servo = on_joint and kp > 0 and float(model.actuator_biasprm[actuator, 1]) == -kp
+        yield Column(name, _SERVO.get(int(model.jnt_type[joint]), "") if servo else "")
+
+
+def _named(name: str, parts: Parts) -> Iterator[Column]:
+    for part, unit in parts:
+        yield Column(f"{name}.{part}" if part else name, unit)

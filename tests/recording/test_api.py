@@ -1,0 +1,254 @@
+import builtins
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_protobuf.decoder import DecoderFactory
+
+import embodichain.recording as recording
+from embodichain.recording import RecordOptions
+from embodichain.recording.header import LogError
+from embodichain.utils.errors import ConfigError
+from tests.recording.rewrite import rewrite
+from tests.recording.scene import MODEL
+
+
+def decoded(path, topic):
+    """Messages of a topic as somebody else's library reads them."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        return [message for *_, message in reader.iter_decoded_messages(topics=[topic])]
+
+
+def rows_of_steps(path):
+    """Whole-batch rows of control steps, (T, N, width), by that library."""
+    states = [m for m in decoded(path, "/sim/state") if m.nstep == 4 and not m.env_ids]
+    return np.stack([np.array(m.state).reshape(m.num_envs, m.width) for m in states])
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd", "none"])
+def test_arrays_are_what_another_library_reads(record, compression):
+    path = record(steps=25, settle=3, options=RecordOptions(compression=compression))
+    rows, steps = rows_of_steps(path), decoded(path, "/sim/step")
+    with recording.open(path) as log:
+        data = log.read()
+        kept = np.concatenate([np.arange(a, b) for a, b in log.header.columns])
+        for name in ("qpos", "qvel", "ctrl", "mocap_pos", "mocap_quat"):
+            a, b = log.header.layout[name]
+            expected = rows[..., np.searchsorted(kept, a) : np.searchsorted(kept, b)]
+            assert np.array_equal(data[name], expected), name
+        assert log.complete
+        assert not log.warnings
+    assert data["rewards"].tolist() == [list(s.reward) for s in steps]
+    assert data["actions"].reshape(25, -1).tolist() == [list(s.action) for s in steps]
+    assert data["truncated"].tolist() == [[bool(b) for b in s.truncated] for s in steps]
+    assert data["terminated"].tolist() == [[bool(b) for b in s.terminated] for s in steps]
+    assert data["episodes"].tolist() == [list(s.episode_id) for s in steps]
+    assert data.steps.tolist() == list(range(25))
+    assert data.time[-1] == pytest.approx(24 * 0.02)
+
+
+def test_columns_have_names_and_units(record):
+    with recording.open(record()) as log:
+        assert [f"{c.name} [{c.unit}]" for c in log.columns["qpos"][:4]] == [
+            *("arm/shoulder [rad]", "arm/elbow [rad]", "cube/free.x [m]", "cube/free.y [m]")
+        ]
+        assert log.columns["qvel"][-1] == ("cube/free.wz", "rad/s")
+        assert log.columns["ctrl"] == [("arm/shoulder", "rad"), ("arm/elbow", "rad")]
+        assert log.columns["mocap_pos"][3] == ("goal.x", "m")
+        assert log.columns["xfrc_applied"][-1] == ("hidden.tz", "N m")
+        data = log.read(["qpos", "ctrl", "rewards"])
+    assert data.names("qpos")[2] == "cube/free.x"
+    assert [c.name for c, _ in data.flat()][:5] == ["step", "time", "env", "qpos/arm/shoulder",
+                                                     "qpos/arm/elbow"]  # fmt: skip
+
+
+def test_what_was_recorded(record):
+    with recording.open(record(seed=4)) as log:
+        assert (log.task, log.seed, log.num_envs, log.dt) == ("small", 4, 3, 0.02)
+        assert log.config == {"seed": 0}
+        assert log.config_yaml == "seed: 0\n"
+        assert log.versions["numpy"] == np.__version__
+        assert "model.mjb" in log.attachments
+        assert np.array_equal(log.model.body_mass, MODEL.body_mass)
+
+
+def test_slices_are_parts_of_the_whole(record):
+    path = record(steps=30)
+    with recording.open(path) as log:
+        whole = log.read()
+        part = log.read("qvel", env=[0, 2], start=5, stop=12)
+        assert np.array_equal(part["qvel"], whole["qvel"][5:12, [0, 2]])
+        assert part.steps.tolist() == list(range(5, 12))
+        episode = next(e for e in log.episodes if e.env == 1 and e.episode == 2)
+        one = log.read(["qpos", "rewards"], env=1, episode=2)
+        assert one["rewards"][:, 0].sum() == pytest.approx(episode.total_reward)
+        assert np.array_equal(
+            one["qpos"][:, 0], whole["qpos"][episode.first_step : episode.last_step + 1, 1]
+        )
+        assert len(log.read("qpos", start=30)) == 0
+        assert log.read("actions", start=100)["actions"].shape == (0, 3, 2)
+
+
+def test_a_range_reads_only_the_chunks_it_lies_in(record, tmp_path):
+    path = record(num_envs=64, steps=120, options=RecordOptions(compression="none"))
+    with recording.open(path) as log:
+        places = log._file.chunks
+        assert len(places) > 3
+        expected = log.read("qpos", start=0, stop=3)["qpos"]
+        middle = places[len(places) // 2]
+    data = bytearray(path.read_bytes())
+    data[middle.offset + middle.length // 2] ^= 1
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(data)
+    with recording.open(broken) as log:
+        assert np.array_equal(log.read("qpos", start=0, stop=3)["qpos"], expected)
+        assert log.complete  # the damage was not met
+        steps = len(log.read("qpos"))
+        assert 3 < steps < 120
+        assert not log.complete
+        assert "checksum" in log.warnings[0]
+
+
+def test_episodes_cover_every_step_and_say_how_they_ended(record):
+    with recording.open(record(steps=30)) as log:
+        episodes, data = log.episodes, log.read()
+    for env in range(3):
+        mine = [e for e in episodes if e.env == env]
+        assert sum(e.steps for e in mine) == 30
+        assert [e.episode for e in mine] == list(range(len(mine)))
+        assert all(e.truncated for e in mine[:-1])
+        ended = [e.last_step for e in mine if e.terminated or e.truncated]
+        assert ended == np.flatnonzero(data["truncated"][:, env]).tolist()
+    assert {e.success for e in episodes} == {None}  # this environment says nothing of it
+
+
+def test_rows_that_become_wide_stay_in_one_array(record):
+    with recording.open(record(steps=12, push=True)) as log:
+        data = log.read(["qpos", "xfrc_applied"])
+    forces = data["xfrc_applied"].reshape(12, 3, -1)
+    assert not forces[:3].any()
+    assert np.flatnonzero(forces[3].any(1)).tolist() == [1]
+
+
+def test_events_writes_and_metrics(record):
+    path = record(steps=8)
+    drawn = decoded(path, "/sim/event")
+    with recording.open(path) as log:
+        events = list(log.events())
+        assert [e.term for e in events] == [e.term for e in drawn]
+        last = max(i for i, e in enumerate(events) if e.term == "move_goal")
+        assert events[last].drawn["position"].shape == (3, 3)
+        assert events[last].drawn["position"].ravel().tolist() == list(drawn[last].drawn[0].values)
+        assert {w.op for w in log.writes()} >= {"state", "model"}
+        steps, values = log.metrics(0)
+        rewards = log.read("rewards", env=0)["rewards"][:, 0]
+        assert np.array_equal(values["reward_near_goal"], rewards[steps])
+        with pytest.raises(ConfigError, match=r"environment 2 was not viewed; viewed were: 0"):
+            log.metrics(2)
+
+
+def test_torch_and_pandas(record):
+    with recording.open(record(steps=6)) as log:
+        data = log.read(["qpos", "rewards"])
+    tensors = data.torch()
+    assert tensors["qpos"].shape == (6, 3, 9)
+    frame = data.frame()
+    assert len(frame) == 18
+    row = frame[(frame.step == 4) & (frame.env == 1)].iloc[0]
+    assert row["qpos/arm/elbow"] == data["qpos"][4, 1, 1]
+    assert row["rewards"] == data["rewards"][4, 1]
+
+
+def test_a_frame_without_pandas_says_what_to_install(record, monkeypatch):
+    with recording.open(record(steps=3)) as log:
+        data = log.read("rewards")
+    importing = builtins.__import__
+
+    def refuse(name, *args, **kwargs):
+        if name == "pandas":
+            raise ImportError(name)
+        return importing(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    with pytest.raises(ConfigError, match=r"pip install 'embodichain\[pandas\]'"):
+        data.frame()
+
+
+def test_a_cut_file_is_read_to_its_last_whole_chunk(record, tmp_path):
+    path = record(num_envs=64, steps=120)
+    with recording.open(path) as log:
+        whole = log.read(["qpos", "rewards"])
+        second = log._file.chunks[1]
+    data, cut = path.read_bytes(), tmp_path / "cut.mcap"
+    for size in (second.offset + second.length, len(data) * 2 // 3, len(data) - 9):
+        cut.write_bytes(data[:size])
+        with recording.open(cut) as log:
+            part = log.read(["qpos", "rewards"])
+            assert not log.complete
+            assert log.warnings[0].startswith("incomplete: the file ends early")
+            assert 0 < len(part) <= 120
+            assert np.array_equal(part["qpos"], whole["qpos"][: len(part)])
+            assert np.array_equal(part["rewards"], whole["rewards"][: len(part)])
+            assert sum(e.steps for e in log.episodes) == 64 * len(part)
+
+
+def test_noise_is_data_or_one_clear_error(record, tmp_path):
+    data = record(steps=12).read_bytes()
+    rng, bad = np.random.default_rng(1), tmp_path / "bad.mcap"
+    good = 0
+    for _ in range(150):
+        noisy = bytearray(data[: int(rng.integers(1, len(data)))] if rng.random() < 0.3 else data)
+        for at in rng.integers(0, len(noisy), 3):
+            noisy[at] ^= int(rng.integers(1, 256))
+        bad.write_bytes(noisy)
+        try:
+            with recording.open(bad) as log:
+                log.read("rewards")
+                assert log.episodes is not None
+                list(log.events())
+                good += 1
+        except ConfigError:
+            continue
+    assert good
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        ({"fields": "qpo"}, "no field 'qpo'. Did you mean 'qpos'"),
+        ({"env": 3}, "no environment 3 in the log: there are 0 to 2"),
+        ({"env": [1, 0]}, "ascending order"),
+        ({"episode": 0}, "name one"),
+        ({"env": 0, "episode": 9}, "no episode 9 of environment 0 in the log: there are 0 to"),
+        ({"start": 5, "stop": 3}, "0 <= from <= to"),
+    ],
+)
+def test_wrong_questions(record, ask, message):
+    with recording.open(record()) as log, pytest.raises(ConfigError, match=message):
+        log.read(**ask)
+
+
+def test_a_log_without_states_says_so(record):
+    with recording.open(record(options=RecordOptions(state="none"))) as log:
+        with pytest.raises(LogError, match="record.state=none"):
+            log.read()
+        assert log.metrics(0)[1]["reward"].size
+
+
+def test_a_message_of_a_wrong_size_is_an_error(record, tmp_path):
+    path = rewrite(
+        record(),
+        tmp_path / "odd.mcap",
+        message=lambda topic, data: data[:-9] if topic == "/sim/step" else data,
+    )
+    with recording.open(path) as log, pytest.raises(LogError, match="a message is damaged"):
+        log.read("actions")
+
+
+def test_opening_reads_no_messages_and_no_torch(record):
+    code = "import sys; import embodichain.recording as r; r.open(sys.argv[1]); " \
+        "sys.exit('torch' in sys.modules)"  # fmt: skip
+    assert subprocess.run([sys.executable, "-c", code, record()]).returncode == 0
