@@ -92,7 +92,7 @@ def _stagger(env: BaseEnv, episode: int) -> None:
     import numpy as np
     import torch
 
-    action = torch.zeros(env.action_space.shape)
+    action = torch.from_numpy(arms.actions_for(env)[0])
     for step in range(episode):
         ids = np.arange(env.num_envs)
         due = ids[ids * episode // env.num_envs == step]
