@@ -10,7 +10,7 @@ FAILED = 1
 WRONG_INPUT = 2
 """What the user gave is wrong; nothing was started."""
 INTERRUPTED = 130
-"""Ctrl-C or SIGTERM; what was written is complete up to there."""
+"""Ctrl-C, SIGTERM or SIGUSR2; what was written is complete up to there."""
 
 
 class Interrupted(KeyboardInterrupt):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import logging
+import sys
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 __all__ = ["log_to"]
@@ -24,7 +25,7 @@ def log_to(path: Path) -> Iterator[logging.Logger]:
     """
     root = logging.getLogger()
     level = root.level
-    file = logging.FileHandler(path, encoding="utf-8")
+    file = _File(path, encoding="utf-8")
     file.setFormatter(logging.Formatter(_FORMAT))
     screen = logging.StreamHandler()
     screen.setLevel(logging.WARNING)
@@ -53,6 +54,25 @@ def log_to(path: Path) -> Iterator[logging.Logger]:
         root.removeHandler(screen)
         root.removeHandler(file)
         file.close()
+
+
+class _File(logging.FileHandler):
+    """A log file that cannot be written says so once; the run does not end for it."""
+
+    _failed = False
+
+    def handleError(self, record: logging.LogRecord) -> None:
+        """Say what happened, the first time."""
+        if not self._failed:
+            self._failed = True
+            sys.stderr.write(
+                f"warning: {self.baseFilename} cannot be written: {sys.exc_info()[1]}\n"
+            )
+
+    def close(self) -> None:
+        """Close the file; what it could not take is lost."""
+        with suppress(OSError):
+            super().close()
 
 
 def _is_ours(record: logging.LogRecord) -> bool:

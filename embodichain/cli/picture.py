@@ -5,6 +5,7 @@ Drawing takes a second where there is no graphics card, and nobody should wait f
 
 from __future__ import annotations
 
+import contextlib
 import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -50,5 +51,10 @@ class StartPicture:
             _log.warning("no scene.png: %s", error)
             return
         temporary = path.with_name(f".{path.name}")
-        Image.fromarray(pixels).save(temporary, format="PNG")
-        temporary.replace(path)
+        try:
+            Image.fromarray(pixels).save(temporary, format="PNG")
+            temporary.replace(path)
+        except OSError as error:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
+            _log.warning("no scene.png: %s", error)

@@ -58,7 +58,10 @@ def _run(run: Job, stop: StopFlag) -> float | None:
     try:
         outcome, log = _simulate(run, stop)
     except Exception as error:
-        _write_summary(run.folder, {**facts, "status": "failed", "error": repr(error)})
+        try:
+            _write_summary(run.folder, {**facts, "status": "failed", "error": repr(error)})
+        except OSError as second:  # a full disk fails here too; what came first is what is told
+            _log.error("%s could not be written: %s", SUMMARY_FILE, second)
         raise
     if log is not None:
         facts |= {"log": str(log), "log_bytes": log.stat().st_size}

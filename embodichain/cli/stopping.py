@@ -1,4 +1,8 @@
-"""Ctrl-C and SIGTERM as a flag that a loop reads, so that everything is closed before leaving."""
+"""Signals as a flag that a loop reads, so that everything is closed before leaving.
+
+Ctrl-C and SIGTERM, and SIGUSR2: what batch systems send some time before they kill
+(`sbatch --signal=USR2@120`). All of them end a run after its current step.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +13,9 @@ from typing import Any
 
 __all__ = ["StopFlag"]
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+_SIGNALS = [
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR2") if hasattr(signal, name)
+]
 
 
 class StopFlag:

@@ -85,10 +85,15 @@ class McapFile:
 
     def _write(self, data: bytes) -> int:
         """Append bytes; return where they start."""
-        at = self._offset
-        self._stream.write(data)
+        at, view = self._offset, memoryview(data)
+        while view:  # a stream without a buffer may take a part
+            view = view[self._stream.write(view) :]
         self._offset += len(data)
         return at
+
+    def count(self, channel_id: int) -> int:
+        """How many messages of a channel are in chunks that were written."""
+        return self._counts[channel_id]
 
     # -- content -----------------------------------------------------------------------------------
 
@@ -124,6 +129,8 @@ class McapFile:
         size = _MESSAGE_FIXED
         for part in parts:
             size += len(part) if type(part) is bytes else part.nbytes  # type: ignore[union-attr]
+        if self._chunk_size + size > CHUNK_LIMIT - 2**20:
+            self._make_room(size)
         chunk = self._chunk
         chunk.append(_MESSAGE.pack(Opcode.MESSAGE, size, channel_id, 0, time_ns, time_ns))
         chunk.extend(parts)
@@ -138,6 +145,16 @@ class McapFile:
         self._chunk_size += _RECORD_HEAD + size
         if self._chunk_size > CHUNK_BYTES:
             self._close_chunk()
+
+    def _make_room(self, size: int) -> None:
+        """Close the chunk before a message that would make it larger than readers believe.
+
+        Raises:
+            ValueError: If the message alone would.
+        """
+        if size > CHUNK_LIMIT - 2**20:
+            raise ValueError(f"a message of {size} bytes is more than a log's readers believe")
+        self._close_chunk()
 
     def attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Add a file."""
@@ -181,10 +198,12 @@ class McapFile:
         name = self._name.encode()
         head = struct.pack("<QQQII", start, end, len(data), zlib.crc32(data), len(name)) + name
         head += struct.pack("<Q", len(packed))
-        at = self._write(struct.pack("<BQ", Opcode.CHUNK, len(head) + len(packed)) + head)
-        self._write(packed)
-        index_at = self._offset
-        offsets = {channel: self._write_index(channel) for channel in self._index}
+        head = struct.pack("<BQ", Opcode.CHUNK, len(head) + len(packed)) + head
+        at, index_at = self._offset, self._offset + len(head) + len(packed)
+        index, offsets = self._message_index(index_at)
+        self._write(b"".join((head, packed, index)))  # at once: it is there, or it is not
+        for channel, entries in self._index.items():
+            self._counts[channel] += len(entries) // 2
         self._chunk_index.append(
             records.ChunkIndex(
                 message_start_time=start,
@@ -205,11 +224,16 @@ class McapFile:
         self._index.clear()
         self._chunk_size = 0
 
-    def _write_index(self, channel: int) -> int:
-        entries = np.array(self._index[channel], "<u8").tobytes()
-        self._counts[channel] += len(entries) // 16
-        head = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + len(entries), channel, len(entries))
-        return self._write(head + entries)
+    def _message_index(self, at: int) -> tuple[bytes, dict[int, int]]:
+        """The chunk's index records, which begin at `at`, and where that of each channel does."""
+        records, offsets = bytearray(), {}
+        for channel, values in self._index.items():
+            offsets[channel] = at + len(records)
+            entries = np.array(values, "<u8").tobytes()
+            size = len(entries)
+            records += struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + size, channel, size)
+            records += entries
+        return bytes(records), offsets
 
     def finish(self) -> None:
         """Write the summary section and the end of the file."""

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import atexit
 import json
+import threading
 import time
 import weakref
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -29,7 +31,7 @@ from embodichain.recording.foxglove.views import Views
 from embodichain.recording.header import METADATA, METADATA_END, Header, why_unverifiable
 from embodichain.recording.mcap_file import Part
 from embodichain.recording.options import RecordLike, RecordOptions, check_options
-from embodichain.recording.writer import Deferred, Job, McapThread, Message
+from embodichain.recording.writer import Batch, LogWriteError, McapThread
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -92,13 +94,15 @@ class McapRecorder(StepObserver):
         columns = RowColumns(row_layout(engine.model))
         self._period_ns = round(env.step_dt * 1e9)
         self._start_ns = time.time_ns()
-        self._pending: list[Message | Job | Deferred] = []
+        self._pending: Batch = []
         self._step = 0
         step_bytes = 8 * env.num_envs * columns.nstate
         self._batch_steps = max(1, min(BATCH_STEPS, BATCH_BYTES // step_bytes))
         self._handed_over = (0, time.monotonic())
         depth = max(4, min(256, QUEUE_BYTES // (3 * step_bytes * self._batch_steps)))
-        self._file = McapThread(Path(path), options.compression, depth)
+        self._lock = threading.Lock()  # whoever holds it may take what is pending
+        collect = partial(_collected, weakref.ref(self))
+        self._file = McapThread(Path(path), options.compression, depth, collect, _ends)
         self._closed = False
         self._columns = columns
         self._log = (
@@ -187,9 +191,25 @@ class McapRecorder(StepObserver):
 
     def _hand_over(self) -> None:
         self._handed_over = self._step, time.monotonic()
-        batch = self._pending[:]
-        self._pending.clear()
-        self._file.put(batch)
+        with self._lock:
+            batch = self._pending[:]
+            self._pending.clear()
+            self._file.put(batch)
+
+    def _collect(self, file: McapThread) -> Batch:
+        """What nobody handed over, because no step came: a killed process must not lose it.
+
+        Called on the background thread, which never waits for the simulation here. Nothing may
+        be in the queue: that would come later in the file than what follows it.
+        """
+        if not self._lock.acquire(blocking=False):
+            return []
+        try:
+            batch = self._pending[:] if file.idle else []
+            del self._pending[: len(batch)]
+        finally:
+            self._lock.release()
+        return batch
 
     @property
     def stats(self) -> RecordStats:
@@ -257,12 +277,16 @@ class McapRecorder(StepObserver):
         """Write the last rows and finish the file. A second call does nothing.
 
         Raises:
-            OSError: If the file could not be written.
+            OSError: If the file could not be written, and no step said so before.
         """
         if self._closed:
             return
         self._closed = True
         atexit.unregister(self._at_exit)
+        if self._file.lost:
+            with suppress(LogWriteError):  # once is enough: it may end what runs already
+                self._file.close()
+            return
         if self._log is not None:
             self._later(self._log.close, self._columns.take(self._engine.rows))
         self._views.close(self._step, self._engine.rows)
@@ -278,6 +302,16 @@ def _close_if_alive(recorder: weakref.ref[McapRecorder]) -> None:
     found = recorder()
     if found is not None:
         found.close()
+
+
+def _collected(recorder: weakref.ref[McapRecorder], file: McapThread) -> Batch:
+    found = recorder()
+    return found._collect(file) if found is not None else []
+
+
+def _ends(file: McapThread) -> str:
+    steps = file.written("/sim/step")
+    return f"it ends after control step {steps - 1}" if steps else "no control step is in it"
 
 
 def _write_json(path: Path, content: object) -> None:

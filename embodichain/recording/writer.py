@@ -7,6 +7,8 @@ waits (the queue is bounded, nothing is dropped). What a message means is known 
 from __future__ import annotations
 
 import atexit
+import errno
+import os
 import queue
 import threading
 import time
@@ -17,7 +19,7 @@ from typing import BinaryIO
 from embodichain.recording.mcap_file import McapFile, Part
 from embodichain.recording.schemas import descriptor_set
 
-__all__ = ["Deferred", "Job", "McapThread", "Message"]
+__all__ = ["Batch", "Deferred", "Job", "LogWriteError", "McapThread", "Message"]
 
 FLUSH_SECONDS = 1.0
 """What a killed process loses at most."""
@@ -28,6 +30,11 @@ Job = Callable[["McapThread"], None]
 """Work for the background thread; it may register channels and write."""
 Deferred = tuple[Callable[..., None], tuple[object, ...]]
 """A function for the background thread and its arguments."""
+Batch = list[Message | Job | Deferred]
+
+
+class LogWriteError(OSError):
+    """The log could not be written; the text says why, and where it ends."""
 
 
 class McapThread:
@@ -37,19 +44,31 @@ class McapThread:
         path: A new file; an existing one is never overwritten.
         compression: ``lz4``, ``zstd`` or ``none``.
         depth: Batches that may wait in the queue.
+        collect: Asked, on the background thread, for what was not handed over within a second.
+        ends: Says where the file ends, for the error when it cannot be written.
 
     Raises:
         FileExistsError: If `path` exists.
     """
 
-    def __init__(self, path: Path, compression: str, depth: int) -> None:
+    def __init__(
+        self,
+        path: Path,
+        compression: str,
+        depth: int,
+        collect: Callable[[McapThread], Batch] | None = None,
+        ends: Callable[[McapThread], str] | None = None,
+    ) -> None:
         self.path = path
-        self._stream: BinaryIO = path.open("xb")
+        self._collect, self._ends = collect, ends
+        # No buffer: chunks are large, and what could not be written must not come again at close.
+        self._stream: BinaryIO = path.open("xb", buffering=0)
         self._writer = McapFile(self._stream, compression, library="embodichain")
-        self._queue: queue.Queue[list[Message | Job | Deferred] | None] = queue.Queue(depth)
+        self._queue: queue.Queue[Batch | None] = queue.Queue(depth)
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._error: BaseException | None = None
+        self._told = False
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="mcap-writer", daemon=True)
         self._thread.start()
@@ -59,7 +78,7 @@ class McapThread:
 
     # -- called by the simulation's thread -------------------------------------------------------
 
-    def put(self, batch: list[Message | Job | Deferred]) -> None:
+    def put(self, batch: Batch) -> None:
         """Hand over messages and jobs, in order; waits while the queue is full.
 
         Raises:
@@ -90,7 +109,11 @@ class McapThread:
             self._raise_error()
 
     def close(self) -> None:
-        """Write what waits, the index and the end of the file. A second call does nothing."""
+        """Write what waits, the index and the end of the file. A second call does nothing.
+
+        Raises:
+            OSError: If the file could not be written.
+        """
         if self._closed:
             return
         self._closed = True
@@ -104,9 +127,28 @@ class McapThread:
         self._thread.join()
         self._raise_error()
 
+    @property
+    def lost(self) -> bool:
+        """Whether the file could not be written, and somebody was told."""
+        return self._told
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing waits in the queue."""
+        return self._queue.empty()
+
+    def written(self, topic: str) -> int:
+        """How many messages of a channel are in the file, readable there."""
+        channel = self._channels.get(topic)
+        return 0 if channel is None else self._writer.count(channel)
+
     def _raise_error(self) -> None:
-        if self._error is not None:
-            raise OSError(f"the log {self.path} could not be written") from self._error
+        error = self._error
+        if error is not None:
+            self._told = True
+            why = error.strerror if isinstance(error, OSError) and error.strerror else repr(error)
+            end = f"; {self._ends(self)}" if self._ends is not None else ""
+            raise LogWriteError(f"the log {self.path} could not be written: {why}{end}") from error
 
     # -- called by the background thread ---------------------------------------------------------
 
@@ -142,12 +184,21 @@ class McapThread:
         try:
             self._loop()
             self._writer.finish()
+            self._check_place()
         except BaseException as error:  # noqa: BLE001  (`put` and `close` raise it)
             self._error = error
         finally:
-            self._stream.close()
+            try:
+                self._stream.close()
+            except OSError as error:  # some file systems say here that they could not write
+                self._error = self._error or error
             while self._error is not None and not self._queue.empty():
                 self._queue.get_nowait()  # nobody must wait for a dead writer
+
+    def _check_place(self) -> None:
+        """Raise if the file was removed: what is written then is gone with this process."""
+        if not os.fstat(self._stream.fileno()).st_nlink:
+            raise FileNotFoundError(errno.ENOENT, "the file was removed while it was written")
 
     def _loop(self) -> None:
         due = time.monotonic() + FLUSH_SECONDS
@@ -156,7 +207,7 @@ class McapThread:
             try:
                 batch = self._queue.get(timeout=max(0.0, due - time.monotonic()))
             except queue.Empty:
-                batch = []
+                batch = self._collect(self) if self._collect is not None else []
             if batch is None:
                 return
             for item in batch:
@@ -170,4 +221,5 @@ class McapThread:
             if time.monotonic() >= due:
                 if waiting:
                     self._writer.flush()
+                    self._check_place()
                 due, waiting = time.monotonic() + FLUSH_SECONDS, False

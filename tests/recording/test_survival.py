@@ -1,0 +1,194 @@
+"""What is left of a log, and of the folder it is in, when something goes wrong while it is made.
+
+`benchmarks/log_survival.py` does the same with fifty kills.
+"""
+
+import json
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from embodichain.cli import main
+from embodichain.recording import McapRecorder, inspect, verify
+from embodichain.recording.recover import recover
+from embodichain.utils.errors import ConfigError
+from tests.recording.scene import SmallEnv
+
+ROOT = Path(__file__).parents[2]
+RUN = [sys.executable, "-m", "embodichain", "run", "task=random_reach", "num_envs=2", "seed=3"]
+
+
+def run_in(folder, *words, **kwargs):
+    """A run without an end, and the folder it works in once its log grows."""
+    process = subprocess.Popen(
+        [*RUN, "episodes=1000000", "--json", *words],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        **kwargs,
+    )
+    log = folder / "outputs" / "latest" / "rollout.mcap"
+    first, deadline = 0, time.monotonic() + 120
+    while time.monotonic() < deadline and process.poll() is None:
+        size = log.stat().st_size if log.exists() else 0
+        first = first or size
+        if first and size > first + 20_000:
+            return process, log.resolve()
+        time.sleep(0.05)
+    if process.poll() is None:
+        process.kill()
+    return process, log.resolve()
+
+
+@pytest.mark.parametrize("moment", range(5))
+def test_killed_at_any_moment_it_reads_verifies_and_recovers(tmp_path, moment):
+    process, log = run_in(tmp_path)
+    time.sleep(random.Random(moment).uniform(0, 1.5))
+    process.kill()
+    process.communicate()
+    before = log.read_bytes()
+    broken = verify(log)
+    assert broken.difference is None
+    assert len(broken.problems) == 1
+    assert broken.problems[0].startswith(f"the log ends after step {broken.steps - 1}: ")
+    saved = recover(log, tmp_path / "saved.mcap")
+    report = verify(saved.path)
+    assert report.ok, str(report)
+    assert report.steps == broken.steps == inspect(log).steps > 0
+    assert log.read_bytes() == before
+    names = {path.name for path in log.parent.iterdir()}
+    assert names >= {"config.yaml", "overrides.yaml", "command.txt", "versions.json", "run.log"}
+    assert not [name for name in names if name.startswith(".")]
+    assert json.loads((log.parent / "foxglove_layout.json").read_text())
+    assert json.loads((log.parent / "versions.json").read_text())
+
+
+def test_the_signal_of_batch_systems_ends_a_run_cleanly(tmp_path):
+    process, log = run_in(tmp_path)
+    process.send_signal(signal.SIGUSR2)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    summary = json.loads(out)
+    assert (summary["status"], summary["signal"]) == ("interrupted", "SIGUSR2")
+    told = inspect(log)
+    assert told.complete
+    assert told.steps == summary["control_steps"]
+
+
+def test_a_full_disk_ends_a_run_loudly(tmp_path):
+    limit = 4_000_000
+
+    def fill():  # in the child: writing more than this fails, as a full disk does
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+
+    process, log = run_in(tmp_path, preexec_fn=fill)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 1, err
+    steps = inspect(log).steps
+    assert steps > 0
+    end = f"it ends after control step {steps - 1}\n"
+    assert f"rollout.mcap could not be written: File too large; {end}" in err
+    assert "Traceback" not in err
+    summary = json.loads((log.parent / "summary.json").read_text())
+    assert summary["status"] == "failed"
+    assert "could not be written" in summary["error"]
+    saved = recover(log, tmp_path / "saved.mcap")
+    assert saved.steps == steps
+    assert verify(saved.path).ok
+
+
+def test_a_folder_that_vanishes_ends_a_run_loudly(tmp_path):
+    process, log = run_in(tmp_path)
+    shutil.rmtree(log.parent)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 1, err
+    assert "the log " in err
+    assert "the file was removed while it was written" in err
+    assert "Traceback" not in err
+    assert not log.parent.exists()
+
+
+def test_an_exception_in_a_users_code_leaves_a_whole_log(tmp_path, capfd, monkeypatch):
+    (tmp_path / "mine.py").write_text(
+        "def policy(obs, env):\n"
+        "    if env.control_step >= 12:\n"
+        "        raise RuntimeError('my mistake')\n"
+        "    return env.robot.get_qpos()\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    words = ["task=random_reach", "num_envs=2", "policy=mine:policy", "--quiet"]
+    assert main(["run", *words]) == 1
+    assert "my mistake" in capfd.readouterr().err
+    folder = (tmp_path / "outputs" / "latest").resolve()
+    assert verify(folder / "rollout.mcap").steps == 12
+    assert inspect(folder / "rollout.mcap").complete
+    assert json.loads((folder / "summary.json").read_text())["status"] == "failed"
+
+
+def steps_in(path):
+    try:
+        return inspect(path).steps
+    except ConfigError:
+        return 0  # its beginning is not there yet
+
+
+def test_what_no_step_hands_over_is_written_within_a_while(tmp_path):
+    """A policy that thinks for long after a step: the step is in the file meanwhile."""
+    env = SmallEnv()
+    recorder = McapRecorder(tmp_path / "log.mcap", env)
+    env.add_observer(recorder)
+    env.reset()
+    deadline = time.monotonic() + 60
+    for _ in range(3):
+        env.step()
+    while time.monotonic() < deadline and steps_in(tmp_path / "log.mcap") < 3:
+        time.sleep(0.05)
+    assert inspect(tmp_path / "log.mcap").steps == 3
+    env.close()
+    assert verify(tmp_path / "log.mcap").ok
+
+
+def test_a_growing_log_is_read_by_others(tmp_path):
+    env = SmallEnv()
+    recorder = McapRecorder(tmp_path / "log.mcap", env)
+    env.add_observer(recorder)
+    env.reset()
+    for steps in (5, 10, 15):
+        for _ in range(5):
+            env.step()
+        recorder.flush()
+        summary = inspect(tmp_path / "log.mcap")
+        assert summary.steps == steps
+        assert not summary.complete
+        report = verify(tmp_path / "log.mcap")
+        assert (report.steps, report.difference) == (steps, None)
+    env.close()
+    assert verify(tmp_path / "log.mcap").ok
+
+
+def test_steps_and_the_writers_own_collecting_keep_their_order(tmp_path, monkeypatch):
+    """The writer looks for what is pending all the time, while steps are made."""
+    monkeypatch.setattr("embodichain.recording.writer.FLUSH_SECONDS", 0.0)
+    env = SmallEnv(num_envs=2)
+    recorder = McapRecorder(tmp_path / "log.mcap", env)
+    env.add_observer(recorder)
+    env.reset()
+    for _ in range(300):
+        env.step()
+    env.close()
+    report = verify(tmp_path / "log.mcap")
+    assert report.ok, str(report)
+    assert report.steps == 300
+    assert threading.active_count() < 20
