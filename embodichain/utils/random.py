@@ -199,9 +199,10 @@ class RandomStreams:
 
     def state_dict(self) -> dict[str, Any]:
         """Return the seed and every stream's counters (copies)."""
-        for name in list(self._blocks):
-            self._settle(name)
-        return {"seed": self.seed, "counters": {k: v.copy() for k, v in self._counters.items()}}
+        counters = {name: values.copy() for name, values in self._counters.items()}
+        for name, block in self._blocks.items():
+            counters[name] += np.uint64(block.used * block.width)
+        return {"seed": self.seed, "counters": counters}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue exactly where `state_dict` was taken."""

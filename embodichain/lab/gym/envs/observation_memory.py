@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from tensordict import TensorDict
 
-from embodichain.lab.gym.utils.tensordicts import entries
+from embodichain.lab.gym.utils.tensordicts import branches_copied, entries, replace
 
 __all__ = ["ObservationMemory", "as_float32", "leaves_of"]
 
@@ -113,12 +113,19 @@ class ObservationMemory:
             flat: (N, W) from `flatten`.
             rows: (N,) bool, the rows to take from ``flat``.
         """
-        merged = obs.clone(recurse=False)
+        merged = branches_copied(obs)
+        wide = rows[:, None]
         start = 0
-        for path, end in zip(self.paths, self._ends, strict=True):
-            leaf: Any = obs.get(path)
-            kept = flat[:, start:end].reshape(tuple(leaf.shape))
-            mask = rows.reshape(-1, *[1] * (leaf.ndim - 1))
-            merged.set(path, torch.from_numpy(np.where(mask, kept, leaf.numpy())))
+        for (path, matrix), end in zip(self._places, self._ends, strict=True):
+            leaf: Any = obs
+            for key in path:
+                leaf = entries(leaf)[key]
+            kept = flat[:, start:end]
+            if matrix:
+                chosen = np.where(wide, kept, leaf.numpy())
+            else:
+                mask = rows.reshape(-1, *[1] * (leaf.ndim - 1))
+                chosen = np.where(mask, kept.reshape(tuple(leaf.shape)), leaf.numpy())
+            replace(merged, path, torch.from_numpy(chosen))
             start = end
         return merged

@@ -12,10 +12,10 @@ from typing import Any
 import torch
 from tensordict import TensorDict
 
-__all__ = ["entries", "put", "unchecked"]
+__all__ = ["branches_copied", "entries", "put", "replace", "unchecked"]
 
 
-def unchecked(source: dict[str, Any], batch: torch.Size, device: torch.device) -> TensorDict:
+def unchecked(source: dict[str, Any], batch: torch.Size, device: torch.device | None) -> TensorDict:
     """Return a TensorDict of tensors and TensorDicts that all have this batch size and device.
 
     Args:
@@ -50,6 +50,27 @@ def put(target: TensorDict, path: tuple[str, ...], value: torch.Tensor) -> None:
         target.set(path, value)
     else:
         own[path[0]] = unchecked({path[1]: value}, target.batch_size, value.device)
+
+
+def branches_copied(source: TensorDict) -> TensorDict:
+    """Return a TensorDict of the same tensors: entries can be replaced, at any depth."""
+    own = getattr(source, "_tensordict", None)
+    if type(own) is not dict:
+        return source.clone(recurse=False)
+    found = {k: branches_copied(v) if isinstance(v, TensorDict) else v for k, v in own.items()}
+    return unchecked(found, source.batch_size, source.device)
+
+
+def replace(target: TensorDict, path: tuple[str, ...], value: torch.Tensor) -> None:
+    """Replace an entry by one of the same shape, type and device."""
+    own: Any = target
+    for key in path[:-1]:
+        own = entries(own)[key]
+    entry = getattr(own, "_tensordict", None)
+    if type(entry) is dict:
+        entry[path[-1]] = value
+    else:
+        own.set(path[-1], value)
 
 
 # Not public, but what tensordict builds its own results with; the checked way does the same.
