@@ -17,7 +17,12 @@ from embodichain.utils.errors import ConfigError
 
 __all__ = ["complete"]
 
-_WORDS = {"list": ("tasks", "robots", "terms"), "new": ("task",), "replay": ("last",)}
+_WORDS = {
+    "list": ("tasks", "robots", "terms"),
+    "new": ("task",),
+    "replay": ("last",),
+    "export": ("policy",),
+}
 
 
 def complete(arguments: list[str]) -> int:

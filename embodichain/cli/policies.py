@@ -14,12 +14,13 @@ if TYPE_CHECKING:
 __all__ = ["policy_of"]
 
 
-def policy_of(root: RootCfg, env: BaseEnv) -> Policy:
+def policy_of(root: RootCfg, env: BaseEnv, *, deterministic: bool = True) -> Policy:
     """Return the policy by name, by import path, or from a training's folder or file.
 
     Args:
         root: The config.
         env: Where it will act.
+        deterministic: Whether a trained one takes its mean action.
 
     Raises:
         ConfigError: There is no such policy, or its parameters are wrong.
@@ -28,7 +29,7 @@ def policy_of(root: RootCfg, env: BaseEnv) -> Policy:
     def load(path: Path) -> Policy:
         from embodichain.learning.policy import load_policy
 
-        return load_policy(path, env)
+        return load_policy(path, env, deterministic=deterministic)
 
     chosen = root.policy or "random"
     if isinstance(chosen, str):

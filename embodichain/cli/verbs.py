@@ -62,6 +62,41 @@ _TRAIN = Verb(
     ),
     overrides=True,
 )
+_EVAL = Verb(
+    "eval",
+    "Play a policy for exactly N episodes; say how far the numbers can be trusted.",
+    "RUN|last|PATH [task=NAME] [episodes=N] [deterministic=false] [key=value ...] [options]",
+    (
+        ("eval last", "the newest training, 100 episodes"),
+        ("eval outputs/latest episodes=500 seed=7", "more of them, others"),
+        ("eval last deterministic=false", "actions drawn as in training"),
+        ("eval policy.onnx task=reach", "a file, in a task"),
+        ("eval random task=reach episodes=50 record=none", "what chance reaches, without a log"),
+    ),
+    overrides=True,
+)
+_PLAY = Verb(
+    "play",
+    "Show a trained policy in a window.",
+    "RUN|last|PATH [key=value ...] [options]",
+    (
+        ("play last", "the newest training, five episodes"),
+        ("play last --episodes 20 seed=3", "more of them"),
+        ("play policy.onnx task=reach", "a file, in a task"),
+        ("play last viewer=none record=mcap", "without a window, into a log"),
+    ),
+    overrides=True,
+)
+_EXPORT = Verb(
+    "export",
+    "Write a trained policy as one ONNX or TorchScript file.",
+    "policy RUN|last|PATH [--format onnx|torchscript] [-o OUT] [task=NAME] [options]",
+    (
+        ("export policy last", "policy.onnx in the run's folder"),
+        ("export policy last --format torchscript -o reach.pt", "for C++ and PyTorch"),
+        ("export policy my_model.zip task=reach", "a zip of your own"),
+    ),
+)
 _REPLAY = Verb(
     "replay",
     "Say what a log holds; with --verify simulate it again and compare every bit.",
@@ -157,6 +192,9 @@ VERBS: dict[str, Verb] = {
         *(
             _RUN,
             _TRAIN,
+            _EVAL,
+            _PLAY,
+            _EXPORT,
             _REPLAY,
             _RECOVER,
             _BENCH,

@@ -153,13 +153,13 @@ class LearnedPolicy:
             ("observations", self.model.observation_space, observation_box(env, self.group)),
             ("actions", self.model.action_space, scale.space),
         )
-        problems = [
-            Problem("policy", f"{self.name} has {what} {have.shape}, this task has {want.shape}")
+        differences = [
+            f"has {what} {have.shape}, this task has {want.shape}"
             for what, have, want in pairs
             if have.shape != want.shape
         ]
-        if problems:
-            raise ConfigError(problems)
+        if differences:
+            raise ConfigError([Problem("policy", f"{self.name} {'; '.join(differences)}")])
         self._env, self._scale = env, scale
         self._state, self._starts = None, np.ones(env.num_envs, np.bool_)
         return scale

@@ -1,0 +1,99 @@
+"""What `eval`, `play` and `export` are pointed at: a training, a policy's file, a policy's name."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from embodichain.config.newest import CHECKPOINT, newest_run
+from embodichain.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from embodichain.config.resolved import Resolved
+
+__all__ = ["Target", "find_target", "split_words", "take"]
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """What is meant.
+
+    Attributes:
+        policy: A file's path, or the policy's name.
+        file: The file, where it is one.
+        run: The folder of the run that it belongs to, where there is one.
+    """
+
+    policy: str
+    file: Path | None
+    run: Path | None
+
+    def resolve(self, overrides: Sequence[str], values: Mapping[str, Any]) -> Resolved:
+        """Return the config to play it in: ``task=`` in the overrides, else its run's own.
+
+        Args:
+            overrides: As typed.
+            values: Keys of the root to set where the run's own config is used.
+
+        Raises:
+            ConfigError: There is neither, or the config is wrong.
+        """
+        from embodichain.config.frozen import freeze
+
+        if any(line.startswith(("task=", "gym_config=")) for line in overrides):
+            from embodichain.config.resolved import resolve
+
+            named = [] if self.file is not None else [f"policy={self.policy}"]
+            resolved = resolve([*overrides, *named], "run")
+        elif self.run is not None:
+            from embodichain.config.rerun import resolve_again
+
+            resolved = resolve_again(self.run, overrides, {**values, "policy": None})
+        else:
+            raise ConfigError(f"{self.policy} lies in no run's folder: say which task, task=NAME")
+        return dataclasses.replace(resolved, tree=freeze({**resolved.tree, "policy": self.policy}))
+
+
+def find_target(name: str, output_root: str = "outputs") -> Target:
+    """Find a training's policy (``last`` is the newest), a file, or a policy by its name.
+
+    Raises:
+        ConfigError: There is no such run or file.
+    """
+    path = Path(name)
+    if name == "last":
+        newest = newest_run(output_root, CHECKPOINT)
+        if newest is None:
+            raise ConfigError(f"no training in {output_root} yet: embodichain train task=NAME")
+        path = newest
+    elif not path.exists() and "/" not in name and not path.suffix:
+        return Target(name, None, None)  # zero, random, ...
+    elif not path.exists() and ":" in name:
+        return Target(name, None, None)  # package.module:function
+    from embodichain.learning.checkpoint import find_checkpoint
+
+    file = find_checkpoint(path).resolve()
+    return Target(str(file), file, _run_of(file))
+
+
+def split_words(words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Tell what names something from overrides (``key=value``, ``~key``); what exists is a name."""
+    marked = [word for word in words if "=" in word or word.startswith("~")]
+    overrides = [word for word in marked if not Path(word).exists()]
+    return [word for word in words if word not in overrides], overrides
+
+
+def take(overrides: list[str], key: str) -> str | None:
+    """Remove ``key=value`` from overrides and return its last value, None without any."""
+    found = [line for line in overrides if line.partition("=")[0].lstrip("+") == key]
+    overrides[:] = [line for line in overrides if line not in found]
+    return found[-1].partition("=")[2] if found else None
+
+
+def _run_of(file: Path) -> Path | None:
+    """The run that a file belongs to: a checkpoint lies one folder below, an export in it."""
+    folders = (file.parent.parent, file.parent)
+    return next((folder for folder in folders if (folder / "config.yaml").is_file()), None)

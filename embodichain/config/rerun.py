@@ -1,0 +1,110 @@
+"""The config of a run that was made, changed by overrides: for playing what was trained there.
+
+The run's own `config.yaml` counts, not the files it was once composed of: these may have changed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra.types import RunMode
+from omegaconf import OmegaConf
+
+from embodichain.config.hydra_state import config_loader
+from embodichain.config.overrides import ParsedOverrides, apply_values, parse
+from embodichain.config.problems import COMMAND_LINE, LocatedProblem
+from embodichain.config.resolved import Resolved, resolve_tree
+from embodichain.utils.errors import ConfigError
+
+__all__ = ["CONFIG", "resolve_again", "task_of"]
+
+CONFIG = "config.yaml"
+_FOLDER = re.compile(r"\d\d-\d\d-\d\d_(.+?)(_\d+)?")  # see `run_folder.claim`
+_GROUPS = ("record", "viewer", "sim")
+
+
+def resolve_again(
+    folder: Path, overrides: Sequence[str] = (), values: Mapping[str, Any] | None = None
+) -> Resolved:
+    """Return a run's config as one of the verb `run`.
+
+    Args:
+        folder: The run's folder.
+        overrides: ``key=value``, and options of the groups record, viewer and sim.
+        values: Keys of the root to set first; overrides win over them.
+
+    Raises:
+        ConfigError: The folder has no config, or overrides or the config are wrong.
+    """
+    source = folder / CONFIG
+    tree = {**_read(source), **(values or {})}
+    with config_loader() as loader:
+        parsed = parse(overrides, loader)
+        problems = [*parsed.problems, *_unfit(parsed)]
+        if problems:
+            raise ConfigError(problems)
+        options = [line for line in parsed.for_hydra if not line.startswith("~")]
+        chosen = loader.load_configuration("run", [*options, "~task"], RunMode.RUN)
+        for line in options:
+            group = line.partition("=")[0]
+            tree[group] = OmegaConf.to_container(chosen[group], resolve=True)
+    config = OmegaConf.create(tree)
+    problems = apply_values(config, parsed.values)
+    if problems:
+        raise ConfigError(problems)
+    changed: Any = OmegaConf.to_container(config, resolve=True)
+    try:
+        found = resolve_tree(
+            changed, str(source), "run", task_name=task_of(folder), allow_import=True
+        )
+    except ConfigError as error:
+        raise ConfigError([_located(p, parsed) for p in error.problems]) from error
+    return dataclasses.replace(found, overrides=tuple(overrides))
+
+
+def task_of(folder: Path) -> str:
+    """Return what a run's task is called: by its summary, else by its folder's name."""
+    try:
+        task = json.loads((folder / "summary.json").read_text(encoding="utf-8")).get("task")
+    except (OSError, ValueError, AttributeError):
+        task = None
+    if isinstance(task, str):
+        return task
+    match = _FOLDER.fullmatch(folder.name)
+    return match[1] if match is not None else "task"
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ConfigError(f"cannot read {path}: {error}") from error
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{path} holds no config")
+    return tree
+
+
+def _unfit(parsed: ParsedOverrides) -> list[LocatedProblem]:
+    """Overrides that would make another run of it."""
+    problems = []
+    for line in parsed.for_hydra:
+        group = line.lstrip("+~").partition("=")[0]
+        if group not in _GROUPS or line.startswith("~"):
+            message = f"{line!r} does not change a run that was made; groups: {', '.join(_GROUPS)}"
+            problems.append(LocatedProblem(group, message, source=COMMAND_LINE))
+    return problems
+
+
+def _located(problem: Any, parsed: ParsedOverrides) -> Any:
+    """A mistake that an override made is on the command line."""
+    keys = [override.key_or_group for override in parsed.values]
+    typed = any(problem.path == key or problem.path.startswith(f"{key}.") for key in keys)
+    if not typed or not isinstance(problem, LocatedProblem):
+        return problem
+    return dataclasses.replace(problem, source=COMMAND_LINE)
