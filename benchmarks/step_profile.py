@@ -20,7 +20,6 @@ SIZES = (1, 8, 64, 1024)
 PARTS = {
     "check the action": ("_receive",),
     "action terms, write targets": ("_act",),
-    "keep the state for a dump": ("_dump", "keep"),
     "physics": ("sim", "update"),
     "hook after physics": ("_update_sim_state",),
     "events": ("event_manager", "step"),

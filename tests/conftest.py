@@ -11,6 +11,10 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 
+# xdist sets it, and tables would be folded to it: commands are tested as in a pipe.
+os.environ.pop("COLUMNS", None)
+
+
 @pytest.fixture(autouse=True)
 def empty_cwd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Runs each test in its own empty folder, so that none writes into the checkout."""

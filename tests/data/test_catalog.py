@@ -35,13 +35,12 @@ def test_every_robot_is_found_by_its_name():
         assert get_data_path(robot.name) == str(robot.path)
 
 
-def test_bundled_robot_comes_before_those_of_packages():
-    first = list_robots()[0]
-    assert (first.name, first.source, first.format) == (
-        "UniversalRobots/UR10/UR10.urdf",
-        "bundled",
-        "urdf",
-    )
+def test_bundled_robots_come_before_those_of_packages():
+    first = [(robot.name, robot.source, robot.format) for robot in list_robots()[:2]]
+    assert first == [
+        ("CartPole/cart_pole.urdf", "bundled", "urdf"),
+        ("UniversalRobots/UR10/UR10.urdf", "bundled", "urdf"),
+    ]
 
 
 def test_models_are_told_from_other_xml_and_scenes(world):
