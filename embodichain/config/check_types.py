@@ -16,6 +16,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from embodichain.config.algorithms import ALGO_INSTEAD, DEFAULT_ALGORITHM, PATTERNS
 from embodichain.config.introspect import field_names, length_at, tag_values, type_at
 from embodichain.config.schema import ROOT_INSTEAD, RootCfg
 from embodichain.lab.gym.envs.cfg import EnvCfg
@@ -76,6 +77,8 @@ def check_types(tree: Mapping[str, Any]) -> TypeCheck:
         if isinstance(data.get("task"), dict) and name in data["task"]:
             del data["task"][name]
             problems[f"task.{name}"] = Problem(f"task.{name}", f"not a key of a task; {instead}")
+    if isinstance(data.get("algo"), dict):
+        data["algo"].setdefault("name", DEFAULT_ALGORITHM)
     while True:  # each turn repairs or removes something, so it ends
         try:
             root = _adapter().validate_json(json.dumps(data, default=str), strict=True)
@@ -195,6 +198,8 @@ def _unknown_key(path: str, loc: Loc, value: Any, data: Any) -> Problem:
     if len(loc) > 1 and loc[:-1] == ("task",):
         allowed = [name for name in allowed if name not in ROOT_INSTEAD]
     name = str(loc[-1])
+    if loc[:-1] == ("algo",) and name in ALGO_INSTEAD:
+        return Problem(path, f"not a key of an algorithm; {ALGO_INSTEAD[name]}")
     hint = did_you_mean(name, allowed).strip()
     if len(loc) == 1 and name in field_names(EnvCfg):
         hint = f"Did you mean 'task.{name}'?"
@@ -209,7 +214,7 @@ def _tag_key(error: ErrorDetails) -> str:
 def _wrong_tag(path: str, value: Any, key: str) -> Problem:
     tag = value.get(key) if isinstance(value, dict) else None
     names = tag_values(key)
-    what = key.removesuffix("_type")
+    what = "algorithm" if key == "name" else key.removesuffix("_type")
     if tag is None:
         return Problem(path, f"missing value; one of: {', '.join(names)}")
     hint = did_you_mean(str(tag), names).strip()
@@ -220,6 +225,9 @@ def _expected(error: ErrorDetails) -> str:
     if error["type"] == "literal_error":
         choices = [repr(choice) for choice in _choices(error)]
         return choices[0] if len(choices) == 1 else f"one of {', '.join(choices)}"
+    if error["type"] == "string_pattern_mismatch":
+        pattern = error["ctx"]["pattern"]
+        return PATTERNS.get(pattern, f"text like {pattern}")
     kind: str = error["type"].rsplit("_", 1)[0]
     return _KINDS.get(kind, str(error["msg"]))
 

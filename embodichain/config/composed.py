@@ -18,6 +18,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from embodichain.config import plain
+from embodichain.config.algorithms import DEFAULT_ALGORITHM
 from embodichain.config.hydra_errors import COMPOSING, explain
 from embodichain.config.hydra_state import config_loader
 from embodichain.config.locate import ConfigFile, Locator
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 
 __all__ = ["WITHOUT_TASK", "Composed", "compose", "from_hydra", "list_options"]
 
-DEFAULT_ALGORITHM = "ppo"
 WITHOUT_TASK = "~task"
 """The override that composes a config with no option of the group `task`."""
 

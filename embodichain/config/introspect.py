@@ -12,12 +12,17 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Annotated, Any, Union
 
+from embodichain.config.algorithms import AnyAlgoCfg
 from embodichain.lab.sim.sensors.cfg import AnySensorCfg
 from embodichain.lab.sim.shapes import AnyShapeCfg
 
 __all__ = ["TAGS", "field_names", "is_named_map", "length_at", "tag_values", "type_at"]
 
-TAGS: dict[str, Any] = {"shape_type": AnyShapeCfg, "sensor_type": AnySensorCfg}
+TAGS: dict[str, Any] = {
+    "shape_type": AnyShapeCfg,
+    "sensor_type": AnySensorCfg,
+    "name": AnyAlgoCfg,
+}
 """Keys that choose between the members of a union, and the union."""
 
 

@@ -6,11 +6,11 @@ refused below `task` (`ROOT_INSTEAD`). No torch, no Hydra.
 
 from __future__ import annotations
 
-import dataclasses
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from embodichain.config.algorithms import AnyAlgoCfg
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.utils.configclass import configclass
 
@@ -18,8 +18,8 @@ __all__ = [
     "LARGEST_TRAINING_SEED",
     "ROOT_INSTEAD",
     "SUGGESTED_KEYS",
+    "CheckpointCfg",
     "PolicyCfg",
-    "PpoCfg",
     "RecordCfg",
     "RootCfg",
     "SimCfg",
@@ -84,36 +84,13 @@ class PolicyCfg:
 
 
 @configclass
-class PpoCfg:
-    """Arguments of `stable_baselines3.PPO`; None keeps its default."""
+class CheckpointCfg:
+    """When a training writes checkpoints, besides the final one."""
 
-    name: Literal["ppo"] = "ppo"
-    policy: Literal["MlpPolicy"] = "MlpPolicy"
-    """Observations are one flat vector."""
-    learning_rate: Annotated[float, Field(gt=0)] | None = None
-    n_steps: PositiveInt | None = None
-    """Control steps of each environment between updates."""
-    batch_size: Annotated[int, Field(ge=2)] | None = None
-    n_epochs: PositiveInt | None = None
-    gamma: Annotated[float, Field(ge=0, le=1)] | None = None
-    gae_lambda: Annotated[float, Field(ge=0, le=1)] | None = None
-    clip_range: Annotated[float, Field(gt=0)] | None = None
-    clip_range_vf: Annotated[float, Field(gt=0)] | None = None
-    normalize_advantage: bool | None = None
-    ent_coef: Annotated[float, Field(ge=0)] | None = None
-    vf_coef: Annotated[float, Field(ge=0)] | None = None
-    max_grad_norm: Annotated[float, Field(gt=0)] | None = None
-    target_kl: Annotated[float, Field(gt=0)] | None = None
-    use_sde: bool | None = None
-    sde_sample_freq: Annotated[int, Field(ge=-1)] | None = None
-    stats_window_size: PositiveInt | None = None
-    policy_kwargs: dict[str, Any] = {}
-    """Arguments of the policy's class: `net_arch`, `log_std_init`..."""
-
-    def arguments(self) -> dict[str, Any]:
-        """Return what is set, as keyword arguments of `stable_baselines3.PPO`."""
-        fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        return {k: v for k, v in fields.items() if k != "name" and v is not None}
+    every_steps: PositiveInt | None = None
+    """Environment steps between two, rounded up to whole rollouts; null is a tenth of all."""
+    keep: Annotated[int, Field(ge=0)] = 3
+    """How many of these are kept; `best` and `final` are kept anyway."""
 
 
 @configclass
@@ -124,7 +101,7 @@ class RootCfg:
     sim: SimCfg = SimCfg()
     record: RecordCfg = RecordCfg()
     viewer: ViewerCfg = ViewerCfg()
-    algo: PpoCfg | None = None
+    algo: AnyAlgoCfg | None = None
     num_envs: PositiveInt | None = None
     seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
     device: str | None = None
@@ -137,6 +114,7 @@ class RootCfg:
     policy: str | PolicyCfg | None = None
     resume: str | None = None
     """A training run's folder, or ``last``."""
+    checkpoint: CheckpointCfg = CheckpointCfg()
     video: bool | None = None
     """Not available yet."""
     gym_config: str | None = None

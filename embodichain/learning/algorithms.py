@@ -1,23 +1,24 @@
 """Algorithms by name, and their arguments checked against their signatures before anything runs.
 
-Which arguments a task suggests stands in its YAML; how training runs, in `train.py`.
+Which arguments a task suggests stands in its YAML; how training runs, in `train.py`; what
+schedules and noise in a config mean, in `schedules.py`.
 """
 
 from __future__ import annotations
 
+import importlib
 import inspect
 import types
 import typing
 from collections.abc import Callable, Mapping
 from typing import Any, Union
 
-import stable_baselines3
 import torch
 from pydantic import TypeAdapter, ValidationError
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.policies import ActorCriticPolicy
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
+from embodichain.learning.schedules import read_schedules
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -28,10 +29,21 @@ __all__ = [
     "algorithm_class",
     "build_algorithm",
     "check_arguments",
+    "check_normalize",
 ]
 
-ALGORITHMS: dict[str, type[BaseAlgorithm]] = {"ppo": stable_baselines3.PPO}
-"""What ``algo.name`` may be."""
+ALGORITHMS: dict[str, tuple[str, str]] = {
+    "ppo": ("stable_baselines3", "PPO"),
+    "a2c": ("stable_baselines3", "A2C"),
+    "sac": ("stable_baselines3", "SAC"),
+    "td3": ("stable_baselines3", "TD3"),
+    "ddpg": ("stable_baselines3", "DDPG"),
+    "dqn": ("stable_baselines3", "DQN"),
+    "trpo": ("sb3_contrib", "TRPO"),
+    "tqc": ("sb3_contrib", "TQC"),
+    "crossq": ("sb3_contrib", "CrossQ"),
+}
+"""What ``algo.name`` may be: package and class."""
 
 ACTIVATIONS: dict[str, type[torch.nn.Module]] = {
     "elu": torch.nn.ELU,
@@ -61,7 +73,10 @@ _OURS = {
     "seed": "it stands at the root: seed=N",
     "device": "it stands at the root: device=NAME",
     "verbose": "the command shows progress itself",
-    "tensorboard_log": "not available yet",
+    "tensorboard_log": "event files are in the run folder",
+    "action_noise": "use algo.noise_type and algo.noise_std",
+    "replay_buffer_class": "not available yet",
+    "replay_buffer_kwargs": "not available yet",
     "rollout_buffer_class": "not available yet",
     "rollout_buffer_kwargs": "not available yet",
     "_init_setup_model": "the network is always built",
@@ -72,6 +87,11 @@ _POLICY_OURS = {
     "lr_schedule": "use algo.learning_rate",
     "use_sde": "use algo.use_sde",
     "features_extractor_class": "not available yet",
+}
+_NORMALIZE_OURS = {
+    "venv": "the environment is the task's",
+    "training": "it is true while training",
+    "norm_obs_keys": "observations are one flat vector",
 }
 _WORDS: dict[Any, str] = {
     int: "an integer",
@@ -88,13 +108,22 @@ def algorithm_class(name: str) -> type[BaseAlgorithm]:
     """Return an algorithm by name.
 
     Raises:
-        ConfigError: If there is none; lists them.
+        ConfigError: If there is none (lists them), or its package is not installed (names it).
     """
     found = ALGORITHMS.get(name)
     if found is None:
         message = f"unknown algorithm {name!r}; allowed: {', '.join(ALGORITHMS)}"
         raise ConfigError([Problem("algo.name", message, did_you_mean(name, ALGORITHMS).strip())])
-    return found
+    package, attribute = found
+    try:
+        module = importlib.import_module(package)
+    except ModuleNotFoundError as error:
+        if error.name != package:
+            raise
+        message = f"{name} needs a package: pip install {package.replace('_', '-')}"
+        raise ConfigError([Problem("algo.name", message)]) from error
+    algorithm: type[BaseAlgorithm] = getattr(module, attribute)
+    return algorithm
 
 
 def check_arguments(name: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
@@ -112,22 +141,57 @@ def check_arguments(name: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
     """
     values = {"policy": "MlpPolicy", **arguments}
     problems: list[Problem] = []
+    if name == "dqn":
+        message = "dqn chooses among discrete actions, a task's are continuous: use sac, td3 or ppo"
+        raise ConfigError([Problem("algo.name", message)])
     policy = values.pop("policy")
     if policy != "MlpPolicy":
         message = f"observations are one flat vector: only 'MlpPolicy' fits, got {policy!r}"
         problems.append(Problem("algo.policy", message))
     kwargs = values.pop("policy_kwargs", None) or {}
     algorithm = algorithm_class(name)
+    values, found = read_schedules(values, inspect.signature(algorithm).parameters)
+    problems += found
     values, found = _check_call(algorithm, values, _OURS, "algo")
     problems += found
     if not isinstance(kwargs, Mapping):
         problems.append(Problem("algo.policy_kwargs", f"needs a map, got {kwargs!r}"))
         raise ConfigError(problems)
-    kwargs, found = _check_policy_kwargs(dict(kwargs))
+    kwargs, found = _check_policy_kwargs(algorithm.policy_aliases["MlpPolicy"], dict(kwargs))
     problems += found
     if problems:
         raise ConfigError(problems)
     return {"policy": policy, **values, "policy_kwargs": kwargs}
+
+
+def check_normalize(
+    what: str | bool | None, arguments: Mapping[str, Any], gamma: float | None
+) -> dict[str, Any] | None:
+    """Check what `VecNormalize` is told.
+
+    Args:
+        what: ``obs``, ``reward``, ``both`` (or True); None (or False) for nothing.
+        arguments: Keyword arguments of `VecNormalize`; they win.
+        gamma: The algorithm's; None is 0.99, which all have.
+
+    Returns:
+        All its arguments, or None if nothing is normalized.
+
+    Raises:
+        ConfigError: Every mistake, with paths below ``algo``.
+    """
+    values, problems = _check_call(
+        VecNormalize, arguments, _NORMALIZE_OURS, "algo.normalize_kwargs"
+    )
+    if arguments and not what:
+        message = "nothing is normalized; set algo.normalize to obs, reward or both"
+        problems.append(Problem("algo.normalize_kwargs", message))
+    if problems:
+        raise ConfigError(problems)
+    if not what:
+        return None
+    chosen = {"norm_obs": what != "reward", "norm_reward": what != "obs"}
+    return {"gamma": 0.99 if gamma is None else gamma, **chosen, **values}
 
 
 def build_algorithm(
@@ -152,7 +216,9 @@ def build_algorithm(
         raise ConfigError([Problem("algo", f"{name} refuses this: {error}")]) from error
 
 
-def _check_policy_kwargs(kwargs: dict[str, Any]) -> tuple[dict[str, Any], list[Problem]]:
+def _check_policy_kwargs(
+    policy: Callable[..., Any], kwargs: dict[str, Any]
+) -> tuple[dict[str, Any], list[Problem]]:
     path = "algo.policy_kwargs"
     problems: list[Problem] = []
     for key, table in _NAMED.items():
@@ -165,17 +231,18 @@ def _check_policy_kwargs(kwargs: dict[str, Any]) -> tuple[dict[str, Any], list[P
         message = f"unknown name {name!r}; allowed: {', '.join(table)}"
         problems.append(Problem(f"{path}.{key}", message, did_you_mean(str(name), table).strip()))
         del kwargs[key]
-    values, found = _check_call(ActorCriticPolicy, kwargs, _POLICY_OURS, path)
-    found += _check_layers(values.get("net_arch"), f"{path}.net_arch")
+    values, found = _check_call(policy, kwargs, _POLICY_OURS, path)
+    critic = "qf" if "n_critics" in inspect.signature(policy).parameters else "vf"
+    found += _check_layers(values.get("net_arch"), critic, f"{path}.net_arch")
     return values, problems + found
 
 
-def _check_layers(layers: Any, path: str) -> list[Problem]:
+def _check_layers(layers: Any, critic: str, path: str) -> list[Problem]:
     """SB3 ignores unknown parts of a map, and fails late on empty layers."""
     parts = layers if isinstance(layers, dict) else {"": layers or []}
-    unknown = [key for key in parts if key not in ("", "pi", "vf")]
+    unknown = [key for key in parts if key not in ("", "pi", critic)]
     problems = [
-        Problem(f"{path}.{key}", "unknown part; allowed: pi (policy), vf (value)")
+        Problem(f"{path}.{key}", f"unknown part; allowed: pi (policy), {critic} (value)")
         for key in unknown
     ]
     for key, widths in parts.items():

@@ -1,19 +1,18 @@
-"""`TrainStatistics`: how a training goes, counted while it runs, and the callback that counts.
+"""`TrainStatistics`: how a training goes, counted while it runs.
 
-What is kept of it in files is in `train.py`; how people see it, in the command line.
+Who counts is `watch.py`; what is kept of it in files is in `train.py`; how people see it, in the
+command line.
 """
 
 from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from stable_baselines3.common.callbacks import BaseCallback
 
-__all__ = ["EPISODE_WINDOW", "Progress", "TrainStatistics", "Watch"]
+__all__ = ["EPISODE_WINDOW", "TrainStatistics"]
 
 EPISODE_WINDOW = 200
 """Episodes that `mean_return` and `success_rate` look back."""
@@ -36,6 +35,7 @@ class TrainStatistics:
         self.episodes = 0
         self._returns: deque[float] = deque(maxlen=EPISODE_WINDOW)
         self._successes: deque[bool] = deque(maxlen=EPISODE_WINDOW)
+        self._before = 0.0
         self._start = time.perf_counter()
         self._end: float | None = None
 
@@ -57,7 +57,8 @@ class TrainStatistics:
     @property
     def seconds(self) -> float:
         """Wall time of learning."""
-        return (self._end if self._end is not None else time.perf_counter()) - self._start
+        end = self._end if self._end is not None else time.perf_counter()
+        return self._before + end - self._start
 
     @property
     def env_steps_per_second(self) -> float:
@@ -74,30 +75,25 @@ class TrainStatistics:
         """Share of the last episodes; None before the first, or for a task without success."""
         return float(np.mean(self._successes)) if self._successes else None
 
+    def state_dict(self) -> dict[str, Any]:
+        """Return what was counted, for a training that goes on later."""
+        return {
+            "episodes": self.episodes,
+            "returns": list(self._returns),
+            "successes": list(self._successes),
+            "seconds": self.seconds,
+        }
 
-Progress = Callable[[TrainStatistics], None]
-"""Is called after every control step; what it raises ends the training."""
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Count on; the clock goes on from the seconds that were learned before."""
+        self.episodes = saved["episodes"]
+        self._returns.extend(saved["returns"])
+        self._successes.extend(saved["successes"])
+        self._before = saved["seconds"]
 
-
-class Watch(BaseCallback):
-    """Counts steps and episodes for `TrainStatistics`.
-
-    Args:
-        statistics: Where to.
-        progress: Called after every control step.
-    """
-
-    def __init__(self, statistics: TrainStatistics, progress: Progress | None) -> None:
-        super().__init__()
-        self._statistics = statistics
-        self._progress = progress
-
-    def _on_step(self) -> bool:
-        statistics = self._statistics
-        statistics.env_steps = self.num_timesteps
-        infos = self.locals["infos"]
-        for i in np.flatnonzero(self.locals["dones"]).tolist():
-            statistics.add(infos[i])
-        if self._progress is not None:
-            self._progress(statistics)
-        return True
+    @property
+    def score(self) -> tuple[float, float] | None:
+        """What the best checkpoint is chosen by: success rate, then mean return; None yet."""
+        if self.mean_return is None:
+            return None
+        return (0.0 if self.success_rate is None else self.success_rate), self.mean_return

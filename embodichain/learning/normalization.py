@@ -63,7 +63,8 @@ class NormalizeStatistics:
     def of(cls, env: VecNormalize) -> NormalizeStatistics:
         """Copy them from the wrapper of a training."""
         # Without norm_obs, VecNormalize has no obs_rms at all.
-        obs = env.obs_rms if env.norm_obs else RunningMeanStd(shape=env.observation_space.shape)
+        width = env.observation_space.shape or ()
+        obs = _observed(env) if env.norm_obs else RunningMeanStd(shape=width)
         return cls(
             obs_mean=np.array(obs.mean, np.float64),
             obs_var=np.array(obs.var, np.float64),
@@ -83,7 +84,7 @@ class NormalizeStatistics:
     def restore(self, env: VecNormalize) -> None:
         """Let a `VecNormalize` count on from here, to the bit; its own settings stay."""
         if env.norm_obs:
-            _put(env.obs_rms, self.obs_mean, self.obs_var, self.obs_count)
+            _put(_observed(env), self.obs_mean, self.obs_var, self.obs_count)
         _put(env.ret_rms, self.ret_mean, self.ret_var, self.ret_count)
         env.returns = self.returns.copy()
 
@@ -151,11 +152,19 @@ def load_statistics(path: str | Path) -> NormalizeStatistics:
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise _wrong(path, str(error)) from error
     plain = {"float": float, "bool": bool}
-    values = {
+    values: dict[str, Any] = {
         name: plain[str(kind)](arrays[name]) if str(kind) in plain else arrays[name]
         for name, kind in names.items()
     }
     return NormalizeStatistics(**values)
+
+
+def _observed(env: VecNormalize) -> RunningMeanStd:
+    """The statistics of flat observations (the wrapper's type is for dicts of them)."""
+    found: Any = env.obs_rms
+    if not isinstance(found, RunningMeanStd):
+        raise TypeError("statistics of dict observations are not kept: learn on one flat vector")
+    return found
 
 
 def _put(target: RunningMeanStd, mean: F64, var: F64, count: float) -> None:

@@ -1,7 +1,8 @@
 """`train`: from one config to a checkpoint and a summary. The story of a training, top to bottom.
 
-The environment's vector interface is `vec_env.py`, algorithms `algorithms.py`, files
-`checkpoint.py`. What people see while it runs is the command line's.
+The environment's vector interface is `vec_env.py`, algorithms `algorithms.py`, checkpoints
+`keeper.py`, what happens in every step `watch.py`. What people see while it runs is the command
+line's.
 """
 
 from __future__ import annotations
@@ -11,19 +12,30 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
-from stable_baselines3.common.logger import Logger
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from embodichain.config import Resolved, make_env
+from embodichain.config.algorithms import DEFAULT_ALGORITHM, PpoCfg
 from embodichain.config.run_folder import write_atomically
 from embodichain.config.schema import LARGEST_TRAINING_SEED
-from embodichain.learning.algorithms import build_algorithm, check_arguments
-from embodichain.learning.checkpoint import CHECKPOINTS, FINAL, save_checkpoint
-from embodichain.learning.episodes import Progress, TrainStatistics, Watch
+from embodichain.learning.algorithms import build_algorithm, check_arguments, check_normalize
+from embodichain.learning.episodes import TrainStatistics
+from embodichain.learning.keeper import CheckpointKeeper, find_resumable
+from embodichain.learning.normalization import load_statistics, statistics_path
+from embodichain.learning.schedules import action_noise
+from embodichain.learning.train_logs import log_interval, make_logger
+from embodichain.learning.training_state import (
+    load_parameters,
+    restore,
+    restore_exploration,
+    restore_generators,
+)
 from embodichain.learning.vec_env import SB3VecEnv
+from embodichain.learning.watch import Progress, Watch
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["SUMMARY_FILE", "TORCH_THREADS", "TrainSummary", "check_training", "train"]
@@ -43,14 +55,16 @@ class TrainSummary:
         algo: The algorithm's name.
         seed: The seed of everything drawn.
         num_envs: Environments stepped together.
-        env_steps: Environment steps taken, summed over environments.
+        env_steps: Environment steps taken, summed over environments, with those before a resume.
         train_seconds: Wall time of learning, without start-up.
         env_steps_per_second: Their ratio.
         episodes: Episodes finished.
         success_rate: Share of the last 200 episodes that were a success; None without any.
         mean_return: Mean return of the last 200 episodes; None without any.
         status: ``finished`` or ``interrupted``.
-        checkpoint: Path of the checkpoint, relative to the run folder.
+        checkpoint: Path of the final checkpoint, relative to the run folder.
+        best: That of the best one; None where no episode ended.
+        resumed_from: The checkpoint that this training went on from; None for a new one.
     """
 
     task: str
@@ -65,6 +79,8 @@ class TrainSummary:
     mean_return: float | None
     status: Literal["finished", "interrupted"]
     checkpoint: str
+    best: str | None = None
+    resumed_from: str | None = None
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -76,26 +92,32 @@ class _Plan:
     arguments: dict[str, object]
     seed: int
     total_timesteps: int
+    normalize: dict[str, Any] | None
+    noise: tuple[str, float | None] | None
+    every_steps: int
+    keep: int
+    resume: Path | None
 
 
 def train(resolved: Resolved, run_dir: Path, progress: Progress | None = None) -> TrainSummary:
     """Learn a task in this process.
 
-    Writes ``checkpoints/final.zip`` and ``summary.json`` into the run folder, each as a whole or
-    not at all.
+    Writes checkpoints and ``summary.json`` into the run folder, each as a whole or not at all, and
+    logs. With ``resume`` in the config it goes on from the newest checkpoint of that run's folder.
 
     Args:
         resolved: A config of the verb `train`.
         run_dir: The run's own folder, which exists.
         progress: Called after every control step with `TrainStatistics`; may raise
-            KeyboardInterrupt to stop.
+            KeyboardInterrupt to stop: the rollout and its update are finished first.
 
     Returns:
         What the training was.
 
     Raises:
         ConfigError: If the task cannot be learned or an argument is wrong; nothing was written.
-        KeyboardInterrupt: Ctrl-C; what was learned until then is saved first.
+        KeyboardInterrupt: `progress` raised it, or Ctrl-C came; what was learned until then is
+            saved first.
     """
     plan = _plan(resolved)
     env = make_env(resolved)
@@ -130,47 +152,82 @@ def _plan(resolved: Resolved) -> _Plan:
     if root.seed is None or not 0 <= root.seed <= LARGEST_TRAINING_SEED:
         message = f"training needs a seed from 0 to {LARGEST_TRAINING_SEED}, got {root.seed}"
         problems.append(Problem("seed", message))
-    if root.resume is not None:
-        problems.append(Problem("resume", "not available yet; leave it out"))
-    name = root.algo.name if root.algo is not None else "ppo"
+    if root.resume is not None and not Path(root.resume).is_dir():
+        problems.append(Problem("resume", f"there is no run folder {root.resume!r}"))
+    name = root.algo.name if root.algo is not None else DEFAULT_ALGORITHM
     arguments: dict[str, object] = {}
+    normalize: dict[str, Any] | None = None
+    algo = root.algo if root.algo is not None else PpoCfg()
     try:
-        arguments = check_arguments(name, root.algo.arguments() if root.algo is not None else {})
+        arguments = check_arguments(name, algo.arguments())
+    except ConfigError as error:
+        problems += error.problems
+    try:
+        normalize = check_normalize(algo.normalize, algo.normalize_kwargs, algo.gamma)
     except ConfigError as error:
         problems += error.problems
     if problems or root.total_timesteps is None or root.seed is None:
         raise ConfigError(problems)
-    return _Plan(resolved.task_name, name, arguments, root.seed, root.total_timesteps)
+    kind = getattr(algo, "noise_type", None)
+    return _Plan(
+        task=resolved.task_name,
+        algo=name,
+        arguments=arguments,
+        seed=root.seed,
+        total_timesteps=root.total_timesteps,
+        normalize=normalize,
+        noise=None if kind is None else (kind, getattr(algo, "noise_std", None)),
+        every_steps=root.checkpoint.every_steps or max(1, root.total_timesteps // 10),
+        keep=root.checkpoint.keep,
+        resume=None if root.resume is None else Path(root.resume),
+    )
 
 
 def _learn(
     plan: _Plan, vec_env: SB3VecEnv, run_dir: Path, progress: Progress | None
 ) -> TrainSummary:
-    model = build_algorithm(plan.algo, plan.arguments, vec_env, plan.seed)
-    model.set_logger(Logger(folder=None, output_formats=[]))  # its own would make a folder
+    found = None if plan.resume is None else find_resumable(plan.resume)
+    if found is not None and found[1]["env_steps"] >= plan.total_timesteps:
+        message = f"{found[0]} has {found[1]['env_steps']} steps already: give more than these"
+        raise ConfigError([Problem("total_timesteps", message)])
+    model = _build(plan, vec_env)
     statistics = TrainStatistics(plan.total_timesteps)
+    note = {"algo": plan.algo, "group": GROUP, "task": plan.task}
+    keeper = CheckpointKeeper(
+        run_dir, model, vec_env, statistics, note, plan.every_steps, plan.keep
+    )
+    fresh: list[dict[str, Any]] = []  # the state that a resumed training begins with, once
+    if found is not None:
+        _resume(model, vec_env, statistics, *found)
+        fresh = [found[1]["training"]]
+
+    def boundary() -> None:
+        if fresh and fresh[0]["exploration"]:
+            restore_exploration(model, fresh[0])
+            restore_generators(model, fresh[0])
+        fresh.clear()
+        keeper.boundary()
+
+    watch = Watch(statistics, progress, boundary)
+    logger = make_logger(run_dir)
+    model.set_logger(logger)
+    remaining = plan.total_timesteps - model.num_timesteps
+    interval = log_interval(model, plan.total_timesteps)
+    if fresh:
+        restore_generators(model, fresh[0])
     statistics.begin()
+    status: Literal["finished", "interrupted"] = "finished"
+    interrupt: KeyboardInterrupt | None = None
     try:
-        model.learn(plan.total_timesteps, callback=Watch(statistics, progress))
-    except KeyboardInterrupt:
+        model.learn(remaining, watch, log_interval=interval, reset_num_timesteps=found is None)
+    except KeyboardInterrupt as error:
+        status, interrupt = "interrupted", error
+    finally:
         statistics.end()
-        _save(plan, model, statistics, run_dir, "interrupted")
-        raise
-    statistics.end()
-    return _save(plan, model, statistics, run_dir, "finished")
-
-
-def _save(
-    plan: _Plan,
-    model: BaseAlgorithm,
-    statistics: TrainStatistics,
-    run_dir: Path,
-    status: Literal["finished", "interrupted"],
-) -> TrainSummary:
-    """Write the checkpoint, then the summary that says it is there."""
-    relative = Path(CHECKPOINTS) / FINAL
-    note = {"algo": plan.algo, "group": GROUP, "task": plan.task, "env_steps": statistics.env_steps}
-    save_checkpoint(model, run_dir / relative, note)
+        logger.close()
+    # Raised by Ctrl-C itself, it may have come in the middle of an update.
+    resumable = interrupt is None or interrupt is watch.stopped
+    checkpoint = keeper.final(resumable=resumable, rolling=interrupt is not None)
     summary = TrainSummary(
         task=plan.task,
         algo=plan.algo,
@@ -183,11 +240,44 @@ def _save(
         success_rate=statistics.success_rate,
         mean_return=statistics.mean_return,
         status=status,
-        checkpoint=relative.as_posix(),
+        checkpoint=checkpoint,
+        best=keeper.best,
+        resumed_from=None if found is None else str(found[0]),
     )
     text = json.dumps(dataclasses.asdict(summary), indent=2)
     write_atomically(run_dir / SUMMARY_FILE, text + "\n")
+    if interrupt is not None:
+        raise interrupt
     return summary
+
+
+def _build(plan: _Plan, vec_env: SB3VecEnv) -> BaseAlgorithm:
+    """The algorithm on the environment, normalized where that is wanted."""
+    wrapped: VecEnv = vec_env
+    if plan.normalize is not None:
+        wrapped = VecNormalize(vec_env, **plan.normalize)
+    arguments = dict(plan.arguments)
+    if plan.noise is not None:
+        width = int(vec_env.action_space.shape[0]) if vec_env.action_space.shape else 0
+        arguments["action_noise"] = action_noise(*plan.noise, width, vec_env.num_envs)
+    return build_algorithm(plan.algo, arguments, wrapped, plan.seed)
+
+
+def _resume(
+    model: BaseAlgorithm,
+    vec_env: SB3VecEnv,
+    statistics: TrainStatistics,
+    checkpoint: Path,
+    state: dict[str, Any],
+) -> None:
+    """Put a new model where a checkpoint was written."""
+    load_parameters(model, checkpoint)
+    restore(model, vec_env, state["training"])
+    normalizer = model.get_vec_normalize_env()
+    if normalizer is not None:
+        load_statistics(statistics_path(checkpoint)).restore(normalizer)
+    statistics.load_state_dict(state["statistics"])
+    statistics.env_steps = model.num_timesteps
 
 
 @contextmanager

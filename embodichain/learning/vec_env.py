@@ -25,7 +25,10 @@ from embodichain.learning.spaces import ActionScale, flat_observation, observati
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
-__all__ = ["SB3VecEnv"]
+__all__ = ["ENDS", "SB3VecEnv"]
+
+ENDS = ("diverged", "success", "fail", "time_out")
+"""What ends an episode, the first that applies."""
 
 F32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
@@ -42,7 +45,9 @@ class SB3VecEnv(VecEnv):
     * ``terminal_observation``: (K,) the observation before the reset;
     * ``TimeLimit.truncated``: cut off and not terminated, so that its value may be bootstrapped;
     * ``episode``: return ``r``, length ``l`` and seconds since construction ``t``, as `Monitor`'s;
-    * ``is_success``: whether the episode was a success, for tasks that have a success.
+    * ``is_success``: whether the episode was a success, for tasks that have a success;
+    * ``reward_sums``: the sum of each reward term over the episode, by name;
+    * ``ended_by``: ``diverged``, ``success``, ``fail``, or ``time_out``.
 
     The infos of all others are empty dicts. Every array and dict returned belongs to the caller.
 
@@ -137,7 +142,8 @@ class SB3VecEnv(VecEnv):
         final = flat_observation(self.base, info["final_obs"], self.group)[ids]
         success = _success(info["final_info"]) if self._has_success else None
         seconds = round(time.time() - self._start, 6)
-        for row, i in zip(final, ids.tolist(), strict=True):
+        sums, kinds = _reward_sums(info["final_info"], ids), _ended_by(info["final_info"], ids)
+        for row, i, rewards, kind in zip(final, ids.tolist(), sums, kinds, strict=True):
             told = infos[i]
             told["terminal_observation"] = row
             told["TimeLimit.truncated"] = not terminated[i]
@@ -146,10 +152,21 @@ class SB3VecEnv(VecEnv):
                 "l": int(self._lengths[i]),
                 "t": seconds,
             }
+            told["reward_sums"] = rewards
+            told["ended_by"] = kind
             if success is not None:
                 told["is_success"] = bool(success[i])
         self._returns[ids] = 0.0
         self._lengths[ids] = 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return copies of what is counted here; the environment has its own `state_dict`."""
+        return {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
+
+    def load_state_dict(self, saved: dict[str, Any]) -> None:
+        """Count on from where `state_dict` was taken."""
+        self._returns[:] = saved["returns"]
+        self._lengths[:] = saved["lengths"]
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Choose the seed of the next `reset`.
@@ -280,3 +297,16 @@ def _success(info: dict[str, Any]) -> Bool:
     """(N,) whether each episode was a success: the metric of that name, else the termination."""
     value = info["metrics"].get("success", info["success"])
     return _numpy(value).astype(np.bool_)
+
+
+def _reward_sums(info: dict[str, Any], ids: NDArray[np.int64]) -> list[dict[str, float]]:
+    """The sum of each reward term over an episode, for each environment of `ids`."""
+    sums = {name: _numpy(value)[ids].tolist() for name, value in info["episode_sums"].items()}
+    return [{name: values[k] for name, values in sums.items()} for k in range(len(ids))]
+
+
+def _ended_by(info: dict[str, Any], ids: NDArray[np.int64]) -> list[str]:
+    """What ended the episode of each environment of `ids`; an end without a flag is the time."""
+    flags = {name: _numpy(info[name])[ids] for name in ENDS[:-1]}
+    kinds: list[str] = np.select(list(flags.values()), list(flags), ENDS[-1]).tolist()
+    return kinds

@@ -72,13 +72,15 @@ BAD = {
     "unknown key at the root": bad(
         "command line: num_env: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, resume, "
-        "video, gym_config, output_dir, quiet, json, traceback. Did you mean 'num_envs'?",
+        "checkpoint, video, gym_config, output_dir, quiet, json, traceback. Did "
+        "you mean 'num_envs'?",
         overrides=("num_env=4",),
     ),
     "a task's key at the root": bad(
         "command line: rewards: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, resume, "
-        "video, gym_config, output_dir, quiet, json, traceback. Did you mean 'task.rewards'?",
+        "checkpoint, video, gym_config, output_dir, quiet, json, traceback. Did "
+        "you mean 'task.rewards'?",
         overrides=("rewards.near.weight=2",),
     ),
     "a root key in a task": bad(
@@ -208,12 +210,30 @@ BAD = {
     ),
     "unknown argument of an algorithm": bad(
         "command line: algo.learning_rte: unknown key; allowed: name, policy, "
-        "learning_rate, n_steps, batch_size, n_epochs, gamma, gae_lambda, clip_range, "
-        "clip_range_vf, normalize_advantage, ent_coef, vf_coef, max_grad_norm, "
-        "target_kl, use_sde, sde_sample_freq, stats_window_size, policy_kwargs. Did you "
-        "mean 'learning_rate'?",
+        "learning_rate, gamma, policy_kwargs, normalize, normalize_kwargs, n_steps, "
+        "gae_lambda, normalize_advantage, use_sde, sde_sample_freq, stats_window_size, "
+        "batch_size, n_epochs, clip_range, clip_range_vf, ent_coef, vf_coef, "
+        "max_grad_norm, target_kl. Did you mean 'learning_rate'?",
         overrides=(
             "algo.learning_rte=0.1",
+            "total_timesteps=1000",
+        ),
+        verb="train",
+    ),
+    "an algorithm's key of rl-zoo3": bad(
+        "command line: algo.n_timesteps: not a key of an algorithm; it stands at the root: "
+        "total_timesteps=N",
+        overrides=(
+            "algo.n_timesteps=1000",
+            "total_timesteps=1000",
+        ),
+        verb="train",
+    ),
+    "a schedule that is none": bad(
+        "command line: algo.learning_rate: expected a number or a schedule lin_VALUE, "
+        "got 'line_3e-4'",
+        overrides=(
+            "algo.learning_rate=line_3e-4",
             "total_timesteps=1000",
         ),
         verb="train",
@@ -329,7 +349,8 @@ BAD = {
         "command line: seed: expected an integer, got 'x'",
         "command line: num_env: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, resume, "
-        "video, gym_config, output_dir, quiet, json, traceback. Did you mean 'num_envs'?",
+        "checkpoint, video, gym_config, output_dir, quiet, json, traceback. Did "
+        "you mean 'num_envs'?",
         task="mein",
         overrides=(
             "num_env=4",

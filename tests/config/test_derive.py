@@ -72,8 +72,8 @@ def test_an_unknown_suggested_algorithm(write_task: WriteTask) -> None:
     with pytest.raises(ConfigError) as error:
         resolve(["task=mine"], "train")
     assert str(error.value) == (
-        "conf/task/mine.yaml:37: task.suggested.train.algo.name: expected 'ppo', got 'poo'."
-        " Did you mean 'ppo'?"
+        "conf/task/mine.yaml:37: task.suggested.train.algo.name: unknown algorithm 'poo';"
+        " one of: ppo, a2c, sac, td3, ddpg, dqn, trpo, tqc, crossq. Did you mean 'ppo'?"
     )
 
 

@@ -76,6 +76,9 @@ class CountingEnv(gym.Env):
         truncated = self.count >= self.limit
         success = torch.from_numpy(terminated & (np.arange(self.num_envs) % 2 == 0))
         info = {"success": success, "metrics": {}}
+        info["fail"] = torch.from_numpy(terminated) & ~success
+        info["diverged"] = torch.zeros(self.num_envs, dtype=torch.bool)
+        info["episode_sums"] = {"steps": torch.from_numpy(self.count.copy())}
         obs = self._obs()
         done = terminated | truncated
         if done.any():

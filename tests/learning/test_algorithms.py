@@ -1,7 +1,15 @@
+import dataclasses
+import inspect
+import typing
+
+import numpy as np
 import pytest
 import torch
 
-from embodichain.learning.algorithms import build_algorithm, check_arguments
+from embodichain.config.algorithms import AnyAlgoCfg
+from embodichain.learning import algorithms
+from embodichain.learning.algorithms import algorithm_class, build_algorithm, check_arguments
+from embodichain.learning.schedules import action_noise
 from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.utils.errors import ConfigError
 from tests.learning.counting import CountingEnv
@@ -42,7 +50,64 @@ def test_unknown_algorithm():
     with pytest.raises(ConfigError) as caught:
         check_arguments("pppo", {})
     assert str(caught.value) == (
-        "algo.name: unknown algorithm 'pppo'; allowed: ppo Did you mean 'ppo'?"
+        "algo.name: unknown algorithm 'pppo'; allowed: ppo, a2c, sac, td3, ddpg, dqn, trpo, tqc, "
+        "crossq Did you mean 'ppo'?"
+    )
+
+
+# Arguments that the command gives itself, or that a config cannot write.
+GIVEN = {
+    *("self", "env", "seed", "device", "verbose", "tensorboard_log", "_init_setup_model"),
+    *("rollout_buffer_class", "rollout_buffer_kwargs"),
+    *("replay_buffer_class", "replay_buffer_kwargs", "action_noise"),
+}
+
+
+@pytest.mark.parametrize("cfg", typing.get_args(typing.get_args(AnyAlgoCfg)[0]))
+def test_a_config_has_every_argument_of_its_class(cfg):
+    if cfg.name in ("trpo", "tqc", "crossq"):
+        pytest.importorskip("sb3_contrib")
+    arguments = set(inspect.signature(algorithm_class(cfg.name).__init__).parameters) - GIVEN
+    settings = {"name", "normalize", "normalize_kwargs", "noise_type", "noise_std"}
+    assert {f.name for f in dataclasses.fields(cfg)} - settings == arguments
+
+
+def test_dqn_says_what_would_fit():
+    assert "use sac, td3 or ppo" in problems("dqn")["algo.name"].message
+
+
+def test_a_missing_package_is_named(monkeypatch):
+    monkeypatch.setattr(algorithms.importlib, "import_module", missing)
+    assert problems("tqc")["algo.name"].message == "tqc needs a package: pip install sb3-contrib"
+
+
+def missing(name):
+    raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+
+def test_schedules_fall_to_zero():
+    arguments = check_arguments("ppo", {"learning_rate": "lin_3e-4", "clip_range": "lin_.2"})
+    rates = [arguments["learning_rate"](remaining) for remaining in (1.0, 0.5, 0.0)]
+    np.testing.assert_allclose(rates, [3e-4, 1.5e-4, 0.0])
+    assert arguments["clip_range"](1.0) == 0.2
+    found = problems(gamma="lin_0.9", learning_rate="lin_fast")
+    assert found["algo.gamma"].message == "takes no schedule, got 'lin_0.9'"
+    assert found["algo.learning_rate"].message == "a schedule is lin_VALUE, got 'lin_fast'"
+
+
+@pytest.mark.parametrize("kind", ["normal", "ornstein-uhlenbeck"])
+def test_noise_is_drawn_for_each_environment(kind):
+    noise = action_noise(kind, 0.5, width=2, num_envs=3)
+    drawn = np.array([noise() for _ in range(50)])
+    assert drawn.shape == (50, 3, 2)
+    assert not np.allclose(drawn[:, 0], drawn[:, 1])
+
+
+def test_parts_of_networks_are_those_of_the_algorithm():
+    check_arguments("sac", {"policy_kwargs": {"net_arch": {"pi": [4], "qf": [4]}}})
+    found = problems("sac", policy_kwargs={"net_arch": {"pi": [4], "vf": [4]}})
+    assert found["algo.policy_kwargs.net_arch.vf"].message == (
+        "unknown part; allowed: pi (policy), qf (value)"
     )
 
 

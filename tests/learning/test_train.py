@@ -1,5 +1,6 @@
 """From a config to a checkpoint that plays; two updates with tiny sizes."""
 
+import csv
 import dataclasses
 import json
 import zipfile
@@ -11,7 +12,9 @@ import torch
 from embodichain.config import make_env, resolve
 from embodichain.learning import load_policy
 from embodichain.learning.checkpoint import read_note
+from embodichain.learning.normalization import load_statistics
 from embodichain.learning.train import TORCH_THREADS, train
+from embodichain.learning.vec_env import ENDS
 from embodichain.utils.errors import ConfigError
 
 TINY = (
@@ -24,7 +27,12 @@ TINY = (
     "sim.num_threads=1",
 )
 TWO_UPDATES = 2 * 4 * 8
-FILES = {"summary.json", "checkpoints/final.zip"}
+FILES = {
+    "summary.json",
+    "progress.csv",
+    *("checkpoints/final.zip", "checkpoints/final.state.npz", "checkpoints/best.zip"),
+    *("checkpoints/step_000000000032.zip", "checkpoints/step_000000000032.state.npz"),
+}
 
 
 def config(*overrides):
@@ -32,7 +40,9 @@ def config(*overrides):
 
 
 def files(folder):
-    return {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    """What a training left; event files are there only where tensorboard is installed."""
+    found = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+    return {name for name in found if not name.startswith("tensorboard/")}
 
 
 def parameters(folder):
@@ -111,25 +121,20 @@ def test_threads_of_torch_are_given_back(tmp_path):
         torch.set_num_threads(1)
 
 
-def test_ctrl_c_saves_what_was_learned(tmp_path):
+def test_an_interrupt_lets_the_update_finish_and_saves(tmp_path):
     def interrupt(statistics):
-        if statistics.env_steps == 40:  # in the second rollout
+        if statistics.env_steps == 4:  # in the first rollout
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         train(config(), tmp_path, interrupt)
     assert files(tmp_path) == FILES
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert (summary["status"], summary["env_steps"]) == ("interrupted", 40)
-    untrained = tmp_path / "untrained"
-    untrained.mkdir()
-
-    def interrupt_at_once(statistics):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train(config(), untrained, interrupt_at_once)
-    assert not torch.equal(parameters(tmp_path), parameters(untrained))  # the first update is there
+    assert (summary["status"], summary["env_steps"]) == ("interrupted", 32)
+    whole = tmp_path / "whole"
+    whole.mkdir()
+    train(config("total_timesteps=32"), whole)
+    assert torch.equal(parameters(tmp_path), parameters(whole))
 
 
 def test_a_failure_leaves_no_checkpoint(tmp_path):
@@ -138,7 +143,58 @@ def test_a_failure_leaves_no_checkpoint(tmp_path):
 
     with pytest.raises(RuntimeError, match="broken"):
         train(config(), tmp_path, fail)
-    assert files(tmp_path) == set()
+    assert files(tmp_path) == {"progress.csv"}
+
+
+def test_a_log_of_every_rollout(tmp_path):
+    train(config(), tmp_path)
+    with (tmp_path / "progress.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["time/total_timesteps"] for row in rows] == ["32", "64"]
+    for row in rows:
+        assert float(row["Episode_Reward/distance"]) < 5
+        ends = [float(row[f"Episode_Termination/{kind}"]) for kind in ENDS]
+        assert ends == [0.0, 0.0, 0.0, 1.0]
+
+
+def test_checkpoints_are_made_when_due_and_the_oldest_go(tmp_path):
+    train(config("total_timesteps=160", "checkpoint.every_steps=33", "checkpoint.keep=1"), tmp_path)
+    steps = {name for name in files(tmp_path) if "/step_" in name}
+    assert steps == {
+        "checkpoints/step_000000000128.zip",
+        "checkpoints/step_000000000128.state.npz",
+    }  # and one at 64, which went
+
+
+@pytest.mark.parametrize("what", ["obs", "reward", "both"])
+def test_statistics_of_normalized_trainings_stand_beside_every_checkpoint(tmp_path, what):
+    train(config(f"algo.normalize={what}", "algo.normalize_kwargs={clip_obs: 5}"), tmp_path)
+    for name in ("final", "best", "step_000000000032"):
+        found = load_statistics(tmp_path / f"checkpoints/{name}.normalize.npz")
+        assert (found.norm_obs, found.norm_reward) == (what != "reward", what != "obs")
+        assert (found.clip_obs, found.gamma) == (5.0, 0.9)  # the task's gamma
+        assert found.ret_count > 30
+        assert np.isfinite(found.obs_var).all()
+
+
+@pytest.mark.parametrize("algo", ["a2c", "sac", "td3", "ddpg", "trpo", "tqc", "crossq"])
+def test_every_algorithm_learns_what_plays(tmp_path, algo):
+    if algo in ("trpo", "tqc", "crossq"):
+        pytest.importorskip("sb3_contrib")
+    on_policy = algo in ("a2c", "trpo")
+    own = ["algo.n_steps=8"] if on_policy else ["algo.learning_starts=16", "algo.buffer_size=100"]
+    own += ["+algo.noise_type=normal"] if algo in ("td3", "ddpg") else []
+    lines = [line for line in TINY if not line.startswith("algo.")]
+    lines += [f"algo={algo}", "algo.policy_kwargs.net_arch=[8]", "total_timesteps=64", "seed=1"]
+    resolved = resolve([*lines, *own], "train")
+    summary = train(resolved, tmp_path)
+    assert (summary.algo, summary.env_steps) == (algo, 64)
+    env = make_env(resolved)
+    try:
+        obs, _ = env.reset()
+        assert torch.isfinite(load_policy(tmp_path, env)(obs, env)).all()
+    finally:
+        env.close()
 
 
 def change(resolved, **root):

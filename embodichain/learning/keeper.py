@@ -1,0 +1,151 @@
+"""`CheckpointKeeper`: which checkpoints of a training there are, and `find_resumable` among them.
+
+How one is written is in `checkpoint.py`, `normalization.py` and `plain_state.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from embodichain.learning.checkpoint import CHECKPOINTS, FINAL, read_note, save_checkpoint
+from embodichain.learning.episodes import TrainStatistics
+from embodichain.learning.normalization import save_statistics, statistics_path
+from embodichain.learning.plain_state import read_tree, write_tree
+from embodichain.learning.training_state import capture
+from embodichain.learning.vec_env import SB3VecEnv
+from embodichain.utils.errors import ConfigError, Problem
+
+__all__ = ["BEST", "CheckpointKeeper", "find_resumable", "state_path"]
+
+BEST = "best.zip"
+_STEP = "step_{:012d}.zip"
+_STATE = ".state.npz"
+
+
+class CheckpointKeeper:
+    """Writes checkpoints of one training: every so many steps, the best of these, the final one.
+
+    Files of a checkpoint are each written as a whole, the zip last: where it is, the others are.
+
+    Args:
+        run_dir: The run's folder.
+        model: What learns.
+        vec_env: What it learns in, without wrappers.
+        statistics: How it goes.
+        note: What the zips say of themselves; gets ``env_steps``.
+        every: Environment steps between two.
+        keep: How many are kept.
+    """
+
+    def __init__(
+        self,
+        run_dir: Path,
+        model: BaseAlgorithm,
+        vec_env: SB3VecEnv,
+        statistics: TrainStatistics,
+        note: Mapping[str, Any],
+        every: int,
+        keep: int,
+    ) -> None:
+        self._folder = run_dir / CHECKPOINTS
+        self._model, self._vec_env, self._statistics = model, vec_env, statistics
+        self._note = note
+        self._every, self._keep = every, keep
+        self._written: list[Path] = []
+        self._next: int | None = None
+        self._best: tuple[float, float] | None = None
+
+    @property
+    def best(self) -> str | None:
+        """The best checkpoint's path, relative to the run's folder; None without."""
+        path = self._folder / BEST
+        return f"{CHECKPOINTS}/{BEST}" if path.is_file() else None
+
+    def boundary(self) -> None:
+        """Write a checkpoint where a rollout begins, if one is due; the oldest goes."""
+        steps = self._model.num_timesteps
+        if self._next is None:  # where the training begins, or goes on
+            self._next = steps + self._every
+        if steps < self._next:
+            return
+        self._next = steps + self._every
+        self._judge()
+        if self._keep == 0:
+            return
+        self._written.append(self._write(_STEP.format(steps), resumable=True))
+        while len(self._written) > self._keep:
+            _remove(self._written.pop(0))
+
+    def final(self, *, resumable: bool, rolling: bool) -> str:
+        """Write the final checkpoint.
+
+        Args:
+            resumable: Whether the model is between two rollouts, where a training can go on.
+            rolling: Whether the next of these has begun.
+
+        Returns:
+            Its path, relative to the run's folder.
+        """
+        self._judge()
+        self._write(FINAL, resumable=resumable, rolling=rolling)
+        return f"{CHECKPOINTS}/{FINAL}"
+
+    def _judge(self) -> None:
+        score = self._statistics.score
+        if score is not None and (self._best is None or score > self._best):
+            self._best = score
+            self._write(BEST, resumable=False)
+
+    def _write(self, name: str, *, resumable: bool, rolling: bool = True) -> Path:
+        model, path = self._model, self._folder / name
+        self._folder.mkdir(parents=True, exist_ok=True)
+        normalizer = model.get_vec_normalize_env()
+        if normalizer is not None:
+            save_statistics(statistics_path(path), normalizer)
+        steps = model.num_timesteps
+        if resumable:
+            write_tree(
+                state_path(path),
+                {
+                    "env_steps": steps,
+                    "training": capture(model, self._vec_env, rolling=rolling),
+                    "statistics": self._statistics.state_dict(),
+                },
+            )
+        save_checkpoint(model, path, {**self._note, "env_steps": steps})
+        return path
+
+
+def find_resumable(run: Path) -> tuple[Path, dict[str, Any]]:
+    """Return the newest checkpoint of a run that a training can go on from, and its state.
+
+    A zip whose state is missing or of another step (the process was killed in between) is passed
+    over.
+
+    Raises:
+        ConfigError: If there is none; says what was looked for.
+    """
+    folder = run / CHECKPOINTS
+    paths = [*folder.glob("step_*.zip"), *folder.glob(FINAL)]
+    steps = {path: int(read_note(path).get("env_steps", -1)) for path in paths}
+    for path in sorted(paths, key=lambda p: (steps[p], p.name == FINAL), reverse=True):
+        if state_path(path).is_file():
+            state = read_tree(state_path(path))
+            if state.get("env_steps") == steps[path]:
+                return path, state
+    message = f"{run} holds no checkpoint that a training can go on from"
+    raise ConfigError([Problem("resume", message)])
+
+
+def state_path(checkpoint: Path) -> Path:
+    """Return where the training's state of ``NAME.zip`` is: ``NAME.state.npz`` beside it."""
+    return checkpoint.with_name(checkpoint.stem + _STATE)
+
+
+def _remove(checkpoint: Path) -> None:
+    for path in (checkpoint, state_path(checkpoint), statistics_path(checkpoint)):
+        path.unlink(missing_ok=True)

@@ -1,0 +1,109 @@
+"""Trees of plain values and arrays in one npz file, without pickle, to the bit.
+
+What a training's state is made of stands in `training_state.py`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from embodichain.utils.errors import ConfigError, Problem
+
+__all__ = ["read_tree", "write_tree"]
+
+_TREE = "tree"
+_KIND = "__kind__"
+
+
+def write_tree(path: Path, tree: Mapping[str, Any]) -> None:
+    """Write a tree, as a whole or not at all.
+
+    Args:
+        path: Where to.
+        tree: Maps with text as keys, lists, tuples, arrays, tensors, numbers, text, None. Numbers
+            come back to the bit: JSON's digits are those of `repr`, integers have any size.
+
+    Raises:
+        TypeError: Something else is in it; says where.
+        OSError: It cannot be written; nothing is left behind.
+    """
+    arrays: dict[str, NDArray[Any]] = {}
+    text = json.dumps(_pack(tree, "state", arrays))
+    entries: dict[str, Any] = {_TREE: np.array(text), **arrays}
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        with temporary.open("wb") as stream:
+            np.savez(stream, allow_pickle=False, **entries)
+            stream.flush()
+            os.fsync(stream.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def read_tree(path: Path) -> dict[str, Any]:
+    """Read what `write_tree` wrote; runs nothing of the file.
+
+    Raises:
+        ConfigError: If the file is missing or is no such file.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        tree = _unpack(json.loads(str(arrays[_TREE])), arrays)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        message = f"{path} holds no state of a training: {error}"
+        raise ConfigError([Problem("resume", message)]) from error
+    if not isinstance(tree, dict):
+        raise ConfigError([Problem("resume", f"{path} holds no state of a training")])
+    return tree
+
+
+def _pack(value: Any, path: str, arrays: dict[str, NDArray[Any]]) -> Any:
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, (np.ndarray, np.generic, torch.Tensor)):
+        name = f"a{len(arrays)}"
+        if isinstance(value, torch.Tensor):
+            kind, arrays[name] = "tensor", value.numpy(force=True)
+        else:
+            kind = "scalar" if isinstance(value, np.generic) else "array"
+            arrays[name] = np.asarray(value)
+        if arrays[name].dtype.hasobject:
+            raise TypeError(f"{path} holds objects: they cannot be written")
+        return {_KIND: kind, "name": name}
+    if isinstance(value, Mapping):
+        items = [(k, _pack(v, f"{path}.{k}", arrays)) for k, v in value.items()]
+        if not all(isinstance(k, str) for k, _ in items):
+            raise TypeError(f"{path} has keys that are no text: {[k for k, _ in items]}")
+        return {_KIND: "map", "items": dict(items)}
+    if isinstance(value, (list, tuple)):
+        items = [_pack(v, f"{path}[{i}]", arrays) for i, v in enumerate(value)]
+        return {_KIND: "tuple", "items": items} if isinstance(value, tuple) else items
+    raise TypeError(f"{path} is {type(value).__name__}: it cannot be written")
+
+
+def _unpack(value: Any, arrays: Mapping[str, NDArray[Any]]) -> Any:
+    if isinstance(value, list):
+        return [_unpack(v, arrays) for v in value]
+    if not isinstance(value, dict):
+        return value
+    kind = value[_KIND]
+    if kind == "map":
+        return {k: _unpack(v, arrays) for k, v in value["items"].items()}
+    if kind == "tuple":
+        return tuple(_unpack(v, arrays) for v in value["items"])
+    array = arrays[value["name"]]
+    if kind == "tensor":
+        return torch.from_numpy(np.array(array))
+    return array[()] if kind == "scalar" else array

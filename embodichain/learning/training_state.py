@@ -1,0 +1,107 @@
+"""What a training needs besides its model to go on as if it had never stopped.
+
+Taken and put back on rollout boundaries; the file is `plain_state.py`'s, the model's own
+`checkpoint.py`'s. For on-policy algorithms nothing else decides how learning goes on; off-policy
+ones also have a replay buffer, which is not kept: they go on with an empty one.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.save_util import load_from_zip_file, recursive_setattr
+from stable_baselines3.common.vec_env import VecEnv
+
+from embodichain.learning.vec_env import SB3VecEnv
+
+__all__ = ["capture", "load_parameters", "restore", "restore_exploration", "restore_generators"]
+
+_COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_n_calls")
+_LAST = ("_last_obs", "_last_episode_starts", "_last_original_obs")
+_BUFFERS = ("ep_info_buffer", "ep_success_buffer")
+_EXPLORATION = ("exploration_mat", "exploration_matrices")
+
+
+def capture(model: BaseAlgorithm, vec_env: SB3VecEnv, *, rolling: bool) -> dict[str, Any]:
+    """Return plain values and arrays, copied: environment, model's counters, generators.
+
+    Args:
+        model: On a rollout boundary.
+        vec_env: What it learns in, without wrappers.
+        rolling: Whether a rollout has begun, and drawn its exploration.
+    """
+    return {
+        "env": vec_env.base.state_dict(),
+        "vec_env": vec_env.state_dict(),
+        "counters": {n: getattr(model, n) for n in _COUNTERS if hasattr(model, n)},
+        "last": {name: _copy(getattr(model, name)) for name in _LAST},
+        "buffers": {name: list(getattr(model, name)) for name in _BUFFERS},
+        "exploration": _exploration(model) if rolling else {},
+        "generators": {
+            "python": random.getstate(),
+            "numpy": np.random.get_state(),  # noqa: NPY002  Stable-Baselines3 draws from it
+            "torch": torch.get_rng_state(),
+            "actions": model.action_space.np_random.bit_generator.state,
+        },
+    }
+
+
+def restore(model: BaseAlgorithm, vec_env: SB3VecEnv, saved: dict[str, Any]) -> None:
+    """Put everything but the generators back into a model and an environment just built.
+
+    Args:
+        model: Of the same algorithm, arguments and number of environments.
+        vec_env: What it learns in, without wrappers.
+        saved: What `capture` returned.
+    """
+    env: VecEnv | None = model.env
+    if env is None:
+        raise ValueError("a model without environment cannot go on")
+    env.reset()  # builds what is built late; all of it is overwritten now
+    vec_env.base.load_state_dict(saved["env"])
+    vec_env.load_state_dict(saved["vec_env"])
+    for name, value in (saved["counters"] | saved["last"]).items():
+        setattr(model, name, value)
+    for name in _BUFFERS:
+        setattr(model, name, deque(saved["buffers"][name], maxlen=model._stats_window_size))
+
+
+def restore_generators(model: BaseAlgorithm, saved: dict[str, Any]) -> None:
+    """Put the generators back that learning draws from; nothing may draw in between."""
+    generators = saved["generators"]
+    random.setstate(generators["python"])
+    np.random.set_state(generators["numpy"])  # noqa: NPY002
+    torch.set_rng_state(generators["torch"])
+    model.action_space.np_random.bit_generator.state = generators["actions"]
+
+
+def restore_exploration(model: BaseAlgorithm, saved: dict[str, Any]) -> None:
+    """Put back what state-dependent exploration drew as the rollout began (`use_sde`)."""
+    distribution = getattr(model.policy, "action_dist", None)
+    for name, value in saved["exploration"].items():
+        setattr(distribution, name, value)
+
+
+def load_parameters(model: BaseAlgorithm, path: Path) -> None:
+    """Load networks and optimizers from a checkpoint, and run nothing else of it."""
+    _, params, variables = load_from_zip_file(path, device="cpu", load_data=False)
+    model.set_parameters(params, exact_match=True, device="cpu")
+    for name, value in (variables or {}).items():
+        if value is not None:
+            recursive_setattr(model, f"{name}.data", value.data)
+
+
+def _exploration(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
+    distribution = getattr(model.policy, "action_dist", None)
+    found = {name: getattr(distribution, name, None) for name in _EXPLORATION}
+    return {n: v.detach().clone() for n, v in found.items() if isinstance(v, torch.Tensor)}
+
+
+def _copy(value: Any) -> Any:
+    return None if value is None else value.copy()

@@ -1,0 +1,143 @@
+"""A training interrupted and resumed equals the uninterrupted one, to the bit."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+import torch
+
+from embodichain.config import resolve
+from embodichain.learning.keeper import find_resumable, state_path
+from embodichain.learning.normalization import load_statistics
+from embodichain.learning.plain_state import read_tree, write_tree
+from embodichain.learning.policy import load_model
+from embodichain.learning.train import train
+from embodichain.utils.errors import ConfigError
+
+# Episodes of 7 steps across rollouts of 8; commands, noise and terms with a memory in the second.
+REACH = ("task=reach", "task.max_episode_steps=7", "num_envs=4", "sim.num_threads=1", "seed=1")
+PPO = ("algo.n_steps=8", "algo.batch_size=16", "algo.n_epochs=2", "checkpoint.every_steps=1")
+A2C = ("algo=a2c", "algo.n_steps=8", "checkpoint.every_steps=1")
+BOTH = ("algo.normalize=both",)
+FOUR, TWO = "total_timesteps=128", "total_timesteps=64"
+
+
+def config(*overrides):
+    return resolve([*REACH, *overrides], "train")
+
+
+def folder(tmp_path, name):
+    path = tmp_path / name
+    path.mkdir()
+    return path
+
+
+def everything(run):
+    """Networks, optimizer, and statistics where there are some."""
+    model = load_model(run / "checkpoints/final.zip").model
+    found = [p.detach().numpy().ravel() for p in model.policy.parameters()]
+    owner = model.policy if hasattr(model.policy, "optimizer") else model.policy.actor
+    for entry in owner.optimizer.state_dict()["state"].values():
+        found += [np.ravel(v) for v in entry.values()]
+    path = run / "checkpoints/final.normalize.npz"
+    if path.is_file():
+        kept = load_statistics(path)
+        found += [kept.obs_mean, kept.obs_var, kept.ret_var.ravel(), kept.returns]
+    return np.concatenate(found)
+
+
+def same_log_columns(run):
+    summary = json.loads((run / "summary.json").read_text())
+    return [summary[key] for key in ("env_steps", "episodes", "success_rate", "mean_return")]
+
+
+@pytest.mark.parametrize(
+    "algo",
+    [
+        PPO,
+        (*PPO, *BOTH),
+        (*PPO, "algo.use_sde=true", "algo.learning_rate=lin_1e-3"),
+        A2C,
+        (*A2C, *BOTH),
+    ],
+    ids=["ppo", "ppo-normalized", "ppo-sde-schedule", "a2c", "a2c-normalized"],
+)
+def test_resumed_equals_uninterrupted(tmp_path, algo):
+    whole, first, second = (folder(tmp_path, n) for n in ("whole", "first", "second"))
+    train(config(*algo, FOUR), whole)
+
+    def interrupt(statistics):
+        if statistics.env_steps == 40:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(config(*algo, FOUR), first, interrupt)
+    torch.rand(5)  # what else this process draws does not matter
+    summary = train(config(*algo, FOUR, f"resume={first}"), second)
+    assert summary.resumed_from == str(first / "checkpoints/final.zip")
+    np.testing.assert_array_equal(everything(second), everything(whole))
+    assert same_log_columns(second) == same_log_columns(whole)
+
+
+def test_a_finished_training_can_be_made_longer(tmp_path):
+    whole, first, second = (folder(tmp_path, n) for n in ("whole", "first", "second"))
+    train(config(*PPO, FOUR), whole)
+    train(config(*PPO, TWO), first)
+    with pytest.raises(ConfigError, match="has 64 steps already"):
+        train(config(*PPO, TWO, f"resume={first}"), second)
+    train(config(*PPO, FOUR, f"resume={first}"), second)
+    np.testing.assert_array_equal(everything(second), everything(whole))
+
+
+def test_terms_with_a_memory_go_on_too(tmp_path):
+    go2 = ("task=quadruped_velocity", "num_envs=3", "sim.num_threads=1", "seed=2", *PPO)
+    whole, first, second = (folder(tmp_path, n) for n in ("whole", "first", "second"))
+    train(resolve([*go2, "total_timesteps=96"], "train"), whole)
+    train(resolve([*go2, "total_timesteps=48"], "train"), first)
+    lines = [*go2, "total_timesteps=96", f"resume={first}"]
+    train(resolve(lines, "train"), second)
+    np.testing.assert_array_equal(everything(second), everything(whole))
+
+
+def test_a_broken_checkpoint_is_passed_over(tmp_path):
+    run = folder(tmp_path, "run")
+    train(config(*PPO, TWO), run)
+    final, step = run / "checkpoints/final.zip", run / "checkpoints/step_000000000032.zip"
+    assert find_resumable(run)[0] == final
+    shutil.copy(state_path(step), state_path(final))  # killed between the two files
+    assert find_resumable(run)[0] == step
+    state_path(step).unlink()
+    with pytest.raises(ConfigError, match="holds no checkpoint that a training can go on from"):
+        find_resumable(run)
+
+
+def test_off_policy_trainings_go_on(tmp_path):
+    sac = ("algo=sac", "algo.learning_starts=16", "algo.buffer_size=500", "algo.normalize=obs")
+    first, second = folder(tmp_path, "first"), folder(tmp_path, "second")
+    train(config(*sac, TWO), first)
+    summary = train(config(*sac, FOUR, f"resume={first}"), second)
+    assert summary.env_steps == 128
+    assert not np.array_equal(everything(first), everything(second))
+
+
+def test_trees_come_back_to_the_bit(tmp_path):
+    tree = {
+        "a": np.array([1.5, np.nan]),
+        "big": 2**127 + 1,
+        "floats": (0.1, float("inf"), -0.0),
+        "deep": {"tensor": torch.arange(3, dtype=torch.uint8), "none": [None, True, "text"]},
+        "scalar": np.float32(0.1),
+        "u": np.array([2**64 - 1], np.uint64),
+    }
+    write_tree(tmp_path / "t.npz", tree)
+    found = read_tree(tmp_path / "t.npz")
+    assert torch.equal(found["deep"].pop("tensor"), tree["deep"].pop("tensor"))
+    np.testing.assert_equal(found, tree)
+    assert found["scalar"].dtype == np.float32 and isinstance(found["floats"], tuple)
+    with pytest.raises(TypeError, match=r"state\.x\[0\] is object"):
+        write_tree(tmp_path / "u.npz", {"x": [object()]})
+    assert not (tmp_path / "u.npz").exists()
+    (tmp_path / "t.npz").write_bytes(b"no")
+    with pytest.raises(ConfigError, match="holds no state of a training"):
+        read_tree(tmp_path / "t.npz")
