@@ -22,6 +22,7 @@ _WORDS = {
     "new": ("task",),
     "replay": ("last",),
     "export": ("policy",),
+    "compare": ("last",),
 }
 
 

@@ -87,6 +87,15 @@ _PLAY = Verb(
     ),
     overrides=True,
 )
+_COMPARE = Verb(
+    "compare",
+    "Put trainings side by side: a table, and curves with intervals over seeds.",
+    "RUN RUN... [-o OUT] [options]",
+    (
+        ("compare outputs/2026-11-21/*_reach", "runs that differ by their seed are one line"),
+        ("compare last outputs/older -o curves.png", "with learning curves"),
+    ),
+)
 _EXPORT = Verb(
     "export",
     "Write a trained policy as one ONNX or TorchScript file.",
@@ -194,6 +203,7 @@ VERBS: dict[str, Verb] = {
             _TRAIN,
             _EVAL,
             _PLAY,
+            _COMPARE,
             _EXPORT,
             _REPLAY,
             _RECOVER,

@@ -1,0 +1,98 @@
+"""`embodichain compare`: trainings side by side, as a table and as curves."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from embodichain.cli import exits
+from embodichain.cli.arguments import VerbParser, add_common, print_json
+from embodichain.cli.verbs import VERBS
+from embodichain.config.newest import CHECKPOINT, newest_run
+from embodichain.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from embodichain.learning.comparison import Group
+
+__all__ = ["main"]
+
+_COLUMNS = {
+    "success": "success_rate",
+    "return": "mean_return",
+    "eval success": "eval_success",
+    "eval return": "eval_return",
+    "steps/s": "env_steps_per_second",
+    "seconds": "train_seconds",
+    "env steps": "env_steps",
+}
+_SHARES = ("success", "eval success")
+
+
+def main(arguments: list[str]) -> int:
+    """Print a table of trainings, runs that differ by their seed in one line; draw their curves."""
+    parser = VerbParser(VERBS["compare"])
+    parser.add_argument("runs", nargs="+", metavar="RUN", help="folders of trainings, or `last`")
+    parser.add_argument("--output", "-o", metavar="OUT", help="a new picture: .png, .svg, .pdf")
+    add_common(parser)
+    options = parser.parse(arguments)
+    from embodichain.learning.comparison import group_runs, read_run
+
+    folders = list(dict.fromkeys(_folder(name) for name in options.runs))
+    groups = group_runs(map(read_run, folders))
+    if options.output is not None:
+        from embodichain.learning.plots import plot_curves
+
+        plot_curves(groups, Path(options.output))
+    if options.json:
+        listed = [_data(group) for group in groups]
+        print_json({"groups": listed, "picture": options.output})
+        return exits.OK
+    from embodichain.cli.tables import print_table
+
+    known = [title for title, name in _COLUMNS.items() if any(g.number(name) for g in groups)]
+    rows = [_row(group, known) for group in groups]
+    print_table("trainings: mean over seeds [95 % interval]", rows, "runs")
+    if options.output is not None:
+        sys.stdout.write(f"{options.output}\n")
+    return exits.OK
+
+
+def _folder(name: str) -> Path:
+    path = newest_run("outputs", CHECKPOINT) if name == "last" else Path(name)
+    if path is None:
+        raise ConfigError("no training in outputs yet: embodichain train task=NAME")
+    if not path.is_dir():
+        raise ConfigError(f"there is no run {name!r}")
+    return path.resolve()
+
+
+def _row(group: Group, titles: list[str]) -> dict[str, Any]:
+    row: dict[str, Any] = {"runs": group.label, "seeds": len(group.runs)}
+    for title in titles:
+        found = group.number(_COLUMNS[title])
+        if found is None:
+            continue
+        form = (lambda v: f"{v:.1%}") if title in _SHARES else _number
+        ends = found.mean_interval
+        row[title] = form(found.mean)
+        row[title] += f" [{form(ends[0])}, {form(ends[1])}]" if ends is not None else ""
+    return row
+
+
+def _number(value: float) -> str:
+    from embodichain.cli.tables import number
+
+    return number(value)
+
+
+def _data(group: Group) -> dict[str, Any]:
+    from dataclasses import asdict
+
+    numbers = {name: group.number(name) for name in _COLUMNS.values()}
+    return {
+        "label": group.label,
+        "seeds": [run.seed for run in group.runs],
+        "folders": [str(run.folder) for run in group.runs],
+        "numbers": {n: asdict(found) for n, found in numbers.items() if found is not None},
+    }

@@ -1,0 +1,210 @@
+"""Finished trainings side by side: runs that differ by their seed only are one group.
+
+Reads files of run folders and runs nothing; drawing is in `plots.py`.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+
+from embodichain.learning.statistics import RESAMPLES, Estimate, estimate
+from embodichain.utils.errors import ConfigError
+
+__all__ = ["Curve", "Group", "TrainedRun", "band", "group_runs", "read_run"]
+
+PROGRESS = "progress.csv"
+STEPS, RETURN, SUCCESS = "time/total_timesteps", "rollout/ep_rew_mean", "rollout/success_rate"
+"""Columns of Stable-Baselines3's logger."""
+# What runs of one group may differ in: the seed, and what changes no number.
+_APART = ("seed", "output_dir", "quiet", "json", "traceback", "record", "viewer", "resume")
+
+F64 = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """One quantity of a training.
+
+    Attributes:
+        steps: (n,) environment steps, rising.
+        values: (n,) the quantity there.
+    """
+
+    steps: F64
+    values: F64
+
+
+@dataclass(frozen=True, slots=True)
+class TrainedRun:
+    """What is compared of one training.
+
+    Attributes:
+        folder: Its run folder.
+        label: Task, algorithm and overrides besides the seed.
+        seed: Its seed.
+        numbers: ``success_rate``, ``mean_return``, ``env_steps_per_second``, ``train_seconds``,
+            ``env_steps``, ``eval_return``, ``eval_success``, as far as known.
+        curves: By column of `progress.csv`; empty without that file.
+    """
+
+    folder: Path
+    label: str
+    seed: int | None
+    numbers: dict[str, float]
+    curves: dict[str, Curve]
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Runs that differ by their seed.
+
+    Attributes:
+        label: What they share.
+        runs: In the order given.
+    """
+
+    label: str
+    runs: tuple[TrainedRun, ...]
+
+    def number(self, name: str) -> Estimate | None:
+        """Sum up a number over the runs; its intervals say how it varies with the seed."""
+        return estimate([run.numbers[name] for run in self.runs if name in run.numbers])
+
+
+def read_run(folder: Path) -> TrainedRun:
+    """Read what a training left behind.
+
+    Raises:
+        ConfigError: If the folder is no training's, or a file in it is damaged.
+    """
+    summary = _json(folder / "summary.json")
+    if summary is None or "train_seconds" not in summary:
+        raise ConfigError(f"{folder} holds no finished training: no summary.json of one")
+    names = ("success_rate", "mean_return", "env_steps_per_second", "train_seconds", "env_steps")
+    numbers = {n: float(summary[n]) for n in names if summary.get(n) is not None}
+    evaluated = summary.get("eval") or _evaluated(folder)
+    if isinstance(evaluated, dict):
+        for name, key, value in (("return", "returns", "mean"), ("success", "success", "rate")):
+            part = evaluated.get(key)
+            if isinstance(part, dict) and part.get(value) is not None:
+                numbers[f"eval_{name}"] = float(part[value])
+    task, algo = str(summary.get("task")), str(summary.get("algo"))
+    return TrainedRun(
+        folder=folder,
+        label=" ".join([task, algo, *_overrides(folder)]),
+        seed=summary.get("seed"),
+        numbers=numbers,
+        curves=_curves(folder / PROGRESS),
+    )
+
+
+def group_runs(runs: Iterable[TrainedRun]) -> list[Group]:
+    """Put runs with one label together, in the order of their first.
+
+    Raises:
+        ConfigError: If a folder is named twice, or two runs of a group have one seed: they are
+            repetitions of the same numbers, and an interval over them would be too narrow.
+    """
+    found: dict[str, list[TrainedRun]] = {}
+    for run in runs:
+        same = found.setdefault(run.label, [])
+        twin = next((r for r in same if r.seed == run.seed), None)
+        if twin is not None:
+            raise ConfigError(
+                f"{twin.folder} and {run.folder} are the same training with the same seed "
+                f"{run.seed}: name one of them"
+            )
+        same.append(run)
+    return [Group(label, tuple(same)) for label, same in found.items()]
+
+
+def band(curves: Sequence[Curve], points: int = 200) -> tuple[F64, F64, F64, F64]:
+    """Average curves of several seeds.
+
+    Args:
+        curves: At least one; compared over the steps that all of them have.
+        points: Where they are read off, in straight lines between their own.
+
+    Returns:
+        Steps, mean, and the bootstrap interval's low and high end at 95 %, each (points,). With
+        one curve both ends are the curve.
+
+    Raises:
+        ValueError: If the curves have no steps in common.
+    """
+    first = max(float(curve.steps[0]) for curve in curves)
+    last = min(float(curve.steps[-1]) for curve in curves)
+    if first > last:
+        raise ValueError(f"the curves have no steps in common: {first:g} to {last:g}")
+    steps = np.linspace(first, last, points)
+    rows = np.stack([np.interp(steps, curve.steps, curve.values) for curve in curves])
+    generator = np.random.default_rng(0)
+    drawn = generator.integers(0, len(rows), (RESAMPLES, len(rows)))
+    weights = np.apply_along_axis(np.bincount, 1, drawn, minlength=len(rows)) / len(rows)
+    low, high = np.quantile(weights @ rows, (0.025, 0.975), axis=0)
+    return steps, rows.mean(axis=0), low, high
+
+
+def _overrides(folder: Path) -> list[str]:
+    """What was typed, without the task and what runs of a group may differ in."""
+    try:
+        lines = yaml.safe_load((folder / "overrides.yaml").read_text(encoding="utf-8")) or []
+    except FileNotFoundError:
+        return []
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        raise ConfigError(f"cannot read {folder / 'overrides.yaml'}: {error}") from error
+    keys = (*_APART, "task")
+    kept = [str(line) for line in lines if str(line).lstrip("+").partition("=")[0] not in keys]
+    return sorted(kept)
+
+
+def _evaluated(folder: Path) -> dict[str, Any] | None:
+    """The newest evaluation of this training among the runs beside it."""
+    found: tuple[int, dict[str, Any]] | None = None
+    for path in folder.parent.parent.glob("*/*/eval.json"):
+        data = _json(path)
+        policy = Path(str(data.get("policy"))) if data is not None else Path()
+        if data is None or not policy.is_relative_to(folder):
+            continue
+        when = path.stat().st_mtime_ns
+        if found is None or when > found[0]:
+            found = when, data
+    return found[1] if found is not None else None
+
+
+def _curves(path: Path) -> dict[str, Curve]:
+    """Return and success by steps; a row counts where both cells are filled."""
+    if not path.is_file():
+        return {}
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            rows = list(csv.DictReader(stream))
+        found: dict[str, Curve] = {}
+        for name in (RETURN, SUCCESS):
+            cells = [(row.get(STEPS), row.get(name)) for row in rows]
+            pairs = [(float(steps), float(value)) for steps, value in cells if steps and value]
+            if pairs:
+                steps, values = np.array(sorted(pairs)).T
+                found[name] = Curve(steps, values)
+    except (OSError, ValueError, csv.Error) as error:
+        raise ConfigError(f"cannot read {path}: {error}") from error
+    return found
+
+
+def _json(path: Path) -> dict[str, Any] | None:
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"cannot read {path}: {error}") from error
+    return data if isinstance(data, dict) else None

@@ -1,0 +1,71 @@
+"""Learning curves as a picture. What is drawn comes from `comparison.py`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from embodichain.learning.comparison import RETURN, SUCCESS, Group, band
+from embodichain.utils.errors import ConfigError
+
+__all__ = ["plot_curves"]
+
+_AXES = {SUCCESS: "success rate", RETURN: "mean return"}
+
+
+def plot_curves(groups: Sequence[Group], path: Path) -> None:
+    """Draw the curves of every group with 95 % intervals over its seeds, into a new file.
+
+    Args:
+        groups: What is compared.
+        path: A new file; its suffix says the format (``.png``, ``.svg``, ``.pdf``).
+
+    Raises:
+        ConfigError: If the file exists or cannot be written, a run has no curves, or matplotlib is
+            missing.
+    """
+    if os.path.lexists(path):
+        raise ConfigError(f"{path} exists; it is never replaced")
+    empty = [str(run.folder) for group in groups for run in group.runs if not run.curves]
+    if empty:
+        raise ConfigError(f"no curves in progress.csv of: {', '.join(empty)}")
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        message = "curves need the package matplotlib: pip install 'embodichain[plot]'"
+        raise ConfigError(message) from error
+    names = [n for n in _AXES if any(n in run.curves for group in groups for run in group.runs)]
+    figure = Figure(figsize=(7.0, 3.0 * len(names)), layout="constrained")
+    for axes, name in zip(figure.subplots(len(names), squeeze=False)[:, 0], names, strict=True):
+        _draw(axes, groups, name)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(temporary, dpi=150)
+        os.link(temporary, path)  # unlike a rename, it refuses a name that is taken
+    except FileExistsError as error:
+        raise ConfigError(f"{path} exists; it is never replaced") from error
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"cannot write {path}: {error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _draw(axes: Any, groups: Sequence[Group], name: str) -> None:
+    for group in groups:
+        curves = [run.curves[name] for run in group.runs if name in run.curves]
+        if not curves:
+            continue
+        try:
+            steps, mean, low, high = band(curves)
+        except ValueError as error:
+            raise ConfigError(f"{group.label}: {error}") from error
+        (line,) = axes.plot(steps, mean, label=f"{group.label} ({len(curves)})")
+        if len(curves) > 1:
+            axes.fill_between(steps, low, high, alpha=0.2, color=line.get_color())
+    axes.set_ylabel(_AXES[name])
+    axes.set_xlabel("environment steps")
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize="small")
