@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Literal
 from embodichain.cli import exits
 from embodichain.cli.arguments import VerbParser, split_overrides
 from embodichain.cli.jobs import COMMAND_VARIABLE, given
+from embodichain.cli.resuming import asks_to_resume, resolve_resumed
 from embodichain.cli.verbs import VERBS, Verb
 from embodichain.utils.errors import ConfigError
 
@@ -47,6 +48,12 @@ def call_verb(name: Literal["run", "train"], job: Callable[..., None], arguments
     options = _parser(VERBS[name]).parse(arguments)
     overrides = _overrides(options)
     os.environ[COMMAND_VARIABLE] = shlex.join(["embodichain", name, *arguments])
+    if name == "train" and asks_to_resume(overrides):
+        if options.multirun or options.cfg or options.info or any(map(_is_hydras, overrides)):
+            raise ConfigError("resume goes on with one training: no --multirun, no key of Hydra's")
+        with _searching(options.config_dir), given(resolve_resumed(overrides)):
+            job({})
+        return exits.OK
     with _searching(options.config_dir):
         if options.cfg is not None or options.info is not None:
             if options.cfg is not None and any(map(_names_gym_config, overrides)):

@@ -17,10 +17,10 @@ def newest_run(output_root: str | Path, holding: str) -> Path | None:
 
     Args:
         output_root: Where runs are; the jobs of sweeps count too.
-        holding: The file's path in a run's folder.
+        holding: The file's path in a run's folder; may be a pattern (``*.zip``).
     """
     runs = [file.parent for file in Path(output_root).rglob("config.yaml")]
-    found = [run for run in runs if (run / holding).is_file()]
+    found = [run for run in runs if any(file.is_file() for file in run.glob(holding))]
     return max(found, key=_began).resolve() if found else None
 
 

@@ -2,6 +2,11 @@
 
 import json
 import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -141,3 +146,82 @@ def test_trees_come_back_to_the_bit(tmp_path):
     (tmp_path / "t.npz").write_bytes(b"no")
     with pytest.raises(ConfigError, match="holds no state of a training"):
         read_tree(tmp_path / "t.npz")
+
+
+COMMAND = (sys.executable, "-m", "embodichain", "train")
+SMALL = ("task=reach", "num_envs=4", "sim.num_threads=1", "seed=1", *PPO, "algo.normalize=both")
+
+
+def start(*overrides):
+    return subprocess.Popen(
+        [*COMMAND, *overrides], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def wait_for(pattern, process, seconds=120):
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        found = sorted(Path("outputs").rglob(pattern))
+        if found:
+            return found[-1]
+        if process.poll() is not None:
+            pytest.fail(f"ended with {process.returncode}: {process.communicate()[1]}")
+        time.sleep(0.01)
+    pytest.fail(f"no {pattern} after {seconds} s")
+
+
+def resume(*overrides):
+    done = subprocess.run(
+        [*COMMAND, *overrides, "--json"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_killed_and_resumed_equals_uninterrupted(tmp_path, monkeypatch):
+    monkeypatch.chdir(folder(tmp_path, "here"))
+    process = start(*SMALL, "total_timesteps=1_000_000", "checkpoint.every_steps=32", "--quiet")
+    checkpoint = wait_for("step_*.zip", process)
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    run = checkpoint.parent.parent
+    assert not (run / "checkpoints/final.zip").exists()
+    steps = read_tree(state_path(find_resumable(run)[0]))["env_steps"]
+    # What came before does not depend on how long the training was meant to be: nothing decays.
+    total = f"total_timesteps={steps + 64}"
+    summary = resume("resume=last", total)
+    assert summary["resumed_from"].startswith(str(run.resolve()))
+    assert Path(summary["folder"]).resolve() != run.resolve()
+    whole = folder(tmp_path, "whole")
+    train(resolve([*SMALL, total], "train"), whole)
+    np.testing.assert_array_equal(everything(Path(summary["folder"])), everything(whole))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_write_a_checkpoint_and_end_with_130(tmp_path, monkeypatch, number):
+    monkeypatch.chdir(folder(tmp_path, "here"))
+    process = start(*SMALL, "total_timesteps=1_000_000", "checkpoint.every_steps=32", "--quiet")
+    run = wait_for("step_*.zip", process).parent.parent
+    process.send_signal(number)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 130, error
+    assert find_resumable(run)[0].name == "final.zip"
+    assert json.loads((run / "summary.json").read_text())["status"] == "interrupted"
+
+
+def test_only_few_keys_may_change(tmp_path, monkeypatch, capsys):
+    from embodichain.cli import main
+
+    monkeypatch.chdir(folder(tmp_path, "here"))
+    assert main(["train", "resume=last"]) == 2
+    assert "there is no training in outputs yet" in capsys.readouterr().err
+    assert main(["train", *SMALL, TWO, "--quiet"]) == 0
+    assert main(["train", "resume=last", "seed=3", "algo.gamma=0.5"]) == 2
+    error = capsys.readouterr().err
+    assert "seed: a training goes on as it was" in error and "algo.gamma: a training" in error
+    assert main(["train", "resume=last"]) == 2
+    assert "has 64 steps already: give more" in capsys.readouterr().err
+    assert main(["train", "-m", "resume=last", "total_timesteps=96,128"]) == 2
+    assert "no --multirun" in capsys.readouterr().err
+    assert main(["train", "resume=nowhere"]) == 2
+    assert "'nowhere' is no training's folder" in capsys.readouterr().err
