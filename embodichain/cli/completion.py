@@ -25,6 +25,8 @@ _WORDS = {
     "compare": ("last",),
 }
 
+_OF_RUNS = ("eval", "play")
+
 
 def complete(arguments: list[str]) -> int:
     """Serve ``-sc install=SHELL``, ``uninstall=SHELL`` and ``query=SHELL``.
@@ -47,7 +49,13 @@ def complete(arguments: list[str]) -> int:
         return exits.OK
     if not verb.overrides:
         return _print(_WORDS.get(verb.name, ()), words[1:])
-    os.environ["COMP_LINE"] = " ".join(["embodichain", *words[1:]]) + (" " if fresh else "")
+    typed = "" if fresh else words[-1]
+    before = words[1:] if fresh else words[1:-1]
+    if verb.name in _OF_RUNS and typed and "last".startswith(typed):
+        return _print(("last",), [typed])
+    # Hydra knows overrides only: a run or a task named by a bare word is not one.
+    known = [word for word in before if "=" in word or word.startswith(("~", "-"))]
+    os.environ["COMP_LINE"] = " ".join(["embodichain", *known, typed])
     return _hydra(request, verb.name)
 
 

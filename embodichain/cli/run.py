@@ -22,8 +22,6 @@ from embodichain.cli.stopping import StopFlag
 
 if TYPE_CHECKING:
     from embodichain.cli.rollout import Outcome
-    from embodichain.lab.gym.envs.base_env import BaseEnv
-    from embodichain.recording import McapRecorder
 
 __all__ = ["job", "main"]
 
@@ -81,6 +79,7 @@ def _run(run: Job, stop: StopFlag) -> float | None:
 
 def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
     """The rollout from build to close, and where its log is."""
+    from embodichain.cli.attach import attach_log
     from embodichain.cli.picture import StartPicture
     from embodichain.cli.policies import policy_of
     from embodichain.cli.progress import ProgressDisplay
@@ -94,7 +93,7 @@ def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
     start: StartPicture | None = None
     try:
         policy = policy_of(root, env)
-        recorder = _record(run, env)
+        recorder = attach_log(run, env)
         obs, _ = env.reset()
         start = StartPicture(env)
         started()
@@ -114,26 +113,6 @@ def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
         if start is not None:
             start.draw(run.folder / "scene.png")
     return outcome, recorder.stats.path if recorder is not None else None
-
-
-def _record(run: Job, env: BaseEnv) -> McapRecorder | None:
-    """Attach the log, unless the config wants none."""
-    if run.root.record.format == "none":
-        return None
-    from embodichain.config.frozen import dump_yaml
-    from embodichain.config.newest import LOG
-    from embodichain.recording import McapRecorder
-
-    recorder = McapRecorder(
-        run.folder / LOG,
-        env,
-        config=dump_yaml(run.resolved.tree),
-        overrides=dump_yaml(list(run.resolved.overrides)),
-        options=run.root.record,
-        task=run.resolved.task_name,
-    )
-    env.add_observer(recorder)
-    return recorder
 
 
 def _write_summary(folder: Path, summary: dict[str, Any]) -> None:

@@ -14,6 +14,8 @@ import lazy_loader
 if TYPE_CHECKING:
     from embodichain.learning.checkpoint import find_checkpoint
     from embodichain.learning.evaluation import Evaluation, evaluate
+    from embodichain.learning.exported import ExportedPolicy
+    from embodichain.learning.exporting import export_policy
     from embodichain.learning.policy import LearnedPolicy, load_policy
     from embodichain.learning.vec_env import SB3VecEnv
 
@@ -22,6 +24,8 @@ __getattr__, __dir__, _ = lazy_loader.attach(
     submod_attrs={
         "checkpoint": ["find_checkpoint"],
         "evaluation": ["Evaluation", "evaluate"],
+        "exported": ["ExportedPolicy"],
+        "exporting": ["export_policy"],
         "policy": ["LearnedPolicy", "load_policy"],
         "vec_env": ["SB3VecEnv"],
     },
@@ -29,9 +33,11 @@ __getattr__, __dir__, _ = lazy_loader.attach(
 
 __all__ = [
     "Evaluation",
+    "ExportedPolicy",
     "LearnedPolicy",
     "SB3VecEnv",
     "evaluate",
+    "export_policy",
     "find_checkpoint",
     "load_policy",
 ]
