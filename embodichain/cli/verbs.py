@@ -98,9 +98,12 @@ _COMPARE = Verb(
 )
 _EXPORT = Verb(
     "export",
-    "Write a trained policy as one ONNX or TorchScript file.",
-    "policy RUN|last|PATH [--format onnx|torchscript] [-o OUT] [task=NAME] [options]",
+    "Write a log for another program, or a trained policy as one ONNX or TorchScript file.",
+    "FILE|last --format csv|npz|parquet|hdf5|ros2 | policy RUN|last|PATH [task=NAME] [-o OUT]",
     (
+        ("export last --format csv", "the newest log as a table, beside it"),
+        ("export FILE --format hdf5 -o demos.hdf5", "episodes in robomimic's layout"),
+        ("export last --format ros2 --env 2 --from 0 --to 100", "a ROS 2 bag of a part"),
         ("export policy last", "policy.onnx in the run's folder"),
         ("export policy last --format torchscript -o reach.pt", "for C++ and PyTorch"),
         ("export policy my_model.zip task=reach", "a zip of your own"),
@@ -124,6 +127,15 @@ _RECOVER = Verb(
     (
         ("recover last saved.mcap", "the newest run's log; it is only read"),
         ("recover broken.mcap saved.mcap --json", "what was saved, for scripts"),
+    ),
+)
+_DIFF = Verb(
+    "diff",
+    "Name the first step and field where two logs part.",
+    "A B [options]",
+    (
+        ("diff outputs/A outputs/B", "two runs; exits 0 if they are the same, 1 if not"),
+        ("diff old.mcap new.mcap --json", "for scripts"),
     ),
 )
 _BENCH = Verb(
@@ -207,6 +219,7 @@ VERBS: dict[str, Verb] = {
             _EXPORT,
             _REPLAY,
             _RECOVER,
+            _DIFF,
             _BENCH,
             _LIST,
             _SHOW,

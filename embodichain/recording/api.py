@@ -121,6 +121,8 @@ class Log:
         if not self._file.complete:
             why = self._file.damage or "its end is missing"
             return [f"incomplete: {why}; only what precedes can be read"]
+        if self._file.recovered:
+            return [f"recovered from a broken file: {self._file.recovered}"]
         if not self._file.finished:
             return ["the recorder did not close this log: its last steps may be missing"]
         return []
@@ -233,6 +235,28 @@ class Log:
             span = self._span_of(env, episode, span)
         return self._gather(names, env, span).arrays(self.columns)
 
+    def parts(
+        self,
+        fields: str | Iterable[str] | None = None,
+        env: int | Sequence[int] | None = None,
+        episode: int | None = None,
+        start: int = 0,
+        stop: int | None = None,
+        steps: int = 1000,
+    ) -> Iterator[LogArrays]:
+        """What `read` gives, `steps` control steps at a time: for what does not fit into memory."""
+        names = self._fields(fields)
+        if episode is not None:
+            whole = self._span_of(env, episode, Steps(start, stop))
+            start, stop = whole.start, whole.stop
+        ends = [chunk.end_ns for chunk in self._file.chunks]
+        last = (max(ends, default=0) - self.header.start_ns) // self.header.period_ns
+        stop = last + 1 if stop is None else min(stop, last + 1)
+        for first in range(start, stop, steps):
+            part = self.read(names, env, None, first, min(first + steps, stop))
+            if len(part):
+                yield part
+
     def _fields(self, fields: str | Iterable[str] | None) -> list[str]:
         if fields is None:
             return self._usual
@@ -315,6 +339,10 @@ class Log:
     def writes(self) -> Iterator[WriteRecord]:
         """Yield every write to the simulation outside physics, model fields included."""
         return self._decoded("/sim/write", WriteRecord.decode)
+
+    def raw_messages(self) -> Iterator[tuple[str, int, memoryview]]:
+        """Yield topic, log time in ns and bytes of every message, in file order."""
+        return self._file.messages()
 
     def _decoded(self, topic: str, decode: Callable[[Any], T]) -> Iterator[T]:
         for found, _, payload in self._file.messages():

@@ -81,7 +81,7 @@ class LogArrays:
         yield Column("time", "s"), np.repeat(self.time, n)
         yield Column("env", ""), np.tile(self.env_ids, len(self.steps))
         for field, values in self.values.items():
-            wide = values.reshape(len(self.steps) * n, -1)
+            wide = values.reshape(len(self.steps) * n, len(self.columns[field]))
             for index, (name, unit) in enumerate(self.columns[field]):
                 yield Column(name if name == field else f"{field}/{name}", unit), wide[:, index]
 

@@ -7,36 +7,35 @@ chunks it lies in. What messages mean is not known here.
 
 from __future__ import annotations
 
-import io
 import struct
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-import lz4.frame  # type: ignore[import-untyped]
-import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata, Schema
+from mcap.records import Channel, Schema
 
-from embodichain.recording.header import METADATA, METADATA_END, Header, LogError
+from embodichain.recording.header import (
+    METADATA,
+    METADATA_END,
+    METADATA_RECOVERED,
+    Header,
+    LogError,
+)
 from embodichain.recording.mcap_file import MAGIC
+from embodichain.recording.records import CUT, DamageError, chunk_content, parse
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["ChunkFile", "ChunkPlace", "Found"]
 
-CHUNK_LIMIT = 2**30
-"""Bytes that a chunk may claim to hold; the recorder closes one after 1 MiB and a message."""
 _KEPT_LIMIT = 2**29
 """Bytes of the largest attachment or metadata record that is believed."""
 
 _HEAD = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQII")  # start, end, size, CRC, length of the compression's name
+_CHUNK = struct.Struct("<QQQ")  # first and last log time, size
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_DAMAGE = (McapError, struct.error, UnicodeDecodeError, EOFError, IndexError, MemoryError)
+_DAMAGE = (DamageError, struct.error, UnicodeDecodeError)
 
 Found = tuple[str, int, memoryview]
 """Topic, log time in ns, payload."""
@@ -50,17 +49,13 @@ class ChunkPlace:
         start_ns: Smallest log time in it.
         end_ns: Largest log time in it.
         size: Bytes it unpacks to.
-        crc: CRC-32 of those; 0 if there is none.
-        compression: ``lz4``, ``zstd`` or empty.
-        offset: Where its packed bytes begin.
-        length: How many they are.
+        offset: Where its record begins, after opcode and length.
+        length: Bytes of the record.
     """
 
     start_ns: int
     end_ns: int
     size: int
-    crc: int
-    compression: str
     offset: int
     length: int
 
@@ -87,6 +82,8 @@ class ChunkFile:
         self.header: Header | None = None
         self.finished = False
         """Whether the recorder closed the log itself."""
+        self.recovered = ""
+        """Why the file ends where it does, if it was recovered from a broken one."""
         self.complete = False
         """Whether the file has its end."""
         self.damage = ""
@@ -122,35 +119,33 @@ class ChunkFile:
             try:
                 self._note(opcode, at, length)
             except _DAMAGE as error:
-                self.damage = f"a record is damaged ({type(error).__name__})"
+                self.damage = f"a record is damaged ({error})"
                 return
             if opcode == Opcode.FOOTER:
                 self.complete = True
                 return
             at += length
             self._stream.seek(at)
-        self.damage = "the file ends early: it was not closed, or cut"
+        self.damage = CUT
 
     def _note(self, opcode: int, at: int, length: int) -> None:
         """Take over what the record at `at` says."""
         if opcode == Opcode.CHUNK:
-            start, end, size, crc, n = _CHUNK.unpack(self._stream.read(_CHUNK.size))
-            name = self._stream.read(min(n, 16)).decode()
-            offset = at + _CHUNK.size + n + 8
-            self.chunks.append(
-                ChunkPlace(start, end, size, crc, name, offset, at + length - offset)
-            )
+            start, end, size = _CHUNK.unpack(self._stream.read(_CHUNK.size))
+            self.chunks.append(ChunkPlace(start, end, size, at, length))
         elif opcode == Opcode.METADATA and length < _KEPT_LIMIT:
-            record = Metadata.read(ReadDataStream(self._stream))
+            record: Any = parse((opcode, self._stream.read(length)))
             if record.name == METADATA:
                 self.header = Header.from_metadata(record.metadata)
             elif record.name == METADATA_END:
                 self.finished = True
+            elif record.name == METADATA_RECOVERED:
+                self.recovered = record.metadata.get("why", "") or "no reason is given"
         elif opcode == Opcode.ATTACHMENT and length < _KEPT_LIMIT:
             self._stream.seek(at + 16)  # after log time and creation time
             (n,) = struct.unpack("<I", self._stream.read(4))
             if n > length:
-                raise EOFError("a name is longer than its record")
+                raise DamageError("a name is longer than its record")
             self._attachments[self._stream.read(n).decode()] = (at, length)
 
     def require_header(self) -> Header:
@@ -180,14 +175,10 @@ class ChunkFile:
             raise LogError(f"{self.path} has no attachment {name}; there are: {there}")
         at, length = self._attachments[name]
         self._stream.seek(at)
-        raw = self._stream.read(length)
-        (crc,) = struct.unpack("<I", raw[-4:])
-        if crc and zlib.crc32(raw[:-4]) != crc:
-            raise LogError(f"{self.path}: the attachment {name} is damaged: its checksum is wrong")
         try:
-            record = Attachment.read(_stream_of(raw))
-        except _DAMAGE as error:
-            raise LogError(f"{self.path}: the attachment {name} is damaged ({error!r})") from error
+            record: Any = parse((Opcode.ATTACHMENT, self._stream.read(length)))
+        except DamageError as error:
+            raise LogError(f"{self.path}: {name}: {error}") from error
         content: bytes = record.data
         return content
 
@@ -215,13 +206,10 @@ class ChunkFile:
     def _unpack(self, chunk: ChunkPlace) -> list[Found] | None:
         self._stream.seek(chunk.offset)
         try:
-            data = _decompress(chunk, self._stream.read(chunk.length))
-            if chunk.crc and zlib.crc32(data) != chunk.crc:
-                raise EOFError("its checksum is wrong")
+            _, data = chunk_content(self._stream.read(chunk.length))
             return self._records(memoryview(data))
-        except (*_DAMAGE, RuntimeError, zstandard.ZstdError) as error:
-            self.complete = False
-            self.damage = f"a chunk is damaged: {str(error) or type(error).__name__}"
+        except (DamageError, struct.error) as error:
+            self.complete, self.damage = False, str(error)
             return None
 
     def _records(self, data: memoryview) -> list[Found]:
@@ -233,44 +221,17 @@ class ChunkFile:
             opcode, length = head(data, at)
             at += 9
             if length > size - at:
-                raise EOFError("a record is longer than its chunk")
+                raise DamageError("a chunk is damaged: a record is longer than the chunk")
             if opcode == 5:
                 channel, _, log_time, _ = message(data, at)
                 if channel not in topics:
-                    raise EOFError(f"a message belongs to channel {channel}, unknown here")
+                    raise DamageError(f"a message belongs to channel {channel}, unknown here")
                 found.append((topics[channel], log_time, data[at + 22 : at + length]))
             elif opcode == Opcode.CHANNEL:
-                record = Channel.read(_stream_of(data[at : at + length]))
+                record: Any = parse((opcode, bytes(data[at : at + length])))
                 self.channels[record.id], topics[record.id] = record, record.topic
             elif opcode == Opcode.SCHEMA:
-                schema = Schema.read(_stream_of(data[at : at + length]))
+                schema: Any = parse((opcode, bytes(data[at : at + length])))
                 self.schemas[schema.id] = schema
             at += length
         return found
-
-
-def _stream_of(data: bytes | memoryview) -> Any:
-    return ReadDataStream(io.BytesIO(data))
-
-
-def _decompress(chunk: ChunkPlace, data: bytes) -> bytes:
-    """Unpack a chunk; never to more than it announces.
-
-    Raises:
-        EOFError: If the size is not the announced one, or is not believed.
-    """
-    if chunk.size > CHUNK_LIMIT:
-        raise EOFError(f"it claims to hold {chunk.size} bytes")
-    if chunk.compression == "":
-        out = data
-    elif chunk.compression == "lz4":
-        out = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=chunk.size + 1)
-    elif chunk.compression == "zstd":
-        if zstandard.frame_content_size(data) > chunk.size:
-            raise EOFError("it holds more than it announces")
-        out = zstandard.ZstdDecompressor().decompress(data, max_output_size=chunk.size + 1)
-    else:
-        raise EOFError(f"its compression {chunk.compression!r} is not known here")
-    if len(out) != chunk.size:
-        raise EOFError("it does not hold what it announces")
-    return out

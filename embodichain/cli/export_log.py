@@ -1,0 +1,44 @@
+"""`embodichain export FILE --format ...`: a log in the format that another program reads."""
+
+from __future__ import annotations
+
+import sys
+
+from embodichain.cli import exits
+from embodichain.cli.arguments import VerbParser, add_common, print_json
+from embodichain.cli.log_files import log_of
+from embodichain.cli.verbs import VERBS
+from embodichain.utils.errors import ConfigError
+
+__all__ = ["main"]
+
+
+def main(arguments: list[str]) -> int:
+    """Write a log, or a part of it, to a new file."""
+    parser = VerbParser(VERBS["export"])
+    parser.add_argument("file", metavar="FILE", help="a log, a run's folder, or `last`")
+    parser.add_argument(
+        "--format", required=True, metavar="F", help="csv, npz, parquet, hdf5 or ros2"
+    )
+    parser.add_argument("--output", "-o", metavar="OUT", help="a new file; else beside the log")
+    parser.add_argument("--env", type=int, metavar="I", help="only this environment")
+    parser.add_argument("--episode", type=int, metavar="K", help="only this episode of --env")
+    parser.add_argument("--from", dest="start", type=int, default=0, metavar="T", help="first step")
+    parser.add_argument("--to", dest="stop", type=int, metavar="T", help="step that ends it")
+    add_common(parser)
+    options = parser.parse(arguments)
+    from embodichain.recording.api import Log
+    from embodichain.recording.export.formats import Part, export
+
+    if options.episode is not None and options.env is None:
+        raise ConfigError("--episode needs --env: episodes are counted in each environment")
+    part = Part(options.env, options.episode, options.start, options.stop)
+    with Log(log_of(options.file)) as log:
+        path = export(log, options.format, options.output, part)
+        for warning in log.warnings:
+            sys.stderr.write(f"warning: {log.path}: {warning}\n")
+        if options.json:
+            print_json({"file": str(path), "bytes": path.stat().st_size, "complete": log.complete})
+        else:
+            sys.stdout.write(f"{path}: {path.stat().st_size / 1e6:.2f} MB\n")
+    return exits.OK

@@ -1,0 +1,11 @@
+"""A log in the formats of other programs: tables, demonstrations, ROS 2.
+
+Names are found on first use: each format imports only what it needs.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach(
+    __name__,
+    submod_attrs={"formats": ["FORMATS", "Part", "export"]},
+)

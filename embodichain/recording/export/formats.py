@@ -1,0 +1,123 @@
+"""`export`: formats, which part of a log is meant, files that are never replaced."""
+
+from __future__ import annotations
+
+import importlib
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+
+from embodichain.recording.api import Log
+from embodichain.utils.errors import ConfigError
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["FORMATS", "Format", "Part", "export", "required"]
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Which part of a log is meant.
+
+    Attributes:
+        env: One environment; None is all (for ROS 2: those that were viewed).
+        episode: One of its episodes; needs `env`.
+        start: First control step.
+        stop: Control step that no longer belongs to it; None is the end.
+    """
+
+    env: int | None = None
+    episode: int | None = None
+    start: int = 0
+    stop: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """A format of files.
+
+    Attributes:
+        suffix: Of the file's name.
+        module: Below this package; its `write(log, part, path)` makes the file.
+        what: One line.
+    """
+
+    suffix: str
+    module: str
+    what: str
+
+
+FORMATS: Mapping[str, Format] = {
+    "csv": Format(".csv", "csv", "a table, a row for each step and environment"),
+    "npz": Format(".npz", "npz", "numpy arrays (T, N, ...), with names and units of columns"),
+    "parquet": Format(".parquet", "parquet", "the table of csv, columnar and typed"),
+    "hdf5": Format(".hdf5", "hdf5", "demonstrations in robomimic's layout, one for each episode"),
+    "ros2": Format(".mcap", "ros2", "a ROS 2 bag: joint states, transforms, robot description"),
+}
+
+
+def export(
+    log: Log, format: str, output: str | Path | None = None, part: Part | None = None
+) -> Path:
+    """Write a log, or a part of it, in another format.
+
+    Args:
+        log: The log.
+        format: Key of `FORMATS`.
+        output: A new file; None puts it beside the log, under its name.
+        part: Which part; None is all of it.
+
+    Returns:
+        The file.
+
+    Raises:
+        ConfigError: If the format is unknown or needs a package that is missing, the part does not
+            exist, or the file does.
+        OSError: If the file cannot be written.
+    """
+    if format not in FORMATS:
+        raise ConfigError(
+            f"no format {format!r}.{did_you_mean(format, FORMATS)} Formats: {', '.join(FORMATS)}"
+        )
+    chosen = FORMATS[format]
+    name = log.path.stem if chosen.suffix != ".mcap" else f"{log.path.stem}_{format}"
+    path = Path(output) if output else log.path.with_name(name + chosen.suffix)
+    module = importlib.import_module(f"embodichain.recording.export.{chosen.module}")
+    write: Callable[[Log, Part, Path], None] = module.write
+    with _new_file(path) as partial:
+        write(log, part or Part(), partial)
+    return path
+
+
+@contextmanager
+def _new_file(path: Path) -> Iterator[Path]:
+    """A name to write under; the file gets its own when it is whole, unless that is taken."""
+    if os.path.lexists(path):
+        raise ConfigError(f"{path} exists; it is never replaced")
+    if not path.parent.is_dir():
+        raise ConfigError(f"the folder {path.parent} does not exist")
+    partial = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    try:
+        yield partial
+        os.link(partial, path)  # unlike a rename, it refuses a name that is taken
+    except FileExistsError as error:
+        raise ConfigError(f"{path} exists; it is never replaced") from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def required(module: str, extra: str) -> ModuleType:
+    """Import what a format needs.
+
+    Raises:
+        ConfigError: If it is not installed.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        package = module.partition(".")[0]
+        raise ConfigError(
+            f"--format {extra} needs {package}: pip install 'embodichain[{extra}]'"
+        ) from error

@@ -1,0 +1,183 @@
+"""A compiled model as URDF: what programs of the ROS world know of a robot.
+
+Every body is a link, named as its frame in `/tf`. Primitives keep their shape; a mesh is shown as
+the box around it, because a description that is one string cannot carry files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.recording.foxglove.frames import frame_names
+
+__all__ = ["urdf"]
+
+_SHOWN_GROUPS = 3  # MuJoCo's viewers show geoms of groups 0 to 2
+_ZERO, _UNIT = np.zeros(3), np.array([1.0, 0, 0, 0])
+_HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
+_SPHERE, _CAPSULE, _CYLINDER, _PLANE = (
+    int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}"))
+    for kind in ("SPHERE", "CAPSULE", "CYLINDER", "PLANE")
+)
+
+Floats = NDArray[np.float64]
+
+
+def urdf(model: mujoco.MjModel, env_id: int) -> str:
+    """The description of one environment: everything in it hangs on the link ``env_I``.
+
+    Args:
+        model: The model.
+        env_id: The environment, whose name links carry.
+    """
+    names = frame_names(model, env_id)
+    robot = Element("robot", name=names[0])
+    SubElement(robot, "link", name=names[0])
+    for body in range(1, model.nbody):
+        link = SubElement(robot, "link", name=names[body])
+        _inertial(link, model, body)
+        first = int(model.body_geomadr[body])
+        for geom in range(first, first + int(model.body_geomnum[body])):
+            if int(model.geom_group[geom]) < _SHOWN_GROUPS:
+                _visual(link, model, geom)
+        _joints(robot, model, body, names)
+    text: str = tostring(robot, encoding="unicode")
+    return text
+
+
+def _joints(robot: Element, model: mujoco.MjModel, body: int, names: list[str]) -> None:
+    """Join a body to its parent: as many joints, one after the other, as it has."""
+    parent = names[int(model.body_parentid[body])]
+    pos, quat = model.body_pos[body].copy(), model.body_quat[body].copy()
+    first = int(model.body_jntadr[body])
+    count = int(model.body_jntnum[body])
+    joints = range(first, first + count)
+    if any(int(model.jnt_type[j]) not in (_HINGE, _SLIDE) for j in joints) or (
+        int(model.body_mocapid[body]) >= 0
+    ):
+        _join(robot, f"{names[body]}_floating", "floating", parent, names[body], pos, quat)
+        return
+    left = _ZERO  # from the frame that was reached back to the body's own
+    for number, joint in enumerate(joints):
+        anchor = model.jnt_pos[joint]
+        pos = pos + _rotate(quat, left + anchor)
+        left = -anchor
+        axis, zero = model.jnt_axis[joint], float(model.qpos0[model.jnt_qposadr[joint]])
+        hinge = int(model.jnt_type[joint]) == _HINGE
+        if hinge:  # the joint's zero is where qpos is 0, not where the model was drawn
+            quat = _product(quat, _turn(axis, -zero))
+        else:
+            pos = pos - _rotate(quat, zero * axis)
+        whole = number == count - 1 and not left.any()
+        child = names[body] if whole else f"{names[body]}_joint_{number}"
+        if not whole:
+            SubElement(robot, "link", name=child)
+        name = model.joint(joint).name or f"joint_{joint}"
+        made = _join(robot, name, _kind(model, joint, hinge), parent, child, pos, quat)
+        SubElement(made, "axis", xyz=_text(axis))
+        if model.jnt_limited[joint]:
+            low, high = model.jnt_range[joint]
+            SubElement(
+                made, "limit", lower=_number(low), upper=_number(high), effort="0", velocity="0"
+            )
+        parent, pos, quat = child, _ZERO, _UNIT
+    if parent != names[body]:
+        _join(robot, f"{names[body]}_fixed", "fixed", parent, names[body], pos + left, quat)
+
+
+def _kind(model: mujoco.MjModel, joint: int, hinge: bool) -> str:
+    if not hinge:
+        return "prismatic"
+    return "revolute" if model.jnt_limited[joint] else "continuous"
+
+
+def _join(
+    robot: Element, name: str, kind: str, parent: str, child: str, pos: Floats, quat: Floats
+) -> Element:
+    made = SubElement(robot, "joint", name=name, type=kind)
+    SubElement(made, "parent", link=parent)
+    SubElement(made, "child", link=child)
+    _origin(made, pos, quat)
+    return made
+
+
+def _inertial(link: Element, model: mujoco.MjModel, body: int) -> None:
+    if not model.body_mass[body]:
+        return
+    inertial = SubElement(link, "inertial")
+    _origin(inertial, model.body_ipos[body], model.body_iquat[body])
+    SubElement(inertial, "mass", value=_number(model.body_mass[body]))
+    x, y, z = (_number(v) for v in model.body_inertia[body])
+    SubElement(inertial, "inertia", ixx=x, iyy=y, izz=z, ixy="0", ixz="0", iyz="0")
+
+
+def _visual(link: Element, model: mujoco.MjModel, geom: int) -> None:
+    pos, quat = model.geom_pos[geom], model.geom_quat[geom]
+    for offset, (tag, attributes) in _shapes(model, geom):
+        visual = SubElement(link, "visual")
+        _origin(visual, pos + _rotate(quat, offset), quat)
+        SubElement(SubElement(visual, "geometry"), tag, attributes)
+        material = int(model.geom_matid[geom])
+        rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
+        colour = SubElement(visual, "material", name=f"geom_{geom}")
+        SubElement(colour, "color", rgba=_text(rgba))
+
+
+def _shapes(
+    model: mujoco.MjModel, geom: int
+) -> Iterator[tuple[Floats, tuple[str, dict[str, str]]]]:
+    """Shapes of a geom and where they are in its frame."""
+    kind, size = int(model.geom_type[geom]), model.geom_size[geom]
+    if kind == _PLANE:
+        return
+    if kind == _SPHERE:
+        yield _ZERO, ("sphere", {"radius": _number(size[0])})
+    elif kind in (_CAPSULE, _CYLINDER):
+        round_ = {"radius": _number(size[0])}
+        yield _ZERO, ("cylinder", {**round_, "length": _number(2 * size[1])})
+        if kind == _CAPSULE:
+            for end in (-size[1], size[1]):
+                yield np.array([0, 0, end]), ("sphere", round_)
+    else:
+        centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        yield centre, ("box", {"size": _text(2 * half)})
+
+
+def _origin(owner: Element, pos: Floats, quat: Floats) -> None:
+    w, x, y, z = quat
+    # Roll, pitch, yaw about fixed axes: R = Rz(yaw) Ry(pitch) Rx(roll).
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    SubElement(owner, "origin", xyz=_text(pos), rpy=_text(np.array([roll, pitch, yaw])))
+
+
+def _rotate(quat: Floats, vector: Floats) -> Floats:
+    out = np.empty(3)
+    mujoco.mju_rotVecQuat(out, np.asarray(vector, np.float64), quat)
+    return out
+
+
+def _product(left: Floats, right: Floats) -> Floats:
+    out = np.empty(4)
+    mujoco.mju_mulQuat(out, left, right)
+    return out
+
+
+def _turn(axis: Floats, angle: float) -> Floats:
+    out = np.empty(4)
+    mujoco.mju_axisAngle2Quat(out, axis, angle)
+    return out
+
+
+def _number(value: float) -> str:
+    return repr(float(value))
+
+
+def _text(values: Floats) -> str:
+    return " ".join(map(_number, values))

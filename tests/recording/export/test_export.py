@@ -1,0 +1,267 @@
+import builtins
+import csv
+import importlib
+import json
+import xml.etree.ElementTree as ElementTree
+
+import h5py
+import mujoco
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from rosbags.highlevel import AnyReader
+
+import embodichain.recording as recording
+from embodichain.cli.dispatch import main
+from embodichain.recording.export import FORMATS, Part, export
+from embodichain.recording.export.urdf import urdf
+from embodichain.utils.errors import ConfigError
+from tests.recording.scene import MODEL
+
+
+@pytest.fixture
+def log(record):
+    with recording.open(record(steps=24)) as log:
+        yield log
+
+
+def test_csv_is_a_table_with_units(log):
+    path = export(log, "csv")
+    assert path == log.path.with_suffix(".csv")
+    data = log.read()
+    with path.open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == 24 * 3
+    row = rows[10 * 3 + 2]
+    assert (row["step"], row["env"], float(row["time [s]"])) == ("10", "2", data.time[10])
+    assert float(row["qpos/arm/elbow [rad]"]) == data["qpos"][10, 2, 1]
+    assert float(row["qvel/cube/free.wz [rad/s]"]) == data["qvel"][10, 2, -1]
+    assert float(row["mocap_pos/goal.x [m]"]) == data["mocap_pos"][10, 2, 3]
+    assert row["truncated"] == str(int(data["truncated"][10, 2]))
+
+
+def test_npz_holds_arrays_and_their_names(log):
+    data = log.read()
+    with np.load(export(log, "npz")) as file:
+        for field in data:
+            assert np.array_equal(file[field], data[field])
+        assert file["qpos.names"].tolist() == data.names("qpos")
+        assert file["qpos.units"][:3].tolist() == ["rad", "rad", "m"]
+        assert np.array_equal(file["time"], data.time)
+        assert json.loads(str(file["about"]))["task"] == "small"
+
+
+def test_parquet_is_the_same_table(log):
+    table = pq.read_table(export(log, "parquet"))
+    frame = log.read().frame()
+    assert table.column_names == list(frame.columns)
+    assert np.array_equal(table["qpos/cube/free.z"].to_numpy(), frame["qpos/cube/free.z"])
+    assert table.schema.field("qvel/arm/elbow").metadata == {b"unit": b"rad/s"}
+    assert table.schema.metadata[b"task"] == b"small"
+
+
+def test_hdf5_is_one_demonstration_for_each_episode(log):
+    data, episodes = log.read(), log.episodes
+    with h5py.File(export(log, "hdf5")) as file:
+        demos = file["data"]
+        assert len(demos) == len(episodes)
+        assert demos.attrs["total"] == 24 * 3
+        assert json.loads(demos.attrs["env_args"]) == {
+            "env_name": "small",
+            "type": 2,
+            "env_kwargs": {"seed": 0},
+        }
+        for number, episode in enumerate(episodes):
+            demo = demos[f"demo_{number}"]
+            steps = slice(episode.first_step, episode.last_step + 1)
+            assert demo.attrs["num_samples"] == episode.steps == len(demo["actions"])
+            assert np.array_equal(demo["actions"], data["actions"][steps, episode.env])
+            assert np.array_equal(demo["obs/qpos"], data["qpos"][steps, episode.env])
+            assert demo["dones"][:-1].sum() == 0
+            assert demo["dones"][-1] == (episode.terminated or episode.truncated)
+            assert np.array_equal(demo["states"][:, 1:10], data["qpos"][steps, episode.env])
+        assert list(demo["states"].attrs["names"])[:2] == ["time/time", "qpos/arm/shoulder"]
+        assert list(demo["obs/qpos"].attrs["units"])[:3] == ["rad", "rad", "m"]
+        assert ElementTree.fromstring(demo.attrs["model_file"]).tag == "mujoco"
+
+
+def test_rosbags_reads_the_bag(log, tmp_path):
+    path = export(log, "ros2", tmp_path / "bag.mcap", Part(env=1))
+    data = log.read(["qpos", "qvel", "mocap_pos"], env=1)
+    joints, frames, described = [], [], []
+    with AnyReader([path]) as reader:
+        assert reader.message_count == 24 * 2 + 1
+        for connection, stamp, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            kind = {"/env_1/joint_states": joints, "/tf": frames}.get(connection.topic, described)
+            kind.append((stamp, message))
+    assert [list(m.name) for _, m in joints] == [["arm/shoulder", "arm/elbow"]] * 24
+    assert np.array_equal([m.position for _, m in joints], data["qpos"][:, 0, :2])
+    assert np.array_equal([m.velocity for _, m in joints], data["qvel"][:, 0, :2])
+    stamp, message = joints[5]
+    assert stamp == log.header.start_ns + 5 * 20_000_000
+    assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
+    for index, (_, message) in enumerate(frames):
+        poses = {t.child_frame_id: t for t in message.transforms}
+        assert len(poses) == MODEL.nbody - 1
+        cube = poses["env_1/cube"]
+        assert cube.header.frame_id == "env_1"
+        position, turn = cube.transform.translation, cube.transform.rotation
+        expected = data["qpos"][index, 0, 2:]
+        assert (position.x, position.y, position.z) == tuple(expected[:3])
+        found = np.array([turn.w, turn.x, turn.y, turn.z])
+        assert found == pytest.approx(expected[3:] / np.linalg.norm(expected[3:]), abs=1e-12)
+    text = described[0][1].data
+    links = {link.get("name") for link in ElementTree.fromstring(text).iter("link")}
+    assert set(poses) < links
+
+
+def test_frames_follow_the_model_of_their_environment(record, tmp_path):
+    from tests.recording.scene import SmallEnv
+
+    class Moved(SmallEnv):
+        def reset(self, ids=None):
+            super().reset(ids)
+            fore = mujoco.mj_name2id(MODEL, mujoco.mjtObj.mjOBJ_BODY, "arm/fore")
+            everyone = np.arange(self.num_envs) if ids is None else ids
+            offsets = 0.3 + 0.1 * everyone[:, None] + 0.01 * self.episodes[everyone, None]
+            columns = np.array([3 * fore])
+            self.sim.engine.write_model("body_pos", offsets, everyone, columns)
+
+    with recording.open(record(env=Moved, steps=20)) as log:
+        path = export(log, "ros2", tmp_path / "bag.mcap", Part(env=2))
+        episodes = log.read("episodes", env=2)["episodes"][:, 0]
+    lengths = []
+    with AnyReader([path]) as reader:
+        for connection, _, raw in reader.messages():
+            if connection.topic == "/tf":
+                message = reader.deserialize(raw, connection.msgtype)
+                at = {t.child_frame_id: t.transform.translation for t in message.transforms}
+                a, b = at["env_2/arm/upper"], at["env_2/arm/fore"]
+                lengths.append(np.linalg.norm([a.x - b.x, a.y - b.y, a.z - b.z]))
+    assert lengths == pytest.approx(0.5 + 0.01 * episodes)
+
+
+URDF_MODEL = """
+<mujoco><worldbody>
+  <body name="a" pos=".1 .2 .3" euler="20 30 40"><geom size=".1" mass="1"/>
+    <joint name="j1" axis="0 1 0" pos=".05 0 .1" range="-90 90" limited="true"/>
+    <body name="b" pos="0 0 .4"><geom type="capsule" size=".05 .1" mass="1"/>
+      <joint name="j2" type="slide" axis="1 0 0" ref=".2"/>
+      <joint name="j3" axis="0 0 1" ref="30"/>
+      <body name="c" pos=".3 0 0" quat=".5 .5 .5 .5"><geom type="box" size=".1 .2 .3" mass="1"/>
+        <joint name="j4" axis="1 1 0"/></body>
+    </body>
+  </body>
+</worldbody></mujoco>
+"""
+
+
+def test_the_urdf_moves_as_the_model_does():
+    """MuJoCo's own reader of URDF puts every link where the model has the body."""
+    model = mujoco.MjModel.from_xml_string(URDF_MODEL)
+    # It needs some mass in every link that moves, and would else fuse those that do not.
+    bounds = '<compiler boundmass="1e-3" boundinertia="1e-3" fusestatic="false"/>'
+    text = urdf(model, 0).replace("<link", f"<mujoco>{bounds}</mujoco><link", 1)
+    again = mujoco.MjModel.from_xml_string(text)
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        data, other = mujoco.MjData(model), mujoco.MjData(again)
+        for joint in range(model.njnt):
+            value = rng.uniform(-1, 1)
+            data.joint(model.joint(joint).name).qpos = value
+            other.joint(model.joint(joint).name).qpos = value
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_kinematics(again, other)
+        for body in "abc":
+            expected, found = data.body(body), other.body(f"env_0/{body}")
+            assert found.xpos == pytest.approx(expected.xpos, abs=1e-9)
+            assert found.xmat == pytest.approx(expected.xmat, abs=1e-9)
+
+
+@pytest.mark.parametrize("format", ["csv", "npz", "parquet"])
+def test_parts(log, tmp_path, format):
+    episode = next(e for e in log.episodes if e.env == 1 and e.episode == 1)
+    path = export(log, format, tmp_path / f"part.{format}", Part(1, 1, 0, episode.last_step))
+    steps = {
+        "csv": lambda: pd.read_csv(path)["step"].tolist(),
+        "npz": lambda: np.load(path)["steps"].tolist(),
+        "parquet": lambda: pq.read_table(path)["step"].to_pylist(),
+    }[format]()
+    assert steps == list(range(episode.first_step, episode.last_step))
+
+
+def test_hdf5_of_a_range_cuts_episodes(log, tmp_path):
+    with h5py.File(export(log, "hdf5", tmp_path / "part.hdf5", Part(0, None, 3, 9))) as file:
+        firsts = [demo.attrs["first_step"] for demo in file["data"].values()]
+        assert firsts[0] == 3
+        assert file["data"].attrs["total"] == 6
+    with pytest.raises(ConfigError, match="no episode lies in what was asked for"):
+        export(log, "hdf5", tmp_path / "none.hdf5", Part(start=100))
+    assert not list(tmp_path.glob("*none*"))
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_nothing_is_overwritten(log, tmp_path, format):
+    path = tmp_path / "taken"
+    path.write_text("mine")
+    with pytest.raises(ConfigError, match="exists; it is never replaced"):
+        export(log, format, path)
+    assert path.read_text() == "mine"
+
+
+@pytest.mark.parametrize(("format", "package"), [("parquet", "pyarrow"), ("hdf5", "h5py")])
+def test_a_missing_package_is_named(log, monkeypatch, tmp_path, format, package):
+    importing = importlib.import_module
+
+    def refuse(name, *args):
+        if name.startswith(package):
+            raise ImportError(name)
+        return importing(name, *args)
+
+    monkeypatch.setattr(importlib, "import_module", refuse)
+    with pytest.raises(ConfigError, match=rf"needs {package}: pip install 'embodichain\[{format}"):
+        export(log, format, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("format", ["csv", "npz"])
+def test_tables_need_no_further_packages(log, monkeypatch, tmp_path, format):
+    importing = builtins.__import__
+
+    def refuse(name, *args, **kwargs):
+        if name.partition(".")[0] in ("pandas", "pyarrow", "h5py", "rosbags"):
+            raise ImportError(name)
+        return importing(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    assert export(log, format, tmp_path / "out").stat().st_size
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_broken_log_is_exported_as_far_as_it_goes(record, tmp_path, capsys, format):
+    whole = record(num_envs=64, steps=60)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[: whole.stat().st_size * 2 // 3])
+    out = tmp_path / "out"
+    assert main(["export", str(cut), "--format", format, "-o", str(out), "--env", "3"]) == 0
+    assert out.stat().st_size
+    assert "warning" in capsys.readouterr().err
+
+
+def test_the_command(record, tmp_path, capsys):
+    path = record(steps=8)
+    assert main(["export", str(path), "--format", "csv", "--from", "2", "--to", "5", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert pd.read_csv(said["file"])["step"].tolist() == np.repeat([2, 3, 4], 3).tolist()
+    for arguments, message in [
+        (["--format", "csv"], "exists; it is never replaced"),
+        (["--format", "cvs"], "no format 'cvs'. Did you mean 'csv'?"),
+        (["--format", "npz", "--episode", "1"], "--episode needs --env"),
+        (["--format", "npz", "--env", "7"], "no environment 7 in the log: there are 0 to 2"),
+        (["--format", "npz", "-o", str(tmp_path / "no" / "x")], "does not exist"),
+    ]:
+        assert main(["export", str(path), *arguments]) == 2
+        assert message in capsys.readouterr().err
+    assert not [p for p in tmp_path.iterdir() if ".part" in p.name]
