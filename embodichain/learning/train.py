@@ -23,6 +23,7 @@ from embodichain.config.algorithms import DEFAULT_ALGORITHM, PpoCfg
 from embodichain.config.run_folder import write_atomically
 from embodichain.config.schema import LARGEST_TRAINING_SEED
 from embodichain.learning.algorithms import build_algorithm, check_arguments, check_normalize
+from embodichain.learning.curves import draw_curves
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.keeper import CheckpointKeeper, find_resumable
 from embodichain.learning.normalization import load_statistics, statistics_path
@@ -246,6 +247,7 @@ def _learn(
     )
     text = json.dumps(dataclasses.asdict(summary), indent=2)
     write_atomically(run_dir / SUMMARY_FILE, text + "\n")
+    draw_curves(run_dir)
     if interrupt is not None:
         raise interrupt
     return summary

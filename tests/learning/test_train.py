@@ -8,10 +8,12 @@ import zipfile
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from embodichain.config import make_env, resolve
 from embodichain.learning import load_policy
 from embodichain.learning.checkpoint import read_note
+from embodichain.learning.curves import draw_curves
 from embodichain.learning.normalization import load_statistics
 from embodichain.learning.train import TORCH_THREADS, train
 from embodichain.learning.vec_env import ENDS
@@ -40,9 +42,9 @@ def config(*overrides):
 
 
 def files(folder):
-    """What a training left; event files are there only where tensorboard is installed."""
+    """What a training left, without what optional packages write."""
     found = {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
-    return {name for name in found if not name.startswith("tensorboard/")}
+    return {n for n in found if not n.startswith(("tensorboard/", "curves.png"))}
 
 
 def parameters(folder):
@@ -155,6 +157,19 @@ def test_a_log_of_every_rollout(tmp_path):
         assert float(row["Episode_Reward/distance"]) < 5
         ends = [float(row[f"Episode_Termination/{kind}"]) for kind in ENDS]
         assert ends == [0.0, 0.0, 0.0, 1.0]
+
+
+def test_curves_are_drawn(tmp_path):
+    pytest.importorskip("matplotlib")
+    train(config("total_timesteps=96"), tmp_path)
+    with Image.open(tmp_path / "curves.png") as picture:
+        pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3)
+        assert picture.size == (1500, 350)  # return, success, length
+    assert len(np.unique(pixels, axis=0)) > 20
+    (tmp_path / "curves.png").unlink()
+    rows = (tmp_path / "progress.csv").read_text().splitlines()
+    (tmp_path / "progress.csv").write_text("time/total_timesteps\n32\n")
+    assert draw_curves(tmp_path) is None and len(rows) == 4
 
 
 def test_checkpoints_are_made_when_due_and_the_oldest_go(tmp_path):
