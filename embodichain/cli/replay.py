@@ -14,6 +14,7 @@ from embodichain.cli.arguments import VerbParser, add_common, print_json
 from embodichain.cli.log_files import log_of
 from embodichain.cli.tables import print_facts, print_table
 from embodichain.cli.verbs import VERBS
+from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.recording.summary import Episode, LogSummary
@@ -31,10 +32,14 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--verify", action="store_true", help="simulate again and compare")
     parser.add_argument("--env", type=int, metavar="I", help="only this environment")
     parser.add_argument("--episode", type=int, metavar="K", help="only this episode, from 0")
+    parser.add_argument("--from", dest="start", type=int, metavar="T", help="list from this step")
+    parser.add_argument("--to", dest="stop", type=int, metavar="T", help="list up to this step")
     parser.add_argument("--quiet", "-q", action="store_true", help="no progress, no report")
     add_common(parser)
     options = parser.parse(arguments)
     path = log_of(options.file)
+    if options.verify and (options.start, options.stop) != (None, None):
+        raise ConfigError("--from and --to choose what is listed; --verify needs every step before")
     return _verify(path, options) if options.verify else _inspect(path, options)
 
 
@@ -53,8 +58,12 @@ def _inspect(path: Path, options: argparse.Namespace) -> int:
 
 
 def _is_wanted(episode: Episode, options: argparse.Namespace) -> bool:
+    """Whether it is the environment's, the episode, and has a step in [--from, --to)."""
     right_env = options.env is None or episode.env == options.env
-    return right_env and (options.episode is None or episode.episode == options.episode)
+    right_episode = options.episode is None or episode.episode == options.episode
+    first = episode.last_step - episode.steps + 1
+    after = options.start is None or episode.last_step >= options.start
+    return right_env and right_episode and after and (options.stop is None or first < options.stop)
 
 
 def _summary_data(summary: LogSummary, episodes: list[Episode]) -> dict[str, Any]:

@@ -117,6 +117,7 @@ _REPLAY = Verb(
         ("replay last", "the newest run's log"),
         ("replay last --verify", "simulate it again from the file alone"),
         ("replay last --verify --env 2 --episode 0", "only that environment and episode"),
+        ("replay last --env 2 --from 100 --to 200", "list its episodes between these steps"),
         ("replay outputs/latest/rollout.mcap --json", "what it holds, for scripts"),
     ),
 )

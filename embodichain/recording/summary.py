@@ -38,6 +38,7 @@ class Episode:
         steps: Control steps within the log.
         total_reward: Sum of rewards over them, undiscounted.
         terminated: Whether it ended by itself; else by a limit.
+        last_step: Control step that ended it.
     """
 
     env: int
@@ -45,6 +46,7 @@ class Episode:
     steps: int
     total_reward: float
     terminated: bool
+    last_step: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +116,7 @@ class _Episodes:
                     int(self._lengths[env]),
                     float(self._sums[env]),
                     bool(step.terminated[env]),
+                    step.step,
                 )
             )
             self._sums[env] = self._lengths[env] = 0
