@@ -9,14 +9,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from stable_baselines3.common.base_class import BaseAlgorithm
-
 from embodichain.learning.checkpoint import CHECKPOINTS, FINAL, read_note, save_checkpoint
-from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.normalization import save_statistics, statistics_path
 from embodichain.learning.plain_state import read_tree, write_tree
+from embodichain.learning.session import Session
 from embodichain.learning.training_state import capture
-from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["BEST", "CheckpointKeeper", "find_resumable", "state_path"]
@@ -32,27 +29,15 @@ class CheckpointKeeper:
     Files of a checkpoint are each written as a whole, the zip last: where it is, the others are.
 
     Args:
-        run_dir: The run's folder.
-        model: What learns.
-        vec_env: What it learns in, without wrappers.
-        statistics: How it goes.
+        session: The training.
         note: What the zips say of themselves; gets ``env_steps``.
         every: Environment steps between two.
         keep: How many are kept.
     """
 
-    def __init__(
-        self,
-        run_dir: Path,
-        model: BaseAlgorithm,
-        vec_env: SB3VecEnv,
-        statistics: TrainStatistics,
-        note: Mapping[str, Any],
-        every: int,
-        keep: int,
-    ) -> None:
-        self._folder = run_dir / CHECKPOINTS
-        self._model, self._vec_env, self._statistics = model, vec_env, statistics
+    def __init__(self, session: Session, note: Mapping[str, Any], every: int, keep: int) -> None:
+        self._folder = session.run_dir / CHECKPOINTS
+        self._session = session
         self._note = note
         self._every, self._keep = every, keep
         self._written: list[Path] = []
@@ -67,7 +52,7 @@ class CheckpointKeeper:
 
     def boundary(self) -> None:
         """Write a checkpoint where a rollout begins, if one is due; the oldest goes."""
-        steps = self._model.num_timesteps
+        steps = self._session.model.num_timesteps
         if self._next is None:  # where the training begins, or goes on
             self._next = steps + self._every
         if steps < self._next:
@@ -95,13 +80,13 @@ class CheckpointKeeper:
         return f"{CHECKPOINTS}/{FINAL}"
 
     def _judge(self) -> None:
-        score = self._statistics.score
+        score = self._session.statistics.score
         if score is not None and (self._best is None or score > self._best):
             self._best = score
             self._write(BEST, resumable=False)
 
     def _write(self, name: str, *, resumable: bool, rolling: bool = True) -> Path:
-        model, path = self._model, self._folder / name
+        model, path = self._session.model, self._folder / name
         self._folder.mkdir(parents=True, exist_ok=True)
         normalizer = model.get_vec_normalize_env()
         if normalizer is not None:
@@ -112,8 +97,8 @@ class CheckpointKeeper:
                 state_path(path),
                 {
                     "env_steps": steps,
-                    "training": capture(model, self._vec_env, rolling=rolling),
-                    "statistics": self._statistics.state_dict(),
+                    "training": capture(model, self._session.vec_env, rolling=rolling),
+                    "statistics": self._session.statistics.state_dict(),
                 },
             )
         save_checkpoint(model, path, {**self._note, "env_steps": steps})

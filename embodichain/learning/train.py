@@ -1,7 +1,7 @@
 """`train`: from one config to a checkpoint and a summary. The story of a training, top to bottom.
 
 The environment's vector interface is `vec_env.py`, algorithms `algorithms.py`, checkpoints
-`keeper.py`, what happens in every step `watch.py`. What people see while it runs is the command
+`keeper.py`, learning itself `session.py`. What people see while it runs is the command
 line's.
 """
 
@@ -26,17 +26,10 @@ from embodichain.learning.algorithms import build_algorithm, check_arguments, ch
 from embodichain.learning.curves import draw_curves
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.keeper import CheckpointKeeper, find_resumable
-from embodichain.learning.normalization import load_statistics, statistics_path
 from embodichain.learning.schedules import action_noise
-from embodichain.learning.train_logs import log_interval, make_logger
-from embodichain.learning.training_state import (
-    load_parameters,
-    restore,
-    restore_exploration,
-    restore_generators,
-)
+from embodichain.learning.session import Session
 from embodichain.learning.vec_env import SB3VecEnv
-from embodichain.learning.watch import Progress, Watch
+from embodichain.learning.watch import Progress
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["SUMMARY_FILE", "TORCH_THREADS", "TrainSummary", "check_training", "train"]
@@ -191,56 +184,28 @@ def _learn(
     if found is not None and found[1]["env_steps"] >= plan.total_timesteps:
         message = f"{found[0]} has {found[1]['env_steps']} steps already: give more than these"
         raise ConfigError([Problem("total_timesteps", message)])
-    model = _build(plan, vec_env)
-    statistics = TrainStatistics(plan.total_timesteps)
-    note = {"algo": plan.algo, "group": GROUP, "task": plan.task}
-    keeper = CheckpointKeeper(
-        run_dir, model, vec_env, statistics, note, plan.every_steps, plan.keep
+    session = Session(
+        _build(plan, vec_env), vec_env, TrainStatistics(plan.total_timesteps), run_dir
     )
-    fresh: list[dict[str, Any]] = []  # the state that a resumed training begins with, once
     if found is not None:
-        _resume(model, vec_env, statistics, *found)
-        fresh = [found[1]["training"]]
-
-    def boundary() -> None:
-        if fresh and fresh[0]["exploration"]:
-            restore_exploration(model, fresh[0])
-            restore_generators(model, fresh[0])
-        fresh.clear()
-        keeper.boundary()
-
-    watch = Watch(statistics, progress, boundary)
-    logger = make_logger(run_dir)
-    model.set_logger(logger)
-    remaining = plan.total_timesteps - model.num_timesteps
-    interval = log_interval(model, plan.total_timesteps)
-    if fresh:
-        restore_generators(model, fresh[0])
-    statistics.begin()
-    status: Literal["finished", "interrupted"] = "finished"
-    interrupt: KeyboardInterrupt | None = None
-    try:
-        model.learn(remaining, watch, log_interval=interval, reset_num_timesteps=found is None)
-    except KeyboardInterrupt as error:
-        status, interrupt = "interrupted", error
-    finally:
-        statistics.end()
-        logger.close()
-    # Raised by Ctrl-C itself, it may have come in the middle of an update.
-    resumable = interrupt is None or interrupt is watch.stopped
+        session.resume(*found)
+    note = {"algo": plan.algo, "group": GROUP, "task": plan.task}
+    keeper = CheckpointKeeper(session, note, plan.every_steps, plan.keep)
+    interrupt, resumable = session.learn(keeper.boundary, progress)
     checkpoint = keeper.final(resumable=resumable, rolling=interrupt is not None)
+    statistics = session.statistics
     summary = TrainSummary(
         task=plan.task,
         algo=plan.algo,
         seed=plan.seed,
-        num_envs=model.n_envs,
+        num_envs=vec_env.num_envs,
         env_steps=statistics.env_steps,
         train_seconds=statistics.seconds,
         env_steps_per_second=statistics.env_steps_per_second,
         episodes=statistics.episodes,
         success_rate=statistics.success_rate,
         mean_return=statistics.mean_return,
-        status=status,
+        status="finished" if interrupt is None else "interrupted",
         checkpoint=checkpoint,
         best=keeper.best,
         resumed_from=None if found is None else str(found[0]),
@@ -263,23 +228,6 @@ def _build(plan: _Plan, vec_env: SB3VecEnv) -> BaseAlgorithm:
         width = int(vec_env.action_space.shape[0]) if vec_env.action_space.shape else 0
         arguments["action_noise"] = action_noise(*plan.noise, width, vec_env.num_envs)
     return build_algorithm(plan.algo, arguments, wrapped, plan.seed)
-
-
-def _resume(
-    model: BaseAlgorithm,
-    vec_env: SB3VecEnv,
-    statistics: TrainStatistics,
-    checkpoint: Path,
-    state: dict[str, Any],
-) -> None:
-    """Put a new model where a checkpoint was written."""
-    load_parameters(model, checkpoint)
-    restore(model, vec_env, state["training"])
-    normalizer = model.get_vec_normalize_env()
-    if normalizer is not None:
-        load_statistics(statistics_path(checkpoint)).restore(normalizer)
-    statistics.load_state_dict(state["statistics"])
-    statistics.env_steps = model.num_timesteps
 
 
 @contextmanager

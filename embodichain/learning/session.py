@@ -1,0 +1,104 @@
+"""`Session`: a model, its environment and its statistics, from the first step or from a checkpoint.
+
+What is written of it is `keeper.py`'s; what happens in every step, `watch.py`'s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+from embodichain.learning.episodes import TrainStatistics
+from embodichain.learning.normalization import load_statistics, statistics_path
+from embodichain.learning.train_logs import log_interval, make_logger
+from embodichain.learning.training_state import (
+    load_parameters,
+    restore,
+    restore_exploration,
+    restore_generators,
+)
+from embodichain.learning.vec_env import SB3VecEnv
+from embodichain.learning.watch import Progress, Watch
+
+__all__ = ["Session"]
+
+
+@dataclass
+class Session:
+    """One training in this process.
+
+    Attributes:
+        model: What learns.
+        vec_env: What it learns in, without wrappers.
+        statistics: How it goes.
+        run_dir: The run's folder.
+    """
+
+    model: BaseAlgorithm
+    vec_env: SB3VecEnv
+    statistics: TrainStatistics
+    run_dir: Path
+    _restored: dict[str, Any] | None = None
+
+    def resume(self, checkpoint: Path, state: dict[str, Any]) -> None:
+        """Put the new model where a checkpoint was written.
+
+        Args:
+            checkpoint: The zip.
+            state: What lies beside it, see `find_resumable`.
+        """
+        load_parameters(self.model, checkpoint)
+        restore(self.model, self.vec_env, state["training"])
+        normalizer = self.model.get_vec_normalize_env()
+        if normalizer is not None:
+            load_statistics(statistics_path(checkpoint)).restore(normalizer)
+        self.statistics.load_state_dict(state["statistics"])
+        self.statistics.env_steps = self.model.num_timesteps
+        self._restored = state["training"]
+
+    def learn(
+        self, on_boundary: Callable[[], None], progress: Progress | None
+    ) -> tuple[KeyboardInterrupt | None, bool]:
+        """Learn until all steps are taken or somebody stops it.
+
+        Args:
+            on_boundary: Called as each rollout begins.
+            progress: See `train`.
+
+        Returns:
+            What stopped it, None for its end; and whether the model is between two rollouts:
+            a Ctrl-C that Python itself raised may have come in the middle of an update.
+        """
+        model, total = self.model, self.statistics.total_timesteps
+
+        def boundary() -> None:
+            self._restore_exploration()
+            on_boundary()
+
+        watch = Watch(self.statistics, progress, boundary)
+        logger = make_logger(self.run_dir)
+        model.set_logger(logger)
+        interval, new = log_interval(model, total), self._restored is None
+        if self._restored is not None:
+            restore_generators(model, self._restored)
+        self.statistics.begin()
+        try:
+            remaining = total - model.num_timesteps
+            model.learn(remaining, watch, log_interval=interval, reset_num_timesteps=new)
+        except KeyboardInterrupt as error:
+            return error, error is watch.stopped
+        finally:
+            self.statistics.end()
+            logger.close()
+        return None, True
+
+    def _restore_exploration(self) -> None:
+        """Undo, once, what the first rollout of a resumed training drew anew as it began."""
+        saved, self._restored = self._restored, None
+        if saved is not None and saved["exploration"]:
+            restore_exploration(self.model, saved)
+            restore_generators(self.model, saved)
