@@ -36,9 +36,14 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--output", "-o", metavar="OUT", help="a new picture: .png, .svg, .pdf")
     add_common(parser)
     options = parser.parse(arguments)
-    from embodichain.learning.comparison import group_runs, read_run
+    from embodichain.learning.comparison import group_runs, is_training, read_run
 
     folders = list(dict.fromkeys(_folder(name) for name in options.runs))
+    others = [folder for folder in folders if not is_training(folder)]
+    if len(others) < len(folders):  # a pattern finds evaluations too
+        for folder in others:
+            sys.stderr.write(f"left out: {folder} is no training\n")
+        folders = [folder for folder in folders if folder not in others]
     groups = group_runs(map(read_run, folders))
     if options.output is not None:
         from embodichain.learning.plots import plot_curves

@@ -103,13 +103,13 @@ def _claim(verb: Verb) -> tuple[Resolved, Path]:
 def _pinned(resolved: Resolved) -> Resolved:
     """Replace `last` and links by the folder they mean now: the next run changes that."""
     from embodichain.config.frozen import freeze
-    from embodichain.config.newest import CHECKPOINT, newest_run
+    from embodichain.config.newest import CHECKPOINT, named_checkpoint, newest_run
 
     policy = resolved.tree["policy"]
     last = policy == "last"
-    if not isinstance(policy, str) or not (last or Path(policy).exists()):
+    if not isinstance(policy, str) or not (last or named_checkpoint(policy).exists()):
         return resolved
-    path = newest_run(resolved.tree["output_dir"], CHECKPOINT) if last else Path(policy)
+    path = newest_run(resolved.tree["output_dir"], CHECKPOINT) if last else named_checkpoint(policy)
     if path is None:
         raise ConfigError("policy: the training that 'last' meant is gone")
     return replace(resolved, tree=freeze({**resolved.tree, "policy": str(path.resolve())}))

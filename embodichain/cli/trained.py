@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from embodichain.config.newest import CHECKPOINT, newest_run
+from embodichain.config.newest import CHECKPOINT, named_checkpoint, newest_run
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def find_target(name: str, output_root: str = "outputs") -> Target:
     Raises:
         ConfigError: There is no such run or file.
     """
-    path = Path(name)
+    path = named_checkpoint(name)
     if name == "last":
         newest = newest_run(output_root, CHECKPOINT)
         if newest is None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from embodichain.config.check_types import check_types, show_value
-from embodichain.config.newest import CHECKPOINT, newest_run
+from embodichain.config.newest import CHECKPOINT, named_checkpoint, newest_run
 from embodichain.config.schema import SUGGESTED_KEYS, RootCfg
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.check import SECTIONS
@@ -118,6 +118,6 @@ def _existing(root: RootCfg, path: Path) -> Any:
         if newest_run(root.output_dir, CHECKPOINT) is None:
             message = f"there is no finished training in {root.output_dir} (train first)"
             raise ConfigError([Problem("policy", message)])
-    elif not path.exists():
+    elif not named_checkpoint(path).exists():
         raise ConfigError([Problem("policy", f"no such file or folder: {path}")])
     return lambda obs, env: None

@@ -1,10 +1,10 @@
-"""Which run is the newest one that holds a certain file: a log, a checkpoint. Imports nothing."""
+"""Which file of a run is meant: the newest log or checkpoint, one by name. Imports nothing."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["CHECKPOINT", "LOG", "newest_run"]
+__all__ = ["CHECKPOINT", "LOG", "named_checkpoint", "newest_run"]
 
 LOG = "rollout.mcap"
 """A run's log, in its folder."""
@@ -22,6 +22,20 @@ def newest_run(output_root: str | Path, holding: str) -> Path | None:
     runs = [file.parent for file in Path(output_root).rglob("config.yaml")]
     found = [run for run in runs if any(file.is_file() for file in run.glob(holding))]
     return max(found, key=_began).resolve() if found else None
+
+
+def named_checkpoint(path: str | Path) -> Path:
+    """Return what exists under a path: itself, or the checkpoint that it names without ``.zip``.
+
+    ``RUN/best`` and ``RUN/checkpoints/best`` are both ``RUN/checkpoints/best.zip``.
+
+    Args:
+        path: As typed; is returned as it is where none of these exist.
+    """
+    given = Path(path)
+    file = f"{given.name}.zip"
+    choices = (given, given.parent / file, given.parent / Path(CHECKPOINT).parent / file)
+    return next((choice for choice in choices if choice.exists()), given)
 
 
 def _began(run: Path) -> tuple[int, str]:

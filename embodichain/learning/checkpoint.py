@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from embodichain.config.newest import named_checkpoint
 from embodichain.learning.made_by import made_by
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -54,12 +55,12 @@ def save_checkpoint(model: BaseAlgorithm, path: Path, note: Mapping[str, Any]) -
 
 
 def find_checkpoint(path: str | Path) -> Path:
-    """Return the checkpoint that a path means: the file, or the final one of a run folder.
+    """Return the checkpoint that a path means: a file, ``RUN/best``, or a run's final one.
 
     Raises:
         ConfigError: If there is none; says what was looked for.
     """
-    given = Path(path)
+    given = named_checkpoint(path)
     if given.is_file():
         return given
     if given.is_dir():

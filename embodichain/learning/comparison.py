@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 from embodichain.learning.statistics import RESAMPLES, Estimate, estimate
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["Curve", "Group", "TrainedRun", "band", "group_runs", "read_run"]
+__all__ = ["Curve", "Group", "TrainedRun", "band", "group_runs", "is_training", "read_run"]
 
 PROGRESS = "progress.csv"
+SUMMARY = "summary.json"
 STEPS, RETURN, SUCCESS = "time/total_timesteps", "rollout/ep_rew_mean", "rollout/success_rate"
 """Columns of Stable-Baselines3's logger."""
 # What runs of one group may differ in: the seed, and what changes no number.
@@ -80,13 +81,22 @@ class Group:
         return estimate([run.numbers[name] for run in self.runs if name in run.numbers])
 
 
+def is_training(folder: Path) -> bool:
+    """Whether a folder holds a training that has come to an end; a damaged summary counts as one.
+
+    `read_run` says what is wrong with it.
+    """
+    path = folder / SUMMARY
+    return path.is_file() and "train_seconds" in path.read_text(encoding="utf-8", errors="replace")
+
+
 def read_run(folder: Path) -> TrainedRun:
     """Read what a training left behind.
 
     Raises:
         ConfigError: If the folder is no training's, or a file in it is damaged.
     """
-    summary = _json(folder / "summary.json")
+    summary = _json(folder / SUMMARY)
     if summary is None or "train_seconds" not in summary:
         raise ConfigError(f"{folder} holds no finished training: no summary.json of one")
     names = ("success_rate", "mean_return", "env_steps_per_second", "train_seconds", "env_steps")

@@ -91,6 +91,20 @@ def test_eval_prints_a_table(trained: Path, here: Path, capsys: pytest.CaptureFi
     assert re.search(r"reward distance +-\d", text)
 
 
+def test_a_checkpoint_is_played_by_its_name(
+    trained: Path, here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = shutil.copytree(trained, here / "run")
+    shutil.copy(run / "checkpoints/final.zip", run / "checkpoints/mine.zip")
+    keys = ("episodes=1", "record=none")
+    for name in ("run/mine", "run/checkpoints/mine"):
+        found = told(capsys, "eval", name, *keys)
+        assert str(found["policy"]).endswith("run/checkpoints/mine.zip")
+    task = ("task=reach", "task.max_episode_steps=12", *keys)
+    found = told(capsys, "run", "policy=run/mine", *task)
+    assert str(found["policy"]).endswith("run/checkpoints/mine.zip")
+
+
 def test_last_is_the_newest_training(
     trained: Path, here: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -145,9 +145,18 @@ def test_mistakes(make_run, tmp_path, capsys, monkeypatch):
         assert main(["compare", *arguments]) == 2
         err = capsys.readouterr().err
         assert err.startswith("error: ") and message in err
-    (plain / "summary.json").write_text("{")
+    (plain / "summary.json").write_text('{"train_seconds": 1')
     assert main(["compare", str(plain)]) == 2
     assert "cannot read" in capsys.readouterr().err
+
+
+def test_what_a_pattern_finds_besides_is_left_out(make_run, tmp_path, capsys):
+    training = make_run("a")
+    (tmp_path / "eval").mkdir()
+    assert main(["compare", str(training), str(tmp_path / "eval"), "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["groups"][0]["folders"] == [str(training)]
+    assert err == f"left out: {tmp_path / 'eval'} is no training\n"
 
 
 def test_odd_pictures(make_run, tmp_path, monkeypatch):

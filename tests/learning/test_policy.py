@@ -73,6 +73,13 @@ def test_a_zip_of_stable_baselines_itself_is_played(model, tmp_path):
     assert load_policy(tmp_path / "mine.zip", env)(env.reset()[0], env).shape == (1, 2)
 
 
+@pytest.mark.parametrize("name", ["best", "checkpoints/best", "checkpoints/best.zip"])
+def test_checkpoints_are_found_by_name(run_dir, name):
+    best = run_dir / "checkpoints/best.zip"
+    (run_dir / "checkpoints/final.zip").rename(best)
+    assert find_checkpoint(run_dir / name) == best
+
+
 def test_note_is_plain_json(run_dir):
     path = find_checkpoint(run_dir)
     with zipfile.ZipFile(path) as archive:
