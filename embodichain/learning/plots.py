@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from embodichain.utils.errors import ConfigError
 
 __all__ = ["plot_curves"]
 
+_LINE = 90  # characters that fit the picture's width
 _AXES = {SUCCESS: "success rate", RETURN: "mean return"}
 
 
@@ -33,13 +35,19 @@ def plot_curves(groups: Sequence[Group], path: Path) -> None:
         raise ConfigError(f"no curves in progress.csv of: {', '.join(empty)}")
     try:
         from matplotlib.figure import Figure
+        from matplotlib.lines import Line2D
     except ImportError as error:
         message = "curves need the package matplotlib: pip install 'embodichain[plot]'"
         raise ConfigError(message) from error
     names = [n for n in _AXES if any(n in run.curves for group in groups for run in group.runs)]
-    figure = Figure(figsize=(7.0, 3.0 * len(names)), layout="constrained")
+    labels = [_wrapped(f"{group.label}  (seeds: {len(group.runs)})") for group in groups]
+    lines = sum(label.count("\n") + 1 for label in labels)
+    figure = Figure(figsize=(7.0, 3.0 * len(names) + 0.2 * lines), layout="constrained")
     for axes, name in zip(figure.subplots(len(names), squeeze=False)[:, 0], names, strict=True):
         _draw(axes, groups, name)
+    # Once, below: what groups are called is as long as their overrides.
+    colours = [Line2D([], [], color=f"C{i}") for i in range(len(groups))]
+    figure.legend(colours, labels, loc="outside lower left", fontsize="small", frameon=False)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -54,7 +62,7 @@ def plot_curves(groups: Sequence[Group], path: Path) -> None:
 
 
 def _draw(axes: Any, groups: Sequence[Group], name: str) -> None:
-    for group in groups:
+    for number, group in enumerate(groups):
         curves = [run.curves[name] for run in group.runs if name in run.curves]
         if not curves:
             continue
@@ -62,10 +70,13 @@ def _draw(axes: Any, groups: Sequence[Group], name: str) -> None:
             steps, mean, low, high = band(curves)
         except ValueError as error:
             raise ConfigError(f"{group.label}: {error}") from error
-        (line,) = axes.plot(steps, mean, label=f"{group.label} ({len(curves)})")
+        axes.plot(steps, mean, color=f"C{number}")
         if len(curves) > 1:
-            axes.fill_between(steps, low, high, alpha=0.2, color=line.get_color())
+            axes.fill_between(steps, low, high, alpha=0.2, color=f"C{number}", linewidth=0)
     axes.set_ylabel(_AXES[name])
     axes.set_xlabel("environment steps")
     axes.grid(alpha=0.3)
-    axes.legend(fontsize="small")
+
+
+def _wrapped(label: str) -> str:
+    return textwrap.fill(label, _LINE, break_on_hyphens=False, break_long_words=False)
