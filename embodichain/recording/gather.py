@@ -18,8 +18,9 @@ from embodichain.recording import wire
 from embodichain.recording.arrays import LogArrays
 from embodichain.recording.chunks import ChunkFile, Found
 from embodichain.recording.header import Header, LogError
-from embodichain.recording.messages import State, StepOutcome
+from embodichain.recording.messages import State
 from embodichain.recording.model_columns import Column
+from embodichain.recording.step_block import decode_steps
 
 __all__ = ["OUTCOMES", "Gatherer", "Steps"]
 
@@ -245,9 +246,9 @@ class Gatherer:
         self.steps = _fit(self.steps, end)
         self.steps[at:end] = [step for step, _ in steps]
         if self.outcomes and steps:
-            decoded = [StepOutcome.decode(payload) for _, payload in steps]
+            decoded = decode_steps([payload for _, payload in steps])
             for name in self.outcomes:
-                stacked = _stack([getattr(d, OUTCOMES[name]) for d in decoded])[:, self.env_ids]
+                stacked = decoded[OUTCOMES[name]][:, self.env_ids]
                 if name not in self.values:
                     shape = (len(self.steps), *stacked.shape[1:])
                     self.values[name] = np.empty(shape, stacked.dtype)
@@ -290,14 +291,3 @@ def _fit(values: NDArray[Any], size: int) -> NDArray[Any]:
     larger = np.empty((max(size, 2 * len(values)), *values.shape[1:]), values.dtype)
     larger[: len(values)] = values
     return larger
-
-
-def _stack(arrays: list[NDArray[Any]]) -> NDArray[Any]:
-    """(T, N, ...) of equally shaped arrays.
-
-    Raises:
-        WireError: If their shapes differ.
-    """
-    if len({a.shape for a in arrays}) > 1:
-        raise wire.WireError("steps have different numbers of environments or actions")
-    return np.stack(arrays)
