@@ -63,6 +63,8 @@ class Log:
         self._file = ChunkFile(self.path)
         try:
             self.header: Header = self._file.require_header()
+            if not self.header.period_ns:
+                raise LogError(f"{self.path}: a control step takes {self.header.control_dt} s")
         except LogError:
             self.close()
             raise

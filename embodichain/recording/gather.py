@@ -18,6 +18,7 @@ from embodichain.recording import wire
 from embodichain.recording.arrays import LogArrays
 from embodichain.recording.chunks import ChunkFile, Found
 from embodichain.recording.header import Header, LogError
+from embodichain.recording.mcap_file import CHUNK_LIMIT
 from embodichain.recording.messages import State
 from embodichain.recording.model_columns import Column
 from embodichain.recording.step_block import decode_steps
@@ -88,7 +89,7 @@ class Gatherer:
         narrow = sum(b - a for a, b in self._header.columns)
         self._heads = {
             width: wire.uint(2, n) + wire.uint(3, width) + wire.packed(4, 8 * n * width)
-            for width in {narrow, self._header.nstate}
+            for width in {narrow, self._header.nstate} - {0}
         }
         self._pending: _Row | None = None
 
@@ -99,7 +100,7 @@ class Gatherer:
             LogError: If the file says what cannot be.
         """
         chunks = self.file.between(*self._times())
-        self._make(self._bound(sum(c.size for c in chunks)))
+        self._make(self._bound(sum(min(c.size, CHUNK_LIMIT) for c in chunks)))
         rows, outcomes = 0, 0
         state_steps = np.empty(len(self.steps), np.int64)
         try:
@@ -203,7 +204,10 @@ class Gatherer:
                         at += 1
                     tail = tail[at + 1 :]
                 return _Row(step, payload, offset, width) if tail == self._tail else None
-        State.decode(payload)  # raises if it is none: it is one of some environments
+        state = State.decode(payload)
+        if state.env_ids is None:
+            n, width = state.rows.shape
+            raise wire.WireError(f"{n} rows of {width} are not what the metadata says")
         return None
 
     # -- into the result ---------------------------------------------------------------------------

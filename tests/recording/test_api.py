@@ -252,3 +252,20 @@ def test_opening_reads_no_messages_and_no_torch(record):
     code = "import sys; import embodichain.recording as r; r.open(sys.argv[1]); " \
         "sys.exit('torch' in sys.modules)"  # fmt: skip
     assert subprocess.run([sys.executable, "-c", code, record()]).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("control_dt", "1e-30", "a control step takes 1e-30 s"),
+        ("num_envs", "2", "3 rows of 42 are not what the metadata says"),
+        ("columns", "[]", "3 rows of 42 are not what the metadata says"),
+    ],
+)
+def test_metadata_that_does_not_fit_is_an_error(record, tmp_path, key, value, message):
+    def forge(name, values):
+        return {**values, key: value} if name == "embodichain" else values
+
+    path = rewrite(record(), tmp_path / "forged.mcap", metadata=forge)
+    with pytest.raises(LogError, match=message), recording.open(path) as log:
+        log.read("qpos")
