@@ -10,7 +10,7 @@ import stable_baselines3
 import torch
 from stable_baselines3.common.vec_env import VecNormalize
 
-from embodichain.learning import SB3VecEnv, load_policy
+from embodichain.learning import LearnedPolicy, SB3VecEnv, load_policy
 from embodichain.learning.checkpoint import save_checkpoint
 from embodichain.learning.exported import METADATA, load_exported
 from embodichain.learning.exporting import FORMATS, export_policy
@@ -207,3 +207,24 @@ def test_damaged_metadata(tmp_path):
     torch.jit.save(module, tmp_path / "p.pt", _extra_files={METADATA: '{"task": 1}'})
     with pytest.raises(ConfigError, match="its metadata are damaged"):
         load_policy(tmp_path / "p.pt")
+
+
+def test_recurrent_policies_remember_and_are_not_exported(tmp_path):
+    contrib = pytest.importorskip("sb3_contrib")
+    vec_env = SB3VecEnv(make_env())
+    model = contrib.RecurrentPPO("MlpLstmPolicy", vec_env, n_steps=4, seed=1, device="cpu")
+    env = make_env()
+    obs, _ = env.reset()
+    policy = LearnedPolicy(model, "policy")
+    flat = np.float32([[0, 0, 0], [1, 0, 0]])
+    first, second = policy(obs, env), policy(obs, env)
+    _, state = model.predict(flat, episode_start=np.ones(2, bool), deterministic=True)
+    means, _ = model.predict(flat, state, episode_start=np.zeros(2, bool), deterministic=True)
+    low, high = np.float32([-3.0, 0.5]), np.float32([1.0, 20.0])
+    np.testing.assert_allclose(second, low + (means + 1) * (high - low) / 2, atol=1e-5)
+    policy.reset(np.array([1]))
+    third = policy(obs, env)
+    assert torch.equal(third[1], first[1])  # forgot
+    assert not torch.equal(third[0], first[0])
+    with pytest.raises(ConfigError, match="is recurrent"):
+        export_policy(policy, env, tmp_path / "p.pt", "torchscript")

@@ -2,6 +2,7 @@
 
 import json
 import random
+import sys
 import zipfile
 
 import numpy as np
@@ -163,6 +164,10 @@ def test_policy_of_another_task_names_both_shapes(run_dir):
 
 
 ANY = {
+    "trpo": {"n_steps": 4, "batch_size": 8},
+    "tqc": {"buffer_size": 100, "learning_starts": 4},
+    "crossq": {"buffer_size": 100, "learning_starts": 4},
+    "recurrent_ppo": {"n_steps": 4, "batch_size": 8},
     "a2c": {"n_steps": 4},
     "sac": {"buffer_size": 100, "learning_starts": 4},
     "td3": {"buffer_size": 100, "learning_starts": 4},
@@ -172,9 +177,13 @@ ANY = {
 
 @pytest.mark.parametrize("algo", ANY)
 def test_zips_of_other_algorithms_are_played(tmp_path, algo, caplog):
-    made = getattr(stable_baselines3, algo.upper())
+    made = getattr(stable_baselines3, algo.upper(), None)
+    if made is None:
+        named = {"crossq": "CrossQ", "recurrent_ppo": "RecurrentPPO"}
+        made = getattr(pytest.importorskip("sb3_contrib"), named.get(algo, algo.upper()))
     vec_env = SB3VecEnv(CountingEnv([0, 3]))
-    model = made("MlpPolicy", vec_env, device="cpu", **ANY[algo]).learn(8)
+    policy = "MlpLstmPolicy" if algo == "recurrent_ppo" else "MlpPolicy"
+    model = made(policy, vec_env, device="cpu", **ANY[algo]).learn(8)
     model.save(tmp_path / "mine.zip")
     env = CountingEnv([0, 3])
     obs, _ = env.reset()
@@ -232,6 +241,15 @@ def test_models_of_other_environments_are_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"acts in Box\(-2.0, 2.0.*not in \[-1, 1\]") as caught:
         load_policy(tmp_path / "pendulum.zip")
     assert len(caught.value.problems) == 1
+
+
+def test_a_missing_package_is_named(tmp_path, monkeypatch):
+    contrib = pytest.importorskip("sb3_contrib")
+    vec_env = SB3VecEnv(CountingEnv([0, 3]))
+    contrib.RecurrentPPO("MlpLstmPolicy", vec_env, device="cpu").save(tmp_path / "mine.zip")
+    monkeypatch.setitem(sys.modules, "sb3_contrib", None)
+    with pytest.raises(ConfigError, match="pip install sb3-contrib"):
+        load_policy(tmp_path / "mine.zip")
 
 
 def test_loading_takes_no_memory_for_a_replay_buffer(tmp_path):
