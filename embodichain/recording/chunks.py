@@ -113,6 +113,9 @@ class ChunkFile:
             if len(head) < _HEAD.size:
                 break
             opcode, length = _HEAD.unpack(head)
+            if not opcode:  # zeros would take minutes, nine bytes at a time
+                self.damage = "what follows is no record: zeros, perhaps after a power cut"
+                return
             at += _HEAD.size
             if length > size - at:
                 break
@@ -233,5 +236,7 @@ class ChunkFile:
             elif opcode == Opcode.SCHEMA:
                 schema: Any = parse((opcode, bytes(data[at : at + length])))
                 self.schemas[schema.id] = schema
+            else:  # zeros of a forged chunk would take minutes, nine bytes at a time
+                raise DamageError(f"a chunk is damaged: it holds a record of kind {opcode}")
             at += length
         return found

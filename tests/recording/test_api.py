@@ -195,6 +195,17 @@ def test_a_cut_file_is_read_to_its_last_whole_chunk(record, tmp_path):
             assert sum(e.steps for e in log.episodes) == 64 * len(part)
 
 
+def test_zeros_after_a_power_cut_end_reading(record, tmp_path):
+    path, padded = record(), tmp_path / "padded.mcap"
+    with recording.open(path) as log:
+        end = log._file.chunks[-1].offset + log._file.chunks[-1].length
+        whole = log.read("qpos")["qpos"]
+    padded.write_bytes(path.read_bytes()[:end] + bytes(2**26))
+    with recording.open(padded) as log:
+        assert np.array_equal(log.read("qpos")["qpos"], whole)
+        assert "zeros" in log.warnings[0]
+
+
 def test_noise_is_data_or_one_clear_error(record, tmp_path):
     data = record(steps=12).read_bytes()
     rng, bad = np.random.default_rng(1), tmp_path / "bad.mcap"
