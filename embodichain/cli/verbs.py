@@ -58,6 +58,8 @@ _TRAIN = Verb(
         ("train task=reach", "as the task suggests"),
         ("train task=reach total_timesteps=8192", "shorter"),
         ("train task=reach algo.learning_rate=3e-4 seed=1", "another learning rate and seed"),
+        ("train task=reach algo=sac algo.normalize=obs", "another algorithm; normalized"),
+        ("train resume=last total_timesteps=400_000", "go on from the newest checkpoint"),
         ("train -m task=reach seed=0,1,2", "a sweep: one training for each seed"),
     ),
     overrides=True,
