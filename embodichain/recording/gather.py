@@ -111,7 +111,7 @@ class Gatherer:
                 self._put_states(states, rows)
                 rows += len(states)
                 outcomes = self._put_outcomes(steps, outcomes)
-        except wire.WireError as error:
+        except (IndexError, ValueError) as error:  # a WireError is one
             raise LogError(f"{self.file.path}: a message is damaged: {error}") from error
         self._trim(state_steps[:rows], self.steps[:outcomes])
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -28,6 +27,8 @@ METADATA_END = "embodichain.end"
 METADATA_RECOVERED = "embodichain.recovered"
 """In a file that was saved from a broken one: from which, and why it ends where it does."""
 FORMAT_VERSION = 1
+_LONGEST_STEP = 1e5
+"""Seconds; a longer step is not believed."""
 
 
 class LogError(ConfigError):
@@ -113,7 +114,7 @@ class Header:
         wrong = [name for name in whole if type(getattr(self, name)) is not int]
         wrong += [n for n in ("num_envs", "substeps", "nstate") if not getattr(self, n) > 0]
         for name in ("control_dt", "physics_dt"):
-            if not 0 < getattr(self, name) < math.inf:
+            if not 0 < getattr(self, name) <= _LONGEST_STEP:
                 wrong.append(name)
         at = 0
         for start, stop in self.columns:
@@ -130,6 +131,8 @@ class Header:
             wrong.append("view_envs")
         if 8 * self.num_envs * self.nstate > CHUNK_LIMIT:
             wrong.append("num_envs")
+        if not 0 <= self.start_ns < 2**62:
+            wrong.append("start_ns")
         if wrong:
             raise ValueError(f"impossible values of {', '.join(dict.fromkeys(wrong))}")
 
