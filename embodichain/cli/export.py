@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,13 +22,16 @@ if TYPE_CHECKING:
 __all__ = ["main"]
 
 _LOGS = "embodichain.cli.export_log"
+_LOG_OPTIONS = "Below: `export policy`; for logs, `embodichain export last --help`."
 _FORMATS: dict[Format, str] = {"onnx": ".onnx", "torchscript": ".pt"}
 
 
 def main(arguments: list[str]) -> int:
     """Export a policy, or hand on to the export of logs."""
     first = next((word for word in arguments if not word.startswith("-")), None)
-    if first == "policy" or first is None or importlib.util.find_spec(_LOGS) is None:
+    if first is None and not {"-h", "--help"} & set(arguments):
+        raise ConfigError("export what? One of: policy RUN, FILE (a log), last")
+    if first == "policy" or first is None:
         return _policy(arguments)
     code: int = importlib.import_module(_LOGS).main(arguments)
     return code
@@ -37,6 +39,7 @@ def main(arguments: list[str]) -> int:
 
 def _policy(arguments: list[str]) -> int:
     parser = VerbParser(VERBS["export"])
+    parser.description = f"{parser.description}\n{_LOG_OPTIONS}"
     parser.add_argument("what", choices=["policy"], help="what is exported")
     parser.add_argument("words", nargs="*", metavar="RUN|last|PATH|key=value", help="the policy")
     parser.add_argument("--format", choices=list(_FORMATS), default="onnx", help="else onnx")

@@ -141,6 +141,7 @@ def test_eval_of_other_policies(here: Path, capsys: pytest.CaptureFixture[str]) 
         (["eval", "RUN", "task=cart_pole"], "has observations (21,), this task has (4,)"),
         (["export", "policy", "zero"], "policy: only zips of Stable-Baselines3 are exported"),
         (["export", "policy"], "export what?"),
+        (["export"], "export what? One of: policy RUN"),
         (["export", "policy", "RUN", "task=cart_pole"], "has observations (21,)"),
         (["play"], "play what? One of: RUN"),
         (["play", "RUN"], "there is no display to open a window on"),
