@@ -14,6 +14,9 @@ import pytest
 import yaml
 from PIL import Image
 
+from embodichain.recording import inspect
+from embodichain.utils.errors import ConfigError
+
 TINY = ("task=random_reach", "num_envs=2", "task.max_episode_steps=5", "seed=3")
 FILES = {
     *("config.yaml", "overrides.yaml", "command.txt", "versions.json", "rollout.mcap"),
@@ -122,6 +125,14 @@ def test_sweep_runs_each_value_in_its_own_folder(embodichain, tmp_path: Path) ->
         assert yaml.safe_load((folder / "config.yaml").read_text())["seed"] == seed
 
 
+def steps_of(log: Path) -> int:
+    """Steps that a growing log can give."""
+    try:
+        return inspect(log).steps
+    except ConfigError:
+        return 0  # its beginning is not there yet
+
+
 @pytest.fixture
 def started(tmp_path: Path):
     """A run without an end, started and given back once its log grows."""
@@ -138,11 +149,8 @@ def started(tmp_path: Path):
         processes.append(process)
         log = tmp_path / "outputs" / "latest" / "rollout.mcap"
         deadline = time.monotonic() + 60
-        first = 0
         while time.monotonic() < deadline and process.poll() is None:
-            size = log.stat().st_size if log.exists() else 0
-            first = first or size
-            if first and size > first + 20_000:  # steps are being flushed
+            if log.exists() and steps_of(log):
                 return process, log.resolve()
             time.sleep(0.05)
         process.kill()

@@ -121,14 +121,14 @@ def test_a_folder_that_vanishes_ends_a_run_loudly(tmp_path):
 
 
 def test_an_exception_in_a_users_code_leaves_a_whole_log(tmp_path, capfd, monkeypatch):
-    (tmp_path / "mine.py").write_text(
+    (tmp_path / "raising_policy.py").write_text(
         "def policy(obs, env):\n"
         "    if env.control_step >= 12:\n"
         "        raise RuntimeError('my mistake')\n"
         "    return env.robot.get_qpos()\n"
     )
     monkeypatch.chdir(tmp_path)
-    words = ["task=random_reach", "num_envs=2", "policy=mine:policy", "--quiet"]
+    words = ["task=random_reach", "num_envs=2", "policy=raising_policy:policy", "--quiet"]
     assert main(["run", *words]) == 1
     assert "my mistake" in capfd.readouterr().err
     folder = (tmp_path / "outputs" / "latest").resolve()
