@@ -39,8 +39,8 @@ LOG_LIMITS = {64: 0.15, 1024: 0.10}
 def main() -> None:
     """Measure, print the table, write the raw figures."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rounds", type=int, default=7)
-    parser.add_argument("--seconds", type=float, default=0.5, help="about how long a turn is")
+    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--seconds", type=float, default=0.1, help="about how long a turn is")
     parser.add_argument("--sizes", type=int, nargs="+", default=list(SIZES))
     parser.add_argument("--log-sizes", type=int, nargs="*", default=list(LOG_SIZES))
     parser.add_argument("--episode", type=int, default=EPISODE, help="turns are multiples of it")
