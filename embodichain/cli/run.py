@@ -85,6 +85,7 @@ def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
     from embodichain.cli.progress import ProgressDisplay
     from embodichain.cli.rollout import play
     from embodichain.cli.starting import started
+    from embodichain.cli.viewing import attach_viewer
     from embodichain.config.factory import make_env
 
     root = run.root
@@ -94,6 +95,7 @@ def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
     try:
         policy = policy_of(root, env)
         recorder = attach_log(run, env)
+        attach_viewer(root, env, stop)
         obs, _ = env.reset()
         start = StartPicture(env)
         started()

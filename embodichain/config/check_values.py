@@ -35,6 +35,9 @@ def check_root(root: RootCfg, *, allow_import: bool = True) -> list[Problem]:
     if beyond and root.record.format != "none":
         message = f"no such environments: {beyond}; num_envs is {count}"
         problems.append(Problem("record.view_envs", message))
+    if root.viewer.name != "none" and root.viewer.env >= count:
+        message = f"no such environment: {root.viewer.env}; num_envs is {count}"
+        problems.append(Problem("viewer.env", message))
     if root.video:
         problems.append(Problem("video", "not available yet; leave it at null"))
     return problems

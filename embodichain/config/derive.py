@@ -74,7 +74,8 @@ def env_cfg(root: RootCfg) -> EnvCfg:
     cfg.num_envs = root.num_envs or 1
     cfg.seed = root.seed
     cfg.sim_cfg = SimulationManagerCfg(
-        headless=root.viewer.name == "none",
+        headless=root.viewer.name != "native",
+        window_env=root.viewer.env,
         num_envs=cfg.num_envs,
         sim_device=root.device or "cpu",
         num_threads=root.sim.num_threads,

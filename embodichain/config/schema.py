@@ -69,9 +69,16 @@ class RecordCfg:
 
 @configclass
 class ViewerCfg:
-    """A window onto the first environment."""
+    """How people look on while it runs."""
 
-    name: Literal["none", "native"] = "none"
+    name: Literal["none", "native", "web", "foxglove"] = "none"
+    """`native` is MuJoCo's window; `web` and `foxglove` serve a page and a WebSocket."""
+    host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
+    """The address that is listened on; nobody is asked for a password."""
+    port: Annotated[int, Field(ge=1, le=65535)] | None = None
+    """None is the viewer's own: the first free one from 8080 for `web`, 8765 for `foxglove`."""
+    env: Annotated[int, Field(ge=0)] = 0
+    """The environment that is shown first."""
 
 
 @configclass

@@ -390,8 +390,8 @@ BAD = {
     "unknown option of a group": bad(
         "command line: record: unknown option 'mcpa'; record is one of: mcap, none. Did "
         "you mean 'mcap'?",
-        "command line: viewer: unknown option 'natve'; viewer is one of: native, none. "
-        "Did you mean 'native'?",
+        "command line: viewer: unknown option 'natve'; viewer is one of: foxglove, native, "
+        "none, web. Did you mean 'native'?",
         overrides=(
             "record=mcpa",
             "viewer=natve",
@@ -646,7 +646,8 @@ BAD = {
         overrides=("task.robot.uid.x=3",),
     ),
     "null for an option": bad(
-        "command line: viewer: unknown option 'null'; viewer is one of: native, none.",
+        "command line: viewer: unknown option 'null'; viewer is one of: foxglove, native, "
+        "none, web.",
         overrides=("viewer=null",),
     ),
     "no key": bad(
@@ -661,6 +662,10 @@ BAD = {
     "looking at environments that are not there": bad(
         "command line: record.view_envs: no such environments: [2, 9]; num_envs is 2",
         overrides=("record.view_envs=[0,2,9]",),
+    ),
+    "a viewer of an environment that is not there": bad(
+        "command line: viewer.env: no such environment: 2; num_envs is 2",
+        overrides=("viewer=web", "viewer.env=2"),
     ),
     "unknown class": bad(
         "conf/task/mine.yaml:1: task.id: no registered class 'NoSuchEnv-v0'; there are: {classes}.",

@@ -138,6 +138,8 @@ class SimulationManagerCfg:
     """Physics threads; 0 uses every core the process may use."""
     persistent: bool | None = dataclasses.field(default=None, kw_only=True)
     """One MjData per environment (200 kB each) or per thread; None chooses by use."""
+    window_env: int = dataclasses.field(default=0, kw_only=True)
+    """The environment that the window shows."""
     ground_plane: bool = dataclasses.field(default=True, kw_only=True)
     """Whether the `default_plane` at z = 0 exists."""
 

@@ -198,7 +198,7 @@ class EnvAssembly(EnvBasics):
         if self.cfg.sim_cfg.headless:
             return
         if has_display():
-            self.sim.open_window()
+            self.sim.open_window(self.cfg.sim_cfg.window_env)
             return
         logger.warning("headless is False but there is no display here: running headless")
         self.cfg.sim_cfg.headless = True

@@ -1,0 +1,82 @@
+"""Viewers of a run, attached to its environment by the names of the group `viewer`.
+
+What they show and how is `embodichain.recording.viewers`' business. MuJoCo's own window is opened
+by the environment itself: it has to stand before the first reset.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import sys
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from embodichain.cli.stopping import StopFlag
+    from embodichain.config.schema import RootCfg, ViewerCfg
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = ["attach_viewer"]
+
+
+def attach_viewer(
+    root: RootCfg,
+    env: BaseEnv,
+    stop: StopFlag,
+    *,
+    realtime: bool = True,
+    resets: bool = True,
+) -> None:
+    """Attach the viewer that the config names; closing the environment closes it.
+
+    Args:
+        root: The config; a line about the viewer goes to stderr unless it is quiet.
+        env: The environment, built.
+        stop: Its flag ends a pause.
+        realtime: Whether the run first keeps to the clock while somebody looks.
+        resets: Whether people may end an episode.
+    """
+    viewer = root.viewer
+    if viewer.name not in ("web", "foxglove"):
+        return
+    where = _serve(viewer, env, lambda: stop.stopped is not None, realtime, resets)
+    if not root.quiet and not root.json:
+        sys.stderr.write(f"viewer: {where}\n")
+    if not _is_loopback(viewer.host):
+        sys.stderr.write(
+            f"warning: the viewer listens on {viewer.host} and asks nobody who they are: "
+            "everybody who reaches it can look and press its buttons\n"
+        )
+
+
+def _serve(
+    viewer: ViewerCfg, env: BaseEnv, stopped: Callable[[], bool], realtime: bool, resets: bool
+) -> str:
+    """Start a server; returns where people find it."""
+    if viewer.name == "foxglove":
+        from embodichain.recording.viewers.foxglove import FoxgloveView
+
+        live = FoxgloveView(env, viewer.host, viewer.port, env_id=viewer.env)
+        env.add_observer(live)
+        return str(live.url)
+    from embodichain.recording.viewers.web import WebView
+
+    view = WebView(
+        env,
+        viewer.host,
+        viewer.port,
+        env_id=viewer.env,
+        realtime=realtime,
+        resets=resets,
+        stopped=stopped,
+    )
+    env.add_observer(view)
+    return view.url
+
+
+def _is_loopback(host: str) -> bool:
+    """Whether nobody on another machine reaches an address."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
