@@ -27,13 +27,18 @@ class TrainStatistics:
     Attributes:
         env_steps: Environment steps taken.
         episodes: Episodes finished.
+        fractions: Share of the wall time by part (`TimeSplit.fractions`); empty at first.
+        best: Environment steps and score of the best checkpoint; None yet.
     """
 
     def __init__(self, total_timesteps: int) -> None:
         self.total_timesteps = total_timesteps
         self.env_steps = 0
         self.episodes = 0
+        self.fractions: dict[str, float] = {}
+        self.best: tuple[int, tuple[float, float]] | None = None
         self._returns: deque[float] = deque(maxlen=EPISODE_WINDOW)
+        self._lengths: deque[int] = deque(maxlen=EPISODE_WINDOW)
         self._successes: deque[bool] = deque(maxlen=EPISODE_WINDOW)
         self._before = 0.0
         self._start = time.perf_counter()
@@ -43,6 +48,7 @@ class TrainStatistics:
         """Count an episode that ended, from its info."""
         self.episodes += 1
         self._returns.append(info["episode"]["r"])
+        self._lengths.append(info["episode"]["l"])
         if "is_success" in info:
             self._successes.append(info["is_success"])
 
@@ -71,6 +77,11 @@ class TrainStatistics:
         return float(np.mean(self._returns)) if self._returns else None
 
     @property
+    def mean_length(self) -> float | None:
+        """Mean control steps of the last episodes; None before the first."""
+        return float(np.mean(self._lengths)) if self._lengths else None
+
+    @property
     def success_rate(self) -> float | None:
         """Share of the last episodes; None before the first, or for a task without success."""
         return float(np.mean(self._successes)) if self._successes else None
@@ -80,6 +91,7 @@ class TrainStatistics:
         return {
             "episodes": self.episodes,
             "returns": list(self._returns),
+            "lengths": list(self._lengths),
             "successes": list(self._successes),
             "seconds": self.seconds,
         }
@@ -88,6 +100,7 @@ class TrainStatistics:
         """Count on; the clock goes on from the seconds that were learned before."""
         self.episodes = saved["episodes"]
         self._returns.extend(saved["returns"])
+        self._lengths.extend(saved["lengths"])
         self._successes.extend(saved["successes"])
         self._before = saved["seconds"]
 

@@ -83,6 +83,7 @@ class CheckpointKeeper:
         score = self._session.statistics.score
         if score is not None and (self._best is None or score > self._best):
             self._best = score
+            self._session.statistics.best = (self._session.model.num_timesteps, score)
             self._write(BEST, resumable=False)
 
     def _write(self, name: str, *, resumable: bool, rolling: bool = True) -> Path:

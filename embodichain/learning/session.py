@@ -79,7 +79,7 @@ class Session:
             self._restore_exploration()
             on_boundary()
 
-        watch = Watch(self.statistics, progress, boundary)
+        watch = Watch(self.vec_env, self.statistics, progress, boundary)
         logger = make_logger(self.run_dir)
         model.set_logger(logger)
         interval, new = log_interval(model, total), self._restored is None
@@ -93,6 +93,7 @@ class Session:
             return error, error is watch.stopped
         finally:
             self.statistics.end()
+            watch.end()
             logger.close()
         return None, True
 

@@ -52,6 +52,8 @@ class TrainSummary:
         env_steps: Environment steps taken, summed over environments, with those before a resume.
         train_seconds: Wall time of learning, without start-up.
         env_steps_per_second: Their ratio.
+        time_fractions: Shares of the wall time since the start or the resume, by part: ``physics``,
+            ``environment``, ``policy``, ``update`` (see `time_split.PARTS`).
         episodes: Episodes finished.
         success_rate: Share of the last 200 episodes that were a success; None without any.
         mean_return: Mean return of the last 200 episodes; None without any.
@@ -68,6 +70,7 @@ class TrainSummary:
     env_steps: int
     train_seconds: float
     env_steps_per_second: float
+    time_fractions: dict[str, float]
     episodes: int
     success_rate: float | None
     mean_return: float | None
@@ -202,6 +205,7 @@ def _learn(
         env_steps=statistics.env_steps,
         train_seconds=statistics.seconds,
         env_steps_per_second=statistics.env_steps_per_second,
+        time_fractions={name: round(v, 4) for name, v in statistics.fractions.items()},
         episodes=statistics.episodes,
         success_rate=statistics.success_rate,
         mean_return=statistics.mean_return,

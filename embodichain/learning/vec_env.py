@@ -47,6 +47,8 @@ class SB3VecEnv(VecEnv):
     * ``episode``: return ``r``, length ``l`` and seconds since construction ``t``, as `Monitor`'s;
     * ``is_success``: whether the episode was a success, for tasks that have a success;
     * ``reward_sums``: the sum of each reward term over the episode, by name;
+    * ``metrics``: each metric at its end, by name;
+    * ``terminations``: whether each termination term was true at its end, by name;
     * ``ended_by``: ``diverged``, ``success``, ``fail``, or ``time_out``.
 
     The infos of all others are empty dicts. Every array and dict returned belongs to the caller.
@@ -77,6 +79,8 @@ class SB3VecEnv(VecEnv):
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, np.int64)
         self._action: torch.Tensor | None = None
+        self.step_seconds = 0.0
+        """Wall time spent in `step` so far."""
 
     # -- stepping ------------------------------------------------------------------------------
 
@@ -120,6 +124,7 @@ class SB3VecEnv(VecEnv):
         """
         if self._action is None:
             raise RuntimeError("step_wait needs the actions that step_async takes")
+        begun = time.perf_counter()
         action, self._action = self._action, None
         obs, reward, terminated, truncated, info = self.env.step(action)
         # A copy: learners add bootstrapped values to the rewards in place.
@@ -133,7 +138,9 @@ class SB3VecEnv(VecEnv):
         infos: Infos = [{} for _ in range(self.num_envs)]
         if dones.any():
             self._finish(infos, np.flatnonzero(dones), ended, info)
-        return flat_observation(self.base, obs, self.group), rewards, dones, infos
+        flat = flat_observation(self.base, obs, self.group)
+        self.step_seconds += time.perf_counter() - begun
+        return flat, rewards, dones, infos
 
     def _finish(
         self, infos: Infos, ids: NDArray[np.int64], terminated: Bool, info: dict[str, Any]
@@ -142,8 +149,11 @@ class SB3VecEnv(VecEnv):
         final = flat_observation(self.base, info["final_obs"], self.group)[ids]
         success = _success(info["final_info"]) if self._has_success else None
         seconds = round(time.time() - self._start, 6)
-        sums, kinds = _reward_sums(info["final_info"], ids), _ended_by(info["final_info"], ids)
-        for row, i, rewards, kind in zip(final, ids.tolist(), sums, kinds, strict=True):
+        kinds = _ended_by(info["final_info"], ids)
+        sums = _by_name(info["final_info"]["episode_sums"], ids)
+        metrics = _by_name(info["final_info"]["metrics"], ids)
+        terms = _by_name(self.base.termination_manager.values, ids)
+        for k, (row, i) in enumerate(zip(final, ids.tolist(), strict=True)):
             told = infos[i]
             told["terminal_observation"] = row
             told["TimeLimit.truncated"] = not terminated[i]
@@ -152,8 +162,10 @@ class SB3VecEnv(VecEnv):
                 "l": int(self._lengths[i]),
                 "t": seconds,
             }
-            told["reward_sums"] = rewards
-            told["ended_by"] = kind
+            told["reward_sums"] = sums[k]
+            told["metrics"] = metrics[k]
+            told["terminations"] = terms[k]
+            told["ended_by"] = kinds[k]
             if success is not None:
                 told["is_success"] = bool(success[i])
         self._returns[ids] = 0.0
@@ -299,10 +311,10 @@ def _success(info: dict[str, Any]) -> Bool:
     return _numpy(value).astype(np.bool_)
 
 
-def _reward_sums(info: dict[str, Any], ids: NDArray[np.int64]) -> list[dict[str, float]]:
-    """The sum of each reward term over an episode, for each environment of `ids`."""
-    sums = {name: _numpy(value)[ids].tolist() for name, value in info["episode_sums"].items()}
-    return [{name: values[k] for name, values in sums.items()} for k in range(len(ids))]
+def _by_name(values: dict[str, torch.Tensor], ids: NDArray[np.int64]) -> list[dict[str, Any]]:
+    """Plain values (N,) of several names, as a dict for each environment of `ids`."""
+    found = {name: _numpy(value)[ids].tolist() for name, value in values.items()}
+    return [{name: column[k] for name, column in found.items()} for k in range(len(ids))]
 
 
 def _ended_by(info: dict[str, Any], ids: NDArray[np.int64]) -> list[str]:

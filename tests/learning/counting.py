@@ -40,7 +40,7 @@ class CountingEnv(gym.Env):
             flatten=lambda obs, group: torch.cat([obs["where", "id"], obs["time"]], dim=1),
         )
         self.metric_manager = SimpleNamespace(has_success=False)
-        self.termination_manager = SimpleNamespace(has_success=has_success)
+        self.termination_manager = SimpleNamespace(has_success=has_success, values={})
         self.weights = np.arange(float(self.num_envs))
         self.level = 3
         self.resets = []

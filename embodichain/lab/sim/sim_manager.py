@@ -6,6 +6,7 @@ nothing can be added afterwards. What steps the batch is `engine`, what a joint 
 
 from __future__ import annotations
 
+import time
 import weakref
 from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING, Any
@@ -57,6 +58,8 @@ class SimulationManager(Declaration):
         self._initial_row: F64 = np.zeros(0)
         self._renderer: SceneRenderer | None = None
         self._viewer: NativeViewer | None = None
+        self.physics_seconds = 0.0
+        """Wall time that physics steps took so far, in `update`."""
         self.instance_id = max(_instances, default=-1) + 1
         _instances[self.instance_id] = weakref.ref(self)
 
@@ -156,7 +159,9 @@ class SimulationManager(Declaration):
         if step < 0:
             raise ValueError(f"step must not be negative, got {step}")
         if step:
+            begun = time.perf_counter()
             self.engine.step(step)
+            self.physics_seconds += time.perf_counter() - begun
         if self._viewer is not None:
             self._viewer.sync()
 
