@@ -91,6 +91,9 @@ class View:
             camera.frustum_top = camera.frustum_near * np.tan(np.radians(self.fovy) / 2)
             camera.frustum_bottom = -camera.frustum_top
             camera.frustum_center = camera.frustum_width = 0.0
+        for light in scene.lights[: scene.nlight]:
+            if light.headlight:
+                light.pos, light.dir = self.eye, self.forward
 
 
 class SceneRenderer:
@@ -109,7 +112,6 @@ class SceneRenderer:
         self.size = (width, height)
         self._option = mujoco.MjvOption()
         self._camera = mujoco.MjvCamera()
-        self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, 0
         self._cameras = [model.camera(i).name for i in range(model.ncam)]
         model.vis.global_.offwidth = max(model.vis.global_.offwidth, width)
         model.vis.global_.offheight = max(model.vis.global_.offheight, height)
@@ -133,9 +135,11 @@ class SceneRenderer:
                 f"no camera {camera!r}; there are: {', '.join(self._cameras) or 'none'}."
                 f"{did_you_mean(str(camera), self._cameras)}"
             )
-        if not isinstance(camera, View):
+        if isinstance(camera, View):
+            self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FREE, -1
+        else:
             chosen = self._cameras.index(camera) if isinstance(camera, str) else camera
-            self._camera.fixedcamid = chosen
+            self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, chosen
         data = engine.data_of(env_id)
         # Not `Renderer.update_scene`: colours, lights and cameras are those of the environment.
         mujoco.mjv_updateScene(

@@ -12,8 +12,8 @@ from pydantic import Field
 from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Finite, Positive, Vec3
 from embodichain.lab.gym.envs.managers.registry import register_term
-from embodichain.lab.gym.envs.mdp._video import VideoFile, need_encoder
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.video import VideoFile, need_encoder
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv

@@ -1,10 +1,15 @@
-"""`VideoFile`: pictures become an MP4 while they come; needs the extra `video` (imageio-ffmpeg)."""
+"""`VideoFile`: pictures become an MP4 while they come; needs the extra `video` (imageio-ffmpeg).
+
+What is filmed, and how pictures are made, is known elsewhere.
+"""
 
 from __future__ import annotations
 
 import importlib.util
+import os
 from collections.abc import Generator
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -29,8 +34,10 @@ def need_encoder() -> None:
 class VideoFile:
     """One MP4 (H.264, yuv420p), written as pictures come; it has its name once it is complete.
 
+    As a context it is closed at the end, and discarded if that is an exception.
+
     Args:
-        path: Where it goes; a number is added to the name if it exists already.
+        path: Where it goes; a number is added to the name if it exists already when it is closed.
         size: Width and height in pixels, both even.
         fps: Pictures a second.
     """
@@ -59,8 +66,29 @@ class VideoFile:
         """Finish the file and return where it is."""
         self._writer.close()
         path, number = self._path, 1
-        while path.exists():
+        while os.path.lexists(path):
             number += 1
             path = self._path.with_name(f"{self._path.stem}_{number}{self._path.suffix}")
         self._part.replace(path)
         return path
+
+    def discard(self) -> None:
+        """End without a file."""
+        self._writer.close()
+        self._part.unlink(missing_ok=True)
+
+    def __enter__(self) -> VideoFile:
+        """Return the file."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        tb: TracebackType | None,
+    ) -> None:
+        """Close it, or discard it if something went wrong."""
+        if kind is None:
+            self.close()
+        else:
+            self.discard()

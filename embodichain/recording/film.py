@@ -1,0 +1,123 @@
+"""`film_log`: a recorded environment as an MP4; needs the extra `video` and OpenGL (EGL).
+
+The states are drawn as they were recorded; nothing is simulated.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import os
+from collections.abc import Callable
+from contextlib import ExitStack
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from embodichain.lab.sim.rendering import SceneRenderer, View
+from embodichain.recording.api import Log
+from embodichain.recording.playback import Playback, span_of
+from embodichain.utils.errors import ConfigError
+from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.video import VideoFile, need_encoder
+
+__all__ = ["FASTEST", "film_log"]
+
+FASTEST = 60.0
+"""Pictures a second at most; of what is faster, steps are left out."""
+_CAMERA = "default"
+_SHADOW = 2048
+"""Pixels along an edge of a shadow map at most; enough for a film."""
+_FRONT = (1.0, -0.8, 0.6)
+"""From the scene's middle towards the eye where the scene has no camera."""
+
+
+def film_log(
+    log: Log | str | Path,
+    out: str | Path,
+    env: int = 0,
+    episode: int | None = None,
+    first: int | None = None,
+    last: int | None = None,
+    speed: float = 1.0,
+    size: tuple[int, int] = (640, 480),
+    camera: str | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> None:
+    """Draw an environment of a log into an MP4, a picture for each control step.
+
+    Args:
+        log: A log, its file, or the folder of a run.
+        out: The file, which must not exist; it has its name once it is whole.
+        env: The environment.
+        episode: One of its episodes; None is all.
+        first: First control step, counted from the start of the log; None is the first.
+        last: Last control step, included; None is the last.
+        speed: 2 is twice as fast as it was simulated. Above `FASTEST` pictures a second every
+            second step is drawn, or every third, and so on.
+        size: Width and height in pixels, both even.
+        camera: A camera of the scene; None is its ``default``, or else a view from the front.
+        progress: Called with the number of pictures drawn.
+
+    Raises:
+        ConfigError: If the file exists, or the environment, episode, steps or camera do not; if a
+            number makes no sense, or the encoder is not installed.
+        LogError: If the log has no states, or its model cannot be loaded.
+        RenderError: If no OpenGL library works here.
+    """
+    need_encoder()
+    if not isinstance(log, Log):
+        with Log(log) as opened:
+            film_log(opened, out, env, episode, first, last, speed, size, camera, progress)
+        return
+    out = Path(out)
+    if os.path.lexists(out):
+        raise ConfigError(f"{out} exists; it is never replaced")
+    if not (math.isfinite(speed) and speed > 0):
+        raise ConfigError(f"a film's speed must be positive, got {speed}")
+    if min(size) < 16 or any(length % 2 for length in size):
+        raise ConfigError(f"a film's width and height must be even, 16 or more, got {size}")
+    span = span_of(log, env, episode, first, last)
+    playback = Playback(log, env)
+    look = _look(log.model, camera)
+    rate = speed / log.dt
+    every = max(1, math.ceil(rate / FASTEST - 1e-9))
+    with ExitStack() as stack:
+        renderer = SceneRenderer(_quick(log.model), *size)
+        stack.callback(renderer.close)
+        video = None
+        for drawn, _ in enumerate(playback.steps(span, every), start=1):
+            if video is None:
+                video = stack.enter_context(VideoFile(out, size, rate / every))
+            video.write(renderer.draw(playback.engine, 0, look))
+            if progress is not None:
+                progress(drawn)
+        if video is None:
+            raise ConfigError(f"{log.path} has no such steps: there is nothing to film")
+
+
+def _quick(model: mujoco.MjModel) -> mujoco.MjModel:
+    """A copy whose shadows have fewer pixels: that is half of a picture's time without a GPU."""
+    model = copy.copy(model)
+    model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, _SHADOW)
+    return model
+
+
+def _look(model: mujoco.MjModel, camera: str | None) -> str | View:
+    """Where to look from.
+
+    Raises:
+        ConfigError: If there is no such camera.
+    """
+    known = [model.camera(i).name for i in range(model.ncam)]
+    if camera is None and _CAMERA in known:
+        return _CAMERA
+    if camera is None:
+        middle, extent = np.asarray(model.stat.center), float(model.stat.extent)
+        eye = middle + 1.2 * extent * np.asarray(_FRONT)
+        return View.look_at(eye.tolist(), middle.tolist(), (0.0, 0.0, 1.0), 45.0)
+    if camera not in known:
+        there = ", ".join(known) or "none"
+        raise ConfigError(f"no camera {camera!r}.{did_you_mean(camera, known)} Cameras: {there}")
+    return camera

@@ -1,0 +1,100 @@
+"""Films of a log, read back by ffmpeg: how many pictures, how long, and what is in them."""
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+
+import embodichain.recording as recording
+from embodichain.recording.film import film_log
+from embodichain.recording.header import LogError
+from embodichain.recording.messages import WriteRecord
+from embodichain.utils.errors import ConfigError
+from tests.recording.rewrite import rewrite
+
+SIZE = (96, 64)
+
+
+def pictures(path):
+    """What ffmpeg says of a film, and its pictures, (T, height, width, 3)."""
+    reader = imageio_ffmpeg.read_frames(str(path))
+    about = next(reader)
+    width, height = about["size"]
+    return about, np.array([np.frombuffer(f, np.uint8).reshape(height, width, 3) for f in reader])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "count", "fps"),
+    [
+        ({}, 20, 50.0),  # a control step of 0.02 s
+        ({"env": 2, "episode": 1}, 9, 50.0),
+        ({"first": 3, "last": 12, "speed": 0.5}, 10, 25.0),
+        ({"speed": 3.0}, 7, 50.0),  # every third step
+    ],
+    ids=str,
+)
+def test_a_picture_for_each_step(record, tmp_path, arguments, count, fps):
+    out = tmp_path / "film.mp4"
+    drawn = []
+    film_log(record(), out, size=SIZE, progress=drawn.append, **arguments)
+    about, frames = pictures(out)
+    assert len(frames) == count == len(drawn)
+    assert about["fps"] == pytest.approx(fps)
+    assert about["duration"] == pytest.approx(count / fps, abs=0.011)
+    assert about["size"] == SIZE
+    assert about["codec"] == "h264"
+    assert [p.name for p in tmp_path.glob("*.mp4")] == ["film.mp4"]
+    assert list(tmp_path.glob(".*")) == []
+
+
+def test_it_shows_what_happened(record, tmp_path):
+    path = record(steps=7)
+    film_log(path, tmp_path / "a.mp4", env=0, size=(192, 128))
+    film_log(path, tmp_path / "b.mp4", env=1, size=(192, 128))
+    _, first = pictures(tmp_path / "a.mp4")
+    _, second = pictures(tmp_path / "b.mp4")
+    blue = first[0][..., 2].astype(int) - first[0][..., 0] > 60
+    assert 5 < blue.sum() < 100  # the cube
+    moved = np.abs(first[5].astype(int) - first[0]).max(axis=-1) > 8
+    assert 5 < moved.sum() < 500  # the arm, not the whole picture
+    assert not np.array_equal(first[3], second[3])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"env": 3}, "no environment 3 in the log: there are 0 to 2"),
+        ({"episode": 7}, "no episode 7 of environment 0"),
+        ({"first": 20}, "there is nothing to film"),
+        ({"speed": 0.0}, "speed must be positive"),
+        ({"size": (97, 64)}, "even"),
+        ({"camera": "front"}, "no camera 'front'.* Cameras: none"),
+    ],
+    ids=str,
+)
+def test_wrong_questions_leave_no_file(record, tmp_path, arguments, message):
+    folder = tmp_path / "films"
+    folder.mkdir()
+    with pytest.raises(ConfigError, match=message):
+        film_log(record(), folder / "film.mp4", **{"size": SIZE, **arguments})
+    assert list(folder.iterdir()) == []
+
+
+def test_nothing_is_overwritten(record, tmp_path):
+    out = tmp_path / "film.mp4"
+    out.write_bytes(b"mine")
+    with pytest.raises(ConfigError, match=r"film\.mp4 exists"):
+        film_log(record(), out, size=SIZE)
+    assert out.read_bytes() == b"mine"
+
+
+def test_a_damaged_message_in_the_middle_leaves_no_file(record, tmp_path):
+    def damage(topic, data):
+        if topic == "/sim/write" and WriteRecord.decode(data).step == 6:
+            return b"\xff\xff\xff"
+        return data
+
+    bad = rewrite(record(), tmp_path / "bad.mcap", message=damage)
+    before = sorted(tmp_path.iterdir())
+    with recording.open(bad) as log, pytest.raises(LogError, match="a message is damaged"):
+        film_log(log, tmp_path / "film.mp4", size=SIZE)
+    assert sorted(tmp_path.iterdir()) == before
