@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 __all__ = ["asks_to_resume", "resolve_resumed"]
 
 CONFIG = "config.yaml"
-MAY_CHANGE = ("total_timesteps", "checkpoint", "sim", "output_dir", "quiet", "json", "traceback")
+MAY_CHANGE = (
+    *("total_timesteps", "checkpoint", "eval", "record", "video", "sim", "output_dir"),
+    *("quiet", "json", "traceback"),
+)
 """Keys (and what is below them) that may differ from the run's own."""
 
 

@@ -5,6 +5,7 @@ Learning itself is `embodichain.learning`; this starts it, shows it and sums it 
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import sys
 from contextlib import suppress
@@ -13,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 import hydra
 from omegaconf import DictConfig
 
+from embodichain.cli.evaluated import brief_rows
+from embodichain.cli.evaluating import Asked, evaluate_job, evaluation_config
 from embodichain.cli.exits import Interrupted
 from embodichain.cli.hydra_verb import call_verb
 from embodichain.cli.jobs import Job, execute
@@ -32,18 +35,41 @@ def main(arguments: list[str]) -> int:
 
 @hydra.main(version_base="1.3", config_path="pkg://embodichain.conf", config_name="train")
 def job(composed: DictConfig) -> float | None:
-    """One training, called here or by Hydra. Returns the mean return, for sweepers to optimise."""
+    """One training, called here or by Hydra. Returns what a sweeper optimises: `objective`."""
     return execute("train", _train)
 
 
 def _train(run: Job, stop: StopFlag) -> float | None:
-    """Learn, then show what was learned."""
+    """Learn, evaluate what was learned, show both."""
+    asked = _asked(run)
+    evaluated = None if asked is None else evaluation_config(run.resolved, asked)
     summary = _learn(run, stop)
     _show(run, summary)
-    if summary["status"] == "interrupted":
+    evaluation = summary["eval"]
+    if summary["status"] == "interrupted" or (evaluation and not evaluation["complete"]):
+    if asked is not None and evaluated is not None and summary["status"] == "finished":
+        summary |= _evaluate(run, evaluated, stop, asked)
         raise Interrupted(f"interrupted ({stop.stopped}); what was learned is in {run.folder}")
-    mean: float | None = summary["mean_return"]
-    return mean
+    objective: float | None = summary["objective"]
+    return objective
+
+
+def _asked(run: Job) -> Asked | None:
+    """The evaluation that is to follow, that of `embodichain eval RUN`."""
+    episodes, seed = run.root.eval.episodes, run.root.seed
+    return Asked(episodes, seed) if episodes and seed is not None else None
+
+
+def _evaluate(run: Job, evaluated: Resolved, stop: StopFlag, asked: Asked) -> dict[str, Any]:
+    """Play the final checkpoint; returns the summary with what was found."""
+    from embodichain.config.frozen import freeze
+    from embodichain.config.newest import CHECKPOINT
+    from embodichain.learning.train import add_evaluation
+
+    policy = str((run.folder / CHECKPOINT).resolve())
+    resolved = dataclasses.replace(evaluated, tree=freeze({**evaluated.tree, "policy": policy}))
+    found = evaluate_job(Job(resolved, resolved.root, run.folder), stop, asked)
+    return add_evaluation(run.folder, found)
 
 
 def _learn(run: Job, stop: StopFlag) -> dict[str, Any]:
@@ -93,4 +119,8 @@ def _show(run: Job, summary: dict[str, Any]) -> None:
         from embodichain.cli.tables import print_facts
 
         task = str(summary["task"])
-        print_facts(task, [(k.replace("_", " "), v) for k, v in summary.items() if k != "task"])
+        apart = ("task", "eval", "folder")
+        rows = [(k.replace("_", " "), v) for k, v in summary.items() if k not in apart]
+        if summary["eval"] is not None:
+            rows += brief_rows(summary["eval"])
+        print_facts(task, [*rows, ("folder", summary["folder"])])

@@ -19,6 +19,7 @@ __all__ = [
     "ROOT_INSTEAD",
     "SUGGESTED_KEYS",
     "CheckpointCfg",
+    "EvalCfg",
     "PolicyCfg",
     "RecordCfg",
     "RootCfg",
@@ -101,6 +102,14 @@ class CheckpointCfg:
 
 
 @configclass
+class EvalCfg:
+    """The evaluation that ends a training; `record` and `video` are of its episodes."""
+
+    episodes: Annotated[int, Field(ge=0)] = 100
+    """Over all environments; 0 is no evaluation."""
+
+
+@configclass
 class RootCfg:
     """Everything one execution is told. Null keys are filled by `derive`."""
 
@@ -122,6 +131,7 @@ class RootCfg:
     resume: str | None = None
     """A training run's folder, or ``last``."""
     checkpoint: CheckpointCfg = CheckpointCfg()
+    eval: EvalCfg = EvalCfg()
     video: bool | None = None
     """Not available yet."""
     gym_config: str | None = None

@@ -26,7 +26,10 @@ SUMMARY = "summary.json"
 STEPS, RETURN, SUCCESS = "time/total_timesteps", "rollout/ep_rew_mean", "rollout/success_rate"
 """Columns of Stable-Baselines3's logger."""
 # What runs of one group may differ in: the seed, and what changes no number.
-_APART = ("seed", "output_dir", "quiet", "json", "traceback", "record", "viewer", "resume")
+_APART = (
+    *("seed", "output_dir", "quiet", "json", "traceback", "record", "viewer", "resume"),
+    *("eval", "video"),
+)
 
 F64 = NDArray[np.float64]
 
@@ -101,7 +104,7 @@ def read_run(folder: Path) -> TrainedRun:
         raise ConfigError(f"{folder} holds no finished training: no summary.json of one")
     names = ("success_rate", "mean_return", "env_steps_per_second", "train_seconds", "env_steps")
     numbers = {n: float(summary[n]) for n in names if summary.get(n) is not None}
-    evaluated = summary.get("eval") or _evaluated(folder)
+    evaluated = _evaluated(folder) or summary.get("eval")
     if isinstance(evaluated, dict):
         for name, key, value in (("return", "returns", "mean"), ("success", "success", "rate")):
             part = evaluated.get(key)
@@ -172,9 +175,10 @@ def _overrides(folder: Path) -> list[str]:
         return []
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise ConfigError(f"cannot read {folder / 'overrides.yaml'}: {error}") from error
-    keys = (*_APART, "task")
-    kept = [str(line) for line in lines if str(line).lstrip("+").partition("=")[0] not in keys]
-    return sorted(kept)
+    keys = {str(line): str(line).lstrip("+").partition("=")[0] for line in lines}
+    return sorted(
+        line for line, key in keys.items() if key != "task" and key.partition(".")[0] not in _APART
+    )
 
 
 def _evaluated(folder: Path) -> dict[str, Any] | None:

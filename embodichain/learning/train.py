@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
@@ -26,17 +26,26 @@ from embodichain.learning.algorithms import build_algorithm, check_arguments, ch
 from embodichain.learning.curves import draw_curves
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.keeper import CheckpointKeeper, find_resumable
+from embodichain.learning.evaluation import Evaluation
 from embodichain.learning.schedules import action_noise
 from embodichain.learning.session import Session
 from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.learning.watch import Progress
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["SUMMARY_FILE", "TORCH_THREADS", "TrainSummary", "check_training", "train"]
+__all__ = [
+    "SUMMARY_FILE",
+    "TORCH_THREADS",
+    "TrainSummary",
+    "add_evaluation",
+    "check_training",
+    "train",
+]
 
 SUMMARY_FILE = "summary.json"
 GROUP = "policy"
 TORCH_THREADS = 1
+_EVAL_KEYS = {field.name for field in dataclasses.fields(Evaluation)} - {"per_episode"}
 """Threads of torch while learning: networks are small, and the cores belong to physics."""
 
 
@@ -62,6 +71,9 @@ class TrainSummary:
         best: That of the best one; None where no episode ended.
         resumed_from: The checkpoint that this training went on from; None for a new one.
     """
+        eval: What the evaluation at the end found, see `add_evaluation`; None without one.
+        objective: What a sweeper optimises: the evaluation's success rate, or its mean return for a
+            task without success; without an evaluation, the training's own.
 
     task: str
     algo: str
@@ -79,6 +91,8 @@ class TrainSummary:
     best: str | None = None
     resumed_from: str | None = None
 
+    eval: dict[str, Any] | None = None
+    objective: float | None = None
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Plan:
@@ -136,6 +150,25 @@ def check_training(resolved: Resolved) -> None:
     Raises:
         ConfigError: Every mistake.
     """
+def add_evaluation(run_dir: Path, found: Mapping[str, Any]) -> dict[str, Any]:
+    """Put an evaluation of the final checkpoint into a training's `summary.json`.
+
+    Args:
+        run_dir: The training's folder.
+        found: `Evaluation.as_dict()`; the list of episodes is left out.
+
+    Returns:
+        The summary.
+    """
+    summary: dict[str, Any] = json.loads((run_dir / SUMMARY_FILE).read_text(encoding="utf-8"))
+    summary["eval"] = {name: value for name, value in found.items() if name in _EVAL_KEYS}
+    success, returns = found["success"], found["returns"]
+    if found["complete"]:
+        summary["objective"] = success["rate"] if success is not None else returns["mean"]
+    _write(run_dir, summary)
+    return summary
+
+
     _plan(resolved)
 
 
@@ -214,14 +247,16 @@ def _learn(
         best=keeper.best,
         resumed_from=None if found is None else str(found[0]),
     )
-    text = json.dumps(dataclasses.asdict(summary), indent=2)
-    write_atomically(run_dir / SUMMARY_FILE, text + "\n")
+    _write(run_dir, dataclasses.asdict(summary))
     draw_curves(run_dir)
     if interrupt is not None:
         raise interrupt
     return summary
 
 
+        objective=(
+            statistics.mean_return if statistics.success_rate is None else statistics.success_rate
+        ),
 def _build(plan: _Plan, vec_env: SB3VecEnv) -> BaseAlgorithm:
     """The algorithm on the environment, normalized where that is wanted."""
     wrapped: VecEnv = vec_env
@@ -231,6 +266,10 @@ def _build(plan: _Plan, vec_env: SB3VecEnv) -> BaseAlgorithm:
     if plan.noise is not None:
         width = int(vec_env.action_space.shape[0]) if vec_env.action_space.shape else 0
         arguments["action_noise"] = action_noise(*plan.noise, width, vec_env.num_envs)
+def _write(run_dir: Path, summary: Mapping[str, Any]) -> None:
+    write_atomically(run_dir / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
+
+
     return build_algorithm(plan.algo, arguments, wrapped, plan.seed)
 
 

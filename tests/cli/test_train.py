@@ -1,0 +1,85 @@
+"""What `train` leaves in its folder besides what was learned: the evaluation at its end."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from embodichain.cli import main
+from embodichain.cli.jobs import given
+from embodichain.cli.train import job
+from embodichain.config import resolve
+from embodichain.recording import inspect, verify
+
+TINY = (
+    *("task=reach", "num_envs=4", "total_timesteps=64", "algo.n_steps=8", "algo.batch_size=16"),
+    *("seed=5", "task.max_episode_steps=12", "sim.num_threads=1"),
+)
+
+
+def told(capsys, *arguments):
+    assert main([*arguments, "--json"]) == 0, capsys.readouterr().err
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """The folder of a training of `reach`, evaluated on six episodes."""
+    root = tmp_path_factory.mktemp("trained")
+    assert main(["train", *TINY, "--quiet", "eval.episodes=6", f"output_dir={root}"]) == 0
+    return next(path.parent for path in root.glob("*/*/config.yaml"))
+
+
+def test_a_training_is_evaluated_as_eval_would(trained, capsys):
+    summary = json.loads((trained / "summary.json").read_text())
+    whole = json.loads((trained / "eval.json").read_text())
+    again = told(capsys, "eval", str(trained), "episodes=6", "record=none")
+    apart = ("folder", "log", "seconds")
+    assert {k: v for k, v in whole.items() if k not in apart} == {
+        k: v for k, v in again.items() if k not in apart
+    }
+    assert "per_episode" not in summary["eval"] and len(whole["per_episode"]["return"]) == 6
+    assert summary["eval"].items() <= whole.items()
+    low, high = summary["eval"]["returns"]["mean_interval"]
+    assert low < summary["eval"]["returns"]["mean"] < high
+    assert summary["objective"] == summary["eval"]["success"]["rate"]
+
+
+def test_the_evaluation_is_logged(trained, capsys):
+    log = trained / "rollout.mcap"
+    assert json.loads((trained / "eval.json").read_text())["log"] == str(log)
+    assert len(inspect(log).episodes) == 8  # two of all four environments
+    assert verify(log).ok
+    assert not list(trained.glob("*.mp4"))
+
+
+def test_what_a_sweeper_gets(tmp_path):
+    """Success rate, or the mean return of a task that knows no success."""
+    without = "~task.metrics.success"
+    for lines in ([], [without], [without, "eval.episodes=0"]):
+        overrides = [*TINY, "eval.episodes=3", "quiet=true", f"output_dir={tmp_path}", *lines]
+        with given(resolve(overrides, "train")):
+            found = job({})
+        folder = tmp_path / "latest"
+        summary = json.loads((folder / "summary.json").read_text())
+        assert found == summary["objective"]
+        if not lines:
+            assert found == summary["eval"]["success"]["rate"]
+        elif len(lines) == 1:
+            assert found == summary["eval"]["returns"]["mean"]
+        else:
+            assert found == summary["mean_return"] and summary["eval"] is None
+            assert not (folder / "eval.json").exists() and not (folder / "rollout.mcap").exists()
+
+
+def test_the_table_names_the_evaluation(capsys, tmp_path: Path):
+    assert main(["train", *TINY, "eval.episodes=2", "record=none"]) == 0
+    text = capsys.readouterr().out
+    assert "eval success" in text and "0 of 2" in text and "eval return mean" in text
+    assert not list(Path("outputs").rglob("*.mcap"))
+
+
+def test_what_the_evaluation_cannot_show_is_said_before_it_trains(capsys):
+    assert main(["train", *TINY, "eval.episodes=2", "record.view_envs=[3]"]) == 2
+    assert "record.view_envs: no such environments: [3]" in capsys.readouterr().err
+    assert not list(Path("outputs").rglob("checkpoints"))
