@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from embodichain.cli.stopping import StopFlag
-    from embodichain.config.schema import RootCfg, ViewerCfg
+    from embodichain.config.schema import RootCfg
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
 __all__ = ["attach_viewer"]
@@ -39,7 +39,7 @@ def attach_viewer(
     viewer = root.viewer
     if viewer.name not in ("web", "foxglove"):
         return
-    where = _serve(viewer, env, lambda: stop.stopped is not None, realtime, resets)
+    where = _serve(root, env, lambda: stop.stopped is not None, realtime, resets)
     if not root.quiet and not root.json:
         sys.stderr.write(f"viewer: {where}\n")
     if not _is_loopback(viewer.host):
@@ -50,15 +50,23 @@ def attach_viewer(
 
 
 def _serve(
-    viewer: ViewerCfg, env: BaseEnv, stopped: Callable[[], bool], realtime: bool, resets: bool
+    root: RootCfg, env: BaseEnv, stopped: Callable[[], bool], realtime: bool, resets: bool
 ) -> str:
     """Start a server; returns where people find it."""
+    viewer = root.viewer
     if viewer.name == "foxglove":
         from embodichain.recording.viewers.foxglove import FoxgloveView
 
-        live = FoxgloveView(env, viewer.host, viewer.port, env_id=viewer.env)
+        live = FoxgloveView(
+            env,
+            viewer.host,
+            viewer.port,
+            env_id=viewer.env,
+            view_envs=root.record.view_envs,
+            realtime=realtime,
+        )
         env.add_observer(live)
-        return str(live.url)
+        return f"{live.url} (Foxglove, Lichtblick: Open connection, Foxglove WebSocket)"
     from embodichain.recording.viewers.web import WebView
 
     view = WebView(

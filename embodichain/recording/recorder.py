@@ -10,25 +10,31 @@ import atexit
 import json
 import threading
 import time
+import uuid
 import weakref
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
 from embodichain.lab.sim.engine.base import EnvIndex, PhysicsEvent, Write
 from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.recording import state_log
-from embodichain.recording.attachments import attach_all, model_bytes, model_digest
+from embodichain.recording.attachments import attachments_of, model_bytes, model_digest
 from embodichain.recording.columns import RowColumns
+from embodichain.recording.episode_log import TOPIC as EPISODE_TOPIC
+from embodichain.recording.episode_log import Ends, EpisodeLog
 from embodichain.recording.foxglove.layout import foxglove_layout
 from embodichain.recording.foxglove.views import Views
-from embodichain.recording.header import METADATA, METADATA_END, Header, why_unverifiable
+from embodichain.recording.header import METADATA_END, Header, why_unverifiable
+from embodichain.recording.log_head import LogHead, Rolling
 from embodichain.recording.mcap_file import Part
 from embodichain.recording.options import RecordLike, RecordOptions, check_options
 from embodichain.recording.writer import Batch, LogWriteError, McapThread
@@ -50,9 +56,9 @@ class RecordStats:
     """What a recorder has written.
 
     Attributes:
-        path: The file.
+        path: The file; the first one, if the log goes on in others.
         steps: Control steps.
-        nbytes: Size of the file so far.
+        nbytes: Size of the log so far.
     """
 
     path: Path
@@ -107,10 +113,16 @@ class McapRecorder(StepObserver):
         self._columns = columns
         self._log = (
             state_log.StateLog(engine, columns, env.sim_steps_per_control, self._write_state)
-            if options.state == "all"
+            if options.state != "none"
             else None
         )
+        self._episodes = EpisodeLog(env.num_envs)
+        self._substeps = int(env.sim_steps_per_control)
+        self._keyframe_every = options.keyframe_every if options.state == "keyframes" else 0
+        self._keyframe_due = True
+        self._keyframe = -1  # control step of the newest one
         self._views = Views(env, options, self._emit, self._pending.append, self._now)
+        self._view_envs = [int(i) for i in options.view_envs]
         self._engine = engine
         self._begin(env, options, columns, config, overrides, task)
         # A program that fails without closing still leaves a whole log.
@@ -146,15 +158,21 @@ class McapRecorder(StepObserver):
             nstate=columns.nstate,
             columns=columns.kept,
             layout={name: (s.start, s.stop) for name, s in columns.layout.items()},
-            view_envs=[int(i) for i in options.view_envs],
+            view_envs=self._view_envs,
             unverifiable=why_unverifiable(model, options.state),
+            keyframe_every=self._keyframe_every,
+            log_id=uuid.uuid4().hex,
         )
         channels = dict(state_log.CHANNELS) if self._log else {}
-        channels |= self._views.channels
+        channels |= {EPISODE_TOPIC: "embodichain.Episodes"} | self._views.channels
+        rolls = options.max_mb is not None
+        head = LogHead(
+            header, lambda: attachments_of(mjb, spec, config, overrides, layout), again=rolls
+        )
+        self._rolling = Rolling(self._file, head, options.max_mb * 1e6) if options.max_mb else None
 
         def write_head(file: McapThread) -> None:
-            attach_all(file, mjb, spec, config, overrides, layout, start_ns)
-            file.metadata(METADATA, header.to_metadata())
+            head.write(file)
             for topic, schema in channels.items():
                 file.channel(topic, schema)
             if not layout_file.exists():
@@ -162,12 +180,25 @@ class McapRecorder(StepObserver):
 
         self._pending.append(write_head)
         model_fields = self._engine.state_dict()["model"]
-        if self._log is not None:
-            rows = self._engine.rows.copy()
-            if not columns.narrow_enough(rows):
-                columns.widen()
-            self._later(self._log.start, model_fields, rows)
+        if not columns.narrow_enough(self._engine.rows):
+            columns.widen()
+        self._write_start(model_fields)
         self._views.start(model_fields)
+        self._hand_over()
+
+    def _write_start(self, model_fields: dict[str, NDArray[Any]]) -> None:
+        """Queue what the simulation is now: a file begins."""
+        if self._log is not None:
+            self._later(self._log.start, model_fields, self._engine.rows.copy())
+        if self._rolling is not None:
+            self._pending.append(self._rolling.began)
+
+    def _roll(self, rolling: Rolling) -> None:
+        """Go on in another file, from the state that the simulation has right now."""
+        self._pending.append(rolling.job(self._step))
+        self._write_start(self._engine.model_fields())
+        self._views.show(self._view_envs)
+        self._keyframe_due = True
         self._hand_over()
 
     def _now(self) -> int:
@@ -214,7 +245,7 @@ class McapRecorder(StepObserver):
     @property
     def stats(self) -> RecordStats:
         """What has been written so far."""
-        return RecordStats(self._file.path, self._step, self._file.path.stat().st_size)
+        return RecordStats(self._file.path, self._step, self._file.nbytes)
 
     def on_write(self, env: BaseEnv, write: Write) -> None:
         """Something outside physics was written to the simulation."""
@@ -229,18 +260,36 @@ class McapRecorder(StepObserver):
         """Physics is about to step, or has just stepped."""
         log, ids = self._log, event.env_ids
         if log is not None:
-            taken = self._columns.take(event.rows if ids is None else event.rows[ids])
-            if event.phase == "before":
+            before = event.phase == "before"
+            taken = None
+            if not before or not self._keyframe_every or self._is_keyframe(event):
+                taken = self._columns.take(event.rows if ids is None else event.rows[ids])
+            if before:
                 self._later(log.before_physics, taken, event.nstep, ids)
             else:
                 self._later(log.after_physics, taken, self._columns.ranges, event)
         if event.phase == "before" and event.env_ids is None:
             self._views.on_rows(self._step, event.rows)
 
+    def _is_keyframe(self, event: PhysicsEvent) -> bool:
+        """Whether this call's rows are written: the first of a step's own physics, when due.
+
+        Before the first step things may settle for as long: there each such call's are, since the
+        last one is the step's own.
+        """
+        step = self._step
+        due = self._keyframe_due or step % self._keyframe_every == 0
+        own = event.env_ids is None and event.nstep == self._substeps
+        if not own or not due or (step > 0 and self._keyframe == step):
+            return False
+        self._keyframe, self._keyframe_due = step, False
+        return True
+
     def on_event(self, env: BaseEnv, event: EventRecord) -> None:
         """A term of the event manager fired."""
         if self._log is not None:
             self._later(self._log.on_event, event)
+        self._views.on_event(event)
 
     def on_reset(self, env: BaseEnv, env_ids: EnvIndex) -> None:
         """Environments were reset."""
@@ -248,14 +297,26 @@ class McapRecorder(StepObserver):
 
     def on_step(self, env: BaseEnv, step: StepRecord) -> None:
         """A control step ended."""
+        # Copies: the caller of `step` may write into what it was handed.
+        reward, ids = step.reward.copy(), step.episode_ids.copy()
         if self._log is not None:
-            # Copies: the caller of `step` may write into what it was handed.
             flags = step.terminated.copy(), step.truncated.copy()
-            reward, ids = step.reward.copy(), step.episode_ids.copy()
             self._later(self._log.on_step, step.action.copy(), reward, *flags, ids)
+        ends = Ends.of(step, env.termination_manager.values)
+        self._later(self._add_episodes, self._step, reward, ids, ends)
         self._views.on_step(self._step, step)
         self._step += 1
+        if self._rolling is not None and self._rolling.due:
+            self._roll(self._rolling)
         self._hand_over_when_due()
+
+    def _add_episodes(
+        self, step: int, reward: NDArray[Any], ids: NDArray[np.int64], ends: Ends | None
+    ) -> None:
+        """Called on the background thread."""
+        parts = self._episodes.add(step, reward, ids, ends)
+        if parts is not None:
+            self._write_state(step, EPISODE_TOPIC, parts)
 
     def on_close(self, env: BaseEnv) -> None:
         """The environment closes."""
@@ -292,6 +353,8 @@ class McapRecorder(StepObserver):
         self._views.close(self._step, self._engine.rows)
         steps = str(self._step)
         self._pending.append(lambda file: file.metadata(METADATA_END, {"steps": steps}))
+        if self._rolling is not None:
+            self._pending.append(self._rolling.finish(self._step))
         try:
             self._hand_over()
         finally:

@@ -7,35 +7,29 @@ next to nothing and cannot disturb it: no derived field of the engine is asked f
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any, Protocol
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.observers import StepRecord
+from embodichain.lab.gym.envs.observers import EventRecord, StepRecord
 from embodichain.lab.sim.engine.base import F64, EnvIndex, Write
-from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.recording.foxglove.frames import Frames
-from embodichain.recording.foxglove.joints import Joints
-from embodichain.recording.foxglove.messages import Log, timestamp
+from embodichain.recording.foxglove.log_lines import ending_text, event_text, ids_text, log_line
 from embodichain.recording.foxglove.metrics import Scalars
-from embodichain.recording.foxglove.scene import Scene
+from embodichain.recording.foxglove.viewed import Viewed
 from embodichain.recording.mcap_file import Part
 from embodichain.recording.options import RecordLike
 from embodichain.recording.schemas import scalars_descriptor_set
-from embodichain.recording.writer import Job, McapThread
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
-__all__ = ["Views", "ids_text"]
+__all__ = ["SEEN", "Sink", "Views"]
 
-BIG_SCENE = 1 << 20
-"""A scene of more bytes than this is repeated at a reset only if it has changed."""
 SEEN = (
     *("geom_size", "geom_pos", "geom_quat", "geom_sameframe", "geom_rgba", "geom_matid", "mat_"),
     *("body_pos", "body_quat", "body_sameframe", "jnt_pos", "jnt_axis", "qpos0"),
@@ -43,7 +37,19 @@ SEEN = (
 """Model fields that move or colour anything begin so."""
 
 Emit = Callable[[str, tuple[Part, ...]], None]
-Push = Callable[[Job], None]
+
+
+class Sink(Protocol):
+    """Where messages go, on the background thread: a file, or people who are connected."""
+
+    def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
+        """Declare a channel; `data` is the schema where it is this run's own."""
+
+    def write(self, topic: str, time_ns: int, parts: Sequence[Part]) -> None:
+        """Write or send a message."""
+
+
+Push = Callable[[Callable[[Sink], None]], None]
 
 
 class Views:
@@ -63,11 +69,12 @@ class Views:
         self._ids = np.array(sorted(set(options.view_envs)), np.int64)
         self._emit, self._push, self._now = emit, push, now
         self._every = max(1, math.ceil(1.0 / (options.view_hz * float(env.step_dt)) - 1e-9))
-        self._reset: set[int] = set(self._ids.tolist())
+        self._reset: set[int] = set()
+        self._asked: set[int] = set(self._ids.tolist())
         self._sampled = -1
         self._scalars: Scalars | None = None
         model, offsets = env.sim.engine.model, env.sim.arena_offsets
-        self._viewed = [_Viewed(model, i) for i in self._ids.tolist()]
+        self._viewed = [Viewed(model, i) for i in self._ids.tolist()]
         self._frames = Frames(model, self._ids.tolist(), offsets[self._ids].tolist())
         self.channels = {"/log": "foxglove.Log"}
         if self._viewed:
@@ -76,19 +83,24 @@ class Views:
             self.channels[viewed.scene_topic] = "foxglove.SceneUpdate"
             self.channels[viewed.joints_topic] = "foxglove.JointStates"
 
-    def start(self, model_fields: dict[str, NDArray[Any]]) -> None:
+    def start(self, model_fields: Mapping[str, NDArray[Any]]) -> None:
         """Say that recording begins; take over model fields that are randomized already."""
-        for field, values in model_fields.items():
-            whole = np.asarray(values, np.float64).reshape(len(values), -1)
-            self.on_model_write(Write("model", field, None, slice(None), whole))
+        self.take_over(model_fields)
         self.say("recording begins")
+
+    def take_over(self, model_fields: Mapping[str, NDArray[Any]]) -> None:
+        """Make viewed environments look as these model fields, (N, ...) each, say."""
+        for field, values in model_fields.items():
+            rows = np.asarray(values[self._ids], np.float64).reshape(len(self._ids), -1)
+            self.on_model_write(Write("model", field, self._ids, slice(None), rows))
+
+    def show(self, env_ids: Iterable[int]) -> None:
+        """Show the scenes of these environments with the next sample, whatever was shown."""
+        self._asked.update(set(env_ids) & set(self._ids.tolist()))
 
     def say(self, message: str, level: str = "INFO") -> None:
         """Write a line to `/log`."""
-        stamp = timestamp(self._now())
-        line = Log(timestamp=stamp, level=Log.Level.Value(level), message=message)
-        line.name = "embodichain"
-        self._emit("/log", (line.SerializeToString(),))
+        self._emit("/log", (log_line(self._now(), message, level),))
 
     def on_model_write(self, write: Write) -> None:
         """A model field of viewed environments changed: their looks and links may have."""
@@ -102,7 +114,7 @@ class Views:
                 lambda _, v=viewed, x=values: v.set_field(write.field, write.columns, x)  # type: ignore[misc]
             )
 
-    def _of(self, env_id: int) -> _Viewed:
+    def _of(self, env_id: int) -> Viewed:
         return self._viewed[int(np.searchsorted(self._ids, env_id))]
 
     def on_rows(self, step: int, rows: F64, last: bool = False) -> None:
@@ -113,26 +125,27 @@ class Views:
             rows: (N, nstate) live rows.
             last: Nothing follows: sample in any case.
         """
-        due = step % self._every == 0 or self._reset or last
+        due = step % self._every == 0 or self._reset or self._asked or last
         if not self._viewed or step == self._sampled or not due:
             return
         self._sampled = step
-        taken, time_ns, reset = rows[self._ids], self._now(), frozenset(self._reset)
+        scenes = {**dict.fromkeys(self._reset, False), **dict.fromkeys(self._asked, True)}
         self._reset.clear()
-        self._push(lambda file: self._sample(file, time_ns, taken, reset))
+        self._asked.clear()
+        self._push(partial(self._sample, self._now(), rows[self._ids], scenes))
 
-    def _sample(self, file: McapThread, time_ns: int, rows: F64, reset: frozenset[int]) -> None:
+    def _sample(self, time_ns: int, rows: F64, scenes: Mapping[int, bool], sink: Sink) -> None:
         """Compute and write what is seen; runs on the background thread."""
         for index, (viewed, row) in enumerate(zip(self._viewed, rows, strict=True)):
             viewed.place(row)
             self._frames.place(index, viewed.data)
-            if viewed.env_id in reset:
-                scene = viewed.scene(time_ns)
+            if viewed.env_id in scenes:
+                scene = viewed.scene(time_ns, anyway=scenes[viewed.env_id])
                 if scene is not None:
-                    file.write(viewed.scene_topic, time_ns, (scene,))
+                    sink.write(viewed.scene_topic, time_ns, (scene,))
             joints = viewed.joints.encode(time_ns, viewed.data)
-            file.write(viewed.joints_topic, time_ns, (joints,))
-        file.write("/tf", time_ns, (self._frames.encode(time_ns),))
+            sink.write(viewed.joints_topic, time_ns, (joints,))
+        sink.write("/tf", time_ns, (self._frames.encode(time_ns),))
 
     def on_reset(self, env_ids: EnvIndex) -> None:
         """Viewed environments that were reset show their scene anew."""
@@ -141,6 +154,14 @@ class Views:
             self._reset.update(seen.tolist())
             self.say(f"environments {ids_text(seen)} reset")
 
+    def on_event(self, event: EventRecord) -> None:
+        """Write a line for each viewed environment in which a term fired, with what it drew."""
+        ids = self._ids if event.env_ids is None else np.intersect1d(self._ids, event.env_ids)
+        for env_id in ids.tolist():
+            row = env_id if event.env_ids is None else int(np.searchsorted(event.env_ids, env_id))
+            drawn = {name: values[row].copy() for name, values in event.drawn.items()}
+            self._push(partial(_write_event, self._now(), env_id, event.term, event.mode, drawn))
+
     def on_step(self, step: int, record: StepRecord) -> None:
         """Write the numbers of viewed environments when due, and a line for what diverged."""
         diverged = record.info.get("diverged")
@@ -148,21 +169,28 @@ class Views:
             ids = np.flatnonzero(np.asarray(diverged))
             if len(ids):
                 self.say(f"environments {ids_text(ids)} diverged in step {step}", "WARNING")
+        for index in np.flatnonzero((record.terminated | record.truncated)[self._ids]).tolist():
+            self.say(ending_text(record, self._viewed[index].env_id))
         if not self._viewed or step % self._every:
             return
-        if self._scalars is None:
-            self._scalars = Scalars(record)
-            schema = scalars_descriptor_set("Metrics", self._scalars.names)
-            topics = [viewed.metrics_topic for viewed in self._viewed]
-
-            def declare(file: McapThread) -> None:
-                for topic in topics:
-                    file.channel(topic, "embodichain.Metrics", schema)
-
-            self._push(declare)
+        scalars = self.declare(record)
         for viewed in self._viewed:
-            data = self._scalars.encode(record, viewed.env_id)
-            self._emit(viewed.metrics_topic, (data,))
+            self._emit(viewed.metrics_topic, (scalars.encode(record, viewed.env_id),))
+
+    def declare(self, record: StepRecord) -> Scalars:
+        """Find the run's scalars in its first step, and declare their channels."""
+        if self._scalars is not None:
+            return self._scalars
+        self._scalars = Scalars(record)
+        schema = scalars_descriptor_set("Metrics", self._scalars.names)
+        topics = [viewed.metrics_topic for viewed in self._viewed]
+
+        def declare(sink: Sink) -> None:
+            for topic in topics:
+                sink.channel(topic, "embodichain.Metrics", schema)
+
+        self._push(declare)
+        return self._scalars
 
     def close(self, step: int, rows: F64) -> None:
         """Show the last state, and say that recording ends."""
@@ -170,50 +198,8 @@ class Views:
         self.say(f"recording ends after {step} steps")
 
 
-class _Viewed:
-    """One environment as the background thread sees it."""
-
-    def __init__(self, model: mujoco.MjModel, env_id: int) -> None:
-        self.env_id = env_id
-        self._model = model
-        self._owned = False
-        self.data = mujoco.MjData(model)
-        self.joints = Joints(model)
-        layout, data = row_layout(model), self.data
-        fields = ("qpos", "qvel", "mocap_pos", "mocap_quat")
-        self._inputs = [(getattr(data, name), layout[name]) for name in fields]
-        self._scene: Scene | None = None
-        self._big = False
-        root = f"/env_{env_id}"
-        self.scene_topic, self.joints_topic = f"{root}/scene", f"{root}/joint_states"
-        self.metrics_topic = f"{root}/metrics"
-
-    def set_field(self, field: str, columns: NDArray[np.int64] | slice, values: F64) -> None:
-        """Give this environment's own model other values, (k,) columns of a flattened field."""
-        if not self._owned:
-            self._model, self._owned = copy.copy(self._model), True
-        getattr(self._model, field).reshape(-1)[columns] = values
-        self._scene = None
-
-    def place(self, row: F64) -> None:
-        """Compute where every body is."""
-        for target, columns in self._inputs:
-            target[...] = row[columns].reshape(target.shape)
-        mujoco.mj_kinematics(self._model, self.data)
-
-    def scene(self, time_ns: int) -> bytes | None:
-        """What it looks like now; None if it is big and was written already."""
-        changed = self._scene is None
-        if self._scene is None:
-            self._scene = Scene(self._model, self.env_id)
-        if self._big and not changed:
-            return None
-        data = self._scene.update(time_ns)
-        self._big = len(data) > BIG_SCENE
-        return data
-
-
-def ids_text(ids: NDArray[np.int64], most: int = 8) -> str:
-    """``0, 3, 5 (and 12 more)``."""
-    shown = ", ".join(str(i) for i in ids[:most])
-    return shown if len(ids) <= most else f"{shown} (and {len(ids) - most} more)"
+def _write_event(
+    time_ns: int, env_id: int, term: str, mode: str, drawn: Mapping[str, NDArray[Any]], sink: Sink
+) -> None:
+    """Write a line about an event; runs on the background thread."""
+    sink.write("/log", time_ns, (log_line(time_ns, event_text(env_id, term, mode, drawn)),))

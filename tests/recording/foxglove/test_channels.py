@@ -166,12 +166,26 @@ def test_metrics_are_flat_and_those_of_the_environment(watched):
 
 def test_the_log_tells_of_resets_and_divergence(record, poison):
     lines = [c for _, _, c in decoded(record(env=poison, steps=9), "/log")]
-    texts = [line.message for line in lines]
-    assert texts[:2] == ["recording begins", "environments 0 reset"]
+    texts = [line.message for line in lines if "move_goal" not in line.message]
+    assert texts[:3] == [
+        "recording begins", "environment 0: mass (reset): scale 1.137", "environments 0 reset",
+    ]  # fmt: skip
+    assert "environment 0: episode 0 ended after 7 steps: out of time" in texts
     assert "environments 1 diverged in step 5" in texts
     assert texts[-1] == "recording ends after 9 steps"
     warning = next(line for line in lines if "diverged" in line.message)
     assert warning.level == type(warning).WARNING
+
+
+def test_the_log_tells_what_events_drew(record):
+    path = record(steps=3, num_envs=3, options=RecordOptions(view_envs=[2]))
+    drawn = [c for _, _, c in decoded(path, "/sim/event") if c.term == "move_goal"]
+    lines = [c.message for _, _, c in decoded(path, "/log") if "move_goal" in c.message]
+    rows = [np.reshape(event.drawn[0].values, (3, 3))[2] for event in drawn]
+    assert lines == [
+        "environment 2: move_goal (interval): position " + " ".join(f"{x:.4g}" for x in row)
+        for row in rows
+    ]
 
 
 def test_views_are_sampled_at_most_as_often_as_asked(record):
@@ -236,9 +250,9 @@ def test_the_layout_shows_topics_that_exist(watched):
 
 
 def test_a_big_scene_is_not_repeated_unless_it_changed(record, monkeypatch):
-    from embodichain.recording.foxglove import views
+    from embodichain.recording.foxglove import viewed
 
-    monkeypatch.setattr(views, "BIG_SCENE", 100)
+    monkeypatch.setattr(viewed, "BIG_SCENE", 100)
     # Masses are randomized at every reset: nobody sees them.
     assert len(decoded(record(steps=20, num_envs=1), "/env_0/scene")) == 1
     monkeypatch.setattr(SmallEnv, "reset", _reset_to_another_size)

@@ -1,0 +1,72 @@
+"""`Viewed`: one environment as the background thread sees it, with a model of its own."""
+
+from __future__ import annotations
+
+import copy
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.engine.layout import row_layout
+from embodichain.recording.foxglove.joints import Joints
+from embodichain.recording.foxglove.scene import Scene
+
+__all__ = ["Viewed"]
+
+BIG_SCENE = 1 << 20
+"""A scene of more bytes than this is repeated at a reset only if it has changed."""
+
+
+class Viewed:
+    """Where the bodies of one environment are, and what they look like.
+
+    Args:
+        model: The compiled model; other values of the environment's own are set later.
+        env_id: Which one.
+    """
+
+    def __init__(self, model: mujoco.MjModel, env_id: int) -> None:
+        self.env_id = env_id
+        self._model = model
+        self._owned = False
+        self.data = mujoco.MjData(model)
+        self.joints = Joints(model)
+        layout, data = row_layout(model), self.data
+        fields = ("qpos", "qvel", "mocap_pos", "mocap_quat")
+        self._inputs = [(getattr(data, name), layout[name]) for name in fields]
+        self._scene: Scene | None = None
+        self._big = False
+        root = f"/env_{env_id}"
+        self.scene_topic, self.joints_topic = f"{root}/scene", f"{root}/joint_states"
+        self.metrics_topic = f"{root}/metrics"
+
+    def set_field(self, field: str, columns: NDArray[np.int64] | slice, values: F64) -> None:
+        """Give this environment's own model other values, (k,) columns of a flattened field."""
+        if not self._owned:
+            self._model, self._owned = copy.copy(self._model), True
+        getattr(self._model, field).reshape(-1)[columns] = values
+        self._scene = None
+
+    def place(self, row: F64) -> None:
+        """Compute where every body is."""
+        for target, columns in self._inputs:
+            target[...] = row[columns].reshape(target.shape)
+        mujoco.mj_kinematics(self._model, self.data)
+
+    def scene(self, time_ns: int, anyway: bool = False) -> bytes | None:
+        """What it looks like now; None if it is big, was written already and need not come again.
+
+        Args:
+            time_ns: The moment.
+            anyway: Whether somebody sees it for the first time.
+        """
+        changed = self._scene is None
+        if self._scene is None:
+            self._scene = Scene(self._model, self.env_id)
+        if self._big and not changed and not anyway:
+            return None
+        data = self._scene.update(time_ns)
+        self._big = len(data) > BIG_SCENE
+        return data
