@@ -101,7 +101,7 @@ _COMPARE = Verb(
 _EXPORT = Verb(
     "export",
     "Write a log for another program, or a trained policy as one ONNX or TorchScript file.",
-    "FILE|last --format csv|npz|parquet|hdf5|ros2 | policy RUN|last|PATH [task=NAME] [-o OUT]",
+    "FILE|last --format csv|npz|parquet|hdf5|ros2|mp4 | policy RUN|last|PATH [task=NAME] [-o OUT]",
     (
         ("export last --format csv", "the newest log as a table, beside it"),
         ("export FILE --format hdf5 -o demos.hdf5", "episodes in robomimic's layout"),
@@ -120,6 +120,7 @@ _REPLAY = Verb(
         ("replay last --verify", "simulate it again from the file alone"),
         ("replay last --verify --env 2 --episode 0", "only that environment and episode"),
         ("replay last --env 2 --from 100 --to 200", "list its episodes between these steps"),
+        ("replay last --video film.mp4 --env 2 --speed 0.5", "film it, at half the speed"),
         ("replay outputs/latest/rollout.mcap --json", "what it holds, for scripts"),
     ),
 )

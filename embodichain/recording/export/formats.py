@@ -55,6 +55,7 @@ FORMATS: Mapping[str, Format] = {
     "parquet": Format(".parquet", "parquet", "the table of csv, columnar and typed"),
     "hdf5": Format(".hdf5", "hdf5", "demonstrations in robomimic's layout, one for each episode"),
     "ros2": Format(".mcap", "ros2", "a ROS 2 bag: joint states, transforms, robot description"),
+    "mp4": Format(".mp4", "mp4", "a film of one environment"),
 }
 
 
