@@ -44,11 +44,11 @@ def _train(run: Job, stop: StopFlag) -> float | None:
     asked = _asked(run)
     evaluated = None if asked is None else evaluation_config(run.resolved, asked)
     summary = _learn(run, stop)
+    if asked is not None and evaluated is not None and summary["status"] == "finished":
+        summary |= _evaluate(run, evaluated, stop, asked)
     _show(run, summary)
     evaluation = summary["eval"]
     if summary["status"] == "interrupted" or (evaluation and not evaluation["complete"]):
-    if asked is not None and evaluated is not None and summary["status"] == "finished":
-        summary |= _evaluate(run, evaluated, stop, asked)
         raise Interrupted(f"interrupted ({stop.stopped}); what was learned is in {run.folder}")
     objective: float | None = summary["objective"]
     return objective

@@ -25,8 +25,8 @@ from embodichain.config.schema import LARGEST_TRAINING_SEED
 from embodichain.learning.algorithms import build_algorithm, check_arguments, check_normalize
 from embodichain.learning.curves import draw_curves
 from embodichain.learning.episodes import TrainStatistics
-from embodichain.learning.keeper import CheckpointKeeper, find_resumable
 from embodichain.learning.evaluation import Evaluation
+from embodichain.learning.keeper import CheckpointKeeper, find_resumable
 from embodichain.learning.schedules import action_noise
 from embodichain.learning.session import Session
 from embodichain.learning.vec_env import SB3VecEnv
@@ -44,8 +44,8 @@ __all__ = [
 
 SUMMARY_FILE = "summary.json"
 GROUP = "policy"
-TORCH_THREADS = 1
 _EVAL_KEYS = {field.name for field in dataclasses.fields(Evaluation)} - {"per_episode"}
+TORCH_THREADS = 1
 """Threads of torch while learning: networks are small, and the cores belong to physics."""
 
 
@@ -70,10 +70,10 @@ class TrainSummary:
         checkpoint: Path of the final checkpoint, relative to the run folder.
         best: That of the best one; None where no episode ended.
         resumed_from: The checkpoint that this training went on from; None for a new one.
-    """
         eval: What the evaluation at the end found, see `add_evaluation`; None without one.
         objective: What a sweeper optimises: the evaluation's success rate, or its mean return for a
             task without success; without an evaluation, the training's own.
+    """
 
     task: str
     algo: str
@@ -90,9 +90,9 @@ class TrainSummary:
     checkpoint: str
     best: str | None = None
     resumed_from: str | None = None
-
     eval: dict[str, Any] | None = None
     objective: float | None = None
+
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class _Plan:
@@ -141,15 +141,6 @@ def train(resolved: Resolved, run_dir: Path, progress: Progress | None = None) -
         env.close()
 
 
-def check_training(resolved: Resolved) -> None:
-    """Check what `train` would refuse before it builds anything.
-
-    Args:
-        resolved: A config of the verb `train`.
-
-    Raises:
-        ConfigError: Every mistake.
-    """
 def add_evaluation(run_dir: Path, found: Mapping[str, Any]) -> dict[str, Any]:
     """Put an evaluation of the final checkpoint into a training's `summary.json`.
 
@@ -169,6 +160,15 @@ def add_evaluation(run_dir: Path, found: Mapping[str, Any]) -> dict[str, Any]:
     return summary
 
 
+def check_training(resolved: Resolved) -> None:
+    """Check what `train` would refuse before it builds anything.
+
+    Args:
+        resolved: A config of the verb `train`.
+
+    Raises:
+        ConfigError: Every mistake.
+    """
     _plan(resolved)
 
 
@@ -246,6 +246,9 @@ def _learn(
         checkpoint=checkpoint,
         best=keeper.best,
         resumed_from=None if found is None else str(found[0]),
+        objective=(
+            statistics.mean_return if statistics.success_rate is None else statistics.success_rate
+        ),
     )
     _write(run_dir, dataclasses.asdict(summary))
     draw_curves(run_dir)
@@ -254,9 +257,10 @@ def _learn(
     return summary
 
 
-        objective=(
-            statistics.mean_return if statistics.success_rate is None else statistics.success_rate
-        ),
+def _write(run_dir: Path, summary: Mapping[str, Any]) -> None:
+    write_atomically(run_dir / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
+
+
 def _build(plan: _Plan, vec_env: SB3VecEnv) -> BaseAlgorithm:
     """The algorithm on the environment, normalized where that is wanted."""
     wrapped: VecEnv = vec_env
@@ -266,10 +270,6 @@ def _build(plan: _Plan, vec_env: SB3VecEnv) -> BaseAlgorithm:
     if plan.noise is not None:
         width = int(vec_env.action_space.shape[0]) if vec_env.action_space.shape else 0
         arguments["action_noise"] = action_noise(*plan.noise, width, vec_env.num_envs)
-def _write(run_dir: Path, summary: Mapping[str, Any]) -> None:
-    write_atomically(run_dir / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
-
-
     return build_algorithm(plan.algo, arguments, wrapped, plan.seed)
 
 
