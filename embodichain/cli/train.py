@@ -23,6 +23,8 @@ from embodichain.cli.stopping import StopFlag
 
 if TYPE_CHECKING:
     from embodichain.cli.progress import ProgressDisplay
+    from embodichain.config.resolved import Resolved
+    from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.learning.episodes import TrainStatistics
 
 __all__ = ["job", "main"]
@@ -76,6 +78,7 @@ def _learn(run: Job, stop: StopFlag) -> dict[str, Any]:
     """Learn until it ends or somebody stops it; returns what `summary.json` holds."""
     from embodichain.cli.progress import ProgressDisplay
     from embodichain.cli.starting import started
+    from embodichain.cli.viewing import attach_viewer
     from embodichain.learning.train import SUMMARY_FILE, train
 
     started()
@@ -92,9 +95,12 @@ def _learn(run: Job, stop: StopFlag) -> dict[str, Any]:
             if display.due:
                 _show_progress(display, statistics)
 
+        def attach(env: BaseEnv) -> None:
+            attach_viewer(root, env, stop, realtime=False)
+
         # Interrupted: checkpoint and summary are written by then; the job says so and leaves.
         with suppress(Interrupted):
-            train(run.resolved, run.folder, progress)
+            train(run.resolved, run.folder, progress, attach)
     summary: dict[str, Any] = json.loads((run.folder / SUMMARY_FILE).read_text())
     return {**summary, "folder": str(run.folder)}
 

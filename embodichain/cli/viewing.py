@@ -6,10 +6,11 @@ by the environment itself: it has to stand before the first reset.
 
 from __future__ import annotations
 
-import ipaddress
 import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
+
+from embodichain.utils.addresses import is_loopback
 
 if TYPE_CHECKING:
     from embodichain.cli.stopping import StopFlag
@@ -42,7 +43,7 @@ def attach_viewer(
     where = _serve(root, env, lambda: stop.stopped is not None, realtime, resets)
     if not root.quiet and not root.json:
         sys.stderr.write(f"viewer: {where}\n")
-    if not _is_loopback(viewer.host):
+    if not is_loopback(viewer.host):
         sys.stderr.write(
             f"warning: the viewer listens on {viewer.host} and asks nobody who they are: "
             "everybody who reaches it can look and press its buttons\n"
@@ -80,11 +81,3 @@ def _serve(
     )
     env.add_observer(view)
     return view.url
-
-
-def _is_loopback(host: str) -> bool:
-    """Whether nobody on another machine reaches an address."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"

@@ -22,6 +22,7 @@ from embodichain.config import Resolved, make_env
 from embodichain.config.algorithms import DEFAULT_ALGORITHM, PpoCfg
 from embodichain.config.run_folder import write_atomically
 from embodichain.config.schema import LARGEST_TRAINING_SEED
+from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.learning.algorithms import build_algorithm, check_arguments, check_normalize
 from embodichain.learning.curves import draw_curves
 from embodichain.learning.episodes import TrainStatistics
@@ -110,7 +111,12 @@ class _Plan:
     resume: Path | None
 
 
-def train(resolved: Resolved, run_dir: Path, progress: Progress | None = None) -> TrainSummary:
+def train(
+    resolved: Resolved,
+    run_dir: Path,
+    progress: Progress | None = None,
+    attach: Callable[[BaseEnv], None] | None = None,
+) -> TrainSummary:
     """Learn a task in this process.
 
     Writes checkpoints and ``summary.json`` into the run folder, each as a whole or not at all, and
@@ -121,6 +127,7 @@ def train(resolved: Resolved, run_dir: Path, progress: Progress | None = None) -
         run_dir: The run's own folder, which exists.
         progress: Called after every control step with `TrainStatistics`; may raise
             KeyboardInterrupt to stop: the rollout and its update are finished first.
+        attach: Called with the environment once it is built, to attach observers: viewers.
 
     Returns:
         What the training was.
@@ -134,6 +141,8 @@ def train(resolved: Resolved, run_dir: Path, progress: Progress | None = None) -
     env = make_env(resolved)
     try:
         env.run_dir = run_dir
+        if attach is not None:
+            attach(env)
         vec_env = SB3VecEnv(env, GROUP)
         with _torch_threads(TORCH_THREADS):
             return _learn(plan, vec_env, run_dir, progress)

@@ -27,6 +27,8 @@ Info = dict[str, Any]
 class EnvOutcome(EnvAssembly):
     """Observes and judges; changes nothing of the simulation."""
 
+    _cut: Mask | None = None
+
     # -- observation ---------------------------------------------------------------------------
 
     def get_obs(self, **kwargs: Any) -> EnvObs:
@@ -182,11 +184,24 @@ class EnvOutcome(EnvAssembly):
 
     # -- the end of episodes -------------------------------------------------------------------
 
+    def truncate(self, env_ids: EnvIndex) -> None:
+        """Let environments' episodes end with the next step, as truncated: as time-outs do.
+
+        Args:
+            env_ids: (n,) which of the N.
+        """
+        if self._cut is None:
+            self._cut = np.zeros(self.cfg.num_envs, np.bool_)
+        self._cut[env_ids] = True
+
     def _ends(self, obs: EnvObs, info: Info, flags: Flags) -> tuple[Mask, Mask]:
         """(N,) terminated and truncated."""
         truncated = self._elapsed >= self._limit
         if flags.time_out is not None:
             truncated |= flags.time_out
+        if self._cut is not None:
+            truncated |= self._cut
+            self._cut = None
         if self._truncates:
             count = self.cfg.num_envs
             truncated |= mask_of(self.check_truncated(obs, info), count, "check_truncated")

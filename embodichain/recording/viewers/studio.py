@@ -1,0 +1,219 @@
+"""`serve_studio`: MuJoCo Studio's web viewer on one address, for looking only.
+
+MuJoCo 4.0's web viewer listens on every interface, takes files that are dropped on its page,
+answers pages of other sites, and prints to stdout. All of that is changed here and nowhere else, by
+two seams: `_Studio` gives the address, and `_guard_serving` puts a check before every request.
+Where a MuJoCo has them no more, nothing is served. Importing this imports MuJoCo Studio.
+"""
+
+from __future__ import annotations
+
+import functools
+import logging
+import socket
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+from urllib.parse import urlsplit
+from weakref import WeakKeyDictionary
+
+import mujoco
+from mujoco.studio import launch_thread, viewer_protocol, web_viewer
+from mujoco.studio.web import web_server
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from embodichain.utils.addresses import is_loopback
+from embodichain.utils.errors import RenderError
+
+__all__ = ["Studio", "serve_studio"]
+
+_log = logging.getLogger(__name__)
+_START_SECONDS = 20.0
+_IDLE_SECONDS = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Studio:
+    """A page that is being served.
+
+    Attributes:
+        handle: Studio's: takes messages, and is to be closed.
+        url: Where the page is.
+    """
+
+    handle: Any
+    url: str
+    _guard: _Guard
+
+    @property
+    def watched(self) -> bool:
+        """Whether a browser has the page open."""
+        return self._guard.connections > 0
+
+
+def serve_studio(
+    model: mujoco.MjModel, host: str, port: int | None, title: str, plugins: Sequence[Any]
+) -> Studio:
+    """Serve a model's page from a thread of its own.
+
+    Args:
+        model: Shown first; copied.
+        host: The address to listen on.
+        port: The port, or None for the first free one from 8080.
+        title: Of the page.
+        plugins: Studio's viewer plugins.
+
+    Raises:
+        RenderError: The address cannot be listened on, or this MuJoCo's viewer cannot be confined.
+    """
+    _guard_serving()
+    made: list[_Studio] = []
+    ready = threading.Event()
+
+    def run(endpoint: Any) -> None:
+        try:
+            config = viewer_protocol.ViewerConfig(title=title, gfx="web", http_port=port or 0)
+            made.append(_Studio(host, config, endpoint, model=model, plugins=list(plugins)))
+        finally:
+            ready.set()
+        viewer_protocol.run_viewer_loop(made[0])
+
+    handle = launch_thread.launch_thread(run)
+    ready.wait(_START_SECONDS)
+    if not made:
+        try:
+            handle.close()
+        except Exception as error:
+            raise RenderError(f"no web viewer on {host}: {error}") from error
+        raise RenderError(f"no web viewer on {host}: it does not start")
+    name = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+    shown = f"[{name}]" if ":" in name else name
+    return Studio(handle, f"http://{shown}:{made[0].port}/", made[0].guard)
+
+
+class _Studio(web_viewer.WebViewer):  # type: ignore[misc]
+    """Studio's web viewer, which binds `_host`: here that is the address it is told."""
+
+    def __init__(self, host: str, *args: Any, **kwargs: Any) -> None:
+        self._address = host
+        super().__init__(*args, **kwargs)
+
+    @property
+    def _host(self) -> str:
+        return self._address
+
+    @_host.setter
+    def _host(self, every_interface: str) -> None:
+        """MuJoCo sets what it would listen on; it is not heard."""
+
+    @property
+    def port(self) -> int:
+        """The port it listens on."""
+        number: int = self._http_sock.getsockname()[1]
+        return number
+
+    def _start_server(self) -> None:
+        """Start serving, if the socket is what it should be; and make sure requests are checked."""
+        bound = self._http_sock.getsockname()[0]
+        wanted = {info[4][0] for info in socket.getaddrinfo(self._address, None)}
+        if bound not in wanted:
+            raise RuntimeError(f"MuJoCo {mujoco.__version__} listens on {bound}")
+        self._http_sock.listen()  # a port that is taken fails here, not in the server's thread
+        self.guard = _GUARDS[self._http_sock] = _Guard(self._address)
+        super()._start_server()
+        if not self.guard.serving.wait(_START_SECONDS):
+            self._web_server.stop()
+            raise RuntimeError(f"requests to MuJoCo {mujoco.__version__}'s viewer are not checked")
+
+    def prepare_next_frame(self) -> bool:
+        """Draw only for somebody."""
+        if not self.guard.connections:
+            time.sleep(_IDLE_SECONDS)
+            return False
+        ready: bool = super().prepare_next_frame()
+        return ready
+
+    def get_drop_file(self) -> str:
+        """No file was ever dropped."""
+        return ""
+
+
+class _Guard:
+    """What one socket's requests must be like.
+
+    Args:
+        host: The address it listens on.
+
+    Attributes:
+        serving: Set once requests are checked.
+        connections: WebSockets that are open.
+    """
+
+    def __init__(self, host: str) -> None:
+        self.connections = 0
+        self._names = {host.lower(), "localhost", "127.0.0.1", "::1"} if is_loopback(host) else None
+        self.serving = threading.Event()
+
+    async def count(self, handler: Callable[[Any], Any], websocket: Any) -> None:
+        """Handle a connection, and know of it."""
+        self.connections += 1
+        try:
+            await handler(websocket)
+        finally:
+            self.connections -= 1
+
+    def refusal(self, request: Request) -> Response | None:
+        """Why a request is not answered, or None.
+
+        No page of another site may talk to the viewer: browsers let any page open a WebSocket
+        anywhere and say where it comes from in ``Origin``. A name that is not ours in ``Host``
+        is a site whose name was pointed at this machine.
+        """
+        if request.path.partition("?")[0].rstrip("/").endswith("/drop"):
+            return _forbidden("this viewer takes no files")
+        named = request.headers.get_all("Host")
+        if len(named) != 1:
+            return _forbidden("one Host is needed")
+        if self._names is not None and urlsplit(f"//{named[0]}").hostname not in self._names:
+            return _forbidden("this viewer is not known by that name")
+        for origin in request.headers.get_all("Origin"):
+            if urlsplit(origin).netloc.lower() != named[0].lower():
+                return _forbidden("pages of other sites may not use this viewer")
+        return None
+
+
+_GUARDS: WeakKeyDictionary[socket.socket, _Guard] = WeakKeyDictionary()
+
+
+def _forbidden(why: str) -> Response:
+    return Response(403, "Forbidden", Headers(), f"{why}\n".encode())
+
+
+def _guard_serving() -> None:
+    """Once in a process: check requests to guarded sockets first; say nothing on stdout."""
+    plain: Callable[..., Any] = web_server.serve
+    if getattr(plain, "guarded", False):
+        return
+
+    def serve(handler: Callable[[Any], Any], *args: Any, **kwargs: Any) -> Any:
+        guard = _GUARDS.get(kwargs.get("sock"))  # type: ignore[arg-type]
+        if guard is None:
+            return plain(handler, *args, **kwargs)
+        answer = kwargs["process_request"]
+
+        def checked(connection: Any, request: Request) -> Response | None:
+            refused = guard.refusal(request)
+            return answer(connection, request) if refused is None else refused
+
+        guard.serving.set()
+        kwargs["process_request"] = checked
+        return plain(functools.partial(guard.count, handler), *args, **kwargs)
+
+    serve.guarded = True  # type: ignore[attr-defined]
+    web_server.serve = serve
+    web_viewer.print = lambda *words, **options: _log.debug("%s", " ".join(map(str, words)))
+    web_server.logger.handlers.clear()
+    web_server.logger.propagate = True

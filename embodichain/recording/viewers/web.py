@@ -1,0 +1,130 @@
+"""`WebView`: a running environment on MuJoCo Studio's page, as an observer of its steps.
+
+The page is `web_page.py`'s. While nobody has it open, a step costs a look at the clock.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from embodichain.lab.gym.envs.observers import StepObserver, StepRecord
+from embodichain.lab.sim.engine.base import EnvIndex, Write
+from embodichain.recording.viewers.controls import Facts
+from embodichain.recording.viewers.web_page import LOOKS, WebPage
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = ["WebView"]
+
+_INTERVAL = 1.0 / 60.0
+
+
+class WebView(StepObserver):
+    """Serves a page on which people look at one environment, pause, step and reset it.
+
+    Attach it with `env.add_observer`; closing the environment closes it.
+
+    Args:
+        env: The environment.
+        host: The address to listen on.
+        port: The port; None is the first free one from 8080.
+        env_id: Which of the N is shown first.
+        realtime: Whether the run keeps to the clock while somebody looks; people can change it.
+        resets: Whether people may end episodes, as truncated.
+        stopped: Whether the run was told to stop: a pause ends then.
+        title: Of the page.
+
+    Raises:
+        RenderError: The address cannot be listened on.
+    """
+
+    def __init__(
+        self,
+        env: BaseEnv,
+        host: str = "127.0.0.1",
+        port: int | None = None,
+        *,
+        env_id: int = 0,
+        realtime: bool = True,
+        resets: bool = True,
+        stopped: Callable[[], bool] = lambda: False,
+        title: str = "embodichain",
+    ) -> None:
+        self._page = WebPage(
+            env.sim.engine.model_of(env_id),
+            host,
+            port,
+            title=title,
+            num_envs=env.num_envs,
+            env_id=env_id,
+            realtime=realtime,
+            resets=resets,
+            stopped=stopped,
+        )
+        self.url = self._page.url
+        self._env_id = env_id
+        self._restyled = False
+        self._next = 0.0
+        self._step: StepRecord | None = None
+
+    @property
+    def watched(self) -> bool:
+        """Whether somebody has the page open."""
+        return self._page.watched
+
+    def on_write(self, env: BaseEnv, write: Write) -> None:
+        """Note what changes how environments look."""
+        if write.op == "model" and write.field in LOOKS:
+            self._restyled = True
+
+    def on_reset(self, env: BaseEnv, env_ids: EnvIndex) -> None:
+        """Show the new episode's first state at once."""
+        if self._page.watched and self._page.env_id in env_ids:
+            self._show(env)
+
+    def on_step(self, env: BaseEnv, step: StepRecord) -> None:
+        """Do what people ask for; show the new state, if a picture is due."""
+        page = self._page
+        while (ended := page.take_reset()) is not None:
+            env.truncate(np.array([ended]))
+        self._step = step
+        if not page.watched:
+            return
+        now = time.monotonic()
+        if not page.fast or now >= self._next:
+            self._next = now + _INTERVAL
+            self._show(env)
+        page.pace(env.step_dt, lambda: self._show(env))
+
+    def on_close(self, env: BaseEnv) -> None:
+        """Close the page."""
+        self._page.close()
+
+    def _show(self, env: BaseEnv) -> None:
+        """Send the current state of the environment that people want to see."""
+        chosen = self._page.env_id
+        if chosen != self._env_id or self._restyled:
+            self._env_id, self._restyled = chosen, False
+            self._page.show_model(env.sim.engine.model_of(chosen))
+        self._page.show(env.sim.engine.rows[chosen], self._facts(env, chosen))
+
+    def _facts(self, env: BaseEnv, i: int) -> Facts | None:
+        """What is to be read beside the picture."""
+        step = self._step
+        if step is None:
+            return None
+        info = step.info
+        rewards = {name: float(values[i]) for name, values in info["rewards"].items()}
+        sums = {name: float(values[i]) for name, values in info["episode_sums"].items()}
+        lines = (
+            ("episode", str(int(step.episode_ids[i]))),
+            ("reward", f"{step.reward[i]:+.4g}, {sum(sums.values()):+.4g} in this episode"),
+            *((f"{name}", f"{float(v[i]):.4g}") for name, v in info["metrics"].items()),
+        )
+        seconds = float(info["elapsed_steps"][i]) * env.step_dt
+        return Facts(step.control_step, seconds, lines, rewards, sums)

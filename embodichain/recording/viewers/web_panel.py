@@ -1,0 +1,140 @@
+"""`Panel`: the window on the page of `viewer=web`; drawn in the viewer's thread.
+
+It reads and writes `Controls` and never touches a simulation. Importing it imports MuJoCo Studio.
+"""
+
+from __future__ import annotations
+
+from mujoco.studio import messages, plugin, ux
+from mujoco.studio.dear_imgui import dear_imgui as imgui
+from mujoco.studio.implot import implot
+
+from embodichain.recording.viewers.controls import SPEEDS, Controls, Facts
+
+__all__ = ["Panel"]
+
+_WIDTH, _HEIGHT, _MARGIN = 330.0, 640.0, 8.0
+_BUTTON = imgui.Vec2(70.0, 0.0)
+
+
+class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
+    """Choose the environment, pause, step, reset, speed; rewards per term; how it is drawn.
+
+    Args:
+        title: The window's.
+        controls: What it shows and sets.
+    """
+
+    def __init__(self, title: str, controls: Controls) -> None:
+        self._title = title
+        self._controls = controls
+        self._camera = ux.UxState()
+        self._open = True
+
+    @messages.handler(priority=messages.Priority.CRITICAL)  # type: ignore[untyped-decorator]
+    def _on_init(self, _: plugin.ViewerInitEvent) -> None:
+        ux.setup_theme(ux.GuiTheme.DARK)
+        self._camera.camera_index = ux.set_camera(
+            self.viewer.model, self.viewer.camera, ux.TUMBLE_CAMERA_IDX
+        )
+
+    @messages.handler  # type: ignore[untyped-decorator]
+    def _on_update(self, _: messages.UpdateEvent) -> None:
+        if imgui.GetIO().WantCaptureKeyboard:
+            return
+        if imgui.IsKeyChordPressed(imgui.Key.Space):
+            self._controls.toggle_pause()
+        elif imgui.IsKeyChordPressed(imgui.Key.RightArrow):
+            self._controls.ask_step()
+        elif imgui.IsKeyChordPressed(imgui.Key.Backspace):
+            self._controls.ask_reset()
+        elif imgui.IsKeyChordPressed(imgui.Key.Tab):
+            self._open = not self._open
+
+    @messages.handler  # type: ignore[untyped-decorator]
+    def _on_build_gui(self, _: messages.BuildGuiEvent) -> None:
+        self.viewer.camera_index = self._camera.camera_index
+        if not self._open:
+            return
+        imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _MARGIN), int(imgui.Cond.FirstUseEver))
+        imgui.SetNextWindowSize(imgui.Vec2(_WIDTH, _HEIGHT), int(imgui.Cond.FirstUseEver))
+        expanded, self._open = imgui.Begin(self._title, self._open)
+        if expanded:
+            self._draw_controls()
+            facts = self._controls.facts
+            if facts is not None:
+                _draw_facts(facts)
+                _draw_rewards(facts, list(self._controls.history))
+            self._draw_looks()
+        imgui.End()
+
+    def _draw_controls(self) -> None:
+        controls = self._controls
+        if controls.num_envs > 1:
+            changed, chosen = imgui.InputInt("environment", controls.env_id)
+            if changed:
+                controls.choose(chosen)
+        if imgui.Button("Go on" if controls.paused else "Pause", _BUTTON):
+            controls.toggle_pause()
+        imgui.SetItemTooltip("Space")
+        imgui.SameLine()
+        if imgui.Button("Step", _BUTTON):
+            controls.ask_step()
+        imgui.SetItemTooltip("Right arrow: one control step, then a pause")
+        imgui.SameLine()
+        imgui.BeginDisabled(not controls.resets)
+        if imgui.Button("Reset", _BUTTON):
+            controls.ask_reset()
+        imgui.EndDisabled()
+        imgui.SetItemTooltip("Backspace: this environment's episode ends, as truncated")
+        names = ["as fast as it goes", *(f"{speed:g} x real time" for speed in SPEEDS if speed)]
+        changed, chosen = imgui.Combo("speed", SPEEDS.index(controls.speed), names)
+        if changed:
+            controls.speed = SPEEDS[chosen]
+
+    def _draw_looks(self) -> None:
+        """Studio's own widgets: cameras, and what is drawn."""
+        viewer = self.viewer
+        if not imgui.CollapsingHeader("View"):
+            return
+        ux.camera_selection_gui(viewer.model, viewer.data, viewer.camera, self._camera)
+        if imgui.TreeNodeEx("Rendering"):
+            ux.rendering_gui(viewer.model, viewer.vis_options, viewer.render_flags)
+            imgui.TreePop()
+        if imgui.TreeNodeEx("Groups"):
+            ux.groups_gui(viewer.model, viewer.vis_options)
+            imgui.TreePop()
+        if imgui.TreeNodeEx("Visualization"):
+            ux.visualization_gui(viewer.model, viewer.vis_options, viewer.camera)
+            imgui.TreePop()
+
+
+def _draw_facts(facts: Facts) -> None:
+    imgui.TextUnformatted(f"step {facts.step}   {facts.seconds:.2f} s of the episode")
+    for name, text in facts.lines:
+        imgui.TextUnformatted(f"{name} {text}")
+
+
+def _draw_rewards(facts: Facts, history: list[Facts]) -> None:
+    """A table of terms, and how they went."""
+    if not facts.rewards:
+        return
+    imgui.SeparatorText("Rewards per term")
+    flags = int(imgui.TableFlags.RowBg) | int(imgui.TableFlags.SizingStretchProp)
+    if imgui.BeginTable("rewards", 3, flags):
+        for name in ("term", "step", "episode"):
+            imgui.TableSetupColumn(name)
+        imgui.TableHeadersRow()
+        for name, value in facts.rewards.items():
+            imgui.TableNextRow()
+            for text in (name, f"{value:+.4g}", f"{facts.sums.get(name, 0.0):+.4g}"):
+                imgui.TableNextColumn()
+                imgui.TextUnformatted(text)
+        imgui.EndTable()
+    implot.SetNextAxesToFit()
+    if implot.BeginPlot("##rewards", imgui.Vec2(-1.0, 180.0)):
+        implot.SetupAxes("control step", "")
+        steps = [past.step for past in history]
+        for name in facts.rewards:
+            implot.PlotLine(name, steps, [past.rewards.get(name, 0.0) for past in history])
+        implot.EndPlot()
