@@ -160,13 +160,10 @@ class BaseEnv(EnvOutcome):
         partial = len(ids) < count
         saved = self.streams.state_dict() if partial else None
         obs = self._observe(options, ids if partial else None)
-        flat = memory.flatten(obs)
         if saved is not None:
             seeding.rewind(self.streams, saved, stay)
             obs = memory.with_rows(obs, memory.flat, stay)
-            flat = np.where(stay[:, None], memory.flat, flat)
-        memory.flat, obs = memory.made_finite(flat, obs)
-        return obs
+        return memory.made_finite(obs)
 
     # -- step ----------------------------------------------------------------------------------
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
+import operator
 from typing import Any
 
 import numpy as np
@@ -17,12 +18,14 @@ from tensordict import TensorDict
 
 from embodichain.lab.gym.utils.tensordicts import branches_copied, entries, replace
 
-__all__ = ["ObservationMemory", "as_float32", "leaves_of"]
+__all__ = ["Known", "ObservationMemory", "as_float32", "is_finite", "leaves_of"]
 
 logger = logging.getLogger(__name__)
 
 F32 = NDArray[np.float32]
 Mask = NDArray[np.bool_]
+Known = tuple[tuple[torch.Tensor, ...], F32]
+"""First entries of an observation, and one array of their numbers, one after the other."""
 
 
 def leaves_of(obs: TensorDict) -> dict[tuple[str, ...], torch.Tensor]:
@@ -44,6 +47,12 @@ def as_float32(obs: TensorDict) -> TensorDict:
     return obs
 
 
+def is_finite(values: NDArray[np.floating[Any]]) -> bool:
+    """Whether all numbers are finite."""
+    # The sum is the cheap question; it may overflow, so the exact one follows.
+    return math.isfinite(np.add.reduce(values, None)) or bool(np.isfinite(values).all())
+
+
 class ObservationMemory:
     """Knows the structure of an environment's observations.
 
@@ -56,76 +65,85 @@ class ObservationMemory:
 
     Attributes:
         paths: The floating point entries, in order.
-        flat: (N, W) float32, all of them side by side as last observed.
+        flat: (N W,) float32, a copy of all of them as last observed, one entry after the other.
     """
 
     def __init__(self, obs: TensorDict, num_envs: int) -> None:
         self._num_envs = num_envs
         leaves = {path: leaf for path, leaf in leaves_of(obs).items() if leaf.is_floating_point()}
         self.paths = list(leaves)
-        self._places = [(path, leaf.ndim == 2) for path, leaf in leaves.items()]
-        self._ends = np.cumsum([leaf.numel() // num_envs for leaf in leaves.values()]).tolist()
+        self._shapes = [tuple(leaf.shape) for leaf in leaves.values()]
+        ends = np.cumsum([leaf.numel() for leaf in leaves.values()]).tolist()
+        self._places = [slice(a, b) for a, b in zip([0, *ends], ends, strict=False)]
         self.flat: F32 = self.flatten(obs)
 
-    def flatten(self, obs: TensorDict) -> F32:
-        """Return (N, W) copies of all floating point entries, side by side.
+    def flatten(self, obs: TensorDict, known: Known | None = None) -> F32:
+        """Return a copy (N W,) of all floating point entries, one after the other.
+
+        Args:
+            obs: The observation.
+            known: Arrays that are known to hold its first entries.
 
         Raises:
             KeyError: If an entry of the first observation is missing.
         """
-        parts: list[torch.Tensor] = []
-        for path, matrix in self._places:
+        leaves: list[torch.Tensor] = []
+        for path in self.paths:
             leaf: Any = obs
             for key in path:
                 leaf = entries(leaf)[key]
-            parts.append(leaf if matrix else leaf.reshape(self._num_envs, -1))
-        if not parts:
-            return np.zeros((self._num_envs, 0), np.float32)
-        return torch.cat(parts, dim=1).numpy()
+            leaves.append(leaf)
+        parts: list[F32] = []
+        if known is not None:
+            count = len(known[0])
+            if len(leaves) >= count and all(map(operator.is_, leaves, known[0])):
+                parts.append(known[1].reshape(-1))
+                del leaves[:count]
+        parts += [leaf.numpy().reshape(-1) for leaf in leaves]
+        return np.concatenate(parts) if parts else np.zeros(0, np.float32)
 
-    @staticmethod
-    def bad_rows(flat: F32) -> Mask | None:
-        """Return which rows of (N, W) hold a number that is not finite; None if all are finite."""
-        # The sum is the cheap question; it may overflow, so the exact one follows.
-        if math.isfinite(np.add.reduce(flat, None)):
+    def bad_rows(self, flat: F32) -> Mask | None:
+        """Return which rows (N,) hold a number that is not finite; None if all are finite.
+
+        Args:
+            flat: (N W,) from `flatten`.
+        """
+        if is_finite(flat):
             return None
-        bad: Mask = ~np.asarray(np.isfinite(flat).all(axis=1))
-        return bad if bad.any() else None
+        bad = np.zeros(self._num_envs, np.bool_)
+        for place in self._places:
+            bad |= ~np.isfinite(flat[place].reshape(self._num_envs, -1)).all(axis=1)
+        return bad
 
-    def made_finite(self, flat: F32, obs: TensorDict) -> tuple[F32, TensorDict]:
-        """Zero rows that are not finite right after a reset, and log them.
+    def made_finite(self, obs: TensorDict) -> TensorDict:
+        """Remember an observation right after a reset; zero its rows that are not finite, and log.
 
         There is no earlier observation of that episode to fall back on. The environment is found
         diverged in its next step.
         """
-        bad = self.bad_rows(flat)
+        self.flat = self.flatten(obs)
+        bad = self.bad_rows(self.flat)
         if bad is None:
-            return flat, obs
+            return obs
         logger.error("not finite after a reset: environments %s", np.flatnonzero(bad)[:8].tolist())
-        flat = np.where(bad[:, None], np.float32(0), flat)
-        return flat, self.with_rows(obs, flat, bad)
+        obs = self.with_rows(obs, np.zeros_like(self.flat), bad)
+        self.flat = self.flatten(obs)
+        return obs
 
     def with_rows(self, obs: TensorDict, flat: F32, rows: Mask) -> TensorDict:
         """Return an observation some of whose rows are taken from a flat copy.
 
         Args:
             obs: The observation; neither it nor its tensors change.
-            flat: (N, W) from `flatten`.
+            flat: (N W,) from `flatten`.
             rows: (N,) bool, the rows to take from ``flat``.
         """
         merged = branches_copied(obs)
-        wide = rows[:, None]
-        start = 0
-        for (path, matrix), end in zip(self._places, self._ends, strict=True):
+        for path, shape, place in zip(self.paths, self._shapes, self._places, strict=True):
             leaf: Any = obs
             for key in path:
                 leaf = entries(leaf)[key]
-            kept = flat[:, start:end]
-            if matrix:
-                chosen = np.where(wide, kept, leaf.numpy())
-            else:
-                mask = rows.reshape(-1, *[1] * (leaf.ndim - 1))
-                chosen = np.where(mask, kept.reshape(tuple(leaf.shape)), leaf.numpy())
+            mask = rows.reshape(-1, *[1] * (len(shape) - 1))
+            chosen = np.where(mask, flat[place].reshape(shape), leaf.numpy())
             replace(merged, path, torch.from_numpy(chosen))
-            start = end
         return merged

@@ -14,7 +14,7 @@ from embodichain.lab.gym.envs.assembly import EnvAssembly
 from embodichain.lab.gym.envs.autoreset import blanked
 from embodichain.lab.gym.envs.flags import Flags, Mask, mask_of
 from embodichain.lab.gym.envs.managers.dry_run import check_shapes
-from embodichain.lab.gym.envs.observation_memory import as_float32
+from embodichain.lab.gym.envs.observation_memory import Known, as_float32, is_finite
 from embodichain.lab.gym.utils.tensordicts import unchecked
 from embodichain.lab.sim.engine.base import F64, EnvIndex
 from embodichain.lab.sim.types import EnvAction, EnvObs
@@ -28,6 +28,7 @@ class EnvOutcome(EnvAssembly):
     """Observes and judges; changes nothing of the simulation."""
 
     _cut: Mask | None = None
+    _proprioception: Known | None = None
 
     # -- observation ---------------------------------------------------------------------------
 
@@ -40,7 +41,8 @@ class EnvOutcome(EnvAssembly):
         batch, device = self._batch, self.sim.device
         entries: dict[str, Any] = {}
         if self.robot is not None:
-            qpos, qvel, qf = self.robot.proprioception(self._joints)
+            self._proprioception = self.robot.proprioception(self._joints)
+            qpos, qvel, qf = self._proprioception[0]
             entries["robot"] = unchecked({"qpos": qpos, "qvel": qvel, "qf": qf}, batch, device)
         obs: EnvObs = unchecked(entries, batch, device)
         if self._senses:
@@ -144,21 +146,21 @@ class EnvOutcome(EnvAssembly):
     ) -> tuple[EnvObs, torch.Tensor, Info]:
         """Find environments that diverged, and keep what they left out of everything handed on."""
         memory = self._memory
-        last, flat = memory.flat, memory.flatten(obs)
+        last, flat = memory.flat, memory.flatten(obs, self._proprioception)
         mask = self.sim.engine.take_diverged()
         bad = memory.bad_rows(flat)
         if bad is not None:
             mask = bad if mask is None else mask | bad
         if self._pays or self._repays or self._has_rewards:
-            bad = memory.bad_rows(reward.numpy()[:, None])
-            if bad is not None:
-                mask = bad if mask is None else mask | bad
+            paid = reward.numpy()
+            if not is_finite(paid):
+                mask = ~np.isfinite(paid) if mask is None else mask | ~np.isfinite(paid)
         if mask is not None and self._pending is not None:
             mask = mask & ~self._pending  # they are being reset anyway
         if mask is not None and mask.any():
             rows = torch.from_numpy(mask)
-            flat = np.where(mask[:, None], last, flat)
-            obs = memory.with_rows(obs, flat, mask)
+            obs = memory.with_rows(obs, last, mask)
+            flat = memory.flatten(obs)
             reward = torch.where(rows, torch.zeros(()), reward)
             info = self._quarantine(info, flags, mask, rows)
             self._dump.write(self.run_dir, mask, self.control_step + 1, given)

@@ -80,14 +80,16 @@ class Articulation(NamedJoints):
         damper = engine.acceleration("qfrc_damper")
         return spring[:, self.dofs] + damper[:, self.dofs]
 
-    def proprioception(self, joint_ids: Columns | None = None) -> tuple[torch.Tensor, ...]:
-        """(qpos, qvel, qf), each (N, k) float32: the door for observations, one allocation."""
+    def proprioception(
+        self, joint_ids: Columns | None = None
+    ) -> tuple[tuple[torch.Tensor, ...], NDArray[np.float32]]:
+        """(qpos, qvel, qf), each (N, k) float32, and (3, N, k) that they are views of."""
         arrays = (self.read_qpos(), self.read_qvel(), self.read_qf())
         if joint_ids is not None:
             arrays = tuple(a[:, joint_ids] for a in arrays)  # type: ignore[assignment]
         out = np.empty((3, *arrays[0].shape), np.float32)
         out[0], out[1], out[2] = arrays
-        return tuple(map(torch.from_numpy, out))
+        return tuple(map(torch.from_numpy, out)), out
 
     def link_velocity(self, body: int) -> torch.Tensor:
         """(N, 6) linear velocity of a body's origin, then angular velocity, world axes.

@@ -30,7 +30,7 @@ class Robot(Articulation):
 
     def get_proprioception(self) -> TensorDict:
         """Joint positions, velocities and efforts: ``qpos``, ``qvel``, ``qf``, (N, D) each."""
-        qpos, qvel, qf = self.proprioception()
+        (qpos, qvel, qf), _ = self.proprioception()
         return TensorDict(
             {"qpos": qpos, "qvel": qvel, "qf": qf},
             batch_size=[self.num_instances],

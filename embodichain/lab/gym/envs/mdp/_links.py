@@ -14,8 +14,6 @@ from embodichain.lab.gym.envs.mdp import _body, _spatial
 from embodichain.utils.math import cross, quat_conjugate, quat_multiply, quat_rotate
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = ["Links"]
@@ -37,12 +35,16 @@ class Links:
         self._relative = in_root_frame
         self._engine = entity.asset.engine
         bodies = [entity.asset.body_of(name) for name in names] or [_body.body_id(entity)]
-        self._ids: NDArray[np.int64] = np.asarray(bodies, np.int64)
+        self._count = len(bodies)
+        # Found here: terms of a task are listed without the engine's modules.
+        from embodichain.lab.sim.objects._arrays import columns_of
+
+        self._ids = columns_of(bodies)
         self._rooted = not names
-        self._com = int(self._engine.model.body_rootid[self._ids[0]])
+        self._com = int(self._engine.model.body_rootid[bodies[0]])
 
     def pose(self) -> tuple[F64, F64]:
-        """Positions (N, L, 3) in metres and orientations (N, L, 4), wxyz."""
+        """Positions (N, L, 3) in metres and orientations (N, L, 4), wxyz: not to be kept."""
         if self._rooted:
             position = _spatial.position(self._root)[:, None]
             quat = _body.orientation(self._root)[:, None]
@@ -51,7 +53,7 @@ class Links:
             quat = self._engine.derived("xquat")[:, self._ids]
         if not self._relative:
             return position, quat
-        inverse = self._inverse(len(self._ids))
+        inverse = self._inverse(self._count)
         delta = position - _spatial.position(self._root)[:, None]
         return quat_rotate(inverse, delta), quat_multiply(inverse, quat)
 
@@ -61,7 +63,7 @@ class Links:
         if not self._relative:
             return linear, angular
         root_linear, root_angular = _body.velocity(self._root)
-        inverse = self._inverse(len(self._ids))
+        inverse = self._inverse(self._count)
         linear, angular = linear - root_linear[:, None], angular - root_angular[:, None]
         return quat_rotate(inverse, linear), quat_rotate(inverse, angular)
 

@@ -7,8 +7,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+import lazy_loader
 import numpy as np
 
+from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp import _body, _spatial
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.engine.base import F64
+else:
+    torch = lazy_loader.load("torch")
 
 __all__ = [
     "GetRobotEefPose",
@@ -82,7 +86,7 @@ def get_rigid_object_pose(
 
 
 @register_term("observation", name="link_pose")
-class LinkPose(Computed):
+class LinkPose(Term):
     """Poses of the picked links, x, y, z, qw, qx, qy, qz: metres, wxyz.
 
     (N, 7) of one link, (N, L, 7) of L; as matrices (N, 4, 4) or (N, L, 4, 4). Isaac Lab's
@@ -108,11 +112,16 @@ class LinkPose(Computed):
         self._links = Links(entity_cfg, in_root_frame)
         self._to_matrix = to_matrix
 
-    def value(self) -> F64:
-        """Float64 poses."""
+    def __call__(self, env: BaseEnv, obs: Any) -> torch.Tensor:
+        """Poses, a tensor of their own."""
         pos, quat = self._links.pose()
-        found = pose_matrix(pos, quat) if self._to_matrix else np.concatenate([pos, quat], axis=2)
-        return found[:, 0] if self._links.single else found
+        if self._to_matrix:
+            found = pose_matrix(pos, quat).astype(np.float32)
+        else:
+            found = np.empty((*pos.shape[:2], 7), np.float32)
+            found[..., :3] = pos
+            found[..., 3:] = quat
+        return torch.from_numpy(found[:, 0] if self._links.single else found)
 
 
 @register_term("observation", name="get_robot_eef_pose")
