@@ -1,7 +1,7 @@
 """What an environment looks like: one `SceneEntity` a body, locked to the body's frame.
 
-Shapes become Foxglove's primitives: a capsule is a cylinder with two spheres, a mesh a list of
-triangles.
+Shapes become Foxglove's primitives: a capsule is a cylinder with two spheres, a mesh a model as GLB
+inside the message.
 """
 
 from __future__ import annotations
@@ -12,24 +12,38 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from embodichain.recording import wire
 from embodichain.recording.foxglove.frames import frame_names
+from embodichain.recording.foxglove.glb import MEDIA_TYPE, glb
 from embodichain.recording.foxglove.messages import (
     Color,
     CubePrimitive,
     CylinderPrimitive,
+    ModelPrimitive,
     Pose,
     Quaternion,
     SceneEntity,
     SceneUpdate,
     SpherePrimitive,
-    TriangleListPrimitive,
     Vector3,
     timestamp,
 )
 from embodichain.recording.shapes import Shape, mesh_of, shapes
 
-__all__ = ["Scene"]
+__all__ = ["Meshes", "Scene"]
+
+
+class Meshes:
+    """Encoded meshes, shared by environments: nothing randomizes their triangles."""
+
+    def __init__(self) -> None:
+        self._encoded: dict[tuple[int, int], bytes] = {}
+
+    def of(self, model: mujoco.MjModel, geom: int) -> bytes:
+        """The GLB of a geom whose shape is a mesh."""
+        key = int(model.geom_type[geom]), int(model.geom_dataid[geom])
+        if key not in self._encoded:
+            self._encoded[key] = glb(mesh_of(model, geom))
+        return self._encoded[key]
 
 
 class Scene:
@@ -38,9 +52,10 @@ class Scene:
     Args:
         model: The environment's model.
         env_id: Which one.
+        meshes: Encoded meshes, this model's or of one with the same.
     """
 
-    def __init__(self, model: mujoco.MjModel, env_id: int) -> None:
+    def __init__(self, model: mujoco.MjModel, env_id: int, meshes: Meshes) -> None:
         names = frame_names(model, env_id)
         self._entities: dict[int, Any] = {}
         for shape in shapes(model):
@@ -49,7 +64,7 @@ class Scene:
                 name = names[shape.body]
                 entity = SceneEntity(frame_id=name, id=name, frame_locked=True)
                 self._entities[shape.body] = entity
-            _DRAW[shape.kind](entity, model, shape)
+            _DRAW[shape.kind](entity, model, shape, meshes)
 
     def update(self, time_ns: int) -> bytes:
         """`SceneUpdate` that replaces all entities, as bytes."""
@@ -81,17 +96,17 @@ def _xyz(values: Any) -> Vector3:
     return Vector3(x=x, y=y, z=z)
 
 
-def _box(entity: Any, model: mujoco.MjModel, shape: Shape) -> None:
+def _box(entity: Any, model: mujoco.MjModel, shape: Shape, meshes: Meshes) -> None:
     size = _xyz(2 * shape.half)
     entity.cubes.append(CubePrimitive(pose=_pose(shape), size=size, color=_color(shape)))
 
 
-def _ellipsoid(entity: Any, model: mujoco.MjModel, shape: Shape) -> None:
+def _ellipsoid(entity: Any, model: mujoco.MjModel, shape: Shape, meshes: Meshes) -> None:
     size = _xyz(2 * shape.half)
     entity.spheres.append(SpherePrimitive(pose=_pose(shape), size=size, color=_color(shape)))
 
 
-def _cylinder(entity: Any, model: mujoco.MjModel, shape: Shape) -> None:
+def _cylinder(entity: Any, model: mujoco.MjModel, shape: Shape, meshes: Meshes) -> None:
     entity.cylinders.append(
         CylinderPrimitive(
             pose=_pose(shape),
@@ -103,37 +118,28 @@ def _cylinder(entity: Any, model: mujoco.MjModel, shape: Shape) -> None:
     )
 
 
-def _capsule(entity: Any, model: mujoco.MjModel, shape: Shape) -> None:
-    _cylinder(entity, model, shape)
+def _capsule(entity: Any, model: mujoco.MjModel, shape: Shape, meshes: Meshes) -> None:
+    _cylinder(entity, model, shape, meshes)
     radius, _, half = shape.half.tolist()
     for end in (-half, half):
         pose, size = _pose(shape, along_z=end), _xyz((2 * radius,) * 3)
         entity.spheres.append(SpherePrimitive(pose=pose, size=size, color=_color(shape)))
 
 
-# A point on the wire: field 2 of the list, 27 bytes, then x, y and z, each one tag and 8 bytes.
-_POINT = np.dtype(
-    [("tag", "u1"), ("len", "u1")]
-    + [item for c in "xyz" for item in ((f"{c}_tag", "u1"), (c, "<f8"))]
-)
+def _mesh(entity: Any, model: mujoco.MjModel, shape: Shape, meshes: Meshes) -> None:
+    entity.models.append(
+        ModelPrimitive(
+            pose=_pose(shape),
+            scale=Vector3(x=1.0, y=1.0, z=1.0),
+            color=_color(shape),
+            override_color=True,
+            media_type=MEDIA_TYPE,
+            data=meshes.of(model, shape.geom),
+        )
+    )
 
 
-def _mesh(entity: Any, model: mujoco.MjModel, shape: Shape) -> None:
-    mesh = mesh_of(model, shape.geom)
-    points = np.empty(len(mesh.vertices), _POINT)
-    points["tag"], points["len"] = 2 << 3 | 2, 27
-    for number, name in enumerate("xyz", start=1):
-        points[f"{name}_tag"] = number << 3 | 1
-        points[name] = mesh.vertices[:, number - 1]
-    indices = mesh.faces.reshape(-1)
-    # Parsed at once by protobuf, instead of one Python object a vertex.
-    triangles = TriangleListPrimitive.FromString(points.tobytes() + wire.array(5, indices, "<u4"))
-    triangles.pose.CopyFrom(_pose(shape))
-    triangles.color.CopyFrom(_color(shape))
-    entity.triangles.append(triangles)
-
-
-_DRAW: dict[str, Callable[[Any, mujoco.MjModel, Shape], None]] = {
+_DRAW: dict[str, Callable[[Any, mujoco.MjModel, Shape, Meshes], None]] = {
     "box": _box,
     "ellipsoid": _ellipsoid,
     "capsule": _capsule,

@@ -20,6 +20,7 @@ from embodichain.lab.sim.engine.base import F64, EnvIndex, Write
 from embodichain.recording.foxglove.frames import Frames
 from embodichain.recording.foxglove.log_lines import ending_text, event_text, ids_text, log_line
 from embodichain.recording.foxglove.metrics import Scalars
+from embodichain.recording.foxglove.scene import Meshes
 from embodichain.recording.foxglove.viewed import Viewed
 from embodichain.recording.mcap_file import Part
 from embodichain.recording.options import RecordLike
@@ -74,7 +75,8 @@ class Views:
         self._sampled = -1
         self._scalars: Scalars | None = None
         model, offsets = env.sim.engine.model, env.sim.arena_offsets
-        self._viewed = [Viewed(model, i) for i in self._ids.tolist()]
+        meshes = Meshes()
+        self._viewed = [Viewed(model, i, meshes) for i in self._ids.tolist()]
         self._frames = Frames(model, self._ids.tolist(), offsets[self._ids].tolist())
         self.channels = {"/log": "foxglove.Log"}
         if self._viewed:

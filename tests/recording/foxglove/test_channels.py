@@ -12,7 +12,9 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from embodichain.recording import McapRecorder, inspect
+from embodichain.recording.foxglove.glb import glb
 from embodichain.recording.options import RecordOptions
+from embodichain.recording.shapes import Mesh
 from tests.recording.scene import MODEL, SmallEnv
 
 VIEW = RecordOptions(view_envs=(0, 2), view_hz=1000)  # every control step
@@ -62,7 +64,7 @@ def test_every_message_of_the_file_is_decoded(watched):
     found = decoded(path)
     assert len(found) == inspect(path).messages
     assert {topic for topic, _, _ in found} == {
-        "/sim/state", "/sim/step", "/sim/write", "/sim/event", "/tf", "/log",
+        "/sim/state", "/sim/step", "/sim/write", "/sim/event", "/episode", "/tf", "/log",
         "/env_0/scene", "/env_0/joint_states", "/env_0/metrics",
         "/env_2/scene", "/env_2/joint_states", "/env_2/metrics",
     }  # fmt: skip
@@ -125,10 +127,9 @@ def test_the_scene_is_shown_once_a_reset(watched):
     assert upper.cylinders[0].color.r == pytest.approx(0.8)
     ends = sorted(s.pose.position.x for s in upper.spheres)
     assert ends == pytest.approx([0, 0.3], abs=1e-12)
-    wedge = entities["env_2/arm/fore"].triangles[0]
-    assert len(wedge.indices) == 3 * MODEL.mesh_facenum[0]
-    points = np.array([(p.x, p.y, p.z) for p in wedge.points])
-    assert np.array_equal(points, MODEL.mesh_vert)
+    wedge = entities["env_2/arm/fore"].models[0]
+    assert (wedge.media_type, wedge.override_color, wedge.scale.z) == ("model/gltf-binary", True, 1)
+    assert wedge.data == glb(Mesh(MODEL.mesh_vert, MODEL.mesh_face))
     plane = entities["env_2"].cubes[0]  # infinite: drawn as a thin slab whose top is z = 0
     assert plane.pose.position.z + plane.size.z / 2 == pytest.approx(0)
 
@@ -199,7 +200,7 @@ def test_views_are_sampled_at_most_as_often_as_asked(record):
 def test_no_views(record):
     path = record(options=RecordOptions(view_envs=()))
     assert {c.topic for c in inspect(path).channels} == {
-        "/log", "/sim/state", "/sim/step", "/sim/physics", "/sim/write", "/sim/event",
+        "/log", "/episode", "/sim/state", "/sim/step", "/sim/physics", "/sim/write", "/sim/event",
     }  # fmt: skip
 
 
