@@ -15,6 +15,7 @@ from embodichain.cli import exits
 from embodichain.cli.arguments import VerbParser, add_common, print_json
 from embodichain.cli.evaluating import Asked, evaluate_job, evaluation_config
 from embodichain.cli.exits import Interrupted
+from embodichain.cli.filming import check_film, film_job
 from embodichain.cli.jobs import COMMAND_VARIABLE, Job, execute, given
 from embodichain.cli.stopping import StopFlag
 from embodichain.cli.trained import find_target, split_words, take
@@ -96,7 +97,9 @@ class _Plan:
         root = run.root
         if not root.quiet and not root.json:
             sys.stderr.write(f"{run.resolved.task_name}: {run.folder}\n")
+        check_film(run)
         result = evaluate_job(run, stop, self.asked)
+        result |= film_job(run, result["log"])
         if root.json:
             print_json(result)
         elif not root.quiet:

@@ -16,6 +16,7 @@ import hydra
 from omegaconf import DictConfig
 
 from embodichain.cli.exits import Interrupted
+from embodichain.cli.filming import check_film, film_job
 from embodichain.cli.hydra_verb import call_verb
 from embodichain.cli.jobs import Job, execute
 from embodichain.cli.stopping import StopFlag
@@ -53,6 +54,7 @@ def _run(run: Job, stop: StopFlag) -> float | None:
     }
     if not root.quiet and not root.json:
         sys.stderr.write(f"{facts['task']}: {run.folder}\n")
+    check_film(run)
     try:
         outcome, log = _simulate(run, stop)
     except Exception as error:
@@ -66,6 +68,7 @@ def _run(run: Job, stop: StopFlag) -> float | None:
     summary = summarize(outcome, facts)
     _write_summary(run.folder, summary)
     _log.info("summary: %s", json.dumps(summary, default=str))
+    summary |= film_job(run, log)
     if root.json:
         from embodichain.cli.arguments import print_json
 

@@ -57,9 +57,8 @@ def print_summary(summary: dict[str, Any]) -> None:
     rows += [(f"reward {name}", value) for name, value in summary["rewards"].items()]
     if summary["diverged"]:
         rows.append(("diverged", f"{summary['diverged']} episodes"))
-    rows += [
-        (name, summary[name]) for name in ("seed", "log", "folder") if summary.get(name) is not None
-    ]
+    names = ("seed", "log", "video", "folder")
+    rows += [(name, summary[name]) for name in names if summary.get(name) is not None]
     print_facts(str(summary["task"]), rows)
 
 

@@ -17,6 +17,7 @@ from omegaconf import DictConfig
 from embodichain.cli.evaluated import brief_rows
 from embodichain.cli.evaluating import Asked, evaluate_job, evaluation_config
 from embodichain.cli.exits import Interrupted
+from embodichain.cli.filming import check_film, film_job
 from embodichain.cli.hydra_verb import call_verb
 from embodichain.cli.jobs import Job, execute
 from embodichain.cli.stopping import StopFlag
@@ -43,6 +44,7 @@ def job(composed: DictConfig) -> float | None:
 
 def _train(run: Job, stop: StopFlag) -> float | None:
     """Learn, evaluate what was learned, show both."""
+    check_film(run)
     asked = _asked(run)
     evaluated = None if asked is None else evaluation_config(run.resolved, asked)
     summary = _learn(run, stop)
@@ -71,7 +73,8 @@ def _evaluate(run: Job, evaluated: Resolved, stop: StopFlag, asked: Asked) -> di
     policy = str((run.folder / CHECKPOINT).resolve())
     resolved = dataclasses.replace(evaluated, tree=freeze({**evaluated.tree, "policy": policy}))
     found = evaluate_job(Job(resolved, resolved.root, run.folder), stop, asked)
-    return add_evaluation(run.folder, found)
+    summary = add_evaluation(run.folder, found)
+    return summary | film_job(run, found["log"])
 
 
 def _learn(run: Job, stop: StopFlag) -> dict[str, Any]:

@@ -38,8 +38,9 @@ def check_root(root: RootCfg, *, allow_import: bool = True) -> list[Problem]:
     if root.viewer.name != "none" and root.viewer.env >= count:
         message = f"no such environment: {root.viewer.env}; num_envs is {count}"
         problems.append(Problem("viewer.env", message))
-    if root.video:
-        problems.append(Problem("video", "not available yet; leave it at null"))
+    if root.video and (root.record.format == "none" or root.record.state == "none"):
+        message = "films are made from the log: they need record=mcap with record.state=all"
+        problems.append(Problem("video", message))
     return problems
 
 

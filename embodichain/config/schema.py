@@ -133,7 +133,7 @@ class RootCfg:
     checkpoint: CheckpointCfg = CheckpointCfg()
     eval: EvalCfg = EvalCfg()
     video: bool | None = None
-    """Not available yet."""
+    """Whether the first environment of the log is filmed, too."""
     gym_config: str | None = None
     """The file of EmbodiChain's that the task was converted from."""
     output_dir: str = "outputs"

@@ -193,6 +193,8 @@ def _plan(resolved: Resolved) -> _Plan:
         problems.append(Problem("seed", message))
     if root.resume is not None and not Path(root.resume).is_dir():
         problems.append(Problem("resume", f"there is no run folder {root.resume!r}"))
+    if root.video and not root.eval.episodes:
+        problems.append(Problem("video", "there is no evaluation to film: eval.episodes is 0"))
     name = root.algo.name if root.algo is not None else DEFAULT_ALGORITHM
     arguments: dict[str, object] = {}
     normalize: dict[str, Any] | None = None

@@ -83,3 +83,22 @@ def test_what_the_evaluation_cannot_show_is_said_before_it_trains(capsys):
     assert main(["train", *TINY, "eval.episodes=2", "record.view_envs=[3]"]) == 2
     assert "record.view_envs: no such environments: [3]" in capsys.readouterr().err
     assert not list(Path("outputs").rglob("checkpoints"))
+
+
+def test_films(trained, capsys, monkeypatch):
+    pytest.importorskip("imageio_ffmpeg")
+    lines = ("video=true", "episodes=1")
+    found = told(capsys, "eval", str(trained), *lines)
+    film = Path(found["folder"]) / "rollout.mp4"
+    assert found["video"] == str(film) and film.read_bytes()[4:8] == b"ftyp"
+    assert "video" not in json.loads((film.parent / "eval.json").read_text())
+    found = told(capsys, "train", *TINY, "eval.episodes=1", "video=true")
+    assert found["eval"]["episodes"] == 1
+    assert (Path(found["folder"]) / "rollout.mp4").is_file()
+    assert main(["train", *TINY, "eval.episodes=0", "video=true"]) == 2
+    assert "video: there is no evaluation to film" in capsys.readouterr().err
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    before = len(list(Path("outputs").rglob("checkpoints")))
+    assert main(["train", *TINY, "video=true"]) == 2
+    assert "pip install 'embodichain[video]'" in capsys.readouterr().err
+    assert len(list(Path("outputs").rglob("checkpoints"))) == before

@@ -262,9 +262,10 @@ BAD = {
         "command line: policy: no such file or folder: runs/old.zip",
         overrides=("policy=runs/old.zip",),
     ),
-    "not available yet": bad(
-        "command line: video: not available yet; leave it at null",
-        overrides=("video=true",),
+    "a film of nothing": bad(
+        "command line: video: films are made from the log: they need record=mcap with "
+        "record.state=all",
+        overrides=("video=true", "record=none"),
     ),
     "wrong command": bad(
         "command line: task.commands.go.func: unknown command term 'uniform_velocty'; allowed: "
