@@ -1,8 +1,8 @@
-"""`serve_studio`: MuJoCo Studio's web viewer on one address, for looking only.
+"""`Studio`: MuJoCo Studio's web viewer on one address, for looking only.
 
 MuJoCo 4.0's web viewer listens on every interface, takes files that are dropped on its page,
 answers pages of other sites, and prints to stdout. All of that is changed here and nowhere else, by
-two seams: `_Studio` gives the address, and `_guard_serving` puts a check before every request.
+two seams: `_Viewer` gives the address, and `_guard_serving` puts a check before every request.
 Where a MuJoCo has them no more, nothing is served. Importing this imports MuJoCo Studio.
 """
 
@@ -14,7 +14,6 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 from urllib.parse import urlsplit
 from weakref import WeakKeyDictionary
@@ -22,42 +21,23 @@ from weakref import WeakKeyDictionary
 import mujoco
 from mujoco.studio import launch_thread, viewer_protocol, web_viewer
 from mujoco.studio.web import web_server
-from websockets.datastructures import Headers
-from websockets.http11 import Request, Response
 
 from embodichain.utils.addresses import is_loopback
-from embodichain.utils.errors import RenderError
+from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["Studio", "serve_studio"]
+__all__ = ["Studio"]
 
 _log = logging.getLogger(__name__)
 _START_SECONDS = 20.0
 _IDLE_SECONDS = 0.05
+_LOOPBACK = ("localhost", "127.0.0.1", "::1")
+
+_in_use = threading.Lock()
+"""Dear ImGui's context belongs to the process: there is one page at a time."""
 
 
-@dataclass(frozen=True, slots=True)
 class Studio:
-    """A page that is being served.
-
-    Attributes:
-        handle: Studio's: takes messages, and is to be closed.
-        url: Where the page is.
-    """
-
-    handle: Any
-    url: str
-    _guard: _Guard
-
-    @property
-    def watched(self) -> bool:
-        """Whether a browser has the page open."""
-        return self._guard.connections > 0
-
-
-def serve_studio(
-    model: mujoco.MjModel, host: str, port: int | None, title: str, plugins: Sequence[Any]
-) -> Studio:
-    """Serve a model's page from a thread of its own.
+    """Serves a model's page from threads of its own until it is closed.
 
     Args:
         model: Shown first; copied.
@@ -66,35 +46,75 @@ def serve_studio(
         title: Of the page.
         plugins: Studio's viewer plugins.
 
+    Attributes:
+        url: Where the page is.
+
     Raises:
-        RenderError: The address cannot be listened on, or this MuJoCo's viewer cannot be confined.
+        ConfigError: The address cannot be listened on, this MuJoCo's viewer cannot be confined, or
+            this process has a page already.
     """
-    _guard_serving()
-    made: list[_Studio] = []
-    ready = threading.Event()
 
-    def run(endpoint: Any) -> None:
+    def __init__(
+        self, model: mujoco.MjModel, host: str, port: int | None, title: str, plugins: Sequence[Any]
+    ) -> None:
+        if not _in_use.acquire(blocking=False):
+            raise _refused("this process shows a page already, and can show one at a time")
+        self._closed = False
+        made: list[_Viewer] = []
+        ready = threading.Event()
+
+        def run(endpoint: Any) -> None:
+            try:
+                config = viewer_protocol.ViewerConfig(title=title, gfx="web", http_port=port or 0)
+                made.append(_Viewer(host, config, endpoint, model=model, plugins=list(plugins)))
+            finally:
+                ready.set()
+            viewer_protocol.run_viewer_loop(made[0])
+
+        _guard_serving()
+        self._handle = launch_thread.launch_thread(run)
+        ready.wait(_START_SECONDS)
+        if not made:
+            _in_use.release()
+            self._fail(host)
+        self.url = made[0].url
+        self._guard = made[0].guard
+
+    @property
+    def watched(self) -> bool:
+        """Whether a browser has the page open."""
+        return self._guard.connections > 0
+
+    def send(self, message: Any) -> None:
+        """Hand the viewer one of Studio's messages."""
+        self._handle.send_to_viewer(message)
+
+    def close(self, reason: str) -> None:
+        """Serve no longer. A viewer that had failed is logged, and no reason to fail.
+
+        Args:
+            reason: What open pages say.
+        """
+        if self._closed:
+            return
+        self._closed = True
         try:
-            config = viewer_protocol.ViewerConfig(title=title, gfx="web", http_port=port or 0)
-            made.append(_Studio(host, config, endpoint, model=model, plugins=list(plugins)))
+            self._handle.close(reason)
+        except Exception:  # noqa: BLE001 - whatever Studio raised in its thread
+            _log.warning("the web viewer had failed", exc_info=True)
         finally:
-            ready.set()
-        viewer_protocol.run_viewer_loop(made[0])
+            _in_use.release()
 
-    handle = launch_thread.launch_thread(run)
-    ready.wait(_START_SECONDS)
-    if not made:
+    def _fail(self, host: str) -> None:
+        """Say why there is no viewer."""
         try:
-            handle.close()
+            self._handle.close()  # raises what its thread raised
         except Exception as error:
-            raise RenderError(f"no web viewer on {host}: {error}") from error
-        raise RenderError(f"no web viewer on {host}: it does not start")
-    name = "127.0.0.1" if host in ("0.0.0.0", "::") else host
-    shown = f"[{name}]" if ":" in name else name
-    return Studio(handle, f"http://{shown}:{made[0].port}/", made[0].guard)
+            raise _refused(f"cannot listen on {host}: {error}") from error
+        raise _refused(f"cannot listen on {host}: MuJoCo's viewer does not start")
 
 
-class _Studio(web_viewer.WebViewer):  # type: ignore[misc]
+class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
     """Studio's web viewer, which binds `_host`: here that is the address it is told."""
 
     def __init__(self, host: str, *args: Any, **kwargs: Any) -> None:
@@ -110,16 +130,16 @@ class _Studio(web_viewer.WebViewer):  # type: ignore[misc]
         """MuJoCo sets what it would listen on; it is not heard."""
 
     @property
-    def port(self) -> int:
-        """The port it listens on."""
-        number: int = self._http_sock.getsockname()[1]
-        return number
+    def url(self) -> str:
+        """Where the page is, for a browser on this machine."""
+        host = "127.0.0.1" if self._address in ("0.0.0.0", "::") else self._address
+        name = f"[{host}]" if ":" in host else host
+        return f"http://{name}:{self._http_sock.getsockname()[1]}/"
 
     def _start_server(self) -> None:
         """Start serving, if the socket is what it should be; and make sure requests are checked."""
         bound = self._http_sock.getsockname()[0]
-        wanted = {info[4][0] for info in socket.getaddrinfo(self._address, None)}
-        if bound not in wanted:
+        if bound not in {found[4][0] for found in socket.getaddrinfo(self._address, None)}:
             raise RuntimeError(f"MuJoCo {mujoco.__version__} listens on {bound}")
         self._http_sock.listen()  # a port that is taken fails here, not in the server's thread
         self.guard = _GUARDS[self._http_sock] = _Guard(self._address)
@@ -153,9 +173,9 @@ class _Guard:
     """
 
     def __init__(self, host: str) -> None:
-        self.connections = 0
-        self._names = {host.lower(), "localhost", "127.0.0.1", "::1"} if is_loopback(host) else None
+        self._names = {host.lower(), *_LOOPBACK} if is_loopback(host) else None
         self.serving = threading.Event()
+        self.connections = 0
 
     async def count(self, handler: Callable[[Any], Any], websocket: Any) -> None:
         """Handle a connection, and know of it."""
@@ -165,14 +185,14 @@ class _Guard:
         finally:
             self.connections -= 1
 
-    def refusal(self, request: Request) -> Response | None:
-        """Why a request is not answered, or None.
+    def refusal(self, request: Any) -> Any:
+        """The answer to a request that is not heard, or None.
 
         No page of another site may talk to the viewer: browsers let any page open a WebSocket
-        anywhere and say where it comes from in ``Origin``. A name that is not ours in ``Host``
-        is a site whose name was pointed at this machine.
+        anywhere, and say where it comes from in ``Origin``. A name in ``Host`` that is not ours is
+        a site's whose name was pointed at this machine.
         """
-        if request.path.partition("?")[0].rstrip("/").endswith("/drop"):
+        if request.path.partition("?")[0].endswith("/drop"):
             return _forbidden("this viewer takes no files")
         named = request.headers.get_all("Host")
         if len(named) != 1:
@@ -188,10 +208,6 @@ class _Guard:
 _GUARDS: WeakKeyDictionary[socket.socket, _Guard] = WeakKeyDictionary()
 
 
-def _forbidden(why: str) -> Response:
-    return Response(403, "Forbidden", Headers(), f"{why}\n".encode())
-
-
 def _guard_serving() -> None:
     """Once in a process: check requests to guarded sockets first; say nothing on stdout."""
     plain: Callable[..., Any] = web_server.serve
@@ -204,7 +220,7 @@ def _guard_serving() -> None:
             return plain(handler, *args, **kwargs)
         answer = kwargs["process_request"]
 
-        def checked(connection: Any, request: Request) -> Response | None:
+        def checked(connection: Any, request: Any) -> Any:
             refused = guard.refusal(request)
             return answer(connection, request) if refused is None else refused
 
@@ -217,3 +233,11 @@ def _guard_serving() -> None:
     web_viewer.print = lambda *words, **options: _log.debug("%s", " ".join(map(str, words)))
     web_server.logger.handlers.clear()
     web_server.logger.propagate = True
+
+
+def _forbidden(why: str) -> Any:
+    return web_server.Response(403, "Forbidden", web_server.Headers(), f"{why}\n".encode())
+
+
+def _refused(why: str) -> ConfigError:
+    return ConfigError([Problem("viewer", why)])

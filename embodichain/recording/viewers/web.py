@@ -40,7 +40,7 @@ class WebView(StepObserver):
         title: Of the page.
 
     Raises:
-        RenderError: The address cannot be listened on.
+        ConfigError: The address cannot be listened on.
     """
 
     def __init__(

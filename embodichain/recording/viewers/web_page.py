@@ -5,7 +5,6 @@ It knows no environment: `web.py` shows a running one with it, `replay --view` a
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable
 
@@ -17,7 +16,6 @@ from embodichain.recording.viewers.controls import Controls, Facts
 
 __all__ = ["LOOKS", "WebPage"]
 
-_log = logging.getLogger(__name__)
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _NAP = 0.02
 _LATE = 0.1
@@ -48,7 +46,7 @@ class WebPage:
         stopped: Whether to wait for nobody any more.
 
     Raises:
-        RenderError: The address cannot be listened on; or there is a page already.
+        ConfigError: The address cannot be listened on; or there is a page already.
     """
 
     def __init__(
@@ -64,14 +62,14 @@ class WebPage:
         resets: bool = True,
         stopped: Callable[[], bool] = lambda: False,
     ) -> None:
-        from embodichain.recording.viewers.studio import serve_studio
+        from embodichain.recording.viewers.studio import Studio
         from embodichain.recording.viewers.web_panel import Panel
 
         self._controls = Controls(num_envs, env_id, realtime, resets)
         self._stopped = stopped
         self._looks = _looks_of(model)
         self._due: float | None = None
-        self._studio = serve_studio(model, host, port, title, [Panel(title, self._controls)])
+        self._studio = Studio(model, host, port, title, [Panel(title, self._controls)])
         self.url = self._studio.url
 
     @property
@@ -100,7 +98,7 @@ class WebPage:
         looks = _looks_of(model)
         if looks != self._looks:
             self._looks = looks
-            self._studio.handle.send_to_viewer(messages.ModelEvent(model=model))
+            self._studio.send(messages.ModelEvent(model=model))
 
     def show(self, row: F64, facts: Facts | None = None) -> None:
         """Show a state.
@@ -111,9 +109,7 @@ class WebPage:
         """
         from mujoco.studio import messages
 
-        self._studio.handle.send_to_viewer(
-            messages.StateSnapshot(state=np.array(row, np.float64), state_sig=_STATE)
-        )
+        self._studio.send(messages.StateSnapshot(state=np.array(row, np.float64), state_sig=_STATE))
         if facts is not None:
             self._controls.tell(facts)
 
@@ -150,11 +146,8 @@ class WebPage:
         return self._controls.take_reset()
 
     def close(self) -> None:
-        """Serve no longer. A viewer that failed is logged, and no reason to fail."""
-        try:
-            self._studio.handle.close(reason="The run has ended.")
-        except Exception:  # noqa: BLE001 - whatever Studio raised in its thread
-            _log.warning("the web viewer had failed", exc_info=True)
+        """Serve no longer; again is nothing."""
+        self._studio.close("The run has ended.")
 
     def _waits(self) -> bool:
         return self.watched and not self._stopped()
