@@ -59,8 +59,12 @@ class RecordCfg:
     """What a run writes into its log."""
 
     format: Literal["mcap", "none"] = "mcap"
-    state: Literal["all", "none"] = "all"
-    """`all` keeps what `replay --verify` needs of every environment."""
+    state: Literal["all", "keyframes", "none"] = "all"
+    """`all` keeps what `replay --verify` needs of every environment; `keyframes` too, in less."""
+    keyframe_every: Annotated[int, Field(ge=1)] = 100
+    """Control steps from one state to the next with `keyframes`."""
+    max_mb: Annotated[float, Field(gt=0)] | None = None
+    """Megabytes after which the log goes on in another file."""
     compression: Literal["zstd", "lz4", "none"] = "lz4"
     view_envs: list[Annotated[int, Field(ge=0)]] = [0]
     """Environments that people look at: transforms, shapes, joint states."""

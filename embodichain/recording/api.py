@@ -14,6 +14,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from embodichain.lab.gym.envs.snapshot import Snapshot
 from embodichain.recording import wire
 from embodichain.recording.archive import load_mjz
 from embodichain.recording.arrays import LogArrays
@@ -26,6 +27,7 @@ from embodichain.recording.header import Header, LogError
 from embodichain.recording.messages import WriteRecord
 from embodichain.recording.metrics import read_metrics
 from embodichain.recording.model_columns import Column, state_columns
+from embodichain.recording.rebuild import FilledFile
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -34,19 +36,22 @@ __all__ = ["Log", "open"]
 T = TypeVar("T")
 
 
-def open(path: str | Path) -> Log:
+def open(path: str | Path, simulate: bool = False) -> Log:
     """Open a log; its messages are read when they are asked for. Close it, or use `with`.
 
     A broken file is read up to where it is good: `complete` is False, and `warnings` says why.
 
     Args:
-        path: A log, or the folder of a run.
+        path: A log, the manifest of one in several files, or the folder of a run. The first file
+            of several stands for all of them; any other is opened alone.
+        simulate: Whether states between the keyframes of a log with `record.state=keyframes` are
+            simulated again, from the file alone. Without it only keyframes are read.
 
     Raises:
         ConfigError: If the file is missing, empty or not MCAP.
         LogError: If it is not a log of embodichain's.
     """
-    return Log(path)
+    return Log(path, simulate)
 
 
 class Log:
@@ -57,10 +62,9 @@ class Log:
         header: What was recorded and how: task, seed, num_envs, time steps, layout of states.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        path = Path(path)
-        self.path = path / "rollout.mcap" if path.is_dir() else path
-        self._file = ChunkFile(self.path)
+    def __init__(self, path: str | Path, simulate: bool = False) -> None:
+        self._file = FilledFile(Path(path)) if simulate else ChunkFile(Path(path))
+        self.path = self._file.path
         try:
             self.header: Header = self._file.require_header()
             if not self.header.period_ns:
@@ -127,7 +131,7 @@ class Log:
             return [f"recovered from a broken file: {self._file.recovered}"]
         if not self._file.finished:
             return ["the recorder did not close this log: its last steps may be missing"]
-        return []
+        return [self._file.part_note] if self._file.part_note else []
 
     @cached_property
     def versions(self) -> dict[str, str]:
@@ -300,11 +304,31 @@ class Log:
             raise ConfigError(f"steps from {span.start} to {span.stop}: give 0 <= from <= to")
         components = [name for name in names if name in self.header.layout]
         outcomes = [name for name in names if name in OUTCOMES]
-        gatherer = Gatherer(self._file, components, outcomes, self._envs(env), span)
+        ids = self._envs(env)
+        if isinstance(self._file, FilledFile):
+            self._file.only = ids
+        gatherer = Gatherer(self._file, components, outcomes, ids, span)
         gatherer.run()
         return gatherer
 
     # -- the rest ----------------------------------------------------------------------------------
+
+    def snapshot(self, env: int, episode: int | None = None, step: int | None = None) -> Snapshot:
+        """One environment before a control step: `env.restore(log, ...)` goes on from there.
+
+        Args:
+            env: The environment.
+            episode: One of its episodes; None counts steps from the start of the recording.
+            step: Finished control steps, from the start of the episode or of the recording; None
+                is 0.
+
+        Raises:
+            ConfigError: If there is no such moment in the log.
+            LogError: If the log has no states, or is damaged there.
+        """
+        from embodichain.recording.snapshots import snapshot
+
+        return snapshot(self, env, episode, step)
 
     @cached_property
     def episodes(self) -> list[LogEpisode]:
@@ -344,6 +368,8 @@ class Log:
 
     def raw_messages(self) -> Iterator[tuple[str, int, memoryview]]:
         """Yield topic, log time in ns and bytes of every message, in file order."""
+        if isinstance(self._file, FilledFile):
+            self._file.only = None
         return self._file.messages()
 
     def _decoded(self, topic: str, decode: Callable[[Any], T]) -> Iterator[T]:

@@ -14,11 +14,10 @@ import numpy as np
 import yaml
 
 from embodichain.recording.archive import scene_archive
-from embodichain.recording.writer import McapThread
 
 __all__ = [
     "Attachment",
-    "attach_all",
+    "attachments_of",
     "load_mjb",
     "model_bytes",
     "model_digest",
@@ -79,16 +78,14 @@ def overrides_yaml(overrides: str | Sequence[str]) -> str:
     return yaml.safe_dump(list(overrides), allow_unicode=True)
 
 
-def attach_all(
-    file: McapThread,
+def attachments_of(
     mjb: bytes,
     spec: mujoco.MjSpec | None,
     config: str,
     overrides: str | Sequence[str],
     layout: Mapping[str, Any],
-    time_ns: int,
-) -> None:
-    """Write every attachment; runs on the background thread."""
+) -> list[Attachment]:
+    """Every attachment of a log."""
     attachments: list[Attachment] = [
         ("model.mjb", "application/octet-stream", mjb),
         ("config.yaml", "application/yaml", config.encode()),
@@ -98,5 +95,4 @@ def attach_all(
     ]
     if spec is not None:
         attachments.insert(1, ("scene.mjz", "application/zip", scene_archive(spec)))
-    for name, media_type, data in attachments:
-        file.attach(name, media_type, data, time_ns)
+    return attachments

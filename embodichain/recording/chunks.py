@@ -2,11 +2,13 @@
 
 The container is walked from record to record (https://mcap.dev/spec), skipping what chunks hold, so
 that a whole file and one that was cut are found the same way, and a range of steps costs only the
-chunks it lies in. What messages mean is not known here.
+chunks it lies in. What messages mean is not known here, but where a later file of a log (`parts`)
+repeats what the simulation was.
 """
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,9 +24,13 @@ from embodichain.recording.header import (
     METADATA_RECOVERED,
     Header,
     LogError,
+    check_part,
 )
 from embodichain.recording.mcap_file import MAGIC
+from embodichain.recording.messages import is_start
+from embodichain.recording.parts import first_file, missing_part, part_name
 from embodichain.recording.records import CUT, DamageError, chunk_content, parse
+from embodichain.recording.wire import WireError
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["ChunkFile", "ChunkPlace", "Found"]
@@ -41,6 +47,10 @@ Found = tuple[str, int, memoryview]
 """Topic, log time in ns, payload."""
 
 
+class _UnknownChannelError(DamageError):
+    """A message belongs to a channel that was not declared in what was read."""
+
+
 @dataclass(frozen=True, slots=True)
 class ChunkPlace:
     """Where a chunk lies.
@@ -51,6 +61,7 @@ class ChunkPlace:
         size: Bytes it unpacks to.
         offset: Where its record begins, after opcode and length.
         length: Bytes of the record.
+        part: Number of the file it lies in, of those that were opened.
     """
 
     start_ns: int
@@ -58,13 +69,15 @@ class ChunkPlace:
     size: int
     offset: int
     length: int
+    part: int = 0
 
 
 class ChunkFile:
     """The chunks, attachments and metadata of a file; the messages are still in it.
 
     Args:
-        path: The file.
+        path: The file, the manifest of several, or a run's folder. The first file of several stands
+            for all of them; any other is read alone.
 
     Raises:
         ConfigError: If the file is missing, empty or not MCAP.
@@ -72,7 +85,7 @@ class ChunkFile:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path = path = first_file(path)
         if not path.is_file():
             what = "is not a file" if path.exists() else "does not exist"
             raise ConfigError(f"{path} {what}")
@@ -88,68 +101,122 @@ class ChunkFile:
         """Whether the file has its end."""
         self.damage = ""
         """Why reading ended before that; grows when a damaged chunk is met."""
+        self.alone = ""
+        """Why this file is only a part of a log, where nothing of it is lost."""
         self._attachments: dict[str, tuple[int, int]] = {}
-        self._stream: BinaryIO = path.open("rb")
+        self._next = ""
+        self._introduced = -1  # the last file that has said what it is
+        self._learned = False  # whether chunks were read for their channels
+        self._streams: list[BinaryIO] = []
         try:
-            self._walk()
+            self._open(path)
+            while self._walk() and self._next and self._go_on():
+                pass
         except BaseException:
             self.close()
             raise
 
+    def _open(self, path: Path) -> None:
+        self._streams.append(path.open("rb"))
+        self._stream = self._streams[-1]
+
+    @property
+    def files(self) -> list[Path]:
+        """The files that were opened."""
+        names = (part_name(self.path.name, part) for part in range(len(self._streams)))
+        return [self.path.with_name(name) for name in names]
+
     def close(self) -> None:
         """Close the file."""
-        self._stream.close()
+        for stream in self._streams:
+            stream.close()
 
     # -- the container -----------------------------------------------------------------------------
 
-    def _walk(self) -> None:
-        magic = self._stream.read(len(MAGIC))
+    def _go_on(self) -> bool:
+        """Open the file that continues the log, if this is to be read as a whole."""
+        name, self._next = Path(self._next).name, ""
+        if self.require_header().part:
+            self.alone = f"it goes on in {name}"
+            return False
+        name = part_name(self.path.name, len(self._streams))
+        path = self.path.with_name(name)
+        if path.is_file():
+            self.complete = self.finished = False
+            self._open(path)
+            return True
+        says, lost = missing_part(self.path, name)
+        self.complete, self.finished = not lost, not lost
+        self.damage, self.alone = (says, "") if lost else ("", says)
+        return False
+
+    def _walk(self) -> bool:
+        """Note what the last of the files holds; whether it has its end."""
+        stream, first = self._stream, len(self._streams) == 1
+        name, begins = Path(stream.name), len(self.chunks)
+        prefix = "" if first else f"{name.name}: "
+        magic = stream.read(len(MAGIC))
         if magic != MAGIC:
             what = "is empty" if not magic else "is not an MCAP file"
-            raise ConfigError(f"{self.path} {what}")
-        size, at = self.path.stat().st_size, len(MAGIC)
+            if first:
+                raise ConfigError(f"{self.path} {what}")
+            self.damage = f"{prefix}{CUT if MAGIC.startswith(magic) else what}"
+            return False
+        size, at = os.fstat(stream.fileno()).st_size, len(MAGIC)
         while True:
-            head = self._stream.read(_HEAD.size)
+            head = stream.read(_HEAD.size)
             if len(head) < _HEAD.size:
                 break
             opcode, length = _HEAD.unpack(head)
             if not opcode:  # zeros would take minutes, nine bytes at a time
-                self.damage = "what follows is no record: zeros, perhaps after a power cut"
-                return
+                self.damage = f"{prefix}what follows is no record: zeros, perhaps after a power cut"
+                return False
             at += _HEAD.size
             if length > size - at:
                 break
             try:
-                self._note(opcode, at, length)
+                self._note(opcode, at, length, len(self.chunks) == begins)
             except _DAMAGE as error:
-                self.damage = f"a record is damaged ({error})"
-                return
+                self.damage = f"{prefix}a record is damaged ({error})"
+                return False
             if opcode == Opcode.FOOTER:
                 self.complete = True
-                return
+                return True
             at += length
-            self._stream.seek(at)
-        self.damage = CUT
+            stream.seek(at)
+        self.damage = f"{prefix}{CUT}"
+        return False
 
-    def _note(self, opcode: int, at: int, length: int) -> None:
+    def _note(self, opcode: int, at: int, length: int, head: bool) -> None:
         """Take over what the record at `at` says."""
+        stream, part = self._stream, len(self._streams) - 1
         if opcode == Opcode.CHUNK:
-            start, end, size = _CHUNK.unpack(self._stream.read(_CHUNK.size))
-            self.chunks.append(ChunkPlace(start, end, size, at, length))
+            if head and part and self._introduced < part:
+                raise DamageError("it does not say which log it is a part of")
+            start, end, size = _CHUNK.unpack(stream.read(_CHUNK.size))
+            self.chunks.append(ChunkPlace(start, end, size, at, length, part))
         elif opcode == Opcode.METADATA and length < _KEPT_LIMIT:
-            record: Any = parse((opcode, self._stream.read(length)))
-            if record.name == METADATA:
-                self.header = Header.from_metadata(record.metadata)
-            elif record.name == METADATA_END:
-                self.finished = True
-            elif record.name == METADATA_RECOVERED:
-                self.recovered = record.metadata.get("why", "") or "no reason is given"
-        elif opcode == Opcode.ATTACHMENT and length < _KEPT_LIMIT:
-            self._stream.seek(at + 16)  # after log time and creation time
-            (n,) = struct.unpack("<I", self._stream.read(4))
+            record: Any = parse((opcode, stream.read(length)))
+            self._note_metadata(record, part)
+        elif opcode == Opcode.ATTACHMENT and length < _KEPT_LIMIT and not part:
+            stream.seek(at + 16)  # after log time and creation time
+            (n,) = struct.unpack("<I", stream.read(4))
             if n > length:
                 raise DamageError("a name is longer than its record")
-            self._attachments[self._stream.read(n).decode()] = (at, length)
+            self._attachments[stream.read(n).decode()] = (at, length)
+
+    def _note_metadata(self, record: Any, part: int) -> None:
+        if record.name == METADATA:
+            if part:
+                check_part(self.require_header(), record.metadata, part)
+            else:
+                self.header = Header.from_metadata(record.metadata)
+            self._introduced = part
+        elif record.name == METADATA_END:
+            self.finished = True
+            self._next = record.metadata.get("next", "")
+        elif record.name == METADATA_RECOVERED:
+            self.recovered = record.metadata.get("why", "") or "no reason is given"
 
     def require_header(self) -> Header:
         """The metadata of the recording.
@@ -161,6 +228,11 @@ class ChunkFile:
             why = f" ({self.damage})" if self.damage else ""
             raise LogError(f"{self.path} has no metadata record {METADATA!r}{why}")
         return self.header
+
+    @property
+    def part_note(self) -> str:
+        """Which part of a log this is, if it is not all of it and nothing is lost."""
+        return self.require_header().part_note(self.alone)
 
     @property
     def attachments(self) -> list[str]:
@@ -177,9 +249,9 @@ class ChunkFile:
             there = ", ".join(self._attachments) or "none"
             raise LogError(f"{self.path} has no attachment {name}; there are: {there}")
         at, length = self._attachments[name]
-        self._stream.seek(at)
+        self._streams[0].seek(at)
         try:
-            record: Any = parse((Opcode.ATTACHMENT, self._stream.read(length)))
+            record: Any = parse((Opcode.ATTACHMENT, self._streams[0].read(length)))
         except DamageError as error:
             raise LogError(f"{self.path}: {name}: {error}") from error
         content: bytes = record.data
@@ -198,22 +270,37 @@ class ChunkFile:
 
     def blocks(self, chunks: list[ChunkPlace] | None = None) -> Iterator[list[Found]]:
         """The same, a list for each chunk. Channels are declared in the first chunks."""
-        if chunks is not None and self.chunks and not self.channels:
+        if chunks and self.chunks and not self.channels:
             self._unpack(self.chunks[0])
         for chunk in self.chunks if chunks is None else chunks:
             found = self._unpack(chunk)
             if found is None:
                 return
-            yield found
+            yield _without_start(found) if chunk.part else found
 
     def _unpack(self, chunk: ChunkPlace) -> list[Found] | None:
-        self._stream.seek(chunk.offset)
+        stream = self._streams[chunk.part]
+        stream.seek(chunk.offset)
         try:
-            _, data = chunk_content(self._stream.read(chunk.length))
-            return self._records(memoryview(data))
+            _, data = chunk_content(stream.read(chunk.length))
+            try:
+                return self._records(memoryview(data))
+            except _UnknownChannelError:
+                if not self._learn(chunk):
+                    raise
+                return self._records(memoryview(data))
         except (DamageError, struct.error) as error:
-            self.complete, self.damage = False, str(error)
+            where = f"{Path(stream.name).name}: " if chunk.part else ""
+            self.complete, self.damage = False, f"{where}{error}"
             return None
+
+    def _learn(self, before: ChunkPlace) -> bool:
+        """Read what precedes a chunk, once: channels may be declared when they are first used."""
+        first, self._learned = not self._learned, True
+        if first:
+            for chunk in self.chunks[: self.chunks.index(before)]:
+                self._unpack(chunk)
+        return first
 
     def _records(self, data: memoryview) -> list[Found]:
         found: list[Found] = []
@@ -228,7 +315,8 @@ class ChunkFile:
             if opcode == 5:
                 channel, _, log_time, _ = message(data, at)
                 if channel not in topics:
-                    raise DamageError(f"a message belongs to channel {channel}, unknown here")
+                    unknown = f"channel {channel}, unknown here"
+                    raise _UnknownChannelError(f"a message belongs to {unknown}")
                 found.append((topics[channel], log_time, data[at + 22 : at + length]))
             elif opcode == Opcode.CHANNEL:
                 record: Any = parse((opcode, bytes(data[at : at + length])))
@@ -240,3 +328,18 @@ class ChunkFile:
                 raise DamageError(f"a chunk is damaged: it holds a record of kind {opcode}")
             at += length
         return found
+
+
+def _without_start(found: list[Found]) -> list[Found]:
+    """Messages of a chunk of a later file without those that repeat what the simulation was."""
+    kept: list[Found] = []
+    for at, (topic, time_ns, payload) in enumerate(found):
+        if topic == "/sim/write":
+            try:
+                if not is_start(payload):
+                    return kept + found[at:]
+            except WireError:
+                return kept + found[at:]
+        else:
+            kept.append((topic, time_ns, payload))
+    return kept

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass, fields
 from typing import Any
 
 import mujoco
 
 from embodichain.recording.mcap_file import CHUNK_LIMIT
+from embodichain.recording.records import DamageError
 from embodichain.utils.errors import ConfigError
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "METADATA_RECOVERED",
     "Header",
     "LogError",
+    "check_part",
     "why_unverifiable",
 ]
 
@@ -49,13 +51,17 @@ class Header:
         start_ns: Wall clock of the run's start; log time is this + control step x period.
         mujoco_version: Version whose physics this is.
         model: Digest of the attachment model.mjb.
-        state: ``all`` or ``none``.
+        state: ``all``, ``keyframes`` or ``none``.
         state_sig: MuJoCo's state specification (`mjSTATE_INTEGRATION`).
         nstate: Columns of a whole row.
         columns: Half-open ranges of columns in messages narrower than `nstate`; the others are 0.
         layout: Component of the row to its (start, stop) columns.
         view_envs: Environments shown to viewers.
         unverifiable: Why this log cannot be verified; empty if it can.
+        keyframe_every: Control steps from one state to the next, where `state` is ``keyframes``.
+        log_id: Names the recording; the same in all files of a log.
+        part: Number of the file within its log, from 0.
+        first_step: Control step with which the file begins.
     """
 
     task: str
@@ -74,6 +80,10 @@ class Header:
     layout: dict[str, tuple[int, int]]
     view_envs: list[int]
     unverifiable: str = ""
+    keyframe_every: int = 0
+    log_id: str = ""
+    part: int = 0
+    first_step: int = 0
 
     def to_metadata(self) -> dict[str, str]:
         """As strings: plain for text, JSON for everything else."""
@@ -95,14 +105,16 @@ class Header:
             raise LogError(
                 f"the log has format version {version or 'none'!r}; this reads {FORMAT_VERSION}"
             )
-        text = {"task", "mujoco_version", "model", "state", "unverifiable"}
+        text = {"task", "mujoco_version", "model", "state", "unverifiable", "log_id"}
+        # What has a default came later than the first logs.
+        names = [f.name for f in fields(cls) if f.default is MISSING or f.name in values]
         try:
-            fields: dict[str, Any] = {
-                k: values[k] if k in text else json.loads(values[k]) for k in cls.__slots__
+            found: dict[str, Any] = {
+                k: values[k] if k in text else json.loads(values[k]) for k in names
             }
-            fields["columns"] = [(int(a), int(b)) for a, b in fields["columns"]]
-            fields["layout"] = {k: (int(a), int(b)) for k, (a, b) in fields["layout"].items()}
-            header = cls(**fields)
+            found["columns"] = [(int(a), int(b)) for a, b in found["columns"]]
+            found["layout"] = {k: (int(a), int(b)) for k, (a, b) in found["layout"].items()}
+            header = cls(**found)
             header._check()
         except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
             raise LogError(f"the metadata record {METADATA!r} is damaged: {error!r}") from error
@@ -111,7 +123,9 @@ class Header:
     def _check(self) -> None:
         """Raise ValueError unless arrays of these sizes can be made and filled."""
         whole = ("seed", "num_envs", "substeps", "start_ns", "state_sig", "nstate")
-        wrong = [name for name in whole if type(getattr(self, name)) is not int]
+        counts = ("keyframe_every", "part", "first_step")
+        wrong = [name for name in (*whole, *counts) if type(getattr(self, name)) is not int]
+        wrong += [name for name in counts if not 0 <= getattr(self, name) < 2**62]
         wrong += [n for n in ("num_envs", "substeps", "nstate") if not getattr(self, n) > 0]
         for name in ("control_dt", "physics_dt"):
             if not 0 < getattr(self, name) <= _LONGEST_STEP:
@@ -133,6 +147,8 @@ class Header:
             wrong.append("num_envs")
         if not 0 <= self.start_ns < 2**62:
             wrong.append("start_ns")
+        if (self.state == "keyframes") != (self.keyframe_every > 0):
+            wrong.append("keyframe_every")
         if wrong:
             raise ValueError(f"impossible values of {', '.join(dict.fromkeys(wrong))}")
 
@@ -141,9 +157,39 @@ class Header:
         """Nanoseconds a control step."""
         return round(self.control_dt * 1e9)
 
+    def part_note(self, alone: str) -> str:
+        """Which part of a log a file is; empty for the last word of a whole log.
+
+        Args:
+            alone: What is said of its continuation, if it was not read; else empty.
+        """
+        if not self.part and not alone:
+            return ""
+        begins = f"file {self.part + 1} of a log, from step {self.first_step} on"
+        return f"{begins}; {alone or 'its last file'}"
+
     def slices(self) -> dict[str, slice]:
         """The layout as slices."""
         return {name: slice(a, b) for name, (a, b) in self.layout.items()}
+
+
+def check_part(first: Header, values: Mapping[str, str], part: int) -> None:
+    """Raise `DamageError` unless a file is a certain part of a log.
+
+    Args:
+        first: Of the log's first file.
+        values: The metadata record of the file.
+        part: Which part it ought to be.
+    """
+    try:
+        header = Header.from_metadata(values)
+    except LogError as error:
+        raise DamageError(str(error)) from error
+    same = ("log_id", "model", "num_envs", "nstate", "columns", "layout", "start_ns", "state")
+    if not first.log_id or any(getattr(first, n) != getattr(header, n) for n in same):
+        raise DamageError("it is part of another log")
+    if header.part != part:
+        raise DamageError(f"it is part {header.part} of the log, not {part}")
 
 
 def why_unverifiable(model: mujoco.MjModel, state: str) -> str:

@@ -105,7 +105,7 @@ def diff(a: str | Path, b: str | Path) -> DiffReport:
         ConfigError: If a file is missing, empty or not MCAP.
         LogError: If one is not a log of embodichain's, or has no states.
     """
-    with Log(a) as first, Log(b) as second:
+    with Log(a, simulate=True) as first, Log(b, simulate=True) as second:
         for log in (first, second):
             if log.header.state == "none":
                 raise LogError(f"{log.path} has no states: it was recorded with record.state=none")

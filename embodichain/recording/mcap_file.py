@@ -91,6 +91,16 @@ class McapFile:
         self._offset += len(data)
         return at
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes written."""
+        return self._offset
+
+    @property
+    def size(self) -> int:
+        """Bytes written, and those of the chunk in progress before it is compressed."""
+        return self._offset + self._chunk_size
+
     def count(self, channel_id: int) -> int:
         """How many messages of a channel are in chunks that were written."""
         return self._counts[channel_id]

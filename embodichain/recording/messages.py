@@ -20,6 +20,7 @@ from embodichain.recording import wire
 from embodichain.recording.mcap_file import Part
 
 __all__ = [
+    "START",
     "Calls",
     "State",
     "StepOutcome",
@@ -29,9 +30,14 @@ __all__ = [
     "encode_state",
     "encode_step",
     "encode_write",
+    "is_start",
     "stamp",
     "write_head",
 ]
+
+
+START = "start"
+"""Phase of what a file begins with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,10 +188,15 @@ def _shape(n: int, width: int) -> bytes:
 
 
 def encode_state(
-    step: int, rows: F64, call: int, nstep: int, env_ids: EnvIndex | None
+    step: int, rows: F64 | None, call: int, nstep: int, env_ids: EnvIndex | None
 ) -> tuple[Part, ...]:
-    """`BatchedState` of contiguous (n, width) rows, which are kept, not copied."""
+    """`BatchedState` of contiguous (n, width) rows, which are kept, not copied.
+
+    Without rows it only says that physics is called here: see keyframes in `state_log`.
+    """
     tail = wire.uint(5, call) + wire.uint(6, nstep) + _env_ids(7, env_ids)
+    if rows is None:
+        return (wire.uint(1, step) + tail,)
     return wire.uint(1, step) + _shape(*rows.shape), rows, tail
 
 
@@ -249,6 +260,15 @@ def write_head(
     """
     before = wire.text(3, phase) + wire.text(4, op) + wire.text(5, field)
     return before, b"" if columns is None else wire.array(7, columns, "<u4")
+
+
+def is_start(data: bytes | memoryview) -> bool:
+    """Whether a `Write` only says what the simulation was when its file began.
+
+    Raises:
+        WireError: If the bytes are no message.
+    """
+    return _text(wire.parse(data), 3) == START
 
 
 def encode_write(

@@ -11,7 +11,7 @@ from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["COMPRESSIONS", "STATES", "RecordLike", "RecordOptions", "check_options"]
 
-STATES = ("all", "none")
+STATES = ("all", "keyframes", "none")
 COMPRESSIONS = ("lz4", "zstd", "none")
 
 
@@ -34,28 +34,39 @@ class RecordLike(Protocol):
     def compression(self) -> str:
         """See `RecordOptions`."""
 
+    @property
+    def keyframe_every(self) -> int:
+        """See `RecordOptions`."""
+
+    @property
+    def max_mb(self) -> float | None:
+        """See `RecordOptions`."""
+
 
 @dataclass(frozen=True, slots=True)
 class RecordOptions:
     """How much is recorded, and how it is packed."""
 
     state: str = "all"
-    """``all``: everything that replay needs, of every environment. ``none``: only what people look
-    at; such a file cannot be verified."""
+    """``all``: everything that replay needs, of every environment. ``keyframes``: the same with
+    states only every `keyframe_every` steps; what lies between is simulated again. ``none``: only
+    what people look at; such a file cannot be verified."""
     view_envs: Sequence[int] = (0,)
     """Environments whose poses, joints and metrics viewers show."""
     view_hz: float = 10.0
     """How often they are sampled, in 1/s of simulated time; at most once a control step."""
     compression: str = "lz4"
     """``lz4``, ``zstd`` or ``none``. lz4 costs the simulation least; zstd makes files smaller."""
+    keyframe_every: int = 100
+    """Control steps from one state to the next with ``keyframes``."""
+    max_mb: float | None = None
+    """Megabytes (10^6 bytes) after which the log goes on in another file; None: never."""
 
 
 def check_options(options: RecordLike, num_envs: int) -> None:
     """Raise `ConfigError` with every value that is not allowed."""
     problems = []
-    if options.state == "keyframes":
-        problems.append(Problem("record.state", "'keyframes' is not available yet; all or none"))
-    elif options.state not in STATES:
+    if options.state not in STATES:
         problems.append(
             Problem(
                 "record.state",
@@ -75,6 +86,12 @@ def check_options(options: RecordLike, num_envs: int) -> None:
         problems.append(
             Problem("record.view_hz", f"{options.view_hz!r} must be positive (1/s, simulated)")
         )
+    if options.keyframe_every < 1:
+        problems.append(
+            Problem("record.keyframe_every", f"{options.keyframe_every!r} must be at least 1")
+        )
+    if options.max_mb is not None and not options.max_mb > 0:
+        problems.append(Problem("record.max_mb", f"{options.max_mb!r} must be positive"))
     outside = [i for i in options.view_envs if not 0 <= i < num_envs]
     if outside:
         problems.append(

@@ -13,6 +13,7 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 
 from embodichain.recording.header import METADATA_RECOVERED, LogError
 from embodichain.recording.mcap_file import McapFile
+from embodichain.recording.parts import first_file
 from embodichain.recording.reader import LogReader
 from embodichain.recording.records import Record
 from embodichain.utils.errors import ConfigError
@@ -48,6 +49,8 @@ class Recovery:
 def recover(source: str | Path, target: str | Path) -> Recovery:
     """Copy a log up to where it is good: messages, attachments and metadata, with a new index.
 
+    One that lies in several files becomes one file.
+
     Args:
         source: A log that was cut or damaged; a whole one is copied.
         target: A new file. It appears under this name when it is complete.
@@ -57,7 +60,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
         LogError: If not even the metadata of `source` can be read.
         OSError: If the new file cannot be written; nothing is left of it.
     """
-    source, target = Path(source), Path(target)
+    source, target = first_file(source), Path(target)
     with LogReader(source) as reader:
         if os.path.lexists(target):
             raise ConfigError(f"{target} exists; recover writes a new file")
@@ -72,7 +75,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
             _publish(temporary, target)
         finally:
             temporary.unlink(missing_ok=True)
-        lost = 0 if reader.complete else source.stat().st_size - reader.good_bytes
+        lost = 0 if reader.complete else reader.total_bytes - reader.good_bytes
         names = list(reader.attachments)
         nbytes = target.stat().st_size
         return Recovery(source, target, copy.messages, copy.steps, names, nbytes, copy.why, lost)

@@ -18,6 +18,7 @@ from embodichain.recording.archive import load_mjz
 from embodichain.recording.attachments import load_mjb, model_digest
 from embodichain.recording.header import Header, LogError
 from embodichain.recording.messages import State, StepOutcome
+from embodichain.recording.parts import first_file
 from embodichain.recording.reader import LogReader
 from embodichain.recording.resimulate import ActiveSteps, Found, Resimulation
 from embodichain.recording.summary import LogSummary, summarize
@@ -50,7 +51,7 @@ def verify(
     """Simulate a log again and compare every row, bit for bit.
 
     Args:
-        path: The log.
+        path: The log: a file, the manifest of several, or a run's folder.
         env: Only this environment; None is all.
         episode: Only this episode of every environment looked at; None is all.
         num_threads: Physics threads; 0 is all cores. No result depends on it.
@@ -60,7 +61,7 @@ def verify(
         ConfigError: If the file is missing, empty or not MCAP, or `env` or `episode` is not in it.
         LogError: If it is not a log of embodichain's.
     """
-    path = Path(path)
+    path = first_file(path)
     header, attachments = _head(path)
     selected = _select(header, env)
     if header.unverifiable:
@@ -154,21 +155,22 @@ def _everything(n: int) -> ActiveSteps:
 
 def _episode(path: Path, selected: EnvIndex, episode: int) -> ActiveSteps:
     """Steps that belong to an episode of the selected environments, found in a pass of its own."""
-    masks: list[NDArray[np.bool_]] = []
+    masks: dict[int, NDArray[np.bool_]] = {}
     last = -1
     with LogReader(path) as reader:
         for topic, message in reader.messages():
             if topic == "/sim/step":
                 try:
-                    ids = StepOutcome.decode(message.data).episode_ids[selected]
+                    outcome = StepOutcome.decode(message.data)
+                    ids = outcome.episode_ids[selected]
                 except (WireError, IndexError):
                     break  # where following it will end too, and say so
-                masks.append(ids == episode)
+                masks[outcome.step] = ids == episode
                 last = max(last, int(ids.max()))
-    if not any(mask.any() for mask in masks):
+    if not any(mask.any() for mask in masks.values()):
         raise ConfigError(f"no episode {episode} in the log: there are 0 to {last}")
     nothing = np.zeros(len(selected), np.bool_)
-    return lambda step: masks[step] if step < len(masks) else nothing
+    return lambda step: masks.get(step, nothing)
 
 
 def _follow(
@@ -200,22 +202,24 @@ def _follow(
         except (LogError, WireError) as error:
             problems = [*problems, f"after {simulation.steps} steps: {error}"]
         else:
-            problems = [*problems, *_end(reader, simulation.steps)]
+            problems = [*problems, *_end(reader, simulation.last_step)]
             if reader.recovered and reader.complete:
-                notes.append(f"the log ends {_where(simulation.steps)}: {reader.recovered}")
+                notes.append(f"the log ends {_where(simulation.last_step)}: {reader.recovered}")
+            if reader.part_note:
+                notes.append(reader.part_note)
     ok = difference is None and not problems
     errors = simulation.largest_error
     return VerifyReport(path, ok, simulation.steps, envs, difference, problems, errors, notes)
 
 
-def _end(reader: LogReader, steps: int) -> list[str]:
+def _end(reader: LogReader, last_step: int) -> list[str]:
     """What is missing at the end of a log."""
     if not reader.complete:
-        return [f"the log ends {_where(steps)}: {reader.damage or 'its end is missing'}"]
+        return [f"the log ends {_where(last_step)}: {reader.damage or 'its end is missing'}"]
     if not reader.finished and not reader.recovered:
-        return [f"the log ends {_where(steps)}: the recorder did not close it"]
+        return [f"the log ends {_where(last_step)}: the recorder did not close it"]
     return []
 
 
-def _where(steps: int) -> str:
-    return f"after step {steps - 1}" if steps else "before its first step was complete"
+def _where(last_step: int) -> str:
+    return f"after step {last_step}" if last_step >= 0 else "before its first step was complete"

@@ -68,11 +68,27 @@ class Resimulation:
         self._engine = CpuEngine(model, len(selected), num_threads)
         self._hash = RowHash(header.nstate)
         self._layout = header.slices()
-        self._followed = active(0).copy()  # environments whose rows here are the log's
+        # Environments whose rows here are the log's.
+        self._followed = self._simulated(header.first_step).copy()
         self._calls: dict[int, tuple[EnvIndex, NDArray[np.uint64]]] = {}
         self._suspect: Difference | None = None
         self.steps = 0
+        self.last_step = header.first_step - 1
         self.largest_error: dict[str, float] = {}
+
+    @property
+    def rows(self) -> F64:
+        """(n, nstate) live rows of the selected environments."""
+        return self._engine.rows
+
+    def lose_track(self) -> None:
+        """Take the next rows that come, instead of comparing them."""
+        self._followed[:] = False
+
+    def _simulated(self, step: int) -> NDArray[np.bool_]:
+        """Environments to simulate in a step: between keyframes nobody can begin."""
+        active = self._active(step)
+        return np.ones_like(active) if self._header.keyframe_every else active
 
     def _local(self, env_ids: EnvIndex | None) -> tuple[EnvIndex, EnvIndex | slice]:
         """Indices into the selected environments, and of their rows in a message."""
@@ -90,7 +106,7 @@ class Resimulation:
 
     # -- writes ------------------------------------------------------------------------------------
 
-    def on_write(self, data: bytes) -> None:
+    def on_write(self, data: bytes | memoryview) -> None:
         """Apply a recorded write.
 
         Raises:
@@ -124,7 +140,7 @@ class Resimulation:
 
     # -- physics -----------------------------------------------------------------------------------
 
-    def on_state(self, data: bytes) -> None:
+    def on_state(self, data: bytes | memoryview) -> None:
         """Compare rows as physics receives them, then run the physics that followed.
 
         Raises:
@@ -132,18 +148,19 @@ class Resimulation:
             LogError: If the rows do not fit the model.
         """
         state = State.decode(data)
+        if not state.rows.size and self._header.keyframe_every and state.nstep:
+            self._between(state)
+            return
         if state.rows.shape[1] not in (self._header.nstate, _width(self._header)):
             raise LogError(f"step {state.step}: rows have {state.rows.shape[1]} columns")
         count = self._header.num_envs if state.env_ids is None else len(state.env_ids)
         if len(state.rows) != count:
             raise LogError(f"step {state.step}: {len(state.rows)} rows")
-        if state.nstep > MOST_PHYSICS_STEPS:
-            raise LogError(f"step {state.step}: {state.nstep} physics steps at once")
         local, rows = self._local(state.env_ids)
-        active = self._active(state.step)
+        active = self._simulated(state.step)
         compared = active & self._followed
         recorded = state.rows[rows]
-        self._compare(state, local, recorded, compared[local])
+        self._compare(state, local, recorded, (compared & self._active(state.step))[local])
         new = (active & ~compared)[local]
         if new.any() or not self._exact:
             take = active[local] if not self._exact else new
@@ -152,6 +169,14 @@ class Resimulation:
         self._followed = active
         if state.nstep:
             self._step(state, local[active[local]])
+
+    def _between(self, state: State) -> None:
+        """Run physics whose rows were not written: those that are here are the log's."""
+        if self._suspect is not None:
+            raise Found(self._suspect)
+        local, _ = self._local(state.env_ids)
+        self._followed = self._simulated(state.step)
+        self._step(state, local)
 
     def _compare(
         self, state: State, local: EnvIndex, recorded: F64, compared: NDArray[np.bool_]
@@ -213,22 +238,25 @@ class Resimulation:
     def _step(self, state: State, ids: EnvIndex) -> None:
         if not len(ids):
             return
+        if state.nstep > MOST_PHYSICS_STEPS:
+            raise LogError(f"step {state.step}: {state.nstep} physics steps at once")
         everybody = len(ids) == self._engine.num_envs
         self._engine.step(state.nstep, None if everybody else ids)
         rows = self._engine.rows if everybody else self._engine.rows[ids]
-        whole = state.rows.shape[1] == self._header.nstate
-        ranges = [(0, self._header.nstate)] if whole else self._header.columns
+        narrow = state.rows.shape[1] == _width(self._header)
+        ranges = self._header.columns if narrow else [(0, self._header.nstate)]
         self._calls[state.call] = (ids, self._hash(rows, ranges))
 
-    def on_step(self, data: bytes) -> StepOutcome:
+    def on_step(self, data: bytes | memoryview) -> StepOutcome:
         """A control step ended: compare the hash of what its physics returned."""
         outcome = StepOutcome.decode(data)
+        self.last_step = outcome.step
         if self._active(outcome.step).any():
             self.steps += 1
         self._check(outcome.physics)
         return outcome
 
-    def on_call(self, data: bytes) -> None:
+    def on_call(self, data: bytes | memoryview) -> None:
         """Another physics call ended."""
         self._check(Calls.decode(data))
 
@@ -248,7 +276,8 @@ class Resimulation:
         if len(calls.hashes) <= int(at[-1]):
             raise LogError(f"step {calls.step}: {len(calls.hashes)} hashes")
         recorded = calls.hashes[at]
-        wrong = np.flatnonzero(recorded != hashes)
+        compared = self._active(calls.step)[ids]
+        wrong = np.flatnonzero((recorded != hashes) & compared)
         if len(wrong):
             first = int(wrong[0])
             self._suspect = Difference(

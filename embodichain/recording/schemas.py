@@ -86,6 +86,24 @@ MESSAGES: Mapping[str, Sequence[str]] = {
         "repeated fixed32 env_ids = 5",
         "repeated Drawn drawn = 6",
     ),
+    # Episodes that ended in a step, one column for each: flags are a byte each, tables (n, names)
+    # by rows. `success` is absent where the task does not say.
+    "Episodes": (
+        "uint64 step = 1",
+        "repeated fixed32 env_ids = 2",
+        "repeated sfixed64 episode_id = 3",
+        "repeated fixed32 length = 4",
+        "repeated double total_reward = 5",
+        "bytes terminated = 6",
+        "bytes truncated = 7",
+        "bytes success = 8",
+        "repeated string reason = 9",
+        "bytes reasons = 10",
+        "repeated string reward_term = 11",
+        "repeated double reward_sums = 12",
+        "repeated string metric = 13",
+        "repeated double metrics = 14",
+    ),
 }
 
 

@@ -8,6 +8,9 @@ by a hash of the rows it returned. A write belongs before the call whose number 
 
 hold for every row, also when a reset event steps physics to let things settle. Normally there is
 one call a control step, and its hash travels in `/sim/step`.
+
+Between keyframes `/sim/state` has no rows, and only says where physics was called: writes and
+calls give every row from the last keyframe on, and the hashes say whether they are right.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ from embodichain.recording.columns import RowColumns
 from embodichain.recording.hashing import RowHash
 from embodichain.recording.mcap_file import Part
 from embodichain.recording.messages import (
+    START,
     Calls,
     encode_call,
     encode_event,
@@ -89,7 +93,7 @@ class StateLog:
         self._write("state", "row", rows)
 
     def _write(self, op: str, field: str, values: NDArray[np.float64] | None) -> None:
-        head = write_head("start", op, field, None)
+        head = write_head(START, op, field, None)
         self._emit(self.step, "/sim/write", encode_write(self._stamp, head, None, values))
 
     def on_write(self, write: Write) -> None:
@@ -125,8 +129,8 @@ class StateLog:
         width: int = component.stop - component.start
         return width
 
-    def before_physics(self, taken: F64, nstep: int, ids: EnvIndex | None) -> None:
-        """A call is about to begin, with these rows (n, width)."""
+    def before_physics(self, taken: F64 | None, nstep: int, ids: EnvIndex | None) -> None:
+        """A call is about to begin, with these rows (n, width); None between keyframes."""
         self._emit(self.step, "/sim/state", encode_state(self.step, taken, self.call, nstep, ids))
 
     def after_physics(self, taken: F64, ranges: Ranges, event: PhysicsEvent) -> None:

@@ -55,7 +55,7 @@ class LogSummary:
 
     Attributes:
         path: The file.
-        nbytes: Its size.
+        nbytes: Its size, that of all its files.
         header: What was recorded and how.
         channels: By topic.
         steps: Control steps.
@@ -64,6 +64,7 @@ class LogSummary:
         compressions: Compressions of its chunks.
         complete: Whether the file has its end and everything that was announced.
         warnings: What is missing or damaged, one line each; empty for a complete log.
+        files: Names of the files it lies in.
     """
 
     path: Path
@@ -76,6 +77,7 @@ class LogSummary:
     compressions: list[str]
     complete: bool
     warnings: list[str] = field(default_factory=list)
+    files: list[str] = field(default_factory=list)
 
     @property
     def messages(self) -> int:
@@ -130,7 +132,7 @@ def summarize(path: str | Path) -> LogSummary:
         LogError: If it is not a log of embodichain's.
     """
     counts: Counter[str] = Counter()
-    steps = 0
+    steps, last_step = 0, -1
     episodes: _Episodes | None = None
     with LogReader(Path(path)) as reader:
         for topic, message in reader.messages():
@@ -139,11 +141,12 @@ def summarize(path: str | Path) -> LogSummary:
                 if episodes is None:
                     episodes = _Episodes(reader.require_header().num_envs)
                 try:
-                    episodes.add(StepOutcome.decode(message.data))
+                    outcome = StepOutcome.decode(message.data)
+                    episodes.add(outcome)
                 except WireError as error:
                     reader.complete, reader.damage = False, f"a step is damaged ({error})"
                     break
-                steps += 1
+                steps, last_step = steps + 1, outcome.step
             elif topic == "/sim/state" and not reader.header:
                 reader.require_header()
         header = reader.require_header()
@@ -158,7 +161,7 @@ def summarize(path: str | Path) -> LogSummary:
         ]
         return LogSummary(
             path=reader.path,
-            nbytes=reader.path.stat().st_size,
+            nbytes=reader.total_bytes,
             header=header,
             channels=channels,
             steps=steps,
@@ -166,7 +169,8 @@ def summarize(path: str | Path) -> LogSummary:
             attachments={name: len(data) for name, data in reader.attachments.items()},
             compressions=sorted(reader.compressions),
             complete=reader.complete and reader.finished,
-            warnings=_warnings(reader, steps),
+            warnings=_warnings(reader, last_step),
+            files=[file.name for file in reader.files],
         )
 
 
@@ -175,17 +179,19 @@ def _schema_name(reader: LogReader, channel: Channel) -> str:
     return schema.name if schema is not None else ""
 
 
-def _warnings(reader: LogReader, steps: int) -> list[str]:
+def _warnings(reader: LogReader, last_step: int) -> list[str]:
     warnings = []
     if reader.recovered and reader.complete:
-        where = f"after step {steps - 1}" if steps else "before its first step was complete"
+        where = f"after step {last_step}" if last_step >= 0 else "before its first step is complete"
         warnings.append(f"recovered from a broken file; it ends {where}: {reader.recovered}")
     elif not reader.complete:
         why = reader.damage or "its end is missing"
-        where = f"what followed step {steps - 1} is missing" if steps else "no step is in it"
-        warnings.append(f"incomplete: {why}; {where}")
+        missing = f"what followed step {last_step} is missing"
+        warnings.append(f"incomplete: {why}; {missing if last_step >= 0 else 'no step is in it'}")
     elif not reader.finished:
         warnings.append("the recorder did not close this log: its last steps may be missing")
+    if reader.part_note:
+        warnings.append(reader.part_note)
     mjb = reader.attachments.get("model.mjb", b"")
     if model_digest(mjb) != reader.require_header().model:
         warnings.append("the attachment model.mjb is not the model that was recorded")

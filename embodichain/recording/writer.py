@@ -12,6 +12,7 @@ import os
 import queue
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import BinaryIO
@@ -61,11 +62,24 @@ class McapThread:
     ) -> None:
         self.path = path
         self._collect, self._ends = collect, ends
-        # No buffer: chunks are large, and what could not be written must not come again at close.
-        self._stream: BinaryIO = path.open("xb", buffering=0)
+        self._compression = compression
+        # A descriptor: whoever renames the folder meanwhile does not send later files elsewhere.
+        self.folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            self._stream: BinaryIO = path.open("xb", buffering=0)
+        except BaseException:
+            os.close(self.folder)
+            raise
         self._writer = McapFile(self._stream, compression, library="embodichain")
+        self._before: Counter[str] = Counter()
+        self._bytes_before = 0
+        self.part = 0
+        """Files that were finished."""
+        self.finished: Callable[[int], None] | None = None
+        """Called on the background thread with the size of the last file, when it is whole."""
         self._queue: queue.Queue[Batch | None] = queue.Queue(depth)
         self._channels: dict[str, int] = {}
+        self._declared: dict[str, tuple[str, bytes | None]] = {}
         self._schemas: dict[str, int] = {}
         self._error: BaseException | None = None
         self._told = False
@@ -137,10 +151,20 @@ class McapThread:
         """Whether nothing waits in the queue."""
         return self._queue.empty()
 
+    @property
+    def size(self) -> int:
+        """Bytes of the file in progress, those of its last chunk before they are compressed."""
+        return self._writer.size
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all files that were written."""
+        return self._bytes_before + self._writer.nbytes
+
     def written(self, topic: str) -> int:
-        """How many messages of a channel are in the file, readable there."""
+        """How many messages of a channel are in the files, readable there."""
         channel = self._channels.get(topic)
-        return 0 if channel is None else self._writer.count(channel)
+        return self._before[topic] + (0 if channel is None else self._writer.count(channel))
 
     def _raise_error(self) -> None:
         error = self._error
@@ -162,6 +186,7 @@ class McapThread:
         """
         if topic in self._channels:
             return
+        self._declared[topic] = schema, data
         if schema not in self._schemas:
             self._schemas[schema] = self._writer.schema(
                 schema, data if data is not None else descriptor_set(schema)
@@ -180,11 +205,55 @@ class McapThread:
         """Add a message to a declared channel."""
         self._writer.message(self._channels[topic], time_ns, parts)
 
+    def roll(self, name: str, last: Callable[[McapThread], None]) -> int:
+        """Finish the file, and go on in another one, with the same channels under the same ids.
+
+        The new file exists before the old one names it: whoever reads finds both.
+
+        Args:
+            name: The new file, in the same folder.
+            last: Called for what the old file shall end with.
+
+        Returns:
+            Size of the finished file.
+        """
+        stream = self._new(name)
+        try:
+            last(self)
+            self._writer.finish()
+            self._check_place()
+        except BaseException:
+            stream.close()
+            raise
+        for topic, channel in self._channels.items():
+            self._before[topic] += self._writer.count(channel)
+        nbytes = self._writer.nbytes
+        self._stream.close()
+        self._stream = stream
+        self._writer = McapFile(stream, self._compression, library="embodichain")
+        self._bytes_before += nbytes
+        self._channels.clear()
+        self._schemas.clear()
+        for topic, (schema, data) in list(self._declared.items()):
+            self.channel(topic, schema, data)
+        self.part += 1
+        return nbytes
+
+    def _new(self, name: str) -> BinaryIO:
+        """A new file in the folder, without a buffer: chunks are large.
+
+        What could not be written must not come again at close.
+        """
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+        return open(os.open(name, flags, 0o666, dir_fd=self.folder), "wb", buffering=0)
+
     def _run(self) -> None:
         try:
             self._loop()
             self._writer.finish()
             self._check_place()
+            if self.finished is not None:
+                self.finished(self._writer.nbytes)
         except BaseException as error:  # noqa: BLE001  (`put` and `close` raise it)
             self._error = error
         finally:
@@ -192,6 +261,7 @@ class McapThread:
                 self._stream.close()
             except OSError as error:  # some file systems say here that they could not write
                 self._error = self._error or error
+            os.close(self.folder)
             while self._error is not None and not self._queue.empty():
                 self._queue.get_nowait()  # nobody must wait for a dead writer
 

@@ -68,6 +68,7 @@ class SmallEnv:
         self.sim = SimpleNamespace(engine=engine, scene=scene, arena_offsets=torch.tensor(offsets))
         engine.listeners.append(self)
         self.observers = []
+        self.termination_manager = SimpleNamespace(values={})
         self.rngs = [np.random.default_rng((seed, i)) for i in range(num_envs)]
         self.elapsed = np.zeros(num_envs, np.int64)
         self.episodes = np.full(num_envs, -1, np.int64)

@@ -77,7 +77,7 @@ def test_a_killed_run_reads_up_to_its_last_chunk(killed):
 def test_files_that_are_no_logs(tmp_path, function):
     with pytest.raises(ConfigError, match=r"nothing\.mcap does not exist"):
         function(tmp_path / "nothing.mcap")
-    with pytest.raises(ConfigError, match="is not a file"):
+    with pytest.raises(ConfigError, match=r"rollout\.mcap does not exist"):
         function(tmp_path)
     path = tmp_path / "file.mcap"
     path.write_bytes(b"")

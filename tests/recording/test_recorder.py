@@ -218,8 +218,12 @@ def test_closing_twice_is_closing_once(tmp_path):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"state": "al"}, "record.state: 'al' is not one of all, none. Did you mean 'all'?"),
-        ({"state": "keyframes"}, "record.state: 'keyframes' is not available yet; all or none"),
+        (
+            {"state": "al"},
+            "record.state: 'al' is not one of all, keyframes, none. Did you mean 'all'?",
+        ),
+        ({"keyframe_every": 0}, "record.keyframe_every: 0 must be at least 1"),
+        ({"max_mb": 0}, "record.max_mb: 0 must be positive"),
         (
             {"compression": "lz5"},
             "record.compression: 'lz5' is not one of lz4, zstd, none. Did you mean 'lz4'?",

@@ -138,6 +138,9 @@ class Engine(Protocol):
     def take_diverged(self) -> NDArray[np.bool_] | None:
         """(N,) mask of environments that diverged since the last call, or None for nobody."""
 
+    def model_fields(self) -> dict[str, NDArray[Any]]:
+        """Name -> (N, ...) copies of per-environment model fields, derived ones as they are."""
+
     def state_dict(self) -> dict[str, Any]:
         """Rows, per-environment model fields and warning counters (copies)."""
 

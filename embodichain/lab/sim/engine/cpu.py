@@ -360,15 +360,16 @@ class CpuEngine:
         return self._batch.get_model(env_id)
 
     def data_of(self, env_id: int) -> mujoco.MjData:
-        """One environment's state as an MjData of its own, every derived field computed.
-
-        Its ``model`` is the environment's, with its own field values.
-        """
+        """One environment as an MjData: derived fields computed, its model with its own values."""
         model = self.model_of(env_id) if self._fields.any else self.model
         data = mujoco.MjData(model)
         mujoco.mj_setState(model, data, self._rows[env_id], mujoco.mjtState.mjSTATE_INTEGRATION)
         mujoco.mj_forward(model, data)
         return data
+
+    def model_fields(self) -> dict[str, NDArray[Any]]:
+        """Per-environment model fields as they are (copies); constants may be out of date."""
+        return {k: np.array(v) for k, v in self._fields.expanded().items()}
 
     def state_dict(self) -> dict[str, Any]:
         """Rows, per-environment model fields, counters and acceleration fields (copies)."""
@@ -376,7 +377,7 @@ class CpuEngine:
             self._set_const_now()
         return {
             "rows": self._rows.copy(),
-            "model": {k: np.array(v) for k, v in self._fields.expanded().items()},
+            "model": self.model_fields(),
             "warning": self._batch.warning.copy(),
             "acceleration": {k: kept.copy() for k, (_, kept) in self._acc.items()},
         }
