@@ -8,14 +8,15 @@ is copied once, and every other record is still the library's. What messages mea
 from __future__ import annotations
 
 import struct
-import zlib
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, BinaryIO
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import zstandard
+from isal.isal_zlib import crc32  # zlib's takes five times as long
 from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -36,7 +37,8 @@ CHUNK_LIMIT = 2**27
 
 COMPRESSORS: Mapping[str, Callable[[bytes], bytes]] = {
     "none": bytes,
-    "lz4": lz4.frame.compress,
+    # Acceleration 8 takes three quarters of the time, and files become 8 % larger.
+    "lz4": partial(lz4.frame.compress, compression_level=-8),
     "zstd": zstandard.ZstdCompressor(level=1).compress,
 }
 
@@ -206,7 +208,7 @@ class McapFile:
         start, end = self._first, self._last
         # The record's fields by hand: the library would copy the data twice more.
         name = self._name.encode()
-        head = struct.pack("<QQQII", start, end, len(data), zlib.crc32(data), len(name)) + name
+        head = struct.pack("<QQQII", start, end, len(data), crc32(data), len(name)) + name
         head += struct.pack("<Q", len(packed))
         head = struct.pack("<BQ", Opcode.CHUNK, len(head) + len(packed)) + head
         at, index_at = self._offset, self._offset + len(head) + len(packed)
@@ -271,7 +273,7 @@ class McapFile:
         whole = bytes(summary + offsets)
         self._write(whole)
         tail = _FOOTER.pack(Opcode.FOOTER, 8 + 8 + 4, start, offset_start)
-        self._write(tail + struct.pack("<I", zlib.crc32(tail, zlib.crc32(whole))))
+        self._write(tail + struct.pack("<I", crc32(tail, crc32(whole))))
         self._write(MAGIC)
         self._stream.flush()
 

@@ -16,6 +16,7 @@ from typing import Any, BinaryIO
 
 import lz4.frame  # type: ignore[import-untyped]
 import zstandard
+from isal.isal_zlib import crc32
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -130,7 +131,7 @@ def _check_end(stream: BinaryIO, footer: bytes, at: int, summary_at: int) -> Non
         piece = stream.read(min(left, 2**20))
         if not piece:
             raise DamageError(CUT)
-        crc, left = zlib.crc32(piece, crc), left - len(piece)
+        crc, left = crc32(piece, crc), left - len(piece)
     if crc != announced:
         raise DamageError("the index at its end is damaged: its checksum is wrong")
 
@@ -156,7 +157,7 @@ def chunk_content(data: bytes) -> tuple[str, bytes]:
         raise DamageError(f"a chunk is damaged ({_kind(error)})") from error
     if len(content) != size:
         raise DamageError("a chunk is damaged: its length is wrong")
-    if crc and zlib.crc32(content) != crc:
+    if crc and crc32(content) != crc:
         raise DamageError(CHECKSUM)
     return name or "none", content
 
@@ -229,7 +230,7 @@ def parse(block: Block) -> Record | None:
 
 def _attachment(data: bytes) -> Attachment:
     (crc,) = struct.unpack_from("<I", data, len(data) - 4)
-    if crc and zlib.crc32(memoryview(data)[:-4]) != crc:
+    if crc and crc32(memoryview(data)[:-4]) != crc:
         raise DamageError("an attachment is damaged: its checksum is wrong")
     attachment: Attachment = Attachment.read(ReadDataStream(BytesIO(data)))
     return attachment
