@@ -23,11 +23,13 @@ class Scalars:
 
     Args:
         step: Any step of the run.
+        commands: Columns of commands by name, (N,) each: live views.
     """
 
-    def __init__(self, step: StepRecord) -> None:
+    def __init__(self, step: StepRecord, commands: Mapping[str, Any] | None = None) -> None:
         self.names: list[str] = []
-        for name in (_identifier(path) for path, _ in _walk(step)):
+        self._commands = commands or {}
+        for name in (_identifier(path) for path, _ in self._walk(step)):
             taken = sum(n == name or n.startswith(f"{name}__") for n in self.names)
             self.names.append(f"{name}__{taken + 1}" if taken else name)
 
@@ -37,7 +39,7 @@ class Scalars:
         Raises:
             ValueError: If the step has other scalars than the first one.
         """
-        values = [float(np.asarray(value)[env_id]) for _, value in _walk(step)]
+        values = [float(np.asarray(value)[env_id]) for _, value in self._walk(step)]
         if len(values) != len(self.names):
             raise ValueError(f"{len(values)} scalars in a step; the first had {self.names}")
         return b"".join(
@@ -46,19 +48,20 @@ class Scalars:
             if value != 0.0
         )
 
-
-def _walk(step: StepRecord) -> Iterator[tuple[str, Any]]:
-    """Name and (N,) values of everything worth a plot, in a fixed order."""
-    yield "reward", step.reward
-    yield "terminated", step.terminated
-    yield "truncated", step.truncated
-    for key in ("elapsed_steps", "success", "fail"):
-        if key in step.info:
-            yield key, step.info[key]
-    for key, prefix in (("rewards", "reward"), ("episode_sums", "sum"), ("metrics", "metric")):
-        group: Mapping[str, Any] = step.info.get(key, {})
-        for name in sorted(group):
-            yield f"{prefix}_{name}", group[name]
+    def _walk(self, step: StepRecord) -> Iterator[tuple[str, Any]]:
+        """Name and (N,) values of everything worth a plot, in a fixed order."""
+        yield "reward", step.reward
+        yield "terminated", step.terminated
+        yield "truncated", step.truncated
+        for key in ("elapsed_steps", "success", "fail"):
+            if key in step.info:
+                yield key, step.info[key]
+        for key, prefix in (("rewards", "reward"), ("episode_sums", "sum"), ("metrics", "metric")):
+            group: Mapping[str, Any] = step.info.get(key, {})
+            for name in sorted(group):
+                yield f"{prefix}_{name}", group[name]
+        for name, values in self._commands.items():
+            yield f"command_{name}", values
 
 
 def _identifier(name: str) -> str:

@@ -19,6 +19,7 @@ from embodichain.lab.gym.envs.observers import EventRecord, StepRecord
 from embodichain.lab.sim.engine.base import F64, EnvIndex, Write
 from embodichain.recording.foxglove.frames import Frames
 from embodichain.recording.foxglove.log_lines import ending_text, event_text, ids_text, log_line
+from embodichain.recording.foxglove.markers import Markers, Taken
 from embodichain.recording.foxglove.metrics import Scalars
 from embodichain.recording.foxglove.scene import Meshes
 from embodichain.recording.foxglove.viewed import Viewed
@@ -78,12 +79,15 @@ class Views:
         meshes = Meshes()
         self._viewed = [Viewed(model, i, meshes) for i in self._ids.tolist()]
         self._frames = Frames(model, self._ids.tolist(), offsets[self._ids].tolist())
+        self._markers = Markers(env, self._ids.tolist())
         self.channels = {"/log": "foxglove.Log"}
         if self._viewed:
             self.channels["/tf"] = "foxglove.FrameTransforms"
         for viewed in self._viewed:
             self.channels[viewed.scene_topic] = "foxglove.SceneUpdate"
             self.channels[viewed.joints_topic] = "foxglove.JointStates"
+            if self._markers:
+                self.channels[viewed.markers_topic] = "foxglove.SceneUpdate"
 
     def start(self, model_fields: Mapping[str, NDArray[Any]]) -> None:
         """Say that recording begins; take over model fields that are randomized already."""
@@ -134,9 +138,12 @@ class Views:
         scenes = {**dict.fromkeys(self._reset, False), **dict.fromkeys(self._asked, True)}
         self._reset.clear()
         self._asked.clear()
-        self._push(partial(self._sample, self._now(), rows[self._ids], scenes))
+        taken = rows[self._ids], self._markers.take()
+        self._push(partial(self._sample, self._now(), *taken, scenes))
 
-    def _sample(self, time_ns: int, rows: F64, scenes: Mapping[int, bool], sink: Sink) -> None:
+    def _sample(
+        self, time_ns: int, rows: F64, commands: Taken, scenes: Mapping[int, bool], sink: Sink
+    ) -> None:
         """Compute and write what is seen; runs on the background thread."""
         for index, (viewed, row) in enumerate(zip(self._viewed, rows, strict=True)):
             viewed.place(row)
@@ -147,6 +154,9 @@ class Views:
                     sink.write(viewed.scene_topic, time_ns, (scene,))
             joints = viewed.joints.encode(time_ns, viewed.data)
             sink.write(viewed.joints_topic, time_ns, (joints,))
+            if self._markers:
+                drawn = self._markers.encode(time_ns, index, viewed.data, commands)
+                sink.write(viewed.markers_topic, time_ns, (drawn,))
         sink.write("/tf", time_ns, (self._frames.encode(time_ns),))
 
     def on_reset(self, env_ids: EnvIndex) -> None:
@@ -183,7 +193,7 @@ class Views:
         """Find the run's scalars in its first step, and declare their channels."""
         if self._scalars is not None:
             return self._scalars
-        self._scalars = Scalars(record)
+        self._scalars = Scalars(record, self._markers.scalars())
         schema = scalars_descriptor_set("Metrics", self._scalars.names)
         topics = [viewed.metrics_topic for viewed in self._viewed]
 

@@ -7,7 +7,8 @@ event.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
 import lazy_loader
 import numpy as np
@@ -26,7 +27,21 @@ if TYPE_CHECKING:
 else:
     torch = lazy_loader.load("torch")
 
-__all__ = ["CommandManager", "CommandTerm"]
+__all__ = ["CommandManager", "CommandMarker", "CommandTerm"]
+
+
+@dataclass(frozen=True, slots=True)
+class CommandMarker:
+    """How viewers draw a command.
+
+    Attributes:
+        kind: What the columns are. ``pose``: x, y, z, qw, qx, qy, qz in the frame of the body.
+            ``velocity``: forward, to the left (m/s) and counter-clockwise (rad/s), in its heading.
+        body: Id of the body.
+    """
+
+    kind: Literal["pose", "velocity"]
+    body: int
 
 
 class CommandTerm(Term):
@@ -36,10 +51,12 @@ class CommandTerm(Term):
         names: What each column is, for tables and logs.
         values: (N, K) float64, the commands in force. Terms read it live: write into it, never
             replace it.
+        marker: How viewers draw it, if they can.
     """
 
     names: tuple[str, ...] = ()
     values: F64
+    marker: CommandMarker | None = None
 
     def resample(self, env_ids: EnvIndex | None) -> None:
         """Draw new commands, by `CommandManager.draw`; touch no other environment.
@@ -87,6 +104,7 @@ class CommandManager(Manager[CommandCfg]):
     def __init__(self, env: BaseEnv, cfgs: Mapping[str, CommandCfg]) -> None:
         self._stream = ""
         self._drawn: dict[str, NDArray[Any]] = {}
+        self._given: Mapping[str, NDArray[Any]] = {}
         super().__init__(env, "commands", "command", cfgs)
         self._left = {
             name: np.zeros(self.num_envs, np.int64)
@@ -239,9 +257,35 @@ class CommandManager(Manager[CommandCfg]):
         Returns:
             (n, *shape) float64. Do not write into it.
         """
-        values: F64 = self.env.streams.uniform(self._stream, shape, low, high, env_ids)
+        given = self._given.get(what)
+        if given is not None and given.shape == tuple(shape):
+            n = self.num_envs if env_ids is None else len(env_ids)
+            values: F64 = np.tile(given, (n, *[1] * len(shape)))
+        else:
+            values = self.env.streams.uniform(self._stream, shape, low, high, env_ids)
         self._drawn[what] = values
         return values
+
+    def again(
+        self, name: str, env_ids: EnvIndex | None, drawn: Mapping[str, NDArray[Any]]
+    ) -> None:
+        """Give environments the command that was drawn before, when a log was recorded.
+
+        Args:
+            name: The term.
+            env_ids: (n,) environments, or None for all.
+            drawn: What one environment drew, by name; what is not here is drawn anew.
+        """
+        self._given = drawn
+        try:
+            self._resample(self.terms[name], env_ids)
+        finally:
+            self._given = {}
+
+    def update(self, env_ids: EnvIndex | None) -> None:
+        """Adjust the commands of environments to a state that they were given."""
+        for update in self._updates:
+            update(env_ids)
 
     # -- saving --------------------------------------------------------------------------------
 

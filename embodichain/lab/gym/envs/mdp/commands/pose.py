@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.command_manager import CommandTerm
+from embodichain.lab.gym.envs.managers.command_manager import CommandMarker, CommandTerm
 from embodichain.lab.gym.envs.managers.param_types import Box3
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
@@ -60,6 +60,7 @@ class UniformPoseCommand(CommandTerm):
         self._unique = make_quat_unique
         self.values: F64 = np.zeros((env.num_envs, 7))
         self.values[:, 3] = 1.0
+        self.marker = CommandMarker("pose", _body.body_id(self._root))
 
     def resample(self, env_ids: EnvIndex | None) -> None:
         """Draw poses."""

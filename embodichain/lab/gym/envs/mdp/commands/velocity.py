@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.command_manager import CommandTerm
+from embodichain.lab.gym.envs.managers.command_manager import CommandMarker, CommandTerm
 from embodichain.lab.gym.envs.managers.param_types import NonNegative, Range, UnitInterval
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
@@ -81,6 +81,7 @@ class UniformVelocityCommand(CommandTerm):
         self._stands = rel_standing_envs
         self._heads = rel_heading_envs
         self.values: F64 = np.zeros((count, 3))
+        self.marker = CommandMarker("velocity", _body.body_id(entity_cfg))
         self.heading_target: F64 = np.zeros(count)
         self.is_heading: NDArray[np.bool_] = np.zeros(count, np.bool_)
         self.is_standing: NDArray[np.bool_] = np.zeros(count, np.bool_)
