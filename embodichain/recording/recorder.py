@@ -141,7 +141,7 @@ class McapRecorder(StepObserver):
         """Queue attachments and metadata, then what the simulation is now."""
         model, spec, start_ns = env.sim.engine.model, env.sim.scene.spec, self._start_ns
         layout_file = Path(self._file.path).with_name("foxglove_layout.json")
-        layout = foxglove_layout(model, options.view_envs)
+        layout = foxglove_layout(env, options.view_envs)
         mjb = model_bytes(model)
         header = Header(
             task=task,

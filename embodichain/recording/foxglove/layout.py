@@ -6,11 +6,16 @@ With a viewer's default layout only coordinate axes appear: scenes are hidden un
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import mujoco
+import numpy as np
 
 from embodichain.recording.foxglove.joints import Joints
+from embodichain.recording.foxglove.metrics import identifier
+from embodichain.recording.foxglove.places import places
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
 
 __all__ = ["foxglove_layout"]
 
@@ -29,14 +34,18 @@ _ABOVE_FLOOR = 0.002
 """Metres; a grid in the very plane of the floor flickers."""
 
 
-def foxglove_layout(model: mujoco.MjModel, view_envs: Sequence[int]) -> dict[str, Any]:
-    """Return a layout with the scene, joint positions, the reward and the log.
+def foxglove_layout(env: BaseEnv, view_envs: Sequence[int]) -> dict[str, Any]:
+    """Return a layout with the scene, joint positions, the reward with its terms, and the log.
 
     Args:
-        model: The scene's model.
+        env: The environment.
         view_envs: Environments that the log shows.
     """
-    topics = {f"/env_{i}/scene": {"visible": True} for i in view_envs}
+    model = env.sim.engine.model
+    seen = [f"/env_{i}/{name}" for i in view_envs for name in ("scene", "markers")]
+    topics = {topic: {"visible": True} for topic in seen}
+    where = places(env, view_envs) if view_envs else np.zeros((1, 3))
+    spread = float(np.ptp(where, axis=0).max())
     first = f"/env_{view_envs[0]}" if view_envs else "/env_0"
     configs: dict[str, Any] = {
         "3D!scene": {
@@ -51,12 +60,12 @@ def foxglove_layout(model: mujoco.MjModel, view_envs: Sequence[int]) -> dict[str
                 }
             },
             "cameraState": {
-                "distance": 1.8 * float(model.stat.extent),
+                "distance": 1.8 * float(model.stat.extent) + 1.2 * spread,
                 "perspective": True,
                 "phi": 65,
                 "thetaOffset": 135,
                 "target": [0, 0, 0],
-                "targetOffset": [float(x) for x in model.stat.center],
+                "targetOffset": (model.stat.center + where.mean(axis=0)).tolist(),
                 "targetOrientation": [0, 0, 0, 1],
                 "fovy": 45,
                 "near": 0.05,
@@ -82,11 +91,11 @@ def foxglove_layout(model: mujoco.MjModel, view_envs: Sequence[int]) -> dict[str
         "Plot!joints": _plot(
             "joint positions (rad, m)",
             {
-                name: f'{first}/joint_states.joints[:]{{name=="{name}"}}.position'
-                for name in Joints(model).names
+                label: f'{first}/joint_states.joints[:]{{name=="{name}"}}.position'
+                for name, label in _short(Joints(model).names).items()
             },
         ),
-        "Plot!reward": _plot("reward", {"reward": f"{first}/metrics.reward"}),
+        "Plot!reward": _plot("reward and its terms", _rewards(env, first)),
         "RosOut!log": {"searchTerms": [], "minLogLevel": 1, "topicToRender": "/log"},
     }
     return {
@@ -111,6 +120,21 @@ def foxglove_layout(model: mujoco.MjModel, view_envs: Sequence[int]) -> dict[str
             "splitPercentage": 62,
         },
     }
+
+
+def _short(names: Sequence[str]) -> dict[str, str]:
+    """Names with what tells them apart: `arm/elbow` is `elbow` where only an arm has one."""
+    last = [name.rpartition("/")[2] for name in names]
+    pairs = zip(names, last, strict=True)
+    return {name: tail if last.count(tail) == 1 else name for name, tail in pairs}
+
+
+def _rewards(env: BaseEnv, first: str) -> dict[str, str]:
+    """Paths of the reward and of its terms, by label."""
+    manager = getattr(env, "reward_manager", None)  # environments of others may have none
+    terms = [] if manager is None else sorted(manager.terms)
+    paths = {name: f"{first}/metrics.reward_{identifier(name)}" for name in terms}
+    return {"reward": f"{first}/metrics.reward", **paths}
 
 
 def _plot(title: str, values: Mapping[str, str]) -> dict[str, Any]:

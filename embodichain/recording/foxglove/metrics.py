@@ -15,7 +15,7 @@ import numpy as np
 from embodichain.lab.gym.envs.observers import StepRecord
 from embodichain.recording import wire
 
-__all__ = ["Scalars"]
+__all__ = ["Scalars", "identifier"]
 
 
 class Scalars:
@@ -29,7 +29,7 @@ class Scalars:
     def __init__(self, step: StepRecord, commands: Mapping[str, Any] | None = None) -> None:
         self.names: list[str] = []
         self._commands = commands or {}
-        for name in (_identifier(path) for path, _ in self._walk(step)):
+        for name in (identifier(path) for path, _ in self._walk(step)):
             taken = sum(n == name or n.startswith(f"{name}__") for n in self.names)
             self.names.append(f"{name}__{taken + 1}" if taken else name)
 
@@ -64,6 +64,6 @@ class Scalars:
             yield f"command_{name}", values
 
 
-def _identifier(name: str) -> str:
+def identifier(name: str) -> str:
     """A legal protobuf field name."""
     return re.sub(r"[^A-Za-z0-9_]", "_", name).lower()

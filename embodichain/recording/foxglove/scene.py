@@ -27,18 +27,23 @@ from embodichain.recording.foxglove.messages import (
     Vector3,
     timestamp,
 )
-from embodichain.recording.shapes import Shape, mesh_of, shapes
+from embodichain.recording.shapes import PLANE_SIZE, Shape, mesh_of, shapes
 
-__all__ = ["Meshes", "Scene"]
+__all__ = ["Props", "Scene"]
 
 
-class Meshes:
-    """Encoded meshes, shared by environments: nothing randomizes their triangles."""
+class Props:
+    """What environments share: encoded meshes, whose triangles nothing randomizes.
 
-    def __init__(self) -> None:
+    Args:
+        ground: Metres that an infinite plane is drawn wide.
+    """
+
+    def __init__(self, ground: float = PLANE_SIZE) -> None:
+        self.ground = min(ground, PLANE_SIZE)
         self._encoded: dict[tuple[int, int], bytes] = {}
 
-    def of(self, model: mujoco.MjModel, geom: int) -> bytes:
+    def mesh(self, model: mujoco.MjModel, geom: int) -> bytes:
         """The GLB of a geom whose shape is a mesh."""
         key = int(model.geom_type[geom]), int(model.geom_dataid[geom])
         if key not in self._encoded:
@@ -52,10 +57,10 @@ class Scene:
     Args:
         model: The environment's model.
         env_id: Which one.
-        meshes: Encoded meshes, this model's or of one with the same.
+        props: Encoded meshes, this model's or of one with the same.
     """
 
-    def __init__(self, model: mujoco.MjModel, env_id: int, meshes: Meshes) -> None:
+    def __init__(self, model: mujoco.MjModel, env_id: int, props: Props) -> None:
         names = frame_names(model, env_id)
         self._entities: dict[int, Any] = {}
         for shape in shapes(model):
@@ -64,7 +69,7 @@ class Scene:
                 name = names[shape.body]
                 entity = SceneEntity(frame_id=name, id=name, frame_locked=True)
                 self._entities[shape.body] = entity
-            _DRAW[shape.kind](entity, model, shape, meshes)
+            _DRAW[shape.kind](entity, model, shape, props)
 
     def update(self, time_ns: int) -> bytes:
         """`SceneUpdate` that replaces all entities, as bytes."""
@@ -96,17 +101,19 @@ def _xyz(values: Any) -> Vector3:
     return Vector3(x=x, y=y, z=z)
 
 
-def _box(entity: Any, model: mujoco.MjModel, shape: Shape, meshes: Meshes) -> None:
-    size = _xyz(2 * shape.half)
-    entity.cubes.append(CubePrimitive(pose=_pose(shape), size=size, color=_color(shape)))
+def _box(entity: Any, model: mujoco.MjModel, shape: Shape, props: Props) -> None:
+    size = 2 * shape.half
+    if int(model.geom_type[shape.geom]) == int(mujoco.mjtGeom.mjGEOM_PLANE):
+        size[:2] = np.where(model.geom_size[shape.geom][:2] > 0, size[:2], props.ground)
+    entity.cubes.append(CubePrimitive(pose=_pose(shape), size=_xyz(size), color=_color(shape)))
 
 
-def _ellipsoid(entity: Any, model: mujoco.MjModel, shape: Shape, meshes: Meshes) -> None:
+def _ellipsoid(entity: Any, model: mujoco.MjModel, shape: Shape, props: Props) -> None:
     size = _xyz(2 * shape.half)
     entity.spheres.append(SpherePrimitive(pose=_pose(shape), size=size, color=_color(shape)))
 
 
-def _cylinder(entity: Any, model: mujoco.MjModel, shape: Shape, meshes: Meshes) -> None:
+def _cylinder(entity: Any, model: mujoco.MjModel, shape: Shape, props: Props) -> None:
     entity.cylinders.append(
         CylinderPrimitive(
             pose=_pose(shape),
@@ -118,15 +125,15 @@ def _cylinder(entity: Any, model: mujoco.MjModel, shape: Shape, meshes: Meshes) 
     )
 
 
-def _capsule(entity: Any, model: mujoco.MjModel, shape: Shape, meshes: Meshes) -> None:
-    _cylinder(entity, model, shape, meshes)
+def _capsule(entity: Any, model: mujoco.MjModel, shape: Shape, props: Props) -> None:
+    _cylinder(entity, model, shape, props)
     radius, _, half = shape.half.tolist()
     for end in (-half, half):
         pose, size = _pose(shape, along_z=end), _xyz((2 * radius,) * 3)
         entity.spheres.append(SpherePrimitive(pose=pose, size=size, color=_color(shape)))
 
 
-def _mesh(entity: Any, model: mujoco.MjModel, shape: Shape, meshes: Meshes) -> None:
+def _mesh(entity: Any, model: mujoco.MjModel, shape: Shape, props: Props) -> None:
     entity.models.append(
         ModelPrimitive(
             pose=_pose(shape),
@@ -134,12 +141,12 @@ def _mesh(entity: Any, model: mujoco.MjModel, shape: Shape, meshes: Meshes) -> N
             color=_color(shape),
             override_color=True,
             media_type=MEDIA_TYPE,
-            data=meshes.of(model, shape.geom),
+            data=props.mesh(model, shape.geom),
         )
     )
 
 
-_DRAW: dict[str, Callable[[Any, mujoco.MjModel, Shape, Meshes], None]] = {
+_DRAW: dict[str, Callable[[Any, mujoco.MjModel, Shape, Props], None]] = {
     "box": _box,
     "ellipsoid": _ellipsoid,
     "capsule": _capsule,

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from embodichain.lab.sim.engine.base import F64
 from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.recording.foxglove.joints import Joints
-from embodichain.recording.foxglove.scene import Meshes, Scene
+from embodichain.recording.foxglove.scene import Props, Scene
 
 __all__ = ["Viewed"]
 
@@ -25,12 +25,12 @@ class Viewed:
     Args:
         model: The compiled model; other values of the environment's own are set later.
         env_id: Which one.
-        meshes: Encoded meshes, shared by all.
+        props: Encoded meshes, shared by all.
     """
 
-    def __init__(self, model: mujoco.MjModel, env_id: int, meshes: Meshes) -> None:
+    def __init__(self, model: mujoco.MjModel, env_id: int, props: Props) -> None:
         self.env_id = env_id
-        self._model, self._meshes = model, meshes
+        self._model, self._props = model, props
         self._owned = False
         self.data = mujoco.MjData(model)
         self.joints = Joints(model)
@@ -65,7 +65,7 @@ class Viewed:
         """
         changed = self._scene is None
         if self._scene is None:
-            self._scene = Scene(self._model, self.env_id, self._meshes)
+            self._scene = Scene(self._model, self.env_id, self._props)
         if self._big and not changed and not anyway:
             return None
         data = self._scene.update(time_ns)

@@ -21,11 +21,13 @@ from embodichain.recording.foxglove.frames import Frames
 from embodichain.recording.foxglove.log_lines import ending_text, event_text, ids_text, log_line
 from embodichain.recording.foxglove.markers import Markers, Taken
 from embodichain.recording.foxglove.metrics import Scalars
-from embodichain.recording.foxglove.scene import Meshes
+from embodichain.recording.foxglove.places import pitch_of, places
+from embodichain.recording.foxglove.scene import Props
 from embodichain.recording.foxglove.viewed import Viewed
 from embodichain.recording.mcap_file import Part
 from embodichain.recording.options import RecordLike
 from embodichain.recording.schemas import scalars_descriptor_set
+from embodichain.recording.shapes import PLANE_SIZE
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -75,10 +77,10 @@ class Views:
         self._asked: set[int] = set(self._ids.tolist())
         self._sampled = -1
         self._scalars: Scalars | None = None
-        model, offsets = env.sim.engine.model, env.sim.arena_offsets
-        meshes = Meshes()
+        model, where = env.sim.engine.model, places(env, self._ids.tolist())
+        meshes = Props(pitch_of(env) if len(self._ids) > 1 else PLANE_SIZE)
         self._viewed = [Viewed(model, i, meshes) for i in self._ids.tolist()]
-        self._frames = Frames(model, self._ids.tolist(), offsets[self._ids].tolist())
+        self._frames = Frames(model, self._ids.tolist(), where.tolist())
         self._markers = Markers(env, self._ids.tolist())
         self.channels = {"/log": "foxglove.Log"}
         if self._viewed:

@@ -2,6 +2,7 @@
 
 import json
 import re
+from types import SimpleNamespace
 
 import foxglove_schemas_protobuf as published
 import mujoco
@@ -13,6 +14,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from embodichain.recording import McapRecorder, inspect
 from embodichain.recording.foxglove.glb import glb
+from embodichain.recording.foxglove.layout import foxglove_layout
 from embodichain.recording.options import RecordOptions
 from embodichain.recording.shapes import Mesh
 from tests.recording.scene import MODEL, SmallEnv
@@ -90,7 +92,8 @@ def test_frames_stand_where_mujoco_puts_them(watched):
                 assert frame.timestamp.seconds * 10**9 + frame.timestamp.nanos == time
         base = frames["env_2"]
         assert base.parent_frame_id == "world"
-        assert (base.translation.x, base.translation.y, base.rotation.w) == (0.0, 5.0, 1.0)
+        pitch = min(2.5 * MODEL.stat.extent, 5.0)  # in a row of their own
+        assert (base.translation.x, base.translation.y, base.rotation.w) == (pitch, 0.0, 1.0)
 
 
 def test_joints_have_their_positions_and_velocities(watched):
@@ -132,6 +135,7 @@ def test_the_scene_is_shown_once_a_reset(watched):
     assert wedge.data == glb(Mesh(MODEL.mesh_vert, MODEL.mesh_face))
     plane = entities["env_2"].cubes[0]  # infinite: drawn as a thin slab whose top is z = 0
     assert plane.pose.position.z + plane.size.z / 2 == pytest.approx(0)
+    assert plane.size.x == plane.size.y == pytest.approx(min(4.0, 2.5 * MODEL.stat.extent))
 
 
 def test_looks_follow_the_model_of_their_environment(tmp_path):
@@ -233,7 +237,9 @@ def test_the_layout_shows_topics_that_exist(watched):
     layout = json.loads(path.with_name("foxglove_layout.json").read_text())
     topics = {c.topic for c in inspect(path).channels if c.messages}
     panels = layout["configById"]
-    assert set(panels["3D!scene"]["topics"]) == {"/env_0/scene", "/env_2/scene"} <= topics
+    shown = {"/env_0/scene", "/env_0/markers", "/env_2/scene", "/env_2/markers"}
+    assert set(panels["3D!scene"]["topics"]) == shown
+    assert topics & shown == {"/env_0/scene", "/env_2/scene"}  # it has no commands to draw
     values = [
         p["value"] for name in panels if name.startswith("Plot") for p in panels[name]["paths"]
     ]
@@ -248,6 +254,23 @@ def test_the_layout_shows_topics_that_exist(watched):
         return named(node["first"]) | named(node["second"])
 
     assert named(layout["layout"]) == set(panels)
+
+
+def test_the_layout_plots_every_reward_and_sees_every_environment():
+    env = SmallEnv(num_envs=9)
+    env.reward_manager = SimpleNamespace(terms={"near goal": None, "effort": None})
+    one, many = foxglove_layout(env, [4]), foxglove_layout(env, [1, 3, 5, 7])
+    assert [p["value"] for p in one["configById"]["Plot!reward"]["paths"]] == [
+        "/env_4/metrics.reward",
+        "/env_4/metrics.reward_effort",
+        "/env_4/metrics.reward_near_goal",
+    ]
+    near, far = (x["configById"]["3D!scene"]["cameraState"] for x in (one, many))
+    pitch = min(2.5 * MODEL.stat.extent, 5.0)
+    assert near["targetOffset"] == pytest.approx(MODEL.stat.center)
+    middle = MODEL.stat.center + np.array([pitch / 2, pitch / 2, 0])
+    assert far["targetOffset"] == pytest.approx(middle)
+    assert far["distance"] == pytest.approx(near["distance"] + 1.2 * pitch)
 
 
 def test_a_big_scene_is_not_repeated_unless_it_changed(record, monkeypatch):

@@ -155,7 +155,7 @@ def test_what_comes_is_the_state_of_the_simulation(live):
         poses = {t.child_frame_id: t for t in frames.transforms}
         assert {"env_0", "env_2", "env_2/cube", "env_0/arm/fore"} <= set(poses)
         assert poses["env_2"].parent_frame_id == "world"
-        assert poses["env_2"].translation.y == 5.0  # beside the others
+        assert poses["env_2"].translation.x > 1.0  # beside the others
         assert poses["env_2/cube"].timestamp.seconds == time_ns // 10**9
         later = client.until("/tf")[1]
         assert (later - time_ns) % 20_000_000 == 0 < later - time_ns  # the log's own clock
