@@ -20,7 +20,9 @@ from embodichain.recording.archive import load_mjz
 from embodichain.recording.arrays import LogArrays
 from embodichain.recording.attachments import load_mjb, model_digest
 from embodichain.recording.chunks import ChunkFile
-from embodichain.recording.episodes import LogEpisode, find_episodes
+from embodichain.recording.episode_log import TOPIC as EPISODE_TOPIC
+from embodichain.recording.episode_log import EndedEpisode, decode_ends
+from embodichain.recording.episodes import LogEpisode, find_episodes, of_ended
 from embodichain.recording.events import LogEvent
 from embodichain.recording.gather import OUTCOMES, Gatherer, Steps
 from embodichain.recording.header import Header, LogError
@@ -63,7 +65,8 @@ class Log:
     """
 
     def __init__(self, path: str | Path, simulate: bool = False) -> None:
-        self._file = FilledFile(Path(path)) if simulate else ChunkFile(Path(path))
+        self._file = ChunkFile(Path(path))
+        self._states = FilledFile(self._file) if simulate else self._file
         self.path = self._file.path
         try:
             self.header: Header = self._file.require_header()
@@ -305,9 +308,10 @@ class Log:
         components = [name for name in names if name in self.header.layout]
         outcomes = [name for name in names if name in OUTCOMES]
         ids = self._envs(env)
-        if isinstance(self._file, FilledFile):
-            self._file.only = ids
-        gatherer = Gatherer(self._file, components, outcomes, ids, span)
+        file = self._states if components else self._file
+        if isinstance(file, FilledFile):
+            file.only = ids
+        gatherer = Gatherer(file, components, outcomes, ids, span)
         gatherer.run()
         return gatherer
 
@@ -332,14 +336,17 @@ class Log:
 
     @cached_property
     def episodes(self) -> list[LogEpisode]:
-        """Every episode, whole or not, by environment; found in one pass over the log."""
-        data = self.read(["episodes", "rewards", "terminated", "truncated"])
-        success = {}
-        for env in self.header.view_envs:
-            steps, values = self.metrics(env)
-            if "success" in values:
-                success[env] = steps, values["success"] != 0
-        return find_episodes(data, success)
+        """Every episode, whole or not, by environment; found in one pass over the log.
+
+        A log with `record.state=none` tells only of those that ended.
+        """
+        ended: dict[tuple[int, int], EndedEpisode] = {}
+        for ends in self._decoded(EPISODE_TOPIC, decode_ends):
+            for end in ends:
+                ended.setdefault((end.env, end.episode), end)
+        if self.header.state == "none":
+            return of_ended(ended)
+        return find_episodes(self.read(["episodes", "rewards", "terminated", "truncated"]), ended)
 
     def metrics(self, env: int) -> tuple[NDArray[np.int64], dict[str, NDArray[np.float64]]]:
         """Numbers of a viewed environment: rewards of each term, metrics, sums of the episode.
@@ -368,9 +375,9 @@ class Log:
 
     def raw_messages(self) -> Iterator[tuple[str, int, memoryview]]:
         """Yield topic, log time in ns and bytes of every message, in file order."""
-        if isinstance(self._file, FilledFile):
-            self._file.only = None
-        return self._file.messages()
+        if isinstance(self._states, FilledFile):
+            self._states.only = None
+        return self._states.messages()
 
     def _decoded(self, topic: str, decode: Callable[[Any], T]) -> Iterator[T]:
         for found, _, payload in self._file.messages():

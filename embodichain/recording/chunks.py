@@ -41,7 +41,6 @@ _KEPT_LIMIT = 2**29
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQ")  # first and last log time, size
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-_DAMAGE = (DamageError, struct.error, UnicodeDecodeError)
 
 Found = tuple[str, int, memoryview]
 """Topic, log time in ns, payload."""
@@ -176,7 +175,10 @@ class ChunkFile:
                 break
             try:
                 self._note(opcode, at, length, len(self.chunks) == begins)
-            except _DAMAGE as error:
+            except DamageError as error:
+                self.damage = f"{prefix}{error}"
+                return False
+            except (struct.error, UnicodeDecodeError) as error:
                 self.damage = f"{prefix}a record is damaged ({error})"
                 return False
             if opcode == Opcode.FOOTER:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from embodichain.recording.arrays import LogArrays
+from embodichain.recording.episode_log import EndedEpisode
 
-__all__ = ["LogEpisode", "find_episodes"]
+__all__ = ["Ended", "LogEpisode", "find_episodes", "of_ended"]
 
-Sampled = Mapping[int, tuple[NDArray[np.int64], NDArray[np.bool_]]]
-"""Environment to sampled steps and whether each was a success."""
+Ended = Mapping[tuple[int, int], EndedEpisode]
+"""Environment and episode id to what `/episode` tells."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +28,12 @@ class LogEpisode:
         total_reward: Sum of rewards over them, undiscounted.
         terminated: Whether it ended by itself.
         truncated: Whether it ended by a limit. Neither: the log ended first.
-        success: Whether its last step was one; None where the log does not say. Only viewed
-            environments say, when that step was sampled (`record.view_hz`).
+        success: Whether its last step was one; None where the log does not say: the task has no
+            notion of it, or the log ended first.
+        reasons: What ended it: termination terms that fired, `success`, `fail`, `diverged`; empty
+            where time ran out or the log ended first.
+        rewards: Term to its sum over the episode, weighted; empty where the log ended first.
+        metrics: Metric to its value at the episode's end; empty where the log ended first.
     """
 
     env: int
@@ -40,6 +44,9 @@ class LogEpisode:
     terminated: bool
     truncated: bool
     success: bool | None = None
+    reasons: tuple[str, ...] = ()
+    rewards: Mapping[str, float] = field(default_factory=dict)
+    metrics: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def steps(self) -> int:
@@ -47,12 +54,12 @@ class LogEpisode:
         return self.last_step - self.first_step + 1
 
 
-def find_episodes(data: LogArrays, success: Sampled) -> list[LogEpisode]:
+def find_episodes(data: LogArrays, ended: Ended) -> list[LogEpisode]:
     """Episodes by environment, then in time.
 
     Args:
         data: `episodes`, `rewards`, `terminated` and `truncated` of all steps.
-        success: Where it is known.
+        ended: What is known of those that ended.
     """
     found: list[LogEpisode] = []
     for column, env in enumerate(data.env_ids.tolist()):
@@ -61,25 +68,41 @@ def find_episodes(data: LogArrays, success: Sampled) -> list[LogEpisode]:
             continue
         starts = np.concatenate([[0], np.flatnonzero(np.diff(ids)) + 1])
         ends = np.concatenate([starts[1:], [len(ids)]]) - 1
-        known = success.get(env)
         for first, last in zip(starts.tolist(), ends.tolist(), strict=True):
-            step = int(data.steps[last])
+            known = ended.get((env, int(ids[first])))
             found.append(
                 LogEpisode(
                     env,
                     int(ids[first]),
                     int(data.steps[first]),
-                    step,
+                    int(data.steps[last]),
                     float(np.add.accumulate(data["rewards"][first : last + 1, column])[-1]),
                     bool(data["terminated"][last, column]),
                     bool(data["truncated"][last, column]),
-                    None if known is None else _at(known, step),
+                    *_told(known),
                 )
             )
     return found
 
 
-def _at(known: tuple[NDArray[np.int64], NDArray[np.bool_]], step: int) -> bool | None:
-    steps, values = known
-    at = int(np.searchsorted(steps, step))
-    return bool(values[at]) if at < len(steps) and steps[at] == step else None
+def of_ended(ended: Ended) -> list[LogEpisode]:
+    """Episodes of a log without steps, by environment: those that ended."""
+    return [
+        LogEpisode(
+            end.env,
+            end.episode,
+            end.step - end.steps + 1,
+            end.step,
+            end.total_reward,
+            end.terminated,
+            end.truncated,
+            *_told(end),
+        )
+        for _, end in sorted(ended.items())
+    ]
+
+
+def _told(
+    end: EndedEpisode | None,
+) -> tuple[bool | None, tuple[str, ...], Mapping[str, float], Mapping[str, float]]:
+    return (end.success, end.reasons, end.rewards, end.metrics) if end else (None, (), {}, {})

@@ -21,6 +21,7 @@ from embodichain.recording.header import Header, LogError
 from embodichain.recording.mcap_file import CHUNK_LIMIT
 from embodichain.recording.messages import State
 from embodichain.recording.model_columns import Column
+from embodichain.recording.rebuild import FilledFile
 from embodichain.recording.step_block import decode_steps
 
 __all__ = ["OUTCOMES", "Gatherer", "Steps"]
@@ -73,7 +74,7 @@ class Gatherer:
         span: Steps.
     """
 
-    file: ChunkFile
+    file: ChunkFile | FilledFile
     components: Sequence[str]
     outcomes: Sequence[str]
     env_ids: NDArray[np.int64]

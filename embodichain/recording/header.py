@@ -10,8 +10,9 @@ from typing import Any
 import mujoco
 
 from embodichain.recording.mcap_file import CHUNK_LIMIT
+from embodichain.recording.options import RecordLike
 from embodichain.recording.records import DamageError
-from embodichain.utils.errors import ConfigError
+from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = [
     "FORMAT_VERSION",
@@ -20,6 +21,7 @@ __all__ = [
     "METADATA_RECOVERED",
     "Header",
     "LogError",
+    "check_keyframes",
     "check_part",
     "why_unverifiable",
 ]
@@ -201,3 +203,11 @@ def why_unverifiable(model: mujoco.MjModel, state: str) -> str:
     if model.nplugin:
         return "the model has plugins, which may keep state outside the state rows"
     return ""
+
+
+def check_keyframes(options: RecordLike, model: mujoco.MjModel) -> None:
+    """Raise `ConfigError` where what lies between keyframes could not be simulated again."""
+    why = why_unverifiable(model, "all") if options.state == "keyframes" else ""
+    if why:
+        message = f"keyframes cannot be replayed: {why}; use record.state=all"
+        raise ConfigError([Problem("record.state", message)])

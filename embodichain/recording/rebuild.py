@@ -7,7 +7,6 @@ was recorded, or an error.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -25,18 +24,29 @@ from embodichain.recording.wire import WireError
 __all__ = ["FilledFile"]
 
 
-class FilledFile(ChunkFile):
+class FilledFile:
     """A log whose `/sim/state` has rows in every control step.
 
     A log that was recorded with `state: all` is read as it is.
 
+    Args:
+        file: The log; it knows of damage that is met.
+
     Attributes:
+        path: Where the log begins.
         only: (n,) environments to simulate; the rows of others are NaN. None is all.
     """
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(path)
+    def __init__(self, file: ChunkFile) -> None:
+        self.path = file.path
         self.only: EnvIndex | None = None
+        self._file = file
+        self.require_header, self.between = file.require_header, file.between
+
+    def messages(self) -> Iterator[Found]:
+        """All messages, in file order."""
+        for found in self.blocks():
+            yield from found
 
     def blocks(self, chunks: list[ChunkPlace] | None = None) -> Iterator[list[Found]]:
         """Messages of some chunks, or of all, a list for each.
@@ -44,16 +54,14 @@ class FilledFile(ChunkFile):
         Raises:
             LogError: If the log does not simulate to what it says.
         """
-        if not self.require_header().keyframe_every:
-            yield from super().blocks(chunks)
+        file, every = self._file, self._file.chunks
+        wanted = every if chunks is None else chunks
+        if not wanted or not file.require_header().keyframe_every:
+            yield from file.blocks(chunks)
             return
-        wanted = self.chunks if chunks is None else chunks
-        if not wanted:
-            return
-        upto = self.chunks[: self.chunks.index(wanted[-1]) + 1]
-        begins = self.chunks.index(wanted[0])
-        filler = _Filler(self, wanted[0].start_ns)
-        for number, found in enumerate(super().blocks(upto)):
+        begins = every.index(wanted[0])
+        filler = _Filler(file, self.only, wanted[0].start_ns)
+        for number, found in enumerate(file.blocks(every[: every.index(wanted[-1]) + 1])):
             try:
                 filled = filler.fill(found)
             except Difference as other:
@@ -70,13 +78,13 @@ class _Filler:
 
     Args:
         file: The log.
+        only: Environments to simulate; None is all.
         start_ns: Log time of what is wanted first.
     """
 
-    def __init__(self, file: FilledFile, start_ns: int) -> None:
+    def __init__(self, file: ChunkFile, only: EnvIndex | None, start_ns: int) -> None:
         header = self._header = file.require_header()
-        everybody = np.arange(header.num_envs, dtype=np.int64)
-        self._ids = everybody if file.only is None else file.only
+        self._ids = np.arange(header.num_envs, dtype=np.int64) if only is None else only
         mask = np.ones(len(self._ids), np.bool_)
         model = _model(file, header)
         self._simulation = Resimulation(header, model, self._ids, lambda step: mask)

@@ -33,10 +33,19 @@ from embodichain.recording.episode_log import TOPIC as EPISODE_TOPIC
 from embodichain.recording.episode_log import Ends, EpisodeLog
 from embodichain.recording.foxglove.layout import foxglove_layout
 from embodichain.recording.foxglove.views import Views
-from embodichain.recording.header import METADATA_END, Header, why_unverifiable
+from embodichain.recording.header import (
+    METADATA_END,
+    Header,
+    check_keyframes,
+    why_unverifiable,
+)
 from embodichain.recording.log_head import LogHead, Rolling
 from embodichain.recording.mcap_file import Part
-from embodichain.recording.options import RecordLike, RecordOptions, check_options
+from embodichain.recording.options import (
+    RecordLike,
+    RecordOptions,
+    check_options,
+)
 from embodichain.recording.writer import Batch, LogWriteError, McapThread
 
 if TYPE_CHECKING:
@@ -97,6 +106,7 @@ class McapRecorder(StepObserver):
         options = RecordOptions() if options is None else options
         check_options(options, env.num_envs)
         engine = env.sim.engine
+        check_keyframes(options, engine.model)
         columns = RowColumns(row_layout(engine.model))
         self._period_ns = round(env.step_dt * 1e9)
         self._start_ns = time.time_ns()

@@ -135,6 +135,8 @@ def _approximate_model(
     except ValueError as error:
         return None, False, [problem, f"the attachment scene.mjz cannot be loaded: {error}"]
     problem += "; simulated approximately from scene.mjz (its XML has 6 digits)"
+    if header.keyframe_every:
+        problem += f" between keyframes, up to {header.keyframe_every} steps at a time"
     return _check_size(header, model, exact=False, problems=[problem])
 
 

@@ -1,0 +1,177 @@
+"""Logs with `record.state: keyframes`: states now and then, everything that leads from one on."""
+
+import mujoco
+import numpy as np
+import pytest
+
+import embodichain.recording as recording
+from embodichain.recording import McapRecorder, RecordOptions, diff, inspect, verify
+from embodichain.recording.header import LogError
+from embodichain.recording.messages import State, StepOutcome
+from embodichain.utils.errors import ConfigError
+from tests.recording.rewrite import rewrite
+from tests.recording.scene import SmallEnv
+
+KEYFRAMES = RecordOptions(state="keyframes", keyframe_every=8)
+CASES = [
+    {},
+    {"num_envs": 1},
+    {"num_envs": 5, "threads": 2},
+    {"settle": 25},
+    {"settle": 4},  # as long as a control step's own physics
+    {"push": True},  # rows become whole between two keyframes
+    {"before": 4},  # starts with randomized masses
+    {"before": 5, "push": True},
+]
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_what_lies_between_is_simulated_to_the_bit(record, case):
+    whole = record("whole.mcap", steps=30, **case)
+    sparse = record("sparse.mcap", steps=30, options=KEYFRAMES, **case)
+    report = verify(sparse)
+    assert report.ok, str(report)
+    assert report.steps == 30
+    assert diff(whole, sparse).same
+    with recording.open(whole) as a, recording.open(sparse, simulate=True) as b:
+        expected, found = a.read(list(a.columns)), b.read(list(b.columns))
+        assert found.steps.tolist() == list(range(30))
+        for field in expected:
+            assert expected[field].tobytes() == found[field].tobytes(), field
+        part = b.read(["qpos", "ctrl"], env=0, start=13, stop=22)
+        assert part.steps.tolist() == list(range(13, 22))
+        assert part["qpos"].tobytes() == expected["qpos"][13:22, :1].tobytes()
+        episode = b.read("qvel", env=0, episode=2)
+        mine = np.flatnonzero(expected["episodes"][:, 0] == 2)
+        assert episode.steps.tolist() == mine.tolist()
+        assert episode["qvel"].tobytes() == expected["qvel"][mine, :1].tobytes()
+        parts = [p["qpos"] for p in b.parts("qpos", steps=7)]
+        assert np.concatenate(parts).tobytes() == expected["qpos"].tobytes()
+
+
+def test_a_diverging_environment_verifies(record, poison):
+    assert verify(record(env=poison, options=KEYFRAMES)).ok
+
+
+def test_only_keyframes_are_read_unless_more_is_asked_for(record):
+    path = record(steps=30, options=KEYFRAMES)
+    with recording.open(path) as log:
+        assert log.header.keyframe_every == 8
+        assert log.read("qpos").steps.tolist() == [0, 8, 16, 24]
+        assert log.read(["qpos", "rewards"], start=5, stop=20).steps.tolist() == [8, 16]
+        assert log.read(["rewards", "actions"]).steps.tolist() == list(range(30))
+        assert [e.steps for e in log.episodes if e.env == 0] == [7, 7, 7, 7, 2]
+
+
+def test_they_are_much_smaller(record):
+    whole = record("whole.mcap", steps=400, num_envs=20)
+    sparse = record("sparse.mcap", steps=400, num_envs=20, options=RecordOptions("keyframes"))
+    assert sparse.stat().st_size < 0.5 * whole.stat().st_size
+
+
+def test_one_environment_and_one_episode(record):
+    path = record(settle=6, options=KEYFRAMES)
+    for env in range(3):
+        assert verify(path, env=env).ok
+    assert verify(path, env=0, episode=1).steps == 7
+    report = verify(path, episode=1)
+    assert report.ok and report.steps == 18 - 7
+
+
+def changed(path, target, step, change):
+    """A log whose message of a step is another."""
+
+    def message(topic, data):
+        return change(topic, data) if topic in ("/sim/step", "/sim/state") else data
+
+    return rewrite(path, target, message=lambda t, d: message(t, d))
+
+
+def test_a_changed_keyframe_is_found(record, tmp_path):
+    def change(topic, data):
+        state = State.decode(data) if topic == "/sim/state" else None
+        if state is None or state.step != 16:
+            return data
+        rows = state.rows.copy()
+        rows.view(np.uint64)[2, 3] ^= np.uint64(1)
+        return data.replace(state.rows.tobytes(), rows.tobytes())
+
+    path = changed(record(steps=30, options=KEYFRAMES), tmp_path / "bad.mcap", 16, change)
+    difference = verify(path).difference
+    assert (difference.step, difference.env, difference.field) == (16, 2, "qpos[2]")
+
+
+def test_a_changed_hash_between_keyframes_is_found(record, tmp_path):
+    def change(topic, data):
+        outcome = StepOutcome.decode(data) if topic == "/sim/step" else None
+        if outcome is None or outcome.step != 11:
+            return data
+        hashes = outcome.physics.hashes.copy()
+        hashes[1] ^= np.uint64(1)
+        return data.replace(outcome.physics.hashes.tobytes(), hashes.tobytes())
+
+    path = changed(record(steps=30, options=KEYFRAMES), tmp_path / "bad.mcap", 11, change)
+    difference = verify(path).difference
+    assert (difference.step, difference.env, difference.field) == (11, 1, "hash")
+    assert verify(path, env=0).ok
+    with (
+        recording.open(path, simulate=True) as log,
+        pytest.raises(LogError, match=r"does not simulate to what it says: step 11, environment 1"),
+    ):
+        log.read("qpos")
+
+
+def test_a_changed_write_between_keyframes_is_found(record, tmp_path):
+    seen = []
+
+    def message(topic, data):
+        if topic == "/sim/write" and b"mocap_pos" in data:
+            seen.append(data)
+            if len(seen) == 6:  # after the physics of step 5; the next rows are those of step 8
+                return data[:-1] + bytes([data[-1] ^ 0x40])
+        return data
+
+    path = record(steps=30, options=KEYFRAMES)
+    difference = verify(rewrite(path, tmp_path / "bad.mcap", message=message)).difference
+    assert difference.env == 2
+    assert difference.step == 6
+
+
+def test_a_cut_log_verifies_up_to_its_end(record, tmp_path):
+    options = RecordOptions("keyframes", keyframe_every=8, compression="none")
+    path = record(steps=200, options=options, num_envs=100)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    report = verify(cut)
+    assert 20 < report.steps < 200
+    assert report.difference is None
+    assert len(report.problems) == 1
+    with recording.open(cut, simulate=True) as log:
+        assert len(log.read("qpos")) == report.steps == inspect(cut).steps
+
+
+def test_another_mujoco_is_approximate(record, tmp_path):
+    def metadata(name, values):
+        return {**values, "mujoco_version": "4.9.9"} if name == "embodichain" else values
+
+    path = rewrite(record(options=KEYFRAMES), tmp_path / "other.mcap", metadata=metadata)
+    report = verify(path)
+    assert not report.ok
+    assert report.steps == 20
+    assert 0 <= report.largest_error["qpos"] < 1e-2
+    assert "between keyframes, up to 8 steps" in report.problems[0]
+    with recording.open(path) as log:
+        assert log.read("qpos").steps.tolist() == [0, 8, 16]
+    with recording.open(path, simulate=True) as log, pytest.raises(LogError, match="mujoco==4.9.9"):
+        log.read("qpos")
+
+
+def test_models_that_hide_state_need_every_state(tmp_path):
+    xml = (
+        "<mujoco><option><flag sleep='enable'/></option>"
+        "<worldbody><body><freejoint/><geom size='.1'/></body></worldbody></mujoco>"
+    )
+    env = SmallEnv(model=mujoco.MjSpec.from_string(xml).compile())
+    with pytest.raises(ConfigError, match=r"record\.state: keyframes cannot be replayed: .* sleep"):
+        McapRecorder(tmp_path / "log.mcap", env, options=KEYFRAMES)
+    assert not (tmp_path / "log.mcap").exists()
