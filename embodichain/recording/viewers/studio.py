@@ -1,15 +1,14 @@
 """`Studio`: MuJoCo Studio's web viewer on one address, for looking only.
 
-MuJoCo 4.0's web viewer listens on every interface, takes files that are dropped on its page,
-answers pages of other sites, and prints to stdout. All of that is changed here and nowhere else, by
-two seams: `_Viewer` gives the address, and `_guard_serving` puts a check before every request.
-Where a MuJoCo has them no more, nothing is served. Importing this imports MuJoCo Studio.
+MuJoCo 4.0's web viewer listens on every interface, takes files that are dropped on its page, and
+answers pages of other sites. All of that is changed here and nowhere else, by two seams: `_Viewer`
+gives the address, and `_guard_serving` puts a check before every request. Where a MuJoCo has them
+no more, nothing is served. Importing this imports MuJoCo Studio; only `web_process.py` does.
 """
 
 from __future__ import annotations
 
 import functools
-import logging
 import socket
 import threading
 import time
@@ -27,17 +26,13 @@ from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["Studio"]
 
-_log = logging.getLogger(__name__)
 _START_SECONDS = 20.0
 _IDLE_SECONDS = 0.05
 _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 
-_in_use = threading.Lock()
-"""Dear ImGui's context belongs to the process: there is one page at a time."""
-
 
 class Studio:
-    """Serves a model's page from threads of its own until it is closed.
+    """Serves a model's page from threads of its own until it is closed; once in a process.
 
     Args:
         model: Shown first; copied.
@@ -50,16 +45,13 @@ class Studio:
         url: Where the page is.
 
     Raises:
-        ConfigError: The address cannot be listened on, this MuJoCo's viewer cannot be confined, or
-            this process has a page already.
+        ConfigError: The address cannot be listened on, or this MuJoCo's viewer cannot be
+            confined.
     """
 
     def __init__(
         self, model: mujoco.MjModel, host: str, port: int | None, title: str, plugins: Sequence[Any]
     ) -> None:
-        if not _in_use.acquire(blocking=False):
-            raise _refused("this process shows a page already, and can show one at a time")
-        self._closed = False
         made: list[_Viewer] = []
         ready = threading.Event()
 
@@ -75,7 +67,6 @@ class Studio:
         self._handle = launch_thread.launch_thread(run)
         ready.wait(_START_SECONDS)
         if not made:
-            _in_use.release()
             self._fail(host)
         self.url = made[0].url
         self._guard = made[0].guard
@@ -90,20 +81,12 @@ class Studio:
         self._handle.send_to_viewer(message)
 
     def close(self, reason: str) -> None:
-        """Serve no longer. A viewer that had failed is logged, and no reason to fail.
+        """Serve no longer.
 
         Args:
             reason: What open pages say.
         """
-        if self._closed:
-            return
-        self._closed = True
-        try:
-            self._handle.close(reason)
-        except Exception:  # noqa: BLE001 - whatever Studio raised in its thread
-            _log.warning("the web viewer had failed", exc_info=True)
-        finally:
-            _in_use.release()
+        self._handle.close(reason)
 
     def _fail(self, host: str) -> None:
         """Say why there is no viewer."""
@@ -209,10 +192,8 @@ _GUARDS: WeakKeyDictionary[socket.socket, _Guard] = WeakKeyDictionary()
 
 
 def _guard_serving() -> None:
-    """Once in a process: check requests to guarded sockets first; say nothing on stdout."""
+    """Check requests to guarded sockets first."""
     plain: Callable[..., Any] = web_server.serve
-    if getattr(plain, "guarded", False):
-        return
 
     def serve(handler: Callable[[Any], Any], *args: Any, **kwargs: Any) -> Any:
         guard = _GUARDS.get(kwargs.get("sock"))  # type: ignore[arg-type]
@@ -228,11 +209,7 @@ def _guard_serving() -> None:
         kwargs["process_request"] = checked
         return plain(functools.partial(guard.count, handler), *args, **kwargs)
 
-    serve.guarded = True  # type: ignore[attr-defined]
     web_server.serve = serve
-    web_viewer.print = lambda *words, **options: _log.debug("%s", " ".join(map(str, words)))
-    web_server.logger.handlers.clear()
-    web_server.logger.propagate = True
 
 
 def _forbidden(why: str) -> Any:

@@ -1,22 +1,35 @@
 """`WebPage`: one model on MuJoCo Studio's page, for whoever has rows of state to show.
 
-It knows no environment: `web.py` shows a running one with it, `replay --view` a log.
+It knows no environment: `web.py` shows a running one with it, `replay --view` a log. The page
+itself is another process, `web_process.py`.
 """
 
 from __future__ import annotations
 
+import logging
+import os
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
 import time
 from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from embodichain.lab.sim.engine.base import F64
-from embodichain.recording.viewers.controls import Controls, Facts
+from embodichain.recording.viewers.controls import Facts, Setup, Wishes
+from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["LOOKS", "WebPage"]
 
-_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_log = logging.getLogger(__name__)
+_PROCESS = "embodichain.recording.viewers.web_process"
+_END_SECONDS = 10.0
 _NAP = 0.02
 _LATE = 0.1
 
@@ -30,9 +43,7 @@ LOOKS = (
 
 
 class WebPage:
-    """A page that shows one of several environments; nothing is computed while nobody looks.
-
-    A process has one page at a time.
+    """A page that shows one of several environments; nobody is waited for while nobody looks.
 
     Args:
         model: The model of the environment that is shown first.
@@ -45,8 +56,11 @@ class WebPage:
         resets: Whether people may ask for a reset.
         stopped: Whether to wait for nobody any more.
 
+    Attributes:
+        url: Where the page is.
+
     Raises:
-        ConfigError: The address cannot be listened on; or there is a page already.
+        ConfigError: The address cannot be listened on.
     """
 
     def __init__(
@@ -62,56 +76,71 @@ class WebPage:
         resets: bool = True,
         stopped: Callable[[], bool] = lambda: False,
     ) -> None:
-        from embodichain.recording.viewers.studio import Studio
-        from embodichain.recording.viewers.web_panel import Panel
-
-        self._controls = Controls(num_envs, env_id, realtime, resets)
+        self._wishes = Wishes(env_id=env_id, speed=1.0 if realtime else None)
         self._stopped = stopped
         self._looks = _looks_of(model)
+        self._taken_steps = self._taken_resets = 0
         self._due: float | None = None
-        self._studio = Studio(model, host, port, title, [Panel(title, self._controls)])
-        self.url = self._studio.url
+        self._lock = threading.Lock()
+        self._showing = False
+        self._next: tuple[F64, Facts | None] | None = None
+        setup = Setup(host, port, title, num_envs, resets, self._wishes)
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the page
+        self._page, self._process = _start(self._errors)
+        self._listener: threading.Thread | None = None
+        self._closed = False
+        try:
+            self._page.send((setup, model))
+            kind, value = self._page.recv()
+        except (EOFError, OSError):
+            kind, value = "failed", f"MuJoCo's web viewer does not start{self._last_words()}"
+        if kind == "failed":
+            self.close()
+            raise ConfigError([Problem("viewer", value)])
+        self.url: str = value
+        self._listener = threading.Thread(target=self._listen, name="web viewer", daemon=True)
+        self._listener.start()
 
     @property
     def watched(self) -> bool:
         """Whether somebody has the page open. Cheap: ask before computing what to show."""
-        return self._studio.watched
+        return self._wishes.watched
 
     @property
     def env_id(self) -> int:
         """The environment that people want to see."""
-        return self._controls.env_id
+        return self._wishes.env_id
 
     @property
     def fast(self) -> bool:
         """Whether steps come as fast as they are made: not each is worth showing."""
-        return self._controls.speed is None
+        return self._wishes.speed is None
 
     def show_model(self, model: mujoco.MjModel) -> None:
         """Show states of another model from now on, if it looks different.
 
         Args:
-            model: Another environment's, or the same one's after a change; copied.
+            model: Another environment's, or the same one's after a change.
         """
-        from mujoco.studio import messages
-
         looks = _looks_of(model)
         if looks != self._looks:
             self._looks = looks
-            self._studio.send(messages.ModelEvent(model=model))
+            self._send("model", model)
 
     def show(self, row: F64, facts: Facts | None = None) -> None:
-        """Show a state.
+        """Show a state. While one is on its way the newest waits, and those before it are dropped.
 
         Args:
             row: (nstate,) integration state; copied.
             facts: What to write beside it; None leaves what was there.
         """
-        from mujoco.studio import messages
-
-        self._studio.send(messages.StateSnapshot(state=np.array(row, np.float64), state_sig=_STATE))
-        if facts is not None:
-            self._controls.tell(facts)
+        state = np.array(row, np.float64), facts
+        with self._lock:
+            if self._showing:
+                self._next = state
+                return
+            self._showing = True
+        self._send("state", state)
 
     def pace(self, seconds: float, changed: Callable[[], None]) -> None:
         """Wait as people want it: for the clock, and while they pause. Returns for the next step.
@@ -122,35 +151,107 @@ class WebPage:
             seconds: Simulated time between two steps.
             changed: Called when another environment is chosen during a pause.
         """
-        controls = self._controls
-        shown = controls.env_id
-        while controls.paused and self._waits() and not controls.take_step():
-            if controls.env_id != shown:
-                shown = controls.env_id
+        shown = self.env_id
+        while self._wishes.paused and self._waits() and not self._take_step():
+            if self.env_id != shown:
+                shown = self.env_id
                 changed()
             time.sleep(_NAP)
-        if not self.watched:
-            controls.leave()
-        speed = controls.speed
+        if not self._wishes.paused:
+            self._taken_steps = self._wishes.steps
+        speed = self._wishes.speed
         if speed is None or not self.watched:
             self._due = None
             return
         now = time.monotonic()
         due = now if self._due is None else self._due + seconds / speed
         self._due = due = max(due, now - _LATE)
-        while (left := due - time.monotonic()) > 0 and not controls.paused and self._waits():
+        while (left := due - time.monotonic()) > 0 and not self._wishes.paused and self._waits():
             time.sleep(min(left, _NAP))
 
     def take_reset(self) -> int | None:
         """The environment whose episode people want to end, once; else None."""
-        return self._controls.take_reset()
+        wishes = self._wishes
+        if wishes.resets == self._taken_resets:
+            return None
+        self._taken_resets = wishes.resets
+        return wishes.reset_env
 
     def close(self) -> None:
         """Serve no longer; again is nothing."""
-        self._studio.close("The run has ended.")
+        if self._closed:
+            return
+        self._send("close", "The run has ended.")
+        self._closed = True
+        try:
+            self._process.wait(_END_SECONDS)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+        if self._listener is not None:
+            self._listener.join()
+        self._page.close()
+        self._errors.close()
+
+    # -- the other process -----------------------------------------------------------------------
+
+    def _send(self, kind: str, value: Any) -> None:
+        try:
+            with self._lock:
+                self._page.send((kind, value))
+        except OSError:  # it is gone: `_listen` has said so, or will
+            pass
+
+    def _listen(self) -> None:
+        """Hear what people wish for until the other process ends."""
+        try:
+            while True:
+                kind, value = self._page.recv()
+                if kind == "wishes":
+                    self._wishes = value
+                else:
+                    self._shown()
+        except (EOFError, OSError):
+            self._wishes = Wishes(env_id=self.env_id)
+            if not self._closed:
+                _log.warning("the web viewer has ended; the run goes on%s", self._last_words())
+
+    def _shown(self) -> None:
+        with self._lock:
+            state, self._next = self._next, None
+            self._showing = state is not None
+        if state is not None:
+            self._send("state", state)
+
+    def _last_words(self) -> str:
+        self._errors.seek(0)
+        words = self._errors.read().decode(errors="replace").strip()
+        return f": {words.splitlines()[-1]}" if words else ""
+
+    def _take_step(self) -> bool:
+        if self._wishes.steps == self._taken_steps:
+            return False
+        self._taken_steps += 1
+        return True
 
     def _waits(self) -> bool:
         return self.watched and not self._stopped()
+
+
+def _start(errors: Any) -> tuple[Connection, subprocess.Popen[bytes]]:
+    """Start the other process; it hears no Ctrl-C, and ends with our end of the socket."""
+    ours, theirs = socket.socketpair()
+    with theirs:
+        process = subprocess.Popen(
+            [sys.executable, "-P", "-m", _PROCESS, str(theirs.fileno())],
+            pass_fds=[theirs.fileno()],
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            stdin=subprocess.DEVNULL,
+            stdout=errors,
+            stderr=errors,
+            start_new_session=True,
+        )
+    return Connection(ours.detach()), process
 
 
 def _looks_of(model: mujoco.MjModel) -> bytes:

@@ -1,35 +1,80 @@
-"""`Panel`: the window on the page of `viewer=web`; drawn in the viewer's thread.
+"""`Panel`: the window on the page of `viewer=web`, and what people asked for in it.
 
-It reads and writes `Controls` and never touches a simulation. Importing it imports MuJoCo Studio.
+It is drawn in the viewer's thread, and knows no simulation. Importing it imports MuJoCo Studio.
 """
 
 from __future__ import annotations
+
+import dataclasses
+from collections import deque
+from typing import Any
 
 from mujoco.studio import messages, plugin, ux
 from mujoco.studio.dear_imgui import dear_imgui as imgui
 from mujoco.studio.implot import implot
 
-from embodichain.recording.viewers.controls import SPEEDS, Controls, Facts
+from embodichain.recording.viewers.controls import SPEEDS, Facts, Setup
 
 __all__ = ["Panel"]
 
 _WIDTH, _HEIGHT, _MARGIN = 330.0, 640.0, 8.0
 _BUTTON = imgui.Vec2(70.0, 0.0)
+_KEPT = 400
 
 
 class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
     """Choose the environment, pause, step, reset, speed; rewards per term; how it is drawn.
 
     Args:
-        title: The window's.
-        controls: What it shows and sets.
+        setup: How it begins.
+
+    Attributes:
+        wishes: What is asked for; replaced as a whole, in the viewer's thread and by `leave`.
     """
 
-    def __init__(self, title: str, controls: Controls) -> None:
-        self._title = title
-        self._controls = controls
+    def __init__(self, setup: Setup) -> None:
+        self._setup = setup
+        self.wishes = setup.wishes
+        self._facts: Facts | None = None
+        self._history: deque[Facts] = deque(maxlen=_KEPT)
         self._camera = ux.UxState()
         self._open = True
+
+    def tell(self, facts: Facts) -> None:
+        """Show a step."""
+        self._facts = facts
+        self._history.append(facts)
+
+    def leave(self) -> None:
+        """Nobody is there: nothing is waited for."""
+        self._wish(paused=False)
+
+    # -- asked for -------------------------------------------------------------------------------
+
+    def choose(self, env_id: int) -> None:
+        """Show another environment."""
+        chosen = min(max(env_id, 0), self._setup.num_envs - 1)
+        if chosen != self.wishes.env_id:
+            self._history.clear()
+            self._wish(env_id=chosen)
+
+    def pause(self) -> None:
+        """Wait, or go on."""
+        self._wish(paused=not self.wishes.paused)
+
+    def step(self) -> None:
+        """Take one step, and wait."""
+        self._wish(paused=True, steps=self.wishes.steps + self.wishes.paused)
+
+    def reset(self) -> None:
+        """End the episode of the environment that is shown."""
+        if self._setup.can_reset:
+            self._wish(resets=self.wishes.resets + 1, reset_env=self.wishes.env_id)
+
+    def _wish(self, **changed: Any) -> None:
+        self.wishes = dataclasses.replace(self.wishes, **changed)
+
+    # -- drawn -----------------------------------------------------------------------------------
 
     @messages.handler(priority=messages.Priority.CRITICAL)  # type: ignore[untyped-decorator]
     def _on_init(self, _: plugin.ViewerInitEvent) -> None:
@@ -43,11 +88,11 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         if imgui.GetIO().WantCaptureKeyboard:
             return
         if imgui.IsKeyChordPressed(imgui.Key.Space):
-            self._controls.toggle_pause()
+            self.pause()
         elif imgui.IsKeyChordPressed(imgui.Key.RightArrow):
-            self._controls.ask_step()
+            self.step()
         elif imgui.IsKeyChordPressed(imgui.Key.Backspace):
-            self._controls.ask_reset()
+            self.reset()
         elif imgui.IsKeyChordPressed(imgui.Key.Tab):
             self._open = not self._open
 
@@ -58,39 +103,37 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
             return
         imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _MARGIN), int(imgui.Cond.FirstUseEver))
         imgui.SetNextWindowSize(imgui.Vec2(_WIDTH, _HEIGHT), int(imgui.Cond.FirstUseEver))
-        expanded, self._open = imgui.Begin(self._title, self._open)
+        expanded, self._open = imgui.Begin(self._setup.title, self._open)
         if expanded:
             self._draw_controls()
-            facts = self._controls.facts
-            if facts is not None:
-                _draw_facts(facts)
-                _draw_rewards(facts, list(self._controls.history))
+            if self._facts is not None:
+                _draw_facts(self._facts)
+                _draw_rewards(self._facts, list(self._history))
             self._draw_looks()
         imgui.End()
 
     def _draw_controls(self) -> None:
-        controls = self._controls
-        if controls.num_envs > 1:
-            changed, chosen = imgui.InputInt("environment", controls.env_id)
+        if self._setup.num_envs > 1:
+            changed, chosen = imgui.InputInt("environment", self.wishes.env_id)
             if changed:
-                controls.choose(chosen)
-        if imgui.Button("Go on" if controls.paused else "Pause", _BUTTON):
-            controls.toggle_pause()
+                self.choose(chosen)
+        if imgui.Button("Go on" if self.wishes.paused else "Pause", _BUTTON):
+            self.pause()
         imgui.SetItemTooltip("Space")
         imgui.SameLine()
         if imgui.Button("Step", _BUTTON):
-            controls.ask_step()
+            self.step()
         imgui.SetItemTooltip("Right arrow: one control step, then a pause")
         imgui.SameLine()
-        imgui.BeginDisabled(not controls.resets)
+        imgui.BeginDisabled(not self._setup.can_reset)
         if imgui.Button("Reset", _BUTTON):
-            controls.ask_reset()
+            self.reset()
         imgui.EndDisabled()
         imgui.SetItemTooltip("Backspace: this environment's episode ends, as truncated")
         names = ["as fast as it goes", *(f"{speed:g} x real time" for speed in SPEEDS if speed)]
-        changed, chosen = imgui.Combo("speed", SPEEDS.index(controls.speed), names)
+        changed, chosen = imgui.Combo("speed", SPEEDS.index(self.wishes.speed), names)
         if changed:
-            controls.speed = SPEEDS[chosen]
+            self._wish(speed=SPEEDS[chosen])
 
     def _draw_looks(self) -> None:
         """Studio's own widgets: cameras, and what is drawn."""
