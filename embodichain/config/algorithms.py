@@ -13,7 +13,15 @@ from pydantic import Field
 
 from embodichain.utils.configclass import configclass
 
-__all__ = ["ALGO_INSTEAD", "DEFAULT_ALGORITHM", "PATTERNS", "AlgoCfg", "AnyAlgoCfg", "PpoCfg"]
+__all__ = [
+    "ALGO_INSTEAD",
+    "DEFAULT_ALGORITHM",
+    "PATTERNS",
+    "AlgoCfg",
+    "AnyAlgoCfg",
+    "OffPolicyCfg",
+    "PpoCfg",
+]
 
 DEFAULT_ALGORITHM = "ppo"
 
@@ -99,6 +107,14 @@ class PpoCfg(OnPolicyCfg):
     vf_coef: NonNegative | None = None
     max_grad_norm: Positive | None = None
     target_kl: Positive | None = None
+
+
+@configclass
+class RecurrentPpoCfg(PpoCfg):
+    """Arguments of `sb3_contrib.RecurrentPPO`: PPO with a policy that remembers (LSTM)."""
+
+    name: Literal["recurrent_ppo"] = "recurrent_ppo"  # type: ignore[assignment]
+    policy: Literal["MlpLstmPolicy"] = "MlpLstmPolicy"  # type: ignore[assignment]
 
 
 @configclass
@@ -228,7 +244,16 @@ class DqnCfg(OffPolicyCfg):
 
 
 AnyAlgoCfg = Annotated[
-    PpoCfg | A2cCfg | SacCfg | Td3Cfg | DdpgCfg | DqnCfg | TrpoCfg | TqcCfg | CrossqCfg,
+    PpoCfg
+    | A2cCfg
+    | SacCfg
+    | Td3Cfg
+    | DdpgCfg
+    | DqnCfg
+    | TrpoCfg
+    | TqcCfg
+    | CrossqCfg
+    | RecurrentPpoCfg,
     Field(discriminator="name"),
 ]
 """What `algo` may be; ``name`` chooses."""

@@ -103,6 +103,8 @@ class CheckpointCfg:
     """Environment steps between two, rounded up to whole rollouts; null is a tenth of all."""
     keep: Annotated[int, Field(ge=0)] = 3
     """How many of these are kept; `best` and `final` are kept anyway."""
+    replay_buffer: bool = False
+    """Whether these and `final` have the replay buffer of algorithms that learn from one."""
 
 
 @configclass

@@ -42,6 +42,7 @@ ALGORITHMS: dict[str, tuple[str, str]] = {
     "trpo": ("sb3_contrib", "TRPO"),
     "tqc": ("sb3_contrib", "TQC"),
     "crossq": ("sb3_contrib", "CrossQ"),
+    "recurrent_ppo": ("sb3_contrib", "RecurrentPPO"),
 }
 """What ``algo.name`` may be: package and class."""
 
@@ -63,6 +64,8 @@ OPTIMIZERS: dict[str, type[torch.optim.Optimizer]] = {
 }
 """What ``policy_kwargs.optimizer_class`` may be."""
 
+_POLICIES = {"recurrent_ppo": "MlpLstmPolicy"}
+_POLICY = "MlpPolicy"
 _NAMED: dict[str, Mapping[str, Any]] = {
     "activation_fn": ACTIVATIONS,
     "optimizer_class": OPTIMIZERS,
@@ -139,14 +142,15 @@ def check_arguments(name: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
     Raises:
         ConfigError: Every mistake, with paths below ``algo``.
     """
-    values = {"policy": "MlpPolicy", **arguments}
+    fits = _POLICIES.get(name, _POLICY)
+    values = {"policy": fits, **arguments}
     problems: list[Problem] = []
     if name == "dqn":
         message = "dqn chooses among discrete actions, a task's are continuous: use sac, td3 or ppo"
         raise ConfigError([Problem("algo.name", message)])
     policy = values.pop("policy")
-    if policy != "MlpPolicy":
-        message = f"observations are one flat vector: only 'MlpPolicy' fits, got {policy!r}"
+    if policy != fits:
+        message = f"observations are one flat vector: only {fits!r} fits, got {policy!r}"
         problems.append(Problem("algo.policy", message))
     kwargs = values.pop("policy_kwargs", None) or {}
     algorithm = algorithm_class(name)
@@ -157,7 +161,7 @@ def check_arguments(name: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(kwargs, Mapping):
         problems.append(Problem("algo.policy_kwargs", f"needs a map, got {kwargs!r}"))
         raise ConfigError(problems)
-    kwargs, found = _check_policy_kwargs(algorithm.policy_aliases["MlpPolicy"], dict(kwargs))
+    kwargs, found = _check_policy_kwargs(algorithm.policy_aliases[fits], dict(kwargs))
     problems += found
     if problems:
         raise ConfigError(problems)

@@ -5,6 +5,7 @@ How one is written is in `checkpoint.py`, `normalization.py` and `plain_state.py
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 from embodichain.learning.checkpoint import CHECKPOINTS, FINAL, read_note, save_checkpoint
 from embodichain.learning.normalization import save_statistics, statistics_path
 from embodichain.learning.plain_state import read_tree, write_tree
+from embodichain.learning.replay_buffer import buffer_of, buffer_path, full_size, save_buffer
 from embodichain.learning.session import Session
 from embodichain.learning.training_state import capture
 from embodichain.utils.errors import ConfigError, Problem
@@ -21,6 +23,7 @@ __all__ = ["BEST", "CheckpointKeeper", "find_resumable", "state_path"]
 BEST = "best.zip"
 _STEP = "step_{:012d}.zip"
 _STATE = ".state.npz"
+_log = logging.getLogger(__name__)
 
 
 class CheckpointKeeper:
@@ -33,13 +36,26 @@ class CheckpointKeeper:
         note: What the zips say of themselves; gets ``env_steps``.
         every: Environment steps between two.
         keep: How many are kept.
+        replay_buffer: Whether those that a training can go on from have the replay buffer.
     """
 
-    def __init__(self, session: Session, note: Mapping[str, Any], every: int, keep: int) -> None:
+    def __init__(
+        self,
+        session: Session,
+        note: Mapping[str, Any],
+        every: int,
+        keep: int,
+        *,
+        replay_buffer: bool = False,
+    ) -> None:
         self._folder = session.run_dir / CHECKPOINTS
         self._session = session
         self._note = note
         self._every, self._keep = every, keep
+        self._buffer = buffer_of(session.model) if replay_buffer else None
+        if self._buffer is not None:
+            size = full_size(self._buffer) / 1e6
+            _log.info("each checkpoint has the replay buffer, %.0f MB when it is full", size)
         self._written: list[Path] = []
         self._next: int | None = None
         self._best: tuple[float, float] | None = None
@@ -93,11 +109,14 @@ class CheckpointKeeper:
         if normalizer is not None:
             save_statistics(statistics_path(path), normalizer)
         steps = model.num_timesteps
+        if resumable and self._buffer is not None:
+            save_buffer(buffer_path(path), self._buffer, steps)
         if resumable:
             write_tree(
                 state_path(path),
                 {
                     "env_steps": steps,
+                    "replay_buffer": self._buffer is not None,
                     "training": capture(model, self._session.vec_env, rolling=rolling),
                     "statistics": self._session.statistics.state_dict(),
                 },
@@ -133,5 +152,6 @@ def state_path(checkpoint: Path) -> Path:
 
 
 def _remove(checkpoint: Path) -> None:
-    for path in (checkpoint, state_path(checkpoint), statistics_path(checkpoint)):
+    beside = (state_path(checkpoint), statistics_path(checkpoint), buffer_path(checkpoint))
+    for path in (checkpoint, *beside):
         path.unlink(missing_ok=True)

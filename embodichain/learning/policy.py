@@ -6,7 +6,6 @@ learning are in `embodichain.lab.gym.policies`.
 
 from __future__ import annotations
 
-import importlib
 import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -85,7 +84,7 @@ def load_model(file: Path, *, deterministic: bool = True) -> LearnedPolicy:
         ConfigError: If it is no policy, or its statistics are missing.
     """
     note = read_note(file)
-    algorithm = _algorithm(str(note.get("algo")))
+    algorithm = algorithm_class(str(note.get("algo")))
     statistics = _statistics(file)
     if not _in_run_folder(file):
         _log.warning(
@@ -207,18 +206,6 @@ class LearnedPolicy:
             problems.append(f"acts in {done}, not in [-1, 1] as on an SB3VecEnv")
         if problems:
             raise ConfigError([Problem("policy", f"{self.name} {what}") for what in problems])
-
-
-def _algorithm(name: str) -> type[BaseAlgorithm]:
-    """The class of an algorithm; one more acts here than `train` knows."""
-    if name != "recurrent_ppo":
-        return algorithm_class(name)
-    try:
-        found: type[BaseAlgorithm] = importlib.import_module("sb3_contrib").RecurrentPPO
-    except ImportError as error:
-        message = "a policy of RecurrentPPO needs the package sb3-contrib: pip install sb3-contrib"
-        raise ConfigError([Problem("policy", message)]) from error
-    return found
 
 
 def _statistics(file: Path) -> NormalizeStatistics | None:

@@ -14,6 +14,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.normalization import load_statistics, statistics_path
+from embodichain.learning.replay_buffer import buffer_of, buffer_path, load_buffer
 from embodichain.learning.train_logs import log_interval, make_logger
 from embodichain.learning.training_state import (
     load_parameters,
@@ -53,6 +54,9 @@ class Session:
         """
         load_parameters(self.model, checkpoint)
         restore(self.model, self.vec_env, state["training"])
+        buffer = buffer_of(self.model)
+        if buffer is not None and state.get("replay_buffer"):
+            load_buffer(buffer_path(checkpoint), buffer, state["env_steps"])
         normalizer = self.model.get_vec_normalize_env()
         if normalizer is not None:
             load_statistics(statistics_path(checkpoint)).restore(normalizer)
@@ -100,6 +104,7 @@ class Session:
     def _restore_exploration(self) -> None:
         """Undo, once, what the first rollout of a resumed training drew anew as it began."""
         saved, self._restored = self._restored, None
-        if saved is not None and saved["exploration"]:
+        if saved is not None:
             restore_exploration(self.model, saved)
+        if saved is not None and saved["exploration"]:
             restore_generators(self.model, saved)

@@ -19,7 +19,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from embodichain.config import Resolved, make_env
-from embodichain.config.algorithms import DEFAULT_ALGORITHM, PpoCfg
+from embodichain.config.algorithms import DEFAULT_ALGORITHM, OffPolicyCfg, PpoCfg
 from embodichain.config.run_folder import write_atomically
 from embodichain.config.schema import LARGEST_TRAINING_SEED
 from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -108,6 +108,7 @@ class _Plan:
     noise: tuple[str, float | None] | None
     every_steps: int
     keep: int
+    replay_buffer: bool
     resume: Path | None
 
 
@@ -207,6 +208,8 @@ def _plan(resolved: Resolved) -> _Plan:
         normalize = check_normalize(algo.normalize, algo.normalize_kwargs, algo.gamma)
     except ConfigError as error:
         problems += error.problems
+    if root.checkpoint.replay_buffer and not isinstance(algo, OffPolicyCfg):
+        problems.append(Problem("checkpoint.replay_buffer", f"{name} learns from no replay buffer"))
     if problems or root.total_timesteps is None or root.seed is None:
         raise ConfigError(problems)
     kind = getattr(algo, "noise_type", None)
@@ -220,6 +223,7 @@ def _plan(resolved: Resolved) -> _Plan:
         noise=None if kind is None else (kind, getattr(algo, "noise_std", None)),
         every_steps=root.checkpoint.every_steps or max(1, root.total_timesteps // 10),
         keep=root.checkpoint.keep,
+        replay_buffer=root.checkpoint.replay_buffer,
         resume=None if root.resume is None else Path(root.resume),
     )
 
@@ -237,7 +241,9 @@ def _learn(
     if found is not None:
         session.resume(*found)
     note = {"algo": plan.algo, "group": GROUP, "task": plan.task}
-    keeper = CheckpointKeeper(session, note, plan.every_steps, plan.keep)
+    keeper = CheckpointKeeper(
+        session, note, plan.every_steps, plan.keep, replay_buffer=plan.replay_buffer
+    )
     interrupt, resumable = session.learn(keeper.boundary, progress)
     checkpoint = keeper.final(resumable=resumable, rolling=interrupt is not None)
     statistics = session.statistics

@@ -2,7 +2,7 @@
 
 Taken and put back on rollout boundaries; the file is `plain_state.py`'s, the model's own
 `checkpoint.py`'s. For on-policy algorithms nothing else decides how learning goes on; off-policy
-ones also have a replay buffer, which is not kept: they go on with an empty one.
+ones also have a replay buffer (`replay_buffer.py`).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise, VectorizedActionNoise
 from stable_baselines3.common.save_util import load_from_zip_file, recursive_setattr
 from stable_baselines3.common.vec_env import VecEnv
 
@@ -24,6 +25,7 @@ __all__ = ["capture", "load_parameters", "restore", "restore_exploration", "rest
 
 _COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_n_calls")
 _LAST = ("_last_obs", "_last_episode_starts", "_last_original_obs")
+_MEMORY = "_last_lstm_states"
 _BUFFERS = ("ep_info_buffer", "ep_success_buffer")
 _EXPLORATION = ("exploration_mat", "exploration_matrices")
 
@@ -41,8 +43,10 @@ def capture(model: BaseAlgorithm, vec_env: SB3VecEnv, *, rolling: bool) -> dict[
         "vec_env": vec_env.state_dict(),
         "counters": {n: getattr(model, n) for n in _COUNTERS if hasattr(model, n)},
         "last": {name: _copy(getattr(model, name)) for name in _LAST},
+        "memory": _memory(model),
         "buffers": {name: list(getattr(model, name)) for name in _BUFFERS},
         "exploration": _exploration(model) if rolling else {},
+        "noise": [noise.noise_prev.copy() for noise in _noises(model)],
         "generators": {
             "python": random.getstate(),
             "numpy": np.random.get_state(),  # noqa: NPY002  Stable-Baselines3 draws from it
@@ -68,6 +72,8 @@ def restore(model: BaseAlgorithm, vec_env: SB3VecEnv, saved: dict[str, Any]) -> 
     vec_env.load_state_dict(saved["vec_env"])
     for name, value in (saved["counters"] | saved["last"]).items():
         setattr(model, name, value)
+    if saved.get("memory") is not None:
+        model.__dict__[_MEMORY] = type(model.__dict__[_MEMORY])(*saved["memory"])
     for name in _BUFFERS:
         setattr(model, name, deque(saved["buffers"][name], maxlen=model._stats_window_size))
 
@@ -82,8 +88,13 @@ def restore_generators(model: BaseAlgorithm, saved: dict[str, Any]) -> None:
 
 
 def restore_exploration(model: BaseAlgorithm, saved: dict[str, Any]) -> None:
-    """Put back what state-dependent exploration drew as the rollout began (`use_sde`)."""
-    distribution = getattr(model.policy, "action_dist", None)
+    """Put back what noise on actions remembers, which Stable-Baselines3 clears as it begins.
+
+    And what state-dependent exploration drew as the rollout began (`use_sde`).
+    """
+    for noise, value in zip(_noises(model), saved.get("noise", ()), strict=False):
+        noise.noise_prev = value
+    distribution = _distribution(model)
     for name, value in saved["exploration"].items():
         setattr(distribution, name, value)
 
@@ -98,9 +109,30 @@ def load_parameters(model: BaseAlgorithm, path: Path) -> None:
 
 
 def _exploration(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
-    distribution = getattr(model.policy, "action_dist", None)
+    distribution = _distribution(model)
     found = {name: getattr(distribution, name, None) for name in _EXPLORATION}
     return {n: v.detach().clone() for n, v in found.items() if isinstance(v, torch.Tensor)}
+
+
+def _distribution(model: BaseAlgorithm) -> Any:
+    """Where state-dependent exploration keeps what it drew: on the policy, or its actor's."""
+    owner = getattr(model.policy, "actor", model.policy)
+    return getattr(owner, "action_dist", None)
+
+
+def _memory(model: BaseAlgorithm) -> tuple[Any, ...] | None:
+    """What a recurrent policy and its critic remember of the episodes that go on, copied."""
+    states = getattr(model, _MEMORY, None)
+    if states is None:
+        return None
+    return tuple(tuple(part.detach().clone() for part in pair) for pair in states)
+
+
+def _noises(model: BaseAlgorithm) -> list[OrnsteinUhlenbeckActionNoise]:
+    """Noise on actions that remembers: one for each environment."""
+    noise = getattr(model, "action_noise", None)
+    parts = noise.noises if isinstance(noise, VectorizedActionNoise) else [noise]
+    return [part for part in parts if isinstance(part, OrnsteinUhlenbeckActionNoise)]
 
 
 def _copy(value: Any) -> Any:

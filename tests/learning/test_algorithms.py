@@ -51,7 +51,7 @@ def test_unknown_algorithm():
         check_arguments("pppo", {})
     assert str(caught.value) == (
         "algo.name: unknown algorithm 'pppo'; allowed: ppo, a2c, sac, td3, ddpg, dqn, trpo, tqc, "
-        "crossq Did you mean 'ppo'?"
+        "crossq, recurrent_ppo Did you mean 'ppo'?"
     )
 
 
@@ -65,7 +65,7 @@ GIVEN = {
 
 @pytest.mark.parametrize("cfg", typing.get_args(typing.get_args(AnyAlgoCfg)[0]))
 def test_a_config_has_every_argument_of_its_class(cfg):
-    if cfg.name in ("trpo", "tqc", "crossq"):
+    if cfg.name in ("trpo", "tqc", "crossq", "recurrent_ppo"):
         pytest.importorskip("sb3_contrib")
     arguments = set(inspect.signature(algorithm_class(cfg.name).__init__).parameters) - GIVEN
     settings = {"name", "normalize", "normalize_kwargs", "noise_type", "noise_std"}

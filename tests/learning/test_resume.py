@@ -24,6 +24,10 @@ from embodichain.utils.errors import ConfigError
 REACH = ("task=reach", "task.max_episode_steps=7", "num_envs=4", "sim.num_threads=1", "seed=1")
 PPO = ("algo.n_steps=8", "algo.batch_size=16", "algo.n_epochs=2", "checkpoint.every_steps=1")
 A2C = ("algo=a2c", "algo.n_steps=8", "checkpoint.every_steps=1")
+LSTM = (
+    *("algo=recurrent_ppo", "algo.n_steps=8", "algo.batch_size=16", "algo.n_epochs=2"),
+    *("algo.policy_kwargs={lstm_hidden_size: 8, net_arch: [8]}", "checkpoint.every_steps=1"),
+)
 BOTH = ("algo.normalize=both",)
 FOUR, TWO = "total_timesteps=128", "total_timesteps=64"
 
@@ -65,8 +69,9 @@ def same_log_columns(run):
         (*PPO, "algo.use_sde=true", "algo.learning_rate=lin_1e-3"),
         A2C,
         (*A2C, *BOTH),
+        (*LSTM, *BOTH),
     ],
-    ids=["ppo", "ppo-normalized", "ppo-sde-schedule", "a2c", "a2c-normalized"],
+    ids=["ppo", "ppo-normalized", "ppo-sde-schedule", "a2c", "a2c-normalized", "recurrent"],
 )
 def test_resumed_equals_uninterrupted(tmp_path, algo):
     whole, first, second = (folder(tmp_path, n) for n in ("whole", "first", "second"))
@@ -124,6 +129,61 @@ def test_off_policy_trainings_go_on(tmp_path):
     summary = train(config(*sac, FOUR, f"resume={first}"), second)
     assert summary.env_steps == 128
     assert not np.array_equal(everything(first), everything(second))
+
+
+KEEP = "checkpoint.replay_buffer=true"
+OFF = ("algo.learning_starts=16", "algo.batch_size=16", "algo.policy_kwargs.net_arch=[8]")
+
+
+def kept(run, name="final"):
+    return read_tree(run / f"checkpoints/{name}.replay.npz")
+
+
+@pytest.mark.parametrize(
+    "algo",
+    [
+        ("algo=sac", "algo.buffer_size=500", "algo.normalize=obs"),
+        ("algo=sac", "algo.buffer_size=500", "algo.use_sde=true", "algo.train_freq=3"),
+        ("algo=td3", "algo.buffer_size=60", "+algo.noise_type=ornstein-uhlenbeck"),
+        ("algo=ddpg", "algo.buffer_size=500", "algo.n_steps=3"),
+    ],
+    ids=["sac-normalized", "sac-sde", "td3-full-noise", "ddpg-n-steps"],
+)
+def test_with_its_replay_buffer_resumed_equals_uninterrupted(tmp_path, algo):
+    whole, first, second = (folder(tmp_path, n) for n in ("whole", "first", "second"))
+    lines = (*algo, *OFF, KEEP)
+    train(config(*lines, FOUR), whole)
+    train(config(*lines, "total_timesteps=72"), first)
+    train(config(*lines, FOUR, f"resume={first}"), second)
+    np.testing.assert_equal(kept(second), kept(whole))
+    np.testing.assert_array_equal(everything(second), everything(whole))
+    assert same_log_columns(second) == same_log_columns(whole)
+
+
+def test_replay_buffers_come_back_whole(tmp_path):
+    sac = ("algo=sac", *OFF, "algo.buffer_size=400", "checkpoint.every_steps=16")
+    first, second = folder(tmp_path, "first"), folder(tmp_path, "second")
+    train(config(*sac, KEEP, "checkpoint.keep=1", TWO), first)
+    names = {path.name for path in (first / "checkpoints").glob("*.replay.npz")}
+    assert names == {"final.replay.npz", "step_000000000048.replay.npz"}  # best needs none
+    found = kept(first)
+    assert (found["env_steps"], found["pos"], found["full"]) == (64, 16, False)
+    assert found["arrays"]["observations"].shape == (17, 4, 21)  # of 100 rows: those in use
+    resumed = config(*sac, FOUR, f"resume={first}")  # and goes on without keeping it
+    summary = train(resumed, second)
+    assert summary.env_steps == 128 and not list(second.rglob("*.replay.npz"))
+    with pytest.raises(ConfigError, match="do not fit in algo.buffer_size"):
+        smaller = config(*sac, FOUR, f"resume={first}", "algo.buffer_size=16")
+        train(smaller, folder(tmp_path, "smaller"))
+    shutil.copy(first / "checkpoints/step_000000000048.replay.npz", first / "other.npz")
+    (first / "other.npz").replace(first / "checkpoints/final.replay.npz")
+    with pytest.raises(ConfigError, match="it is of 48 steps, the checkpoint of 64"):
+        train(resumed, folder(tmp_path, "mixed"))
+    (first / "checkpoints/final.replay.npz").unlink()
+    with pytest.raises(ConfigError, match="holds no state of a training"):
+        train(resumed, folder(tmp_path, "missing"))
+    with pytest.raises(ConfigError, match="ppo learns from no replay buffer"):
+        train(config(*PPO, KEEP, TWO), folder(tmp_path, "ppo"))
 
 
 def test_trees_come_back_to_the_bit(tmp_path):

@@ -28,6 +28,7 @@ TINY = (
     "algo.n_epochs=2",
     "sim.num_threads=1",
 )
+CONTRIB = ("trpo", "tqc", "crossq", "recurrent_ppo")
 TWO_UPDATES = 2 * 4 * 8
 FILES = {
     "summary.json",
@@ -192,11 +193,11 @@ def test_statistics_of_normalized_trainings_stand_beside_every_checkpoint(tmp_pa
         assert np.isfinite(found.obs_var).all()
 
 
-@pytest.mark.parametrize("algo", ["a2c", "sac", "td3", "ddpg", "trpo", "tqc", "crossq"])
+@pytest.mark.parametrize("algo", ["a2c", "sac", "td3", "ddpg", *CONTRIB])
 def test_every_algorithm_learns_what_plays(tmp_path, algo):
-    if algo in ("trpo", "tqc", "crossq"):
+    if algo in CONTRIB:
         pytest.importorskip("sb3_contrib")
-    on_policy = algo in ("a2c", "trpo")
+    on_policy = algo in ("a2c", "trpo", "recurrent_ppo")
     own = ["algo.n_steps=8"] if on_policy else ["algo.learning_starts=16", "algo.buffer_size=100"]
     own += ["+algo.noise_type=normal"] if algo in ("td3", "ddpg") else []
     lines = [line for line in TINY if not line.startswith("algo.")]
