@@ -33,7 +33,7 @@ def main(arguments: list[str]) -> int:
     if options.episode is not None and options.env is None:
         raise ConfigError("--episode needs --env: episodes are counted in each environment")
     part = Part(options.env, options.episode, options.start, options.stop)
-    with Log(log_of(options.file)) as log:
+    with Log(log_of(options.file), simulate=True) as log:
         path = export(log, options.format, options.output, part)
         for warning in log.warnings:
             sys.stderr.write(f"warning: {log.path}: {warning}\n")

@@ -375,9 +375,20 @@ class Log:
 
     def raw_messages(self) -> Iterator[tuple[str, int, memoryview]]:
         """Yield topic, log time in ns and bytes of every message, in file order."""
-        if isinstance(self._states, FilledFile):
-            self._states.only = None
-        return self._states.messages()
+        return self._file.messages()
+
+    def full_messages(self, env: int | None = None) -> Iterator[tuple[str, int, memoryview]]:
+        """The same, with the states that lie between keyframes, simulated again.
+
+        Args:
+            env: The one environment whose states are needed; those of others are NaN. None is all.
+
+        Raises:
+            LogError: If the log does not simulate to what it says, or this is another MuJoCo.
+        """
+        full = FilledFile(self._file)
+        full.only = None if env is None else self._envs(env)
+        return full.messages()
 
     def _decoded(self, topic: str, decode: Callable[[Any], T]) -> Iterator[T]:
         for found, _, payload in self._file.messages():

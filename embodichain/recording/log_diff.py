@@ -105,7 +105,7 @@ def diff(a: str | Path, b: str | Path) -> DiffReport:
         ConfigError: If a file is missing, empty or not MCAP.
         LogError: If one is not a log of embodichain's, or has no states.
     """
-    with Log(a, simulate=True) as first, Log(b, simulate=True) as second:
+    with Log(a) as first, Log(b) as second:
         for log in (first, second):
             if log.header.state == "none":
                 raise LogError(f"{log.path} has no states: it was recorded with record.state=none")
@@ -140,7 +140,7 @@ def _notes(a: Log, b: Log) -> list[str]:
 
 
 def _messages(log: Log) -> Iterator[tuple[str, memoryview]]:
-    for topic, _, payload in log.raw_messages():
+    for topic, _, payload in log.full_messages():
         if topic in _TOPICS:
             yield topic, payload
 

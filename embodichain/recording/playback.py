@@ -115,7 +115,7 @@ class Playback:
             LogError: If a message is damaged, or does not fit the model.
         """
         step = -1
-        for topic, _, payload in self.log.raw_messages():
+        for topic, _, payload in self.log.full_messages(self.env):
             try:
                 if topic == "/sim/write":
                     self._on_write(WriteRecord.decode(payload))

@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 
 import embodichain.recording as recording
+from embodichain.cli import main
 from embodichain.recording import McapRecorder, RecordOptions, diff, inspect, verify
 from embodichain.recording.header import LogError
 from embodichain.recording.messages import State, StepOutcome
+from embodichain.recording.playback import Playback, Span
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
 from tests.recording.scene import SmallEnv
@@ -175,3 +177,17 @@ def test_models_that_hide_state_need_every_state(tmp_path):
     with pytest.raises(ConfigError, match=r"record\.state: keyframes cannot be replayed: .* sleep"):
         McapRecorder(tmp_path / "log.mcap", env, options=KEYFRAMES)
     assert not (tmp_path / "log.mcap").exists()
+
+
+def test_playback_and_export_have_every_state(record, tmp_path):
+    whole = record("whole.mcap", settle=3)
+    sparse = record("sparse.mcap", settle=3, options=KEYFRAMES)
+    shown = []
+    for path in (whole, sparse):
+        with recording.open(path) as log:
+            play = Playback(log, 1)
+            shown.append([play.engine.rows.tobytes() for _ in play.steps(Span())])
+        assert main(["export", str(path), "--format", "npz", "-o", f"{path}.npz"]) == 0
+    assert shown[0] == shown[1] and len(shown[0]) == 20
+    a, b = (np.load(f"{path}.npz") for path in (whole, sparse))
+    assert a["qpos"].tobytes() == b["qpos"].tobytes()
