@@ -19,6 +19,7 @@ from typing import Literal
 
 from embodichain.cli import exits
 from embodichain.cli.arguments import VerbParser, add_common, print_json
+from embodichain.cli.extras import EXTRAS
 from embodichain.cli.tables import print_table
 from embodichain.cli.verbs import VERBS
 
@@ -28,10 +29,6 @@ _CORE = (
     *("mujoco", "numpy", "torch", "tensordict", "gymnasium", "stable-baselines3", "hydra-core"),
     *("omegaconf", "pydantic", "mcap", "protobuf", "rich"),
 )
-_OPTIONAL = {
-    "example-robot-data": "robots of example-robot-data: pip install 'embodichain[robots]'",
-    "hydra-joblib-launcher": "sweeps in parallel: pip install hydra-joblib-launcher",
-}
 _LOW_DISK_GB = 2.0
 _BALL = "<mujoco><worldbody><light pos='0 0 3'/><geom size='.1'/></worldbody></mujoco>"
 _NO_PICTURE = "apt-get install libegl1 libgl1-mesa-dri, or set MUJOCO_GL to what works here"
@@ -109,11 +106,12 @@ def render_once() -> None:
     import mujoco
 
     from embodichain.lab.sim.engine.cpu import CpuEngine
-    from embodichain.lab.sim.rendering import SceneRenderer
+    from embodichain.lab.sim.rendering import SceneRenderer, View
 
     model = mujoco.MjModel.from_xml_string(_BALL)
     renderer = SceneRenderer(model, 64, 48)
-    picture = renderer.draw(CpuEngine(model, 1), 0, -1)
+    look = View.look_at((0.4, -0.4, 0.4), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 45.0)
+    picture = renderer.draw(CpuEngine(model, 1), 0, look)
     renderer.close()
     from mujoco.rendering.classic import gl_context
 
@@ -143,11 +141,15 @@ def _disk() -> Iterator[Check]:
 
 
 def _optional() -> Iterator[Check]:
-    for name, advice in _OPTIONAL.items():
-        try:
-            yield Check(name, "ok", metadata.version(name))
-        except metadata.PackageNotFoundError:
-            yield Check(name, "missing", "not installed", advice)
+    for name, extra in EXTRAS.items():
+        versions, missing = extra.found()
+        listed = ", ".join(f"{package} {version}" for package, version in versions.items())
+        if not missing:
+            yield Check(name, "ok", listed)
+            continue
+        lacking = f"not installed: {', '.join(missing)}"
+        found = f"{lacking} (there: {listed})" if listed else lacking
+        yield Check(name, "missing", found, f"{extra.purpose}: pip install {extra.install}")
     yield Check("CUDA", "missing", "device=cuda is not available in this version: device=cpu")
 
 

@@ -1,0 +1,51 @@
+"""`doctor` knows every optional package, and says whether it is there."""
+
+import importlib.metadata as metadata
+import json
+import re
+import tomllib
+from pathlib import Path
+
+from embodichain.cli import main
+from embodichain.cli.extras import EXTRAS
+
+PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
+
+
+def test_every_extra_of_the_package_is_listed_with_its_packages():
+    found = tomllib.loads(PYPROJECT.read_text())["project"]["optional-dependencies"]
+    names = {
+        extra: tuple(re.match(r"[\w.-]+", line)[0] for line in lines)
+        for extra, lines in found.items()
+    }
+    own = {
+        extra: packages
+        for extra, packages in names.items()
+        if extra != "dev" and packages != ("embodichain",)
+    }
+    listed = {n: e.packages for n, e in EXTRAS.items() if e.install == f"'embodichain[{n}]'"}
+    assert listed == own
+
+
+def test_doctor_says_what_is_there_and_how_to_get_the_rest(capsys, monkeypatch):
+    versions = metadata.version
+
+    def without_two(name):
+        if name in ("onnxruntime", "matplotlib"):
+            raise metadata.PackageNotFoundError(name)
+        return versions(name)
+
+    monkeypatch.setattr(metadata, "version", without_two)
+    assert main(["doctor", "--json"]) == 0
+    checks = {check["part"]: check for check in json.loads(capsys.readouterr().out)["checks"]}
+    assert set(EXTRAS) <= set(checks)
+    assert "camera" not in checks["rendering"]["found"]  # a machine may lack OpenGL, no more
+    assert checks["tensorboard"]["state"] == "ok" and checks["tensorboard"]["advice"] == ""
+    assert checks["tensorboard"]["found"] == f"tensorboard {versions('tensorboard')}"
+    assert checks["plot"]["state"] == "missing"
+    assert checks["plot"]["advice"] == (
+        "curves of trainings as PNG: pip install 'embodichain[plot]'"
+    )
+    assert checks["export"]["found"] == (
+        f"not installed: onnxruntime (there: onnx {versions('onnx')})"
+    )
