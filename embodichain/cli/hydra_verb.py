@@ -11,7 +11,7 @@ import logging
 import os
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import TYPE_CHECKING, Literal
 
@@ -60,8 +60,11 @@ def call_verb(name: Literal["run", "train"], job: Callable[..., None], arguments
                 raise ConfigError("--cfg prints YAML only: embodichain convert prints a gym config")
             _check_composes(name, overrides)
         elif options.multirun:
-            for point in _points(overrides):
+            from embodichain.cli.sweeping import points, towards_scores
+
+            for point in points(overrides, _MOST_CHECKED_JOBS):
                 _resolve(name, point)
+            overrides = towards_scores(overrides)
         else:
             resolved = _resolve(name, overrides)
             if not any(map(_is_hydras, overrides)):
@@ -171,21 +174,6 @@ def _check_composes(name: str, overrides: list[str]) -> None:
     composed = compose(overrides, name)
     if composed.problems:
         raise ConfigError(composed.problems)
-
-
-def _points(overrides: Sequence[str]) -> Iterator[list[str]]:
-    """The overrides of each job of a sweep, at most the first 64 of them.
-
-    Sweepers other than Hydra's own may give ranges another meaning: their jobs check themselves.
-    """
-    from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-    from hydra.core.override_parser.overrides_parser import OverridesParser
-
-    if any(o.startswith("hydra/sweeper=") for o in overrides):
-        return
-    parsed = OverridesParser.create().parse_overrides(list(overrides))
-    for batch in BasicSweeper.split_arguments(parsed, max_batch_size=_MOST_CHECKED_JOBS)[:1]:
-        yield from (list(job) for job in batch)
 
 
 def _is_hydras(override: str) -> bool:

@@ -17,6 +17,9 @@ from embodichain.utils.suggest import did_you_mean
 __all__ = ["COMPOSING", "explain", "explain_yaml"]
 
 
+PLUGINS = {("hydra/launcher", "joblib"), ("hydra/sweeper", "optuna")}
+"""Options that the packages of the extra `sweep` bring."""
+
 COMPOSING = (HydraException, yaml.YAMLError, UnicodeDecodeError, OSError)
 """What composing may raise because of the user's files."""
 
@@ -78,6 +81,9 @@ def _no_such_config(error: MissingConfigException, loader: ConfigLoader) -> Loca
     group, _, option = name.rpartition("/")
     asked = re.search(r"In '([^']+)'", str(error))
     place = f" (in the defaults list of '{asked[1]}')" if asked else ""
+    if (group, option) in PLUGINS:
+        message = f"{option!r}{place} needs packages: pip install 'embodichain[sweep]'"
+        return LocatedProblem(group, message, source=COMMAND_LINE)
     options = list(error.options or loader.get_group_options(group))
     if not options:
         return LocatedProblem("", f"there is no config '{name}'{place}", source=COMMAND_LINE)

@@ -1,0 +1,99 @@
+"""Sweeps: workers, searches, and what is said without the packages they need."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from embodichain.cli import main
+from embodichain.cli.sweeping import points, towards_scores
+
+TINY = (
+    *("task=cart_pole", "num_envs=4", "total_timesteps=64", "algo.n_steps=8", "algo.batch_size=16"),
+    *("sim.num_threads=1", "eval.episodes=2", "record=none"),
+)
+WITHOUT_PLUGINS = (
+    "import sys, types; m = types.ModuleType('hydra_plugins'); m.__path__ = [];"
+    "sys.modules[m.__name__] = m; from embodichain.cli import main; sys.exit(main())"
+)
+
+
+def jobs(root: Path) -> dict[str, dict[str, object]]:
+    """The summary of each job of the one sweep below `root`."""
+    return {
+        p.parent.name: json.loads(p.read_text()) for p in root.glob("sweeps/*/*/*/summary.json")
+    }
+
+
+def test_a_search_finds_the_best_of_its_trials(
+    tmp_path: Path, capfd: pytest.CaptureFixture
+) -> None:
+    search = ("hydra/sweeper=optuna", "hydra.sweeper.n_trials=3", "hydra.sweeper.sampler.seed=1")
+    space = ("algo.learning_rate=tag(log,interval(1e-4,1e-1))", "~task.metrics.success")
+    arguments = (*TINY, "seed=3", *space, f"output_dir={tmp_path}")
+    assert main(["train", "-m", *search, *arguments]) == 0
+    found = jobs(tmp_path)
+    assert sorted(found) == ["0", "1", "2"]
+    best = max(summary["objective"] for summary in found.values())
+    assert min(summary["objective"] for summary in found.values()) < best
+    (path,) = tmp_path.glob("sweeps/*/*/optimization_results.yaml")
+    results = OmegaConf.load(path)
+    assert results.best_value == best
+    said = capfd.readouterr().err
+    assert f"best objective {best:.4g}: algo.learning_rate=" in said and str(path) in said
+
+
+def test_jobs_in_workers_are_those_of_one_process(tmp_path: Path) -> None:
+    arguments = (*TINY, "seed=0,1", "quiet=true")
+    workers = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+    assert main(["train", "-m", *workers, *arguments, f"output_dir={tmp_path / 'many'}"]) == 0
+    assert main(["train", "-m", *arguments, f"output_dir={tmp_path / 'one'}"]) == 0
+    kept = ("seed", "env_steps", "mean_return", "objective")
+    many, one = (
+        {n: [s[k] for k in kept] for n, s in jobs(tmp_path / d).items()} for d in ("many", "one")
+    )
+    assert many == one and [s[0] for _, s in sorted(many.items())] == [0, 1]
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["hydra/sweeper=optuna", "task=cart_pole", "seed=interval(1,9)"],
+        ["hydra/launcher=joblib", "task=cart_pole", "seed=0,1"],
+        ["experiment=optuna_cart_pole"],
+    ],
+)
+def test_a_missing_package_is_named(arguments: list[str]) -> None:
+    command = [sys.executable, "-c", WITHOUT_PLUGINS, "train", "-m", *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1 and "pip install 'embodichain[sweep]'" in done.stderr
+    assert list(Path.cwd().iterdir()) == []
+
+
+def test_mistakes_come_before_the_first_trial(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    search = ("hydra/sweeper=optuna", "algo.learning_rte=interval(0.1,0.2)")
+    assert main(["train", "-m", *search, *TINY, f"output_dir={tmp_path}"]) == 2
+    assert "algo.learning_rte" in capsys.readouterr().err
+    assert list(Path.cwd().iterdir()) == []
+
+
+def test_points() -> None:
+    assert list(points(["a=1,2", "b=x"], 64)) == [["a=1", "b=x"], ["a=2", "b=x"]]
+    assert list(points(["a=1,2", "b=3,4"], 3)) == [["a=1", "b=3"], ["a=1", "b=4"], ["a=2", "b=3"]]
+    search = ["hydra/sweeper=optuna", "a=choice(u,v)", "b=tag(log,interval(0.1,9))", "c=range(2,8)"]
+    assert list(points(search, 64)) == [["hydra/sweeper=optuna", "a=u", "b=0.1", "c=2"]]
+    whole = ["a=interval(1,2)", "b=int(interval(3,4))"]
+    assert list(points(whole, 64)) == [["a=1.0", "b=3"]]
+
+
+def test_a_search_maximizes_unless_told_otherwise() -> None:
+    optuna, minimize = "hydra/sweeper=optuna", "hydra.sweeper.direction=minimize"
+    assert towards_scores([optuna]) == [optuna, "hydra.sweeper.direction=maximize"]
+    assert towards_scores([optuna, minimize]) == [optuna, minimize]
+    assert towards_scores(["seed=0,1"]) == ["seed=0,1"]
