@@ -75,9 +75,10 @@ def normalize_quat(q: NDArray[np.float64]) -> NDArray[np.float64]:
     Raises:
         ValueError: If one is zero or not finite.
     """
-    w, x, y, z = (q[..., i] for i in range(4))
-    norm = np.sqrt(w * w + x * x + y * y + z * z)
-    if not np.all((norm > 1e-9) & np.isfinite(norm)):
+    s = q * q
+    norm = np.sqrt(s[..., 0] + s[..., 1] + s[..., 2] + s[..., 3])
+    # Not finite: the smallest or the largest is not (a NaN is both).
+    if norm.size and not 1e-9 < norm.min() <= norm.max() < np.inf:
         raise ValueError("a quaternion is zero or not finite; wxyz with unit length is wanted")
     return q / norm[..., None]
 
@@ -97,29 +98,45 @@ def quat_to_matrix(q: A) -> A:
     return torch.stack(rows, dim=-2)  # type: ignore[return-value]
 
 
+# 4 q q^T of a rotation matrix: each entry is a constant plus three entries of the matrix, at these
+# places of its nine and with these signs (4 qw qx = m21 - m12, 4 qw qw = 1 + m00 + m11 + m22...).
+_PLACES = np.array(
+    [
+        [[0, 4, 8], [7, 5, 0], [2, 6, 0], [3, 1, 0]],
+        [[7, 5, 0], [0, 4, 8], [3, 1, 0], [2, 6, 0]],
+        [[2, 6, 0], [3, 1, 0], [0, 4, 8], [7, 5, 0]],
+        [[3, 1, 0], [2, 6, 0], [7, 5, 0], [0, 4, 8]],
+    ]
+)
+_SIGNS = np.array(
+    [
+        [[1, 1, 1], [1, -1, 0], [1, -1, 0], [1, -1, 0]],
+        [[1, -1, 0], [1, -1, -1], [1, 1, 0], [1, 1, 0]],
+        [[1, -1, 0], [1, 1, 0], [-1, 1, -1], [1, 1, 0]],
+        [[1, -1, 0], [1, 1, 0], [1, 1, 0], [-1, -1, 1]],
+    ],
+    np.float64,
+)
+_TAKEN = np.ascontiguousarray(np.moveaxis(_PLACES, -1, 0).reshape(-1))
+_SIGNED = np.ascontiguousarray(np.moveaxis(_SIGNS, -1, 0).reshape(3, 16))
+_UNIT = np.eye(4).reshape(16)
+
+
 def matrix_to_quat(m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Unit wxyz quaternions (..., 4), w >= 0, of rotation matrices (..., 3, 3).
 
     Shepperd's method: divide by the largest of the four components, so no case is ill-conditioned
     (S. W. Shepperd, "Quaternion from rotation matrix", J. Guidance and Control 1(3), 1978).
     """
-    d0, d1, d2 = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
-    squares = np.stack([1 + d0 + d1 + d2, 1 + d0 - d1 - d2, 1 - d0 + d1 - d2, 1 - d0 - d1 + d2], -1)
-    a, b, c = m[..., 2, 1], m[..., 0, 2], m[..., 1, 0]
-    e, f, g = m[..., 1, 2], m[..., 2, 0], m[..., 0, 1]
-    rows = np.stack(
-        [
-            np.stack([squares[..., 0], a - e, b - f, c - g], -1),
-            np.stack([a - e, squares[..., 1], c + g, b + f], -1),
-            np.stack([b - f, c + g, squares[..., 2], a + e], -1),
-            np.stack([c - g, b + f, a + e, squares[..., 3]], -1),
-        ],
-        axis=-2,
-    )
-    best = np.argmax(squares, axis=-1)
-    q = np.take_along_axis(rows, best[..., None, None], axis=-2)[..., 0, :]
-    q = normalize_quat(q)
-    return np.where(q[..., :1] < 0, -q, q)
+    flat = np.asarray(m, np.float64).reshape(-1, 9)
+    count = len(flat)
+    terms = flat[:, _TAKEN].reshape(count, 3, 16)
+    terms *= _SIGNED
+    products = (_UNIT + terms[:, 0] + terms[:, 1] + terms[:, 2]).reshape(count, 16)
+    best = products[:, ::5].argmax(axis=1)
+    q = normalize_quat(products.reshape(count, 4, 4)[np.arange(count), best])
+    q *= np.where(q[:, :1] < 0, -1.0, 1.0)
+    return q.reshape(*m.shape[:-2], 4)
 
 
 def euler_xyz_to_quat(angles: NDArray[np.float64]) -> NDArray[np.float64]:
