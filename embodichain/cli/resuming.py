@@ -20,7 +20,7 @@ __all__ = ["asks_to_resume", "resolve_resumed"]
 CONFIG = "config.yaml"
 MAY_CHANGE = (
     *("total_timesteps", "checkpoint", "eval", "record", "video", "sim", "output_dir"),
-    *("quiet", "json", "traceback"),
+    *("wandb", "quiet", "json", "traceback"),
 )
 """Keys (and what is below them) that may differ from the run's own."""
 

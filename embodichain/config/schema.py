@@ -25,6 +25,7 @@ __all__ = [
     "RootCfg",
     "SimCfg",
     "ViewerCfg",
+    "WandbCfg",
 ]
 
 ROOT_INSTEAD = {
@@ -116,6 +117,21 @@ class EvalCfg:
 
 
 @configclass
+class WandbCfg:
+    """Whether the numbers of a training go to Weights & Biases as well (extra `wandb`)."""
+
+    mode: Literal["disabled", "online", "offline"] = "disabled"
+    """`offline` only writes files, for `wandb sync`."""
+    project: str = "embodichain"
+    entity: str | None = None
+    """User or team; null is the user's default."""
+    name: str | None = None
+    """Of the run; null is the name of its folder."""
+    group: str | None = None
+    tags: list[str] = []
+
+
+@configclass
 class RootCfg:
     """Everything one execution is told. Null keys are filled by `derive`."""
 
@@ -138,6 +154,7 @@ class RootCfg:
     """A training run's folder, or ``last``."""
     checkpoint: CheckpointCfg = CheckpointCfg()
     eval: EvalCfg = EvalCfg()
+    wandb: WandbCfg = WandbCfg()
     video: bool | None = None
     """Whether the first environment of the log is filmed, too."""
     gym_config: str | None = None

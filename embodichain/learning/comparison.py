@@ -28,7 +28,7 @@ STEPS, RETURN, SUCCESS = "time/total_timesteps", "rollout/ep_rew_mean", "rollout
 # What runs of one group may differ in: the seed, and what changes no number.
 _APART = (
     *("seed", "output_dir", "quiet", "json", "traceback", "record", "viewer", "resume"),
-    *("eval", "video"),
+    *("eval", "video", "wandb"),
 )
 
 F64 = NDArray[np.float64]

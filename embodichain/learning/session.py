@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.logger import KVWriter
 
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.normalization import load_statistics, statistics_path
@@ -37,12 +38,14 @@ class Session:
         vec_env: What it learns in, without wrappers.
         statistics: How it goes.
         run_dir: The run's folder.
+        writers: Who is told the logged numbers besides the files in it.
     """
 
     model: BaseAlgorithm
     vec_env: SB3VecEnv
     statistics: TrainStatistics
     run_dir: Path
+    writers: tuple[KVWriter, ...] = ()
     _restored: dict[str, Any] | None = None
 
     def resume(self, checkpoint: Path, state: dict[str, Any]) -> None:
@@ -84,7 +87,7 @@ class Session:
             on_boundary()
 
         watch = Watch(self.vec_env, self.statistics, progress, boundary)
-        logger = make_logger(self.run_dir)
+        logger = make_logger(self.run_dir, self.writers)
         model.set_logger(logger)
         interval, new = log_interval(model, total), self._restored is None
         if self._restored is not None:

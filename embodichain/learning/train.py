@@ -16,10 +16,12 @@ from typing import Any, Literal
 
 import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.logger import KVWriter
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from embodichain.config import Resolved, make_env
 from embodichain.config.algorithms import DEFAULT_ALGORITHM, OffPolicyCfg, PpoCfg
+from embodichain.config.frozen import thaw
 from embodichain.config.run_folder import write_atomically
 from embodichain.config.schema import LARGEST_TRAINING_SEED
 from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -31,6 +33,7 @@ from embodichain.learning.keeper import CheckpointKeeper, find_resumable
 from embodichain.learning.schedules import action_noise
 from embodichain.learning.session import Session
 from embodichain.learning.vec_env import SB3VecEnv
+from embodichain.learning.wandb_log import check_wandb, wandb_writers
 from embodichain.learning.watch import Progress
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -145,8 +148,11 @@ def train(
         if attach is not None:
             attach(env)
         vec_env = SB3VecEnv(env, GROUP)
-        with _torch_threads(TORCH_THREADS):
-            return _learn(plan, vec_env, run_dir, progress)
+        with (
+            _torch_threads(TORCH_THREADS),
+            wandb_writers(resolved.root.wandb, run_dir, thaw(resolved.tree)) as writers,
+        ):
+            return _learn(plan, vec_env, run_dir, progress, writers)
     finally:
         env.close()
 
@@ -196,6 +202,7 @@ def _plan(resolved: Resolved) -> _Plan:
         problems.append(Problem("resume", f"there is no run folder {root.resume!r}"))
     if root.video and not root.eval.episodes:
         problems.append(Problem("video", "there is no evaluation to film: eval.episodes is 0"))
+    problems += check_wandb(root.wandb)
     name = root.algo.name if root.algo is not None else DEFAULT_ALGORITHM
     arguments: dict[str, object] = {}
     normalize: dict[str, Any] | None = None
@@ -229,15 +236,18 @@ def _plan(resolved: Resolved) -> _Plan:
 
 
 def _learn(
-    plan: _Plan, vec_env: SB3VecEnv, run_dir: Path, progress: Progress | None
+    plan: _Plan,
+    vec_env: SB3VecEnv,
+    run_dir: Path,
+    progress: Progress | None,
+    writers: tuple[KVWriter, ...],
 ) -> TrainSummary:
     found = None if plan.resume is None else find_resumable(plan.resume)
     if found is not None and found[1]["env_steps"] >= plan.total_timesteps:
         message = f"{found[0]} has {found[1]['env_steps']} steps already: give more than these"
         raise ConfigError([Problem("total_timesteps", message)])
-    session = Session(
-        _build(plan, vec_env), vec_env, TrainStatistics(plan.total_timesteps), run_dir
-    )
+    statistics = TrainStatistics(plan.total_timesteps)
+    session = Session(_build(plan, vec_env), vec_env, statistics, run_dir, writers)
     if found is not None:
         session.resume(*found)
     note = {"algo": plan.algo, "group": GROUP, "task": plan.task}
@@ -246,7 +256,6 @@ def _learn(
     )
     interrupt, resumable = session.learn(keeper.boundary, progress)
     checkpoint = keeper.final(resumable=resumable, rolling=interrupt is not None)
-    statistics = session.statistics
     summary = TrainSummary(
         task=plan.task,
         algo=plan.algo,

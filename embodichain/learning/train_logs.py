@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,14 +39,19 @@ _MOST_ROWS = 200
 _log = logging.getLogger(__name__)
 
 
-def make_logger(run_dir: Path) -> Logger:
-    """Return a logger into a run's folder; event files only where `tensorboard` is installed."""
+def make_logger(run_dir: Path, writers: Sequence[KVWriter] = ()) -> Logger:
+    """Return a logger into a run's folder; event files only where `tensorboard` is installed.
+
+    Args:
+        run_dir: The folder.
+        writers: Who is told the same numbers besides.
+    """
     formats: list[KVWriter] = [CSVOutputFormat(str(run_dir / PROGRESS_FILE))]
     if importlib.util.find_spec("tensorboard") is not None:
         formats.append(TensorBoardOutputFormat(str(run_dir / TENSORBOARD)))
     else:
         _log.info("no event files: pip install tensorboard")
-    return Logger(folder=str(run_dir), output_formats=formats)
+    return Logger(folder=str(run_dir), output_formats=[*formats, *writers])
 
 
 def log_interval(model: BaseAlgorithm, total_timesteps: int) -> int:
