@@ -3,6 +3,7 @@
 # names it with the command to type. Usage: system_deps.sh [PYTHON]
 #
 #   libegl1, libgl1-mesa-dri   rendering without a display; missing: warned, nothing else fails
+#   chromium                   tests of the web viewer; missing: they are skipped
 #   pythonX.Y-venv             Debian keeps venv's pip apart; missing: nothing can go on (exit 1)
 set -eu
 
@@ -24,7 +25,7 @@ if ! command -v dpkg-query >/dev/null; then
     exit $blocked
 fi
 
-for package in libegl1 libgl1-mesa-dri; do
+for package in libegl1 libgl1-mesa-dri chromium; do
     status=$(dpkg-query --show --showformat='${db:Status-Status}' "$package" 2>/dev/null) || true
     [ "$status" = installed ] || packages="$packages $package"
 done
@@ -43,4 +44,5 @@ else
     echo "system packages missing: $packages. To install them: sudo $command" >&2
 fi
 [ $blocked -eq 0 ] || exit 1
-echo "warning: without libegl1 and libgl1-mesa-dri there are no pictures without a display" >&2
+echo "warning: without libegl1 and libgl1-mesa-dri there are no pictures without a display," >&2
+echo "         without chromium the web viewer's tests are skipped" >&2
