@@ -4,6 +4,7 @@ import torch
 
 from embodichain.lab.gym.envs import BaseEnv
 from embodichain.lab.gym.envs.cfg import MetricCfg, ObservationCfg, RewardCfg, TerminationCfg
+from embodichain.lab.gym.envs.observation_memory import is_finite
 from tests.lab.gym.conftest import flat, home, jumping, marker, targets
 
 BAD = 1
@@ -177,3 +178,8 @@ def test_an_observation_that_is_never_finite_is_kept_from_learners(make_env, cap
     assert "not finite after a reset" in caplog.text and np.isfinite(flat(obs)).all()
     obs, _, terminated, _, info = env.step(home(env))
     assert terminated.all() and info["diverged"].all() and np.isfinite(flat(obs)).all()
+
+
+def test_infinities_of_both_signs_are_found_without_a_warning() -> None:
+    assert not is_finite(np.array([[1.0, np.inf], [-np.inf, 0.0]], np.float32))
+    assert is_finite(np.full(4, 3e38, np.float32))

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs import seeding, state
+from embodichain.lab.gym.envs import restoring, seeding, state
 from embodichain.lab.gym.envs.autoreset import (
     AutoresetMode,
     add_finals,
@@ -28,6 +28,7 @@ from embodichain.lab.gym.envs.declared import explained, frozen_cfg
 from embodichain.lab.gym.envs.flags import Mask, reset_ids
 from embodichain.lab.gym.envs.observers import StepRecord
 from embodichain.lab.gym.envs.outcome import EnvOutcome
+from embodichain.lab.gym.envs.snapshot import Snapshot, SnapshotSource
 from embodichain.lab.sim.engine.base import F64
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
@@ -319,6 +320,36 @@ class BaseEnv(EnvOutcome):
             RenderError: If no OpenGL library works here; names the package.
         """
         return self.sim.render() if self.render_mode == "rgb_array" else None
+
+    def restore(
+        self,
+        log: SnapshotSource | Snapshot,
+        env: int = 0,
+        episode: int | None = None,
+        step: int | None = None,
+        env_ids: Any = None,
+    ) -> tuple[EnvObs, dict[str, Any]]:
+        """Go on from a recorded moment: state, model fields and counters are as they were.
+
+        With the recorded actions the recorded states follow, to the bit, until something random
+        happens: a log does not hold how far random streams have come, nor what terms remember.
+        ``info["not_restored"]`` names both, as far as this task has them; they begin as at a reset.
+
+        Args:
+            log: An open log (`embodichain.recording.open`), or a snapshot that was taken of one.
+            env: The recorded environment.
+            episode: One of its episodes; None counts `step` from the start of the recording.
+            step: Finished control steps of the episode, or of the recording; None is 0.
+            env_ids: The environments here that go on from there (sorted unique, or a mask); None
+                is all of them.
+
+        Returns:
+            The observation and info of all N environments; rows of others are as before.
+
+        Raises:
+            ConfigError: If there is no such moment, or it is of another scene.
+        """
+        return restoring.restore(self, restoring.snapshot_of(log, env, episode, step), env_ids)
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything needed to continue to the bit (copies)."""

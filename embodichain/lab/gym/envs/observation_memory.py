@@ -50,7 +50,9 @@ def as_float32(obs: TensorDict) -> TensorDict:
 def is_finite(values: NDArray[np.floating[Any]]) -> bool:
     """Whether all numbers are finite."""
     # The sum is the cheap question; it may overflow, so the exact one follows.
-    return math.isfinite(np.add.reduce(values, None)) or bool(np.isfinite(values).all())
+    with np.errstate(over="ignore", invalid="ignore"):  # inf - inf is no news
+        total = np.add.reduce(values, None)
+    return math.isfinite(total) or bool(np.isfinite(values).all())
 
 
 class ObservationMemory:

@@ -7,6 +7,7 @@ enters the control as ``target + (kd / kp) target_qvel``.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -23,6 +24,7 @@ __all__ = ["Drives"]
 
 NO_LIMIT = 1e9
 """Efforts at least this large count as unlimited (EmbodiChain's default is 1e10)."""
+_NO_EFFORT_LIMIT = 1e10
 _JOINT_FIELDS = {
     "damping": "dof_damping",
     "friction": "dof_frictionloss",
@@ -206,6 +208,62 @@ class Drives:
         model_joints = engine.model.dof_jntid[np.asarray(entity.dof_adr, np.int64)[joints]]
         columns = columns_of(2 * model_joints.astype(np.int64) + side)
         engine.write_model("jnt_range", values, ids, columns)
+
+    def take_over(self, ids: EnvIndex | None, fields: Mapping[str, NDArray[Any]]) -> None:
+        """Read gains and limits out of a model that environments were given; no targets.
+
+        The model holds products: where stiffness and effort limit are scaled alike, or only a limit
+        is there, strength is what scaled them; else it is taken as 1.
+
+        Args:
+            ids: (n,) environments, or None for all.
+            fields: Model fields, (size,) each, of all these environments; absent ones are as
+                compiled.
+        """
+        where: Any = slice(None) if ids is None else ids
+        owner, parsed = self._owner, self._owner.parsed
+        model, entity = owner.engine.model, owner.entity
+
+        def changed(name: str, columns: NDArray[np.int64], declared: Any) -> F64:
+            compiled = np.asarray(getattr(model, name), np.float64).reshape(-1)[columns]
+            given = np.asarray(fields.get(name, compiled), np.float64)
+            now = given if name not in fields else given.reshape(-1)[columns]
+            return np.where(now == compiled, np.asarray(declared, np.float64), now)
+
+        dofs = np.asarray(entity.dof_adr, np.int64)
+        for name, field in _JOINT_FIELDS.items():
+            getattr(self, name)[where] = changed(field, dofs, getattr(parsed, name))
+        joints = model.dof_jntid[dofs].astype(np.int64)
+        for side in (0, 1):
+            limits = changed("jnt_range", 2 * joints + side, parsed.qpos_limits[:, side])
+            if ids is not None or not np.array_equal(limits, self.limits.compiled[:, side]):
+                rows = np.arange(owner.num_instances) if ids is None else ids
+                self.limits.set(side, limits, np.arange(len(joints)), rows)
+        actuators = np.asarray(entity.actuator_ids, np.int64)
+        driven = np.flatnonzero(actuators >= 0)
+        actuators = actuators[driven]
+        gains = model.actuator_gainprm.shape[1]
+        declared = np.asarray(parsed.stiffness, np.float64)[driven]
+        most = np.asarray(parsed.max_effort, np.float64)[driven]
+        stiffness = changed("actuator_gainprm", gains * actuators, declared)
+        effort = changed("actuator_forcerange", 2 * actuators + 1, most)
+        limited = changed("actuator_forcelimited", actuators, -1.0)
+        effort = np.where(limited == 0, _NO_EFFORT_LIMIT, effort)
+        scale = np.divide(
+            effort, most, out=np.ones_like(most), where=(most > 0) & (most < NO_LIMIT)
+        )
+        spring = np.divide(stiffness, declared, out=scale.copy(), where=declared > 0)
+        alike = np.isclose(scale, spring, rtol=1e-9, atol=0.0)
+        for name, values in (
+            ("strength", np.where(alike, scale, 1.0)),
+            ("stiffness", np.where(alike, declared, stiffness)),
+            ("max_effort", np.where(alike, most, effort)),
+        ):
+            columns = getattr(self, name)[where]
+            columns[:, driven] = values
+            getattr(self, name)[where] = columns
+        self._limits_vary = True
+        self.clear(ids)
 
     def state_dict(self) -> dict[str, F64]:
         """Targets and gains (copies)."""

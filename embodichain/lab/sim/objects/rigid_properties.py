@@ -6,6 +6,7 @@ weighs is in `solids.py`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -282,6 +283,38 @@ class RigidProperties(BatchEntity):
             self.engine.write_model("geom_rgba", alpha, None, column)
 
     # -- whole simulations -------------------------------------------------------------------------
+
+    def take_over(self, ids: EnvIndex | None, fields: Mapping[str, NDArray[Any]]) -> None:
+        """Read size, inertia and damping out of a model that environments were given.
+
+        Args:
+            ids: (n,) environments, or None for all.
+            fields: Model fields, (size,) each, of all these environments; absent ones are as
+                compiled.
+        """
+        where: Any = slice(None) if ids is None else ids
+        model, body = self.engine.model, self.entity.root_body_id
+
+        def pair(name: str, columns: slice) -> tuple[F64, F64]:
+            compiled = np.asarray(getattr(model, name), np.float64).reshape(-1)[columns]
+            given = np.asarray(fields.get(name, getattr(model, name)), np.float64)
+            return given.reshape(-1)[columns], compiled
+
+        mass, _ = pair("body_mass", slice(body, body + 1))
+        inertia, _ = pair("body_inertia", slice(3 * body, 3 * body + 3))
+        self._inertia[where] = inertia * (self._mass0 / mass) if mass[0] > 0 else inertia
+        geom = int(self.entity.geom_ids[0])
+        size, compiled = pair("geom_size", slice(3 * geom, 3 * geom + 3))
+        self._scale[where] = np.divide(size, compiled, out=np.ones(3), where=compiled > 0)
+        dofs = self._dofs()
+        if dofs is None:
+            return
+        damping, compiled = pair("dof_damping", dofs)
+        declared = [self.cfg.attrs.linear_damping, self.cfg.attrs.angular_damping]
+        about = inertia_about_axes(model.body_iquat[body], inertia[None])[0]
+        rate = damping[0] / mass[0], damping[3] / about[0]
+        same = np.isclose(rate, declared, rtol=1e-9)
+        self._damping[where] = np.where(same, declared, rate)
 
     def state_dict(self) -> dict[str, F64]:
         """What stands in no model field (copies)."""

@@ -266,9 +266,7 @@ class CommandManager(Manager[CommandCfg]):
         self._drawn[what] = values
         return values
 
-    def again(
-        self, name: str, env_ids: EnvIndex | None, drawn: Mapping[str, NDArray[Any]]
-    ) -> None:
+    def again(self, name: str, env_ids: EnvIndex | None, drawn: Mapping[str, NDArray[Any]]) -> None:
         """Give environments the command that was drawn before, when a log was recorded.
 
         Args:

@@ -44,6 +44,7 @@ class EventManager(Manager[EventCfg]):
         self._started = False
         self._stream = ""
         self._drawn: dict[str, NDArray[Any]] = {}
+        self._given: Mapping[str, NDArray[Any]] = {}
 
     def _bind(self) -> None:
         self._by_mode: dict[str, list[BuiltTerm[EventCfg]]] = {
@@ -117,9 +118,38 @@ class EventManager(Manager[EventCfg]):
         Returns:
             (n, *shape) float64. Do not write into it.
         """
-        values: F64 = self.env.streams.uniform(self._stream, shape, low, high, env_ids)
+        values = self._recorded(what, shape, env_ids)
+        if values is None:
+            values = self.env.streams.uniform(self._stream, shape, low, high, env_ids)
         self._drawn[what] = values
         return values
+
+    def _recorded(self, what: str, shape: Sequence[int], env_ids: EnvIndex | None) -> F64 | None:
+        """What `again` was told that was drawn, for all of its environments."""
+        given = self._given.get(what)
+        if given is None or given.shape != tuple(shape):
+            return None
+        n = self.num_envs if env_ids is None else len(env_ids)
+        return np.tile(given, (n, *[1] * len(shape)))
+
+    def _all_recorded(self, columns: Mapping[str, slice], env_ids: EnvIndex | None) -> F64 | None:
+        found = [self._recorded(n, (c.stop - c.start,), env_ids) for n, c in columns.items()]
+        known = [values for values in found if values is not None]
+        return np.concatenate(known, axis=1) if known and len(known) == len(found) else None
+
+    def again(self, name: str, env_ids: EnvIndex | None, drawn: Mapping[str, NDArray[Any]]) -> None:
+        """Fire a term with numbers that were drawn before, when a log was recorded.
+
+        Args:
+            name: The term.
+            env_ids: (n,) environments, or None for all.
+            drawn: What one environment drew, by name; what is not here is drawn anew.
+        """
+        self._given = drawn
+        try:
+            self._fire(self.terms[name], self.terms[name].cfg.mode, env_ids)
+        finally:
+            self._given = {}
 
     def draw_columns(
         self,
@@ -143,7 +173,11 @@ class EventManager(Manager[EventCfg]):
             (n, k) float64. Do not write into it.
         """
         streams, shape = self.env.streams, (len(low),)
-        if normal:
+        given = self._all_recorded(columns, env_ids) if self._given else None
+        values: F64
+        if given is not None:
+            values = given
+        elif normal:
             values = streams.normal(self._stream, shape, env_ids)
             values = np.clip(0.5 * (low + high) + (high - low) / 6.0 * values, low, high)
         else:
