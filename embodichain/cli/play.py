@@ -61,6 +61,7 @@ def _need_display(name: str, lines: list[str]) -> None:
     if "viewer=native" in lines and not has_display():
         raise ConfigError(
             "there is no display to open a window on (DISPLAY is not set). Without one: "
-            f"`embodichain eval {name} episodes=5` writes rollout.mcap, which Foxglove and "
-            "Lichtblick show; viewer=none plays without a window"
+            f"`embodichain play {name} viewer=web` shows it in a browser; `embodichain eval {name} "
+            "episodes=5` writes rollout.mcap, which Foxglove and Lichtblick show; viewer=none "
+            "plays without a window"
         )

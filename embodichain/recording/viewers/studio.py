@@ -74,7 +74,12 @@ class Studio:
     @property
     def watched(self) -> bool:
         """Whether a browser has the page open."""
-        return self._guard.connections > 0
+        return bool(self._guard.connections)
+
+    @property
+    def controlled(self) -> bool:
+        """Whether one of them has the panel; the others look on."""
+        return "/ui" in self._guard.connections
 
     def send(self, message: Any) -> None:
         """Hand the viewer one of Studio's messages."""
@@ -152,21 +157,22 @@ class _Guard:
 
     Attributes:
         serving: Set once requests are checked.
-        connections: WebSockets that are open.
+        connections: Paths of WebSockets that are open.
     """
 
     def __init__(self, host: str) -> None:
         self._names = {host.lower(), *_LOOPBACK} if is_loopback(host) else None
         self.serving = threading.Event()
-        self.connections = 0
+        self.connections: list[str] = []
 
     async def count(self, handler: Callable[[Any], Any], websocket: Any) -> None:
         """Handle a connection, and know of it."""
-        self.connections += 1
+        path = websocket.request.path.partition("?")[0]
+        self.connections.append(path)
         try:
             await handler(websocket)
         finally:
-            self.connections -= 1
+            self.connections.remove(path)
 
     def refusal(self, request: Any) -> Any:
         """The answer to a request that is not heard, or None.

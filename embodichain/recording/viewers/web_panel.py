@@ -46,7 +46,7 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         self._history.append(facts)
 
     def leave(self) -> None:
-        """Nobody is there: nothing is waited for."""
+        """Nobody has the panel: nothing is waited for."""
         self._wish(paused=False)
 
     # -- asked for -------------------------------------------------------------------------------
@@ -93,7 +93,7 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
             self.step()
         elif imgui.IsKeyChordPressed(imgui.Key.Backspace):
             self.reset()
-        elif imgui.IsKeyChordPressed(imgui.Key.Tab):
+        elif imgui.IsKeyChordPressed(imgui.Key.P):
             self._open = not self._open
 
     @messages.handler  # type: ignore[untyped-decorator]

@@ -86,10 +86,9 @@ class _Page:
         self._run.send(("shown", None))
 
     def _tell_wishes(self) -> None:
-        watched = self._studio.watched
-        if not watched and self._panel.wishes.paused:
+        if self._panel.wishes.paused and not self._studio.controlled:
             self._panel.leave()
-        wishes = dataclasses.replace(self._panel.wishes, watched=watched)
+        wishes = dataclasses.replace(self._panel.wishes, watched=self._studio.watched)
         if wishes != self._sent:
             self._sent = wishes
             self._run.send(("wishes", wishes))

@@ -1,0 +1,32 @@
+"""`viewer=web` on the command line: where the page is, what is warned of, what is refused."""
+
+import json
+import socket
+
+import pytest
+
+from embodichain.cli import main
+
+SHORT = ("task=random_reach", "num_envs=2", "max_steps=3", "record=none")
+
+
+def test_a_run_says_where_its_page_is(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", *SHORT, "viewer=web", "viewer.env=1"]) == 0
+    assert "\nviewer: http://127.0.0.1:80" in capsys.readouterr().err
+
+
+def test_json_is_json_and_other_addresses_are_warned_of(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["run", *SHORT, "viewer=web", "viewer.host=0.0.0.0", "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["status"] == "max_steps"
+    assert "warning: the viewer listens on 0.0.0.0 and asks nobody who they are" in err
+
+
+def test_a_port_that_is_taken_is_the_users_mistake(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert main(["run", *SHORT, "viewer=web", f"viewer.port={port}"]) == 2
+    err = capsys.readouterr().err
+    assert f"viewer: cannot listen on 127.0.0.1: Port {port} is already in use" in err
