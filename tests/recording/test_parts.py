@@ -337,11 +337,15 @@ def test_export_takes_all_files(rolled, tmp_path):
 
 def test_a_run_rolls(tmp_path, monkeypatch, capfd):
     monkeypatch.chdir(tmp_path)
-    words = ["task=random_reach", "num_envs=2", "max_steps=60", "record.max_mb=0.001"]
-    assert main(["run", *words, "record.state=keyframes", "--json"]) == 0
+    words = ["task=cart_pole", "num_envs=64", "max_steps=250", "episodes=20", "record.max_mb=0.05"]
+    words += ["record.state=keyframes", "record.keyframe_every=2", "record.compression=none"]
+    assert main(["run", *words, "--json"]) == 0
     run = (tmp_path / "outputs" / "latest").resolve()
+    assert len(files_of(run)) > 1
+    capfd.readouterr()
     assert main(["replay", str(run), "--verify"]) == 0
-    assert "verified: 60 control steps" in capfd.readouterr().out
+    assert "verified: 250 control steps" in capfd.readouterr().out
+    assert main(["replay", str(run / "rollout.manifest.json"), "--verify", "--env", "7"]) == 0
     assert main(["validate", "task=random_reach", "record.max_mb=0"]) == 2
     assert "record.max_mb" in capfd.readouterr().err
 
