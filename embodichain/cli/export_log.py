@@ -18,7 +18,7 @@ def main(arguments: list[str]) -> int:
     parser = VerbParser(VERBS["export"])
     parser.add_argument("file", metavar="FILE", help="a log, a run's folder, or `last`")
     parser.add_argument(
-        "--format", required=True, metavar="F", help="csv, npz, parquet, hdf5, ros2 or mp4"
+        "--format", required=True, metavar="F", help="csv, npz, parquet, hdf5, rrd, ros2 or mp4"
     )
     parser.add_argument("--output", "-o", metavar="OUT", help="a new file; else beside the log")
     parser.add_argument("--env", type=int, metavar="I", help="only this environment")

@@ -14,7 +14,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["PLANE_SIZE", "Mesh", "Shape", "mesh_of", "shapes"]
+__all__ = ["LOOKS", "PLANE_SIZE", "Mesh", "Shape", "mesh_of", "shapes"]
+
+LOOKS = ("geom_size", "geom_pos", "geom_quat", "geom_rgba", "geom_matid", "mat_")
+"""Model fields that shapes are made of, and that may be randomized, begin so."""
 
 PLANE_SIZE = 4.0
 """Metres an infinite plane is drawn wide."""

@@ -22,7 +22,7 @@ class Part:
     """Which part of a log is meant.
 
     Attributes:
-        env: One environment; None is all (for ROS 2: those that were viewed).
+        env: One environment; None is all (for ROS 2 those that were viewed, for mp4 the first).
         episode: One of its episodes; needs `env`.
         start: First control step.
         stop: Control step that no longer belongs to it; None is the end.
@@ -54,9 +54,14 @@ FORMATS: Mapping[str, Format] = {
     "npz": Format(".npz", "npz", "numpy arrays (T, N, ...), with names and units of columns"),
     "parquet": Format(".parquet", "parquet", "the table of csv, columnar and typed"),
     "hdf5": Format(".hdf5", "hdf5", "demonstrations in robomimic's layout, one for each episode"),
+    "rrd": Format(".rrd", "rrd", "a recording for Rerun: scene, curves, events"),
     "ros2": Format(".mcap", "ros2", "a ROS 2 bag: joint states, transforms, robot description"),
     "mp4": Format(".mp4", "mp4", "a film of one environment"),
 }
+_PACKAGES = {"rerun": "rerun-sdk"}
+"""Packages whose names are others than their modules'."""
+_EXTRAS = {"rrd": "rerun"}
+"""Extras whose names are others than the formats'."""
 
 
 def export(
@@ -87,19 +92,19 @@ def export(
     path = Path(output) if output else log.path.with_name(name + chosen.suffix)
     module = importlib.import_module(f"embodichain.recording.export.{chosen.module}")
     write: Callable[[Log, Part, Path], None] = module.write
-    with _new_file(path) as partial:
+    with _new_file(path, chosen.suffix) as partial:
         write(log, part or Part(), partial)
     return path
 
 
 @contextmanager
-def _new_file(path: Path) -> Iterator[Path]:
+def _new_file(path: Path, suffix: str) -> Iterator[Path]:
     """A name to write under; the file gets its own when it is whole, unless that is taken."""
     if os.path.lexists(path):
         raise ConfigError(f"{path} exists; it is never replaced")
     if not path.parent.is_dir():
         raise ConfigError(f"the folder {path.parent} does not exist")
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
+    partial = path.with_name(f".{path.stem}.{os.getpid()}.part{suffix}")
     try:
         yield partial
         os.link(partial, path)  # unlike a rename, it refuses a name that is taken
@@ -109,7 +114,7 @@ def _new_file(path: Path) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
-def required(module: str, extra: str) -> ModuleType:
+def required(module: str, format: str) -> ModuleType:
     """Import what a format needs.
 
     Raises:
@@ -118,7 +123,8 @@ def required(module: str, extra: str) -> ModuleType:
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        package = module.partition(".")[0]
+        package = _PACKAGES.get(module.partition(".")[0], module.partition(".")[0])
+        extra = _EXTRAS.get(format, format)
         raise ConfigError(
-            f"--format {extra} needs {package}: pip install 'embodichain[{extra}]'"
+            f"--format {format} needs {package}: pip install 'embodichain[{extra}]'"
         ) from error

@@ -211,17 +211,25 @@ def test_nothing_is_overwritten(log, tmp_path, format):
     assert path.read_text() == "mine"
 
 
-@pytest.mark.parametrize(("format", "package"), [("parquet", "pyarrow"), ("hdf5", "h5py")])
-def test_a_missing_package_is_named(log, monkeypatch, tmp_path, format, package):
+@pytest.mark.parametrize(
+    ("format", "module", "package", "extra"),
+    [
+        ("parquet", "pyarrow", "pyarrow", "parquet"),
+        ("hdf5", "h5py", "h5py", "hdf5"),
+        ("rrd", "rerun", "rerun-sdk", "rerun"),
+    ],
+)
+def test_a_missing_package_is_named(log, monkeypatch, tmp_path, format, module, package, extra):
     importing = importlib.import_module
 
     def refuse(name, *args):
-        if name.startswith(package):
+        if name.partition(".")[0] == module:
             raise ImportError(name)
         return importing(name, *args)
 
     monkeypatch.setattr(importlib, "import_module", refuse)
-    with pytest.raises(ConfigError, match=rf"needs {package}: pip install 'embodichain\[{format}"):
+    said = rf"--format {format} needs {package}: pip install 'embodichain\[{extra}\]'"
+    with pytest.raises(ConfigError, match=said):
         export(log, format, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

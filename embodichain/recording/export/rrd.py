@@ -1,0 +1,152 @@
+"""Rerun: the scene in 3D, joints, actions, rewards and episodes as curves, events as text.
+
+Entities: ``/world/env_I/UID/LINK``, and below ``/env_I``: ``joint_positions``,
+``joint_velocities``, ``actions``, ``reward``, ``metrics`` (of viewed environments),
+``episode/return``, ``episode/length``, ``log``. The file brings the layout that shows them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.recording.api import Log
+from embodichain.recording.arrays import LogArrays
+from embodichain.recording.export.formats import Part
+from embodichain.recording.export.poses import INPUTS
+from embodichain.recording.export.rrd_layout import layout
+from embodichain.recording.export.rrd_scene import Scene
+from embodichain.recording.export.rrd_stream import Stream
+from embodichain.recording.export.table import about
+from embodichain.recording.foxglove.log_lines import event_text
+from embodichain.recording.foxglove.messages import FrameTransforms
+
+__all__ = ["write"]
+
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+
+
+def write(log: Log, part: Part, path: Path) -> None:
+    """Write the environment that is named, else those that were viewed.
+
+    Raises:
+        ConfigError: If rerun is not installed.
+    """
+    envs = [part.env] if part.env is not None else log.header.view_envs or [0]
+    fields = {*INPUTS, "qvel", "actions", "rewards"}
+    parts = log.parts(
+        [name for name in log.columns if name in fields], envs, part.episode, part.start, part.stop
+    )
+    stream = Stream(log.header, layout(log.model, envs))
+    stream.about(about(log))
+    stream.log("world", stream.rr.ViewCoordinates.RIGHT_HAND_Z_UP, None)
+    offsets = _offsets(log) if len(envs) > 1 else {}
+    makers: list[Scene | _Numbers] = []
+    for column, env in enumerate(envs):
+        makers.append(Scene(stream, log, env, column, offsets.get(env, np.zeros(3))))
+        makers.append(_Numbers(stream, log, env, column))
+    first = last = -1
+    for data in parts:
+        first = int(data.steps[0]) if first < 0 else first
+        last = int(data.steps[-1])
+        for maker in makers:
+            maker.add(data)
+    for env in envs:
+        _tell(stream, log, env, first, last)
+    stream.save(path)
+
+
+def _offsets(log: Log) -> dict[int, NDArray[np.float64]]:
+    """Where environments stand in what viewers see: `/tf` says it in its first message."""
+    for topic, _, payload in log.raw_messages():
+        if topic == "/tf":
+            message = FrameTransforms.FromString(bytes(payload))
+            return {
+                int(t.child_frame_id.removeprefix("env_")): np.array(
+                    [t.translation.x, t.translation.y, t.translation.z]
+                )
+                for t in message.transforms
+                if t.parent_frame_id == "world"
+            }
+    return {}
+
+
+class _Numbers:
+    """The curves of one environment."""
+
+    def __init__(self, stream: Stream, log: Log, env_id: int, column: int) -> None:
+        self._stream, self._column, self._root = stream, column, f"/env_{env_id}"
+        model = log.model
+        ids = [j for j in range(model.njnt) if int(model.jnt_type[j]) in _SCALAR]
+        names = [model.joint(j).name or f"joint_{j}" for j in ids]
+        self._of: dict[str, tuple[str, Any]] = {
+            "qpos": ("joint_positions", np.array([model.jnt_qposadr[j] for j in ids], np.int64)),
+            "qvel": ("joint_velocities", np.array([model.jnt_dofadr[j] for j in ids], np.int64)),
+            "actions": ("actions", slice(None)),
+        }
+        for path in ("joint_positions", "joint_velocities"):
+            stream.name(f"{self._root}/{path}", names)
+        stream.name(f"{self._root}/actions", [c.name for c in log.columns.get("actions", [])])
+        stream.name(f"{self._root}/reward", ["reward"])
+
+    def add(self, data: LogArrays) -> None:
+        """Add the steps of `data`."""
+        for field, (path, columns) in self._of.items():
+            if field in data.values:
+                values = data[field][:, self._column][:, columns]
+                self._stream.curves(f"{self._root}/{path}", data.steps, values)
+        rewards = data["rewards"][:, self._column, None]
+        self._stream.curves(f"{self._root}/reward", data.steps, rewards)
+
+
+def _tell(stream: Stream, log: Log, env: int, first: int, last: int) -> None:
+    """Add what is not there in every step: sampled metrics, episodes that ended, events."""
+    root = f"/env_{env}"
+    if env in log.header.view_envs:
+        steps, values = log.metrics(env)
+        chosen = (steps >= first) & (steps <= last)
+        names = [name for name in values if name not in ("reward", "terminated", "truncated")]
+        if names and chosen.any():
+            stream.name(f"{root}/metrics", names)
+            table = np.stack([values[name][chosen] for name in names], axis=1)
+            stream.curves(f"{root}/metrics", steps[chosen], table)
+    ended = [
+        e
+        for e in log.episodes
+        if e.env == env and first <= e.last_step <= last and (e.terminated or e.truncated)
+    ]
+    at = np.array([e.last_step for e in ended], np.int64)
+    for name, numbers in (
+        ("return", [e.total_reward for e in ended]),
+        ("length", [e.steps for e in ended]),
+    ):
+        stream.curves(f"{root}/episode/{name}", at, np.array(numbers)[:, None])
+    stream.lines(f"{root}/log", _lines(log, env, first, last))
+
+
+def _lines(log: Log, env: int, first: int, last: int) -> list[tuple[int, str, str]]:
+    """What happened: step, level, text; in the order of steps."""
+    found = [
+        (event.step, "INFO", event_text(env, event.term, event.mode, _drawn(event, env)))
+        for event in log.events()
+        if event.env_ids is None or env in event.env_ids
+    ]
+    for episode in log.episodes:
+        if episode.env == env and (episode.terminated or episode.truncated):
+            how = "terminated" if episode.terminated else "truncated"
+            text = (
+                f"environment {env}: episode {episode.episode} {how} after {episode.steps} steps, "
+                f"return {episode.total_reward:.4g}"
+            )
+            found.append((episode.last_step, "INFO", text))
+    return sorted((line for line in found if first <= line[0] <= last), key=lambda line: line[0])
+
+
+def _drawn(event: Any, env: int) -> dict[str, NDArray[np.float64]]:
+    """What an event drew for an environment."""
+    row = env if event.env_ids is None else int(np.flatnonzero(event.env_ids == env)[0])
+    return {name: values[row] for name, values in event.drawn.items()}
