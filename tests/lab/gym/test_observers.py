@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from embodichain.lab.gym.envs import StepObserver
 from embodichain.lab.gym.envs.cfg import EventCfg
@@ -121,3 +122,20 @@ def test_close_is_told_once(make_env):
     env.add_observer(witness)
     env.close(), env.close()
     assert witness.calls == [("close",)]
+
+
+def test_closing_goes_on_when_an_observer_raises(make_env):
+    class Failing(Witness):
+        def on_close(self, env):
+            raise OSError("the disk is full")
+
+    env = make_env()
+    before, after = Witness(), Witness()
+    for observer in (before, Failing(), after):
+        env.add_observer(observer)
+    with pytest.raises(OSError, match="the disk is full"):
+        env.close()
+    assert before.calls == after.calls == [("close",)]
+    with pytest.raises(RuntimeError, match="destroy"):
+        env.sim.engine.rows  # noqa: B018
+    env.close()  # nothing is left to close

@@ -7,6 +7,7 @@ how anything is recorded is no business of this file.
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -364,15 +365,19 @@ class BaseEnv(EnvOutcome):
         state.load(self, saved)
 
     def close(self) -> None:
-        """Tell observers, and free the simulation; does nothing the second time."""
+        """Tell observers, and free the simulation; does nothing the second time.
+
+        Every observer is told and the simulation is freed, also if one of them raises.
+        """
         if self._closed:
             return
         self._closed = True
-        for observer in self.observers:
-            observer.on_close(self)
-        # Nothing holds the engine then: its memory is free at once, not when cycles are collected.
-        self.__dict__.pop("_dump", None)
-        self.sim.destroy()
+        with ExitStack() as stack:  # runs all of it, last first
+            # Nothing holds the engine then: its memory is free at once, not when cycles are.
+            stack.callback(self.sim.destroy)
+            stack.callback(self.__dict__.pop, "_dump", None)
+            for observer in reversed(self.observers):
+                stack.callback(observer.on_close, self)
 
 
 EmbodiedEnv = BaseEnv
