@@ -39,6 +39,7 @@ from embodichain.lab.gym.envs.observation_memory import (
     leaves_of,
 )
 from embodichain.lab.gym.utils.spaces import joint_space, observation_space
+from embodichain.lab.gym.utils.tensordicts import unchecked
 from embodichain.lab.sim.types import EnvObs
 from embodichain.lab.sim.viewer import has_display
 
@@ -96,7 +97,6 @@ class EnvAssembly(EnvBasics):
         self._success = np.zeros(count, np.bool_)
         self._task_success = torch.zeros(count, dtype=torch.bool)
         self._pending: NDArray[np.bool_] | None = None
-        self._batch = torch.Size([count])
         self._closed = False
         hooks = overrides(self, _OPTIONAL)
         self._steps_actions = hooks["_step_action"]
@@ -107,6 +107,7 @@ class EnvAssembly(EnvBasics):
 
     def _build(self, kwargs: dict[str, Any]) -> None:
         cfg, sim = self.cfg, self.sim
+        self._empty_obs = unchecked({}, torch.Size([cfg.num_envs]), sim.device)
         self._drives_declared = not cfg.actions and bool(cfg.robot or cfg.robots)
         self.robot = self._setup_robot(**kwargs)
         # After each hook: what the config declares and an override left out.

@@ -15,7 +15,7 @@ from embodichain.lab.gym.envs.autoreset import blanked
 from embodichain.lab.gym.envs.flags import Flags, Mask, mask_of
 from embodichain.lab.gym.envs.managers.dry_run import check_shapes
 from embodichain.lab.gym.envs.observation_memory import Known, as_float32, is_finite
-from embodichain.lab.gym.utils.tensordicts import unchecked
+from embodichain.lab.gym.utils.tensordicts import alike
 from embodichain.lab.sim.engine.base import F64, EnvIndex
 from embodichain.lab.sim.types import EnvAction, EnvObs
 
@@ -38,13 +38,13 @@ class EnvOutcome(EnvAssembly):
         Returns:
             Batch size N; ``obs["robot"]`` holds ``qpos``, ``qvel``, ``qf``, (N, A) float32 each.
         """
-        batch, device = self._batch, self.sim.device
+        empty = self._empty_obs
         entries: dict[str, Any] = {}
         if self.robot is not None:
             self._proprioception = self.robot.proprioception(self._joints)
             qpos, qvel, qf = self._proprioception[0]
-            entries["robot"] = unchecked({"qpos": qpos, "qvel": qvel, "qf": qf}, batch, device)
-        obs: EnvObs = unchecked(entries, batch, device)
+            entries["robot"] = alike(empty, {"qpos": qpos, "qvel": qvel, "qf": qf})
+        obs: EnvObs = alike(empty, entries)
         if self._senses:
             obs["sensor"] = self._get_sensor_obs(**kwargs)
         extended: EnvObs | None = self._extend_obs(obs, **kwargs)

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from tensordict import TensorDict
 
-__all__ = ["branches_copied", "entries", "put", "replace", "unchecked"]
+__all__ = ["alike", "branches_copied", "entries", "put", "replace", "unchecked"]
 
 
 def unchecked(source: dict[str, Any], batch: torch.Size, device: torch.device | None) -> TensorDict:
@@ -24,6 +24,21 @@ def unchecked(source: dict[str, Any], batch: torch.Size, device: torch.device | 
         device: Where they live.
     """
     result: TensorDict = _construct(source, batch_size=batch, device=device)
+    return result
+
+
+def alike(model: TensorDict, source: dict[str, Any]) -> TensorDict:
+    """Return a TensorDict with the batch size and device of one of this package's making.
+
+    Args:
+        model: Neither locked nor shared.
+        source: The entries, which fit; the dict is kept.
+    """
+    own: dict[str, Any] = model.__dict__
+    if type(own.get("_tensordict")) is not dict:
+        return unchecked(source, model.batch_size, model.device)
+    result = TensorDict.__new__(TensorDict)
+    result.__dict__.update(own, _tensordict=source)
     return result
 
 
@@ -49,7 +64,7 @@ def put(target: TensorDict, path: tuple[str, ...], value: torch.Tensor) -> None:
     elif path[0] in own:
         target.set(path, value)
     else:
-        own[path[0]] = unchecked({path[1]: value}, target.batch_size, value.device)
+        own[path[0]] = alike(target, {path[1]: value})
 
 
 def branches_copied(source: TensorDict) -> TensorDict:
