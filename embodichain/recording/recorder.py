@@ -29,6 +29,7 @@ from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.recording import state_log
 from embodichain.recording.attachments import attachments_of, model_bytes, model_digest
 from embodichain.recording.columns import RowColumns
+from embodichain.recording.episode_gate import EpisodeGate
 from embodichain.recording.episode_log import TOPIC as EPISODE_TOPIC
 from embodichain.recording.episode_log import Ends, EpisodeLog
 from embodichain.recording.foxglove.layout import foxglove_layout
@@ -127,11 +128,12 @@ class McapRecorder(StepObserver):
             else None
         )
         self._episodes = EpisodeLog(env.num_envs)
+        self._gate = EpisodeGate(options.every, next(iter(options.view_envs), 0))
         self._substeps = int(env.sim_steps_per_control)
         self._keyframe_every = options.keyframe_every if options.state == "keyframes" else 0
         self._keyframe_due = True
         self._keyframe = -1  # control step of the newest one
-        self._views = Views(env, options, self._emit, self._pending.append, self._now)
+        self._views = Views(env, options, self._pending.append, self._now)
         self._view_envs = [int(i) for i in options.view_envs]
         self._engine = engine
         self._begin(env, options, columns, config, overrides, task)
@@ -171,6 +173,7 @@ class McapRecorder(StepObserver):
             view_envs=self._view_envs,
             unverifiable=why_unverifiable(model, options.state),
             keyframe_every=self._keyframe_every,
+            every=options.every,
             log_id=uuid.uuid4().hex,
         )
         channels = dict(state_log.CHANNELS) if self._log else {}
@@ -222,9 +225,6 @@ class McapRecorder(StepObserver):
         """Called by the state log, on the background thread."""
         self._file.write(topic, self._start_ns + step * self._period_ns, parts)
 
-    def _emit(self, topic: str, parts: tuple[Part, ...]) -> None:
-        self._pending.append((topic, self._now(), parts))
-
     def _hand_over_when_due(self) -> None:
         step, when = self._handed_over
         if self._step - step >= self._batch_steps or time.monotonic() - when > BATCH_SECONDS:
@@ -262,15 +262,20 @@ class McapRecorder(StepObserver):
         nobody = write.env_ids is not None and not len(write.env_ids)
         if self._log is not None and write.op != "forward" and not nobody:
             self._columns.heed(write)
-            self._later(self._log.on_write, write)
+            if self._gate.open or write.op in ("model", "set_const"):
+                self._later(self._log.on_write, write)
         if write.op == "model":
             self._views.on_model_write(write)
 
     def on_physics(self, env: BaseEnv, event: PhysicsEvent) -> None:
         """Physics is about to step, or has just stepped."""
         log, ids = self._log, event.env_ids
+        before = event.phase == "before"
+        if before and ids is None and event.nstep == self._substeps:
+            self._gate.on_physics()
+        if not self._gate.open:
+            return
         if log is not None:
-            before = event.phase == "before"
             taken = None
             if not before or not self._keyframe_every or self._is_keyframe(event):
                 taken = self._columns.take(event.rows if ids is None else event.rows[ids])
@@ -278,7 +283,7 @@ class McapRecorder(StepObserver):
                 self._later(log.before_physics, taken, event.nstep, ids)
             else:
                 self._later(log.after_physics, taken, self._columns.ranges, event)
-        if event.phase == "before" and event.env_ids is None:
+        if before and ids is None:
             self._views.on_rows(self._step, event.rows)
 
     def _is_keyframe(self, event: PhysicsEvent) -> bool:
@@ -297,24 +302,43 @@ class McapRecorder(StepObserver):
 
     def on_event(self, env: BaseEnv, event: EventRecord) -> None:
         """A term of the event manager fired."""
+        if not self._gate.open:
+            self._gate.hold(event)
+            return
         if self._log is not None:
             self._later(self._log.on_event, event)
         self._views.on_event(event)
 
     def on_reset(self, env: BaseEnv, env_ids: EnvIndex) -> None:
         """Environments were reset."""
-        self._views.on_reset(env_ids)
+        if self._gate.open:
+            self._views.on_reset(env_ids)
+        self._opened(env, self._gate.on_reset(env_ids))
+
+    def _opened(self, env: BaseEnv, held: list[EventRecord] | None) -> None:
+        """Go on recording, if the gate has just opened; with the events that led there."""
+        if held is None:
+            return
+        for event in held:
+            self.on_event(env, event)
+        self._keyframe_due = True
+        self._views.show(self._view_envs)
 
     def on_step(self, env: BaseEnv, step: StepRecord) -> None:
         """A control step ended."""
         # Copies: the caller of `step` may write into what it was handed.
         reward, ids = step.reward.copy(), step.episode_ids.copy()
-        if self._log is not None:
+        recorded = self._gate.open
+        if self._log is not None and recorded:
             flags = step.terminated.copy(), step.truncated.copy()
             self._later(self._log.on_step, step.action.copy(), reward, *flags, ids)
         ends = Ends.of(step, env.termination_manager.values)
         self._later(self._add_episodes, self._step, reward, ids, ends)
-        self._views.on_step(self._step, step)
+        if recorded:
+            self._views.on_step(self._step, step)
+        self._opened(env, self._gate.switch())
+        if self._log is not None and not recorded:
+            self._later(self._log.skip)
         self._step += 1
         if self._rolling is not None and self._rolling.due:
             self._roll(self._rolling)

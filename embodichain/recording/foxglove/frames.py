@@ -6,11 +6,15 @@ Every environment is its own world; for people they are laid out by `arena_offse
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import count
 from typing import Any
 
 import mujoco
+import numpy as np
 
-from embodichain.recording.foxglove.messages import FrameTransforms, timestamp
+from embodichain.lab.sim.engine.base import F64
+from embodichain.recording.foxglove.messages import FrameTransforms
+from embodichain.recording.foxglove.template import STAMP, Template, mark
 
 __all__ = ["Frames", "frame_names"]
 
@@ -37,32 +41,36 @@ class Frames:
     def __init__(
         self, model: mujoco.MjModel, env_ids: Sequence[int], offsets: Sequence[Sequence[float]]
     ) -> None:
-        self._message = FrameTransforms()
-        self._bodies: list[list[Any]] = []
+        message = FrameTransforms()
+        self._poses: F64 = np.zeros((len(env_ids), model.nbody - 1, 7))
+        numbers = count()
         for env_id, (x, y, z) in zip(env_ids, offsets, strict=True):
             root, *names = frame_names(model, env_id)
-            base = self._add("world", root)
+            base = _add(message, "world", root)
             base.translation.x, base.translation.y, base.translation.z = x, y, z
             base.rotation.w = 1.0
-            self._bodies.append([self._add(root, name) for name in names])
-
-    def _add(self, parent: str, child: str) -> Any:
-        return self._message.transforms.add(parent_frame_id=parent, child_frame_id=child)
+            for name in names:
+                frame = _add(message, root, name)
+                for field, axes in ((frame.translation, "xyz"), (frame.rotation, "xyzw")):
+                    for axis in axes:
+                        setattr(field, axis, mark(next(numbers)))
+        self._template = Template(message.SerializeToString(), self._poses.size)
 
     def place(self, index: int, data: mujoco.MjData) -> None:
         """Take over the poses of the index-th environment, after `mj_kinematics`."""
-        poses = zip(
-            self._bodies[index], data.xpos[1:].tolist(), data.xquat[1:].tolist(), strict=True
+        poses = self._poses[index]
+        poses[:, :3], poses[:, 3:6], poses[:, 6] = (
+            data.xpos[1:],
+            data.xquat[1:, 1:],
+            data.xquat[1:, 0],
         )
-        for transform, (x, y, z), (qw, qx, qy, qz) in poses:
-            t, r = transform.translation, transform.rotation
-            t.x, t.y, t.z = x, y, z
-            r.w, r.x, r.y, r.z = qw, qx, qy, qz
 
     def encode(self, time_ns: int) -> bytes:
         """`FrameTransforms` of all environments, as bytes."""
-        stamp = timestamp(time_ns)
-        for transform in self._message.transforms:
-            transform.timestamp.seconds, transform.timestamp.nanos = stamp.seconds, stamp.nanos
-        data: bytes = self._message.SerializeToString()
-        return data
+        return self._template.fill(self._poses, time_ns)
+
+
+def _add(message: Any, parent: str, child: str) -> Any:
+    frame = message.transforms.add(parent_frame_id=parent, child_frame_id=child)
+    frame.timestamp.CopyFrom(STAMP)
+    return frame

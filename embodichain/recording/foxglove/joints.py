@@ -5,7 +5,8 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from embodichain.recording.foxglove.messages import JointState, JointStates, timestamp
+from embodichain.recording.foxglove.messages import JointState, JointStates
+from embodichain.recording.foxglove.template import STAMP, Template, mark
 
 __all__ = ["Joints"]
 
@@ -24,14 +25,14 @@ class Joints:
         self.names = [model.joint(j).name or f"joint_{j}" for j in ids]
         self._qpos = np.array([model.jnt_qposadr[j] for j in ids], np.int64)
         self._qvel = np.array([model.jnt_dofadr[j] for j in ids], np.int64)
-
-        self._message = JointStates(joints=[JointState(name=name) for name in self.names])
+        joints = [
+            JointState(name=name, position=mark(2 * i), velocity=mark(2 * i + 1))
+            for i, name in enumerate(self.names)
+        ]
+        message = JointStates(timestamp=STAMP, joints=joints)
+        self._template = Template(message.SerializeToString(), 2 * len(joints))
 
     def encode(self, time_ns: int, data: mujoco.MjData) -> bytes:
         """`JointStates`: positions (rad or m) and velocities (rad/s or m/s), as bytes."""
-        self._message.timestamp.CopyFrom(timestamp(time_ns))
-        qpos, qvel = data.qpos[self._qpos].tolist(), data.qvel[self._qvel].tolist()
-        for joint, position, velocity in zip(self._message.joints, qpos, qvel, strict=True):
-            joint.position, joint.velocity = position, velocity
-        encoded: bytes = self._message.SerializeToString()
-        return encoded
+        values = np.stack([data.qpos[self._qpos], data.qvel[self._qvel]], axis=1)
+        return self._template.fill(values, time_ns)

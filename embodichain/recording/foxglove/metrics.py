@@ -11,11 +11,17 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.observers import StepRecord
+from embodichain.lab.sim.engine.base import F64
 from embodichain.recording import wire
+from embodichain.recording.foxglove.template import Template, mark
 
 __all__ = ["Scalars", "identifier"]
+
+_FACTS = ("elapsed_steps", "success", "fail")
+_GROUPS = (("rewards", "reward"), ("episode_sums", "sum"), ("metrics", "metric"))
 
 
 class Scalars:
@@ -32,31 +38,52 @@ class Scalars:
         for name in (identifier(path) for path, _ in self._walk(step)):
             taken = sum(n == name or n.startswith(f"{name}__") for n in self.names)
             self.names.append(f"{name}__{taken + 1}" if taken else name)
+        fields = [
+            wire.varint(number << 3 | 1) + struct.pack("<d", mark(number - 1))
+            for number in range(1, len(self.names) + 1)
+        ]
+        self._template = Template(b"".join(fields), len(fields))
 
-    def encode(self, step: StepRecord, env_id: int) -> bytes:
-        """The scalars of one environment; a step whose terms are others is refused.
+    def take(
+        self,
+        step: StepRecord,
+        env_ids: NDArray[np.int64],
+        weights: Mapping[str, float] | None = None,
+    ) -> F64:
+        """The scalars of some environments, (S, n), copied.
+
+        Args:
+            step: The step; one whose terms are others is refused.
+            env_ids: (n,) environments.
+            weights: Of the reward's terms: each is shown as it adds to the reward.
 
         Raises:
             ValueError: If the step has other scalars than the first one.
         """
-        values = [float(np.asarray(value)[env_id]) for _, value in self._walk(step)]
-        if len(values) != len(self.names):
-            raise ValueError(f"{len(values)} scalars in a step; the first had {self.names}")
-        return b"".join(
-            wire.varint(number << 3 | 1) + struct.pack("<d", value)
-            for number, value in enumerate(values, start=1)
-            if value != 0.0
-        )
+        rows = [np.asarray(values)[env_ids] for _, values in self._walk(step)]
+        if len(rows) != len(self.names):
+            raise ValueError(f"{len(rows)} scalars in a step; the first had {self.names}")
+        taken: F64 = np.stack(rows, dtype=np.float64, casting="unsafe")
+        if weights:
+            first = 3 + sum(key in step.info for key in _FACTS)  # where `_walk` is at the terms
+            terms = sorted(step.info.get("rewards", {}))
+            factors = [weights.get(name, 1.0) for name in terms]
+            taken[first : first + len(terms)] *= np.array(factors)[:, None]
+        return taken
+
+    def encode(self, taken: F64) -> list[bytes]:
+        """One message for each environment of `take`."""
+        return [self._template.fill(values) for values in taken.T]
 
     def _walk(self, step: StepRecord) -> Iterator[tuple[str, Any]]:
         """Name and (N,) values of everything worth a plot, in a fixed order."""
         yield "reward", step.reward
         yield "terminated", step.terminated
         yield "truncated", step.truncated
-        for key in ("elapsed_steps", "success", "fail"):
+        for key in _FACTS:
             if key in step.info:
                 yield key, step.info[key]
-        for key, prefix in (("rewards", "reward"), ("episode_sums", "sum"), ("metrics", "metric")):
+        for key, prefix in _GROUPS:
             group: Mapping[str, Any] = step.info.get(key, {})
             for name in sorted(group):
                 yield f"{prefix}_{name}", group[name]

@@ -12,6 +12,7 @@ from embodichain.lab.sim.engine.base import F64
 from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.recording.foxglove.joints import Joints
 from embodichain.recording.foxglove.scene import Props, Scene
+from embodichain.recording.shapes import LOOKS
 
 __all__ = ["Viewed"]
 
@@ -48,7 +49,8 @@ class Viewed:
         if not self._owned:
             self._model, self._owned = copy.copy(self._model), True
         getattr(self._model, field).reshape(-1)[columns] = values
-        self._scene = None
+        if field.startswith(LOOKS):
+            self._scene = None
 
     def place(self, row: F64) -> None:
         """Compute where every body is."""

@@ -27,7 +27,7 @@ from embodichain.recording.foxglove.viewed import Viewed
 from embodichain.recording.mcap_file import Part
 from embodichain.recording.options import RecordLike
 from embodichain.recording.schemas import scalars_descriptor_set
-from embodichain.recording.shapes import PLANE_SIZE
+from embodichain.recording.shapes import LOOKS, PLANE_SIZE
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -35,12 +35,10 @@ if TYPE_CHECKING:
 __all__ = ["SEEN", "Sink", "Views"]
 
 SEEN = (
-    *("geom_size", "geom_pos", "geom_quat", "geom_sameframe", "geom_rgba", "geom_matid", "mat_"),
-    *("body_pos", "body_quat", "body_sameframe", "jnt_pos", "jnt_axis", "qpos0"),
+    *LOOKS,
+    *("geom_sameframe", "body_pos", "body_quat", "body_sameframe", "jnt_pos", "jnt_axis", "qpos0"),
 )
 """Model fields that move or colour anything begin so."""
-
-Emit = Callable[[str, tuple[Part, ...]], None]
 
 
 class Sink(Protocol):
@@ -62,21 +60,23 @@ class Views:
     Args:
         env: The environment.
         options: Which environments, and how often.
-        emit: Called with a topic and the parts of a message.
         push: Called with work for the background thread.
         now: Log time in ns.
     """
 
     def __init__(
-        self, env: BaseEnv, options: RecordLike, emit: Emit, push: Push, now: Callable[[], int]
+        self, env: BaseEnv, options: RecordLike, push: Push, now: Callable[[], int]
     ) -> None:
         self._ids = np.array(sorted(set(options.view_envs)), np.int64)
-        self._emit, self._push, self._now = emit, push, now
+        self._is_viewed = np.zeros(env.num_envs, np.bool_)
+        self._is_viewed[self._ids] = True
+        self._push, self._now = push, now
         self._every = max(1, math.ceil(1.0 / (options.view_hz * float(env.step_dt)) - 1e-9))
         self._reset: set[int] = set()
         self._asked: set[int] = set(self._ids.tolist())
         self._sampled = -1
         self._scalars: Scalars | None = None
+        self._rewards = getattr(env, "reward_manager", None)  # environments of others may have none
         model, where = env.sim.engine.model, places(env, self._ids.tolist())
         meshes = Props(pitch_of(env) if len(self._ids) > 1 else PLANE_SIZE)
         self._viewed = [Viewed(model, i, meshes) for i in self._ids.tolist()]
@@ -108,15 +108,13 @@ class Views:
 
     def say(self, message: str, level: str = "INFO") -> None:
         """Write a line to `/log`."""
-        self._emit("/log", (log_line(self._now(), message, level),))
+        self._push(partial(_write_line, self._now(), message, level))
 
     def on_model_write(self, write: Write) -> None:
         """A model field of viewed environments changed: their looks and links may have."""
         if write.values is None or not write.field.startswith(SEEN):
             return
-        ids = self._ids if write.env_ids is None else np.intersect1d(self._ids, write.env_ids)
-        for env_id in ids.tolist():
-            row = env_id if write.env_ids is None else int(np.searchsorted(write.env_ids, env_id))
+        for row, env_id in self._seen(write.env_ids):
             values, viewed = write.values[row].copy(), self._of(env_id)
             self._push(
                 lambda _, v=viewed, x=values: v.set_field(write.field, write.columns, x)  # type: ignore[misc]
@@ -124,6 +122,13 @@ class Views:
 
     def _of(self, env_id: int) -> Viewed:
         return self._viewed[int(np.searchsorted(self._ids, env_id))]
+
+    def _seen(self, env_ids: EnvIndex | None) -> list[tuple[int, int]]:
+        """Which of these environments (None: all) are viewed: place among them, and id."""
+        if env_ids is None:
+            return [(i, i) for i in self._ids.tolist()]
+        rows = np.flatnonzero(self._is_viewed[env_ids])
+        return list(zip(rows.tolist(), env_ids[rows].tolist(), strict=True))
 
     def on_rows(self, step: int, rows: F64, last: bool = False) -> None:
         """Physics is about to step: sample the viewed rows when they are due, or after a reset.
@@ -163,16 +168,14 @@ class Views:
 
     def on_reset(self, env_ids: EnvIndex) -> None:
         """Viewed environments that were reset show their scene anew."""
-        seen = np.intersect1d(self._ids, env_ids)
+        seen = env_ids[self._is_viewed[env_ids]]
         if len(seen):
             self._reset.update(seen.tolist())
             self.say(f"environments {ids_text(seen)} reset")
 
     def on_event(self, event: EventRecord) -> None:
         """Write a line for each viewed environment in which a term fired, with what it drew."""
-        ids = self._ids if event.env_ids is None else np.intersect1d(self._ids, event.env_ids)
-        for env_id in ids.tolist():
-            row = env_id if event.env_ids is None else int(np.searchsorted(event.env_ids, env_id))
+        for row, env_id in self._seen(event.env_ids):
             drawn = {name: values[row].copy() for name, values in event.drawn.items()}
             self._push(partial(_write_event, self._now(), env_id, event.term, event.mode, drawn))
 
@@ -183,13 +186,21 @@ class Views:
             ids = np.flatnonzero(np.asarray(diverged))
             if len(ids):
                 self.say(f"environments {ids_text(ids)} diverged in step {step}", "WARNING")
-        for index in np.flatnonzero((record.terminated | record.truncated)[self._ids]).tolist():
-            self.say(ending_text(record, self._viewed[index].env_id))
+        ended = record.terminated[self._ids] | record.truncated[self._ids]
+        for env_id in self._ids[ended].tolist():
+            self.say(ending_text(record, env_id))
         if not self._viewed or step % self._every:
             return
-        scalars = self.declare(record)
-        for viewed in self._viewed:
-            self._emit(viewed.metrics_topic, (scalars.encode(record, viewed.env_id),))
+        manager = self._rewards
+        weights = None if manager is None else manager.weights
+        taken = self.declare(record).take(record, self._ids, weights)
+        self._push(partial(self._number, self._now(), taken))
+
+    def _number(self, time_ns: int, taken: F64, sink: Sink) -> None:
+        """Write numbers; runs on the background thread."""
+        if self._scalars is not None:
+            for viewed, data in zip(self._viewed, self._scalars.encode(taken), strict=True):
+                sink.write(viewed.metrics_topic, time_ns, (data,))
 
     def declare(self, record: StepRecord) -> Scalars:
         """Find the run's scalars in its first step, and declare their channels."""
@@ -210,6 +221,11 @@ class Views:
         """Show the last state, and say that recording ends."""
         self.on_rows(step, rows, last=True)
         self.say(f"recording ends after {step} steps")
+
+
+def _write_line(time_ns: int, message: str, level: str, sink: Sink) -> None:
+    """Write a line; runs on the background thread."""
+    sink.write("/log", time_ns, (log_line(time_ns, message, level),))
 
 
 def _write_event(

@@ -18,7 +18,6 @@ from typing import TYPE_CHECKING
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
 from embodichain.lab.sim.engine.base import EnvIndex, Write
 from embodichain.recording.foxglove.views import SEEN, Sink, Views
-from embodichain.recording.mcap_file import Part
 from embodichain.recording.options import RecordOptions, check_options
 from embodichain.recording.viewers.foxglove_server import DEFAULT_PORT, FoxgloveServer
 
@@ -78,7 +77,7 @@ class FoxgloveView(StepObserver):
         self._shown = self._stepped = 0.0
         self._looking = False
         self._unseen: set[str] = set(env.sim.engine.state_dict()["model"])
-        self._views = Views(env, options, self._emit, self._thread.put, self._now)
+        self._views = Views(env, options, self._thread.put, self._now)
         for topic, schema in self._views.channels.items():
             self._server.channel(topic, schema)
         self._close = partial(_close, self._thread, self._server)
@@ -96,9 +95,6 @@ class FoxgloveView(StepObserver):
 
     def _now(self) -> int:
         return self._start_ns + self._step * self._period_ns
-
-    def _emit(self, topic: str, parts: tuple[Part, ...]) -> None:
-        self._server.write(topic, self._now(), parts)
 
     def on_write(self, env: BaseEnv, write: Write) -> None:
         """Remember which looks changed; what they are now is read when somebody looks."""

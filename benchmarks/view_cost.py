@@ -1,0 +1,138 @@
+"""What an update for viewers costs: `python -m benchmarks.view_cost`.
+
+An update is everything of one moment and one viewed environment: poses, joints, numbers, and its
+share of scenes and lines. Counted is CPU time, of the thread that steps and of the one that writes,
+beside a log that nobody looks at.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from itertools import count, cycle
+from pathlib import Path
+from statistics import median
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from benchmarks.machine import table, write_json
+
+if TYPE_CHECKING:
+    import torch
+
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+TASKS = ("random_reach", "push_cube", "lift_cube", "quadruped_velocity")
+NUM_ENVS, STEPS, ROUNDS = 4, 300, 7
+LIMIT_MS = 0.1
+EVERY_STEP = 1e9
+VIEW_HZ = 10.0
+"""The default of `record.view_hz`."""
+
+
+def main() -> None:
+    """Measure every task in a process of its own, and print a table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--tasks", nargs="+", default=list(TASKS))
+    parser.add_argument("--num-envs", type=int, default=NUM_ENVS)
+    parser.add_argument("--steps", type=int, default=STEPS)
+    parser.add_argument("--rounds", type=int, default=ROUNDS)
+    parser.add_argument("--out", type=Path, help="JSON file for the figures")
+    parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    sizes = options.num_envs, options.steps, options.rounds
+    if options.child:
+        print(json.dumps(measure(options.tasks[0], *sizes)))
+        return
+    facts = {"num_envs": options.num_envs, "tasks": {t: _apart(t, *sizes) for t in options.tasks}}
+    print(report(facts))
+    if options.out:
+        write_json(options.out, facts)
+
+
+def measure(task: str, num_envs: int, steps: int, rounds: int) -> dict[str, float]:
+    """Medians over turns: ms of CPU an update of one environment, on each thread, and ms a step."""
+    from benchmarks import arms
+    from embodichain.recording import McapRecorder
+    from embodichain.recording.options import RecordOptions
+
+    env = arms.make(task, num_envs, "seed=0")
+    env.reset()
+    act, number = _actions(env), count()
+
+    def turn(folder: Path, view_envs: list[int]) -> tuple[float, float, float]:
+        options = RecordOptions(state="none", view_envs=view_envs, view_hz=EVERY_STEP)
+        recorder = McapRecorder(folder / f"{next(number)}.mcap", env, options=options)
+        env.add_observer(recorder)
+        recorder.flush()  # what is written once does not count
+        writer = next(t for t in threading.enumerate() if t.name == "mcap-writer")
+        clock = time.pthread_getcpuclockid(writer.ident or 0)
+        begun = time.thread_time(), time.clock_gettime(clock), time.perf_counter()
+        for _ in range(steps):
+            env.step(next(act))
+        recorder.flush()
+        ended = time.thread_time(), time.clock_gettime(clock), time.perf_counter()
+        env.remove_observer(recorder)
+        recorder.close()
+        stepping, writing, wall = (b - a for a, b in zip(begun, ended, strict=True))
+        return stepping, writing, wall
+
+    with tempfile.TemporaryDirectory() as folder:
+        pairs = [
+            (turn(Path(folder), list(range(num_envs))), turn(Path(folder), []))
+            for _ in range(rounds + 1)
+        ][1:]
+    env.close()
+    each = 1e3 / (steps * num_envs)
+    return {
+        "stepping": each * median(seen[0] - unseen[0] for seen, unseen in pairs),
+        "writing": each * median(seen[1] - unseen[1] for seen, unseen in pairs),
+        "step": 1e3 / steps * median(unseen[2] for _, unseen in pairs),
+        "dt": float(env.step_dt),
+    }
+
+
+def _actions(env: BaseEnv) -> Iterator[torch.Tensor]:
+    """Half of what is allowed, at random, as long as somebody asks."""
+    import torch
+
+    low, high = (np.clip(x, -1, 1) for x in (env.action_space.low, env.action_space.high))
+    draw = np.random.default_rng(0).uniform(low / 2, high / 2, (16, *low.shape))
+    return cycle(torch.from_numpy(draw.astype(np.float32)))
+
+
+def report(facts: dict[str, Any]) -> str:
+    """A Markdown table: an update, and the share of a step at the default rate and at any."""
+    rows = []
+    for task, one in facts["tasks"].items():
+        both = one["stepping"] + one["writing"]
+        rate = min(1.0, VIEW_HZ * one["dt"])
+        shares = [100 * facts["num_envs"] * both * r / one["step"] for r in (rate, 1.0)]
+        verdict = "yes" if both <= LIMIT_MS else "no"
+        cells = [f"{one['stepping']:.3f}", f"{one['writing']:.3f}", f"{both:.3f}", verdict]
+        rows.append([task, *cells, f"{one['step']:.2f}", *(f"{s:.0f} %" for s in shares)])
+    heads = ["task", "stepping, ms", "writing, ms", "both, ms", f"at most {LIMIT_MS}"]
+    heads += ["a step, ms", f"share at {VIEW_HZ:.0f} Hz", "share at every step"]
+    title = f"An update of one viewed environment ({facts['num_envs']} of {facts['num_envs']}):\n\n"
+    return title + table(heads, rows)
+
+
+def _apart(task: str, num_envs: int, steps: int, rounds: int) -> dict[str, float]:
+    sizes = ["--num-envs", str(num_envs), "--steps", str(steps), "--rounds", str(rounds)]
+    command = [sys.executable, "-m", "benchmarks.view_cost", "--child", "--tasks", task, *sizes]
+    child = subprocess.run(command, capture_output=True, text=True, check=False)
+    if child.returncode:
+        raise RuntimeError(child.stderr)
+    found: dict[str, float] = json.loads(child.stdout.splitlines()[-1])
+    return found
+
+
+if __name__ == "__main__":
+    main()
