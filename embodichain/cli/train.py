@@ -23,7 +23,6 @@ from embodichain.cli.jobs import Job, execute
 from embodichain.cli.stopping import StopFlag
 
 if TYPE_CHECKING:
-    from embodichain.cli.progress import ProgressDisplay
     from embodichain.config.resolved import Resolved
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.learning.episodes import TrainStatistics
@@ -79,9 +78,10 @@ def _evaluate(run: Job, evaluated: Resolved, stop: StopFlag, asked: Asked) -> di
 
 def _learn(run: Job, stop: StopFlag) -> dict[str, Any]:
     """Learn until it ends or somebody stops it; returns what `summary.json` holds."""
-    from embodichain.cli.progress import ProgressDisplay
+    from embodichain.cli.dashboard import Dashboard
     from embodichain.cli.starting import started
     from embodichain.cli.viewing import attach_viewer
+    from embodichain.config.algorithms import DEFAULT_ALGORITHM
     from embodichain.learning.train import SUMMARY_FILE, train
 
     started()
@@ -89,14 +89,15 @@ def _learn(run: Job, stop: StopFlag) -> dict[str, Any]:
     quiet = root.quiet or root.json
     if not quiet:
         sys.stderr.write(f"{run.resolved.task_name}: {run.folder}\n")
-    total = root.total_timesteps
-    with ProgressDisplay(run.resolved.task_name, total, "steps", quiet=quiet) as display:
+    algo = root.algo.name if root.algo is not None else DEFAULT_ALGORITHM
+    about = run.resolved.task_name, algo, root.total_timesteps
+    with Dashboard(*about, quiet=quiet) as display:
 
         def progress(statistics: TrainStatistics) -> None:
             if stop.stopped is not None:
                 raise Interrupted
             if display.due:
-                _show_progress(display, statistics)
+                display.show(statistics)
 
         def attach(env: BaseEnv) -> None:
             attach_viewer(root, env, stop, realtime=False)
@@ -106,16 +107,6 @@ def _learn(run: Job, stop: StopFlag) -> dict[str, Any]:
             train(run.resolved, run.folder, progress, attach)
     summary: dict[str, Any] = json.loads((run.folder / SUMMARY_FILE).read_text())
     return {**summary, "folder": str(run.folder)}
-
-
-def _show_progress(display: ProgressDisplay, statistics: TrainStatistics) -> None:
-    facts = {"steps/s": f"{statistics.env_steps_per_second:,.0f}"}
-    facts["episodes"] = str(statistics.episodes)
-    if statistics.mean_return is not None:
-        facts["return"] = f"{statistics.mean_return:.3g}"
-    if statistics.success_rate is not None:
-        facts["success"] = f"{statistics.success_rate:.0%}"
-    display.show(statistics.env_steps, facts)
 
 
 def _show(run: Job, summary: dict[str, Any]) -> None:
@@ -130,6 +121,8 @@ def _show(run: Job, summary: dict[str, Any]) -> None:
         task = str(summary["task"])
         apart = ("task", "eval", "folder")
         rows = [(k.replace("_", " "), v) for k, v in summary.items() if k not in apart]
+        shares = [f"{name} {share:.0%}" for name, share in summary["time_fractions"].items()]
+        rows = [(k, shares if k == "time fractions" else v) for k, v in rows]
         if summary["eval"] is not None:
             rows += brief_rows(summary["eval"])
         print_facts(task, [*rows, ("folder", summary["folder"])])
