@@ -64,6 +64,8 @@ class RecordCfg:
     """`all` keeps what `replay --verify` needs of every environment; `keyframes` too, in less."""
     keyframe_every: Annotated[int, Field(ge=1)] = 100
     """Control steps from one state to the next with `keyframes`."""
+    every: Annotated[int, Field(ge=1)] = 1
+    """k records every k-th episode of the first viewed environment, and all others meanwhile."""
     max_mb: Annotated[float, Field(gt=0)] | None = None
     """Megabytes after which the log goes on in another file."""
     compression: Literal["zstd", "lz4", "none"] = "lz4"

@@ -21,8 +21,8 @@ from embodichain.recording.arrays import LogArrays
 from embodichain.recording.attachments import load_mjb, model_digest
 from embodichain.recording.chunks import ChunkFile
 from embodichain.recording.episode_log import TOPIC as EPISODE_TOPIC
-from embodichain.recording.episode_log import EndedEpisode, decode_ends
-from embodichain.recording.episodes import LogEpisode, find_episodes, of_ended
+from embodichain.recording.episode_log import by_episode, decode_ends
+from embodichain.recording.episodes import LogEpisode, find_episodes, of_ended, with_unrecorded
 from embodichain.recording.events import LogEvent
 from embodichain.recording.gather import OUTCOMES, Gatherer, Steps
 from embodichain.recording.header import Header, LogError
@@ -338,15 +338,15 @@ class Log:
     def episodes(self) -> list[LogEpisode]:
         """Every episode, whole or not, by environment; found in one pass over the log.
 
-        A log with `record.state=none` tells only of those that ended.
+        A log with `record.state=none` tells only of those that ended. With `record.every` those
+        that were not recorded are there too, with everything but their steps.
         """
-        ended: dict[tuple[int, int], EndedEpisode] = {}
-        for ends in self._decoded(EPISODE_TOPIC, decode_ends):
-            for end in ends:
-                ended.setdefault((end.env, end.episode), end)
+        ended = by_episode(self._decoded(EPISODE_TOPIC, decode_ends))
         if self.header.state == "none":
             return of_ended(ended)
-        return find_episodes(self.read(["episodes", "rewards", "terminated", "truncated"]), ended)
+        data = self.read(["episodes", "rewards", "terminated", "truncated"])
+        found = find_episodes(data, ended)
+        return found if self.header.every == 1 else with_unrecorded(found, ended)
 
     def metrics(self, env: int) -> tuple[NDArray[np.int64], dict[str, NDArray[np.float64]]]:
         """Numbers of a viewed environment: rewards of each term, metrics, sums of the episode.

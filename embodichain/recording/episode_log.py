@@ -6,7 +6,7 @@ One message for each control step in which episodes ended. Rewards of single ste
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,7 +17,7 @@ from embodichain.lab.gym.envs.observers import StepRecord
 from embodichain.recording import wire
 from embodichain.recording.mcap_file import Part
 
-__all__ = ["TOPIC", "EndedEpisode", "Ends", "EpisodeLog", "decode_ends"]
+__all__ = ["TOPIC", "EndedEpisode", "Ends", "EpisodeLog", "by_episode", "decode_ends"]
 
 TOPIC = "/episode"
 _OUTCOMES = ("success", "fail", "diverged")
@@ -184,6 +184,15 @@ def decode_ends(data: bytes | memoryview) -> list[EndedEpisode]:
         found.append(
             EndedEpisode(step, env, episode, steps, total, *flags, why, rewards[i], metrics[i])
         )
+    return found
+
+
+def by_episode(messages: Iterable[list[EndedEpisode]]) -> dict[tuple[int, int], EndedEpisode]:
+    """Environment and episode id to how the episode ended, first."""
+    found: dict[tuple[int, int], EndedEpisode] = {}
+    for ends in messages:
+        for end in ends:
+            found.setdefault((end.env, end.episode), end)
     return found
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from embodichain.recording.arrays import LogArrays
 from embodichain.recording.episode_log import EndedEpisode
 
-__all__ = ["Ended", "LogEpisode", "find_episodes", "of_ended"]
+__all__ = ["Ended", "LogEpisode", "find_episodes", "of_ended", "with_unrecorded"]
 
 Ended = Mapping[tuple[int, int], EndedEpisode]
 """Environment and episode id to what `/episode` tells."""
@@ -100,6 +100,18 @@ def of_ended(ended: Ended) -> list[LogEpisode]:
         )
         for _, end in sorted(ended.items())
     ]
+
+
+def with_unrecorded(found: list[LogEpisode], ended: Ended) -> list[LogEpisode]:
+    """Every episode of a log that holds only some of them (`record.every`), by environment.
+
+    Args:
+        found: What its steps tell: of episodes that were recorded in part, that part.
+        ended: What is known of those that ended; this is of the whole episode.
+    """
+    whole = of_ended(ended)
+    rest = {(e.env, e.episode): e for e in found if (e.env, e.episode) not in ended}
+    return sorted([*whole, *rest.values()], key=lambda e: (e.env, e.episode))
 
 
 def _told(

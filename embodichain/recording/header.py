@@ -61,6 +61,7 @@ class Header:
         view_envs: Environments shown to viewers.
         unverifiable: Why this log cannot be verified; empty if it can.
         keyframe_every: Control steps from one state to the next, where `state` is ``keyframes``.
+        every: k, where only every k-th episode is in the log; else 1.
         log_id: Names the recording; the same in all files of a log.
         part: Number of the file within its log, from 0.
         first_step: Control step with which the file begins.
@@ -83,6 +84,7 @@ class Header:
     view_envs: list[int]
     unverifiable: str = ""
     keyframe_every: int = 0
+    every: int = 1
     log_id: str = ""
     part: int = 0
     first_step: int = 0
@@ -125,7 +127,7 @@ class Header:
     def _check(self) -> None:
         """Raise ValueError unless arrays of these sizes can be made and filled."""
         whole = ("seed", "num_envs", "substeps", "start_ns", "state_sig", "nstate")
-        counts = ("keyframe_every", "part", "first_step")
+        counts = ("keyframe_every", "every", "part", "first_step")
         wrong = [name for name in (*whole, *counts) if type(getattr(self, name)) is not int]
         wrong += [name for name in counts if not 0 <= getattr(self, name) < 2**62]
         wrong += [n for n in ("num_envs", "substeps", "nstate") if not getattr(self, n) > 0]
@@ -158,6 +160,14 @@ class Header:
     def period_ns(self) -> int:
         """Nanoseconds a control step."""
         return round(self.control_dt * 1e9)
+
+    @property
+    def every_note(self) -> str:
+        """What is left out on purpose; empty for nothing."""
+        if self.every <= 1:
+            return ""
+        lead = next(iter(self.view_envs), 0)
+        return f"only one in {self.every} episodes of environment {lead} is in the log"
 
     def part_note(self, alone: str) -> str:
         """Which part of a log a file is; empty for the last word of a whole log.

@@ -1,23 +1,82 @@
-"""What every file of a log begins with, and how a log goes on in another file.
-
-All of it runs on the background thread but `Rolling.due`.
-"""
+"""What every file of a log begins with, and how a log goes on in another file."""
 
 from __future__ import annotations
 
+import uuid
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from embodichain.recording.attachments import Attachment
-from embodichain.recording.header import METADATA, METADATA_END, Header
+import mujoco
+
+from embodichain.recording.attachments import Attachment, model_digest
+from embodichain.recording.columns import RowColumns
+from embodichain.recording.header import METADATA, METADATA_END, Header, why_unverifiable
+from embodichain.recording.options import RecordLike
 from embodichain.recording.parts import Manifest, part_name
 from embodichain.recording.writer import McapThread
 
-__all__ = ["LogHead", "Rolling"]
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = ["LogHead", "RecordStats", "Rolling", "header_of"]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordStats:
+    """What a recorder has written.
+
+    Attributes:
+        path: The file; the first one, if the log goes on in others.
+        steps: Control steps.
+        nbytes: Size of the log so far.
+    """
+
+    path: Path
+    steps: int
+    nbytes: int
+
+
+def header_of(
+    env: BaseEnv, options: RecordLike, columns: RowColumns, mjb: bytes, task: str, start_ns: int
+) -> Header:
+    """The metadata of a recording that begins.
+
+    Args:
+        env: What is recorded.
+        options: What of it.
+        columns: Columns of a row that are written.
+        mjb: The compiled model.
+        task: The task's name.
+        start_ns: Wall clock.
+    """
+    model = env.sim.engine.model
+    return Header(
+        task=task,
+        seed=int(env.seed_value),
+        num_envs=env.num_envs,
+        control_dt=float(env.step_dt),
+        physics_dt=float(env.physics_dt),
+        substeps=int(env.sim_steps_per_control),
+        start_ns=start_ns,
+        mujoco_version=mujoco.__version__,
+        model=model_digest(mjb),
+        state=options.state,
+        state_sig=int(mujoco.mjtState.mjSTATE_INTEGRATION),
+        nstate=columns.nstate,
+        columns=columns.kept,
+        layout={name: (s.start, s.stop) for name, s in columns.layout.items()},
+        view_envs=[int(i) for i in options.view_envs],
+        unverifiable=why_unverifiable(model, options.state),
+        keyframe_every=options.keyframe_every if options.state == "keyframes" else 0,
+        every=options.every,
+        log_id=uuid.uuid4().hex,
+    )
 
 
 class LogHead:
-    """Attachments and metadata.
+    """Attachments and metadata; written on the background thread.
 
     Args:
         header: Of the first file.
@@ -42,7 +101,7 @@ class LogHead:
 
 
 class Rolling:
-    """Closes a file that has become too large, and begins the next.
+    """Closes a file that has become too large, and begins the next, on the background thread.
 
     Args:
         file: The log.

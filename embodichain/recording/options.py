@@ -39,6 +39,10 @@ class RecordLike(Protocol):
         """See `RecordOptions`."""
 
     @property
+    def every(self) -> int:
+        """See `RecordOptions`."""
+
+    @property
     def max_mb(self) -> float | None:
         """See `RecordOptions`."""
 
@@ -59,6 +63,9 @@ class RecordOptions:
     """``lz4``, ``zstd`` or ``none``. lz4 costs the simulation least; zstd makes files smaller."""
     keyframe_every: int = 100
     """Control steps from one state to the next with ``keyframes``."""
+    every: int = 1
+    """k records every k-th episode of the first viewed environment (of environment 0 without one),
+    and meanwhile all environments; in between only how episodes end."""
     max_mb: float | None = None
     """Megabytes (10^6 bytes) after which the log goes on in another file; None: never."""
 
@@ -86,10 +93,10 @@ def check_options(options: RecordLike, num_envs: int) -> None:
         problems.append(
             Problem("record.view_hz", f"{options.view_hz!r} must be positive (1/s, simulated)")
         )
-    if options.keyframe_every < 1:
-        problems.append(
-            Problem("record.keyframe_every", f"{options.keyframe_every!r} must be at least 1")
-        )
+    for name in ("keyframe_every", "every"):
+        value = getattr(options, name)
+        if value < 1:
+            problems.append(Problem(f"record.{name}", f"{value!r} must be at least 1"))
     if options.max_mb is not None and not options.max_mb > 0:
         problems.append(Problem("record.max_mb", f"{options.max_mb!r} must be positive"))
     outside = [i for i in options.view_envs if not 0 <= i < num_envs]

@@ -10,16 +10,13 @@ import atexit
 import json
 import threading
 import time
-import uuid
 import weakref
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,7 +24,7 @@ from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRe
 from embodichain.lab.sim.engine.base import EnvIndex, PhysicsEvent, Write
 from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.recording import state_log
-from embodichain.recording.attachments import attachments_of, model_bytes, model_digest
+from embodichain.recording.attachments import attachments_of, model_bytes
 from embodichain.recording.columns import RowColumns
 from embodichain.recording.episode_gate import EpisodeGate
 from embodichain.recording.episode_log import TOPIC as EPISODE_TOPIC
@@ -36,11 +33,9 @@ from embodichain.recording.foxglove.layout import foxglove_layout
 from embodichain.recording.foxglove.views import Views
 from embodichain.recording.header import (
     METADATA_END,
-    Header,
     check_keyframes,
-    why_unverifiable,
 )
-from embodichain.recording.log_head import LogHead, Rolling
+from embodichain.recording.log_head import LogHead, RecordStats, Rolling, header_of
 from embodichain.recording.mcap_file import Part
 from embodichain.recording.options import (
     RecordLike,
@@ -59,21 +54,6 @@ BATCH_STEPS, BATCH_SECONDS = 16, 0.05
 BATCH_BYTES = 2**19
 QUEUE_BYTES = 64 * 2**20
 """About how much may wait for the disk before the simulation waits too."""
-
-
-@dataclass(frozen=True, slots=True)
-class RecordStats:
-    """What a recorder has written.
-
-    Attributes:
-        path: The file; the first one, if the log goes on in others.
-        steps: Control steps.
-        nbytes: Size of the log so far.
-    """
-
-    path: Path
-    steps: int
-    nbytes: int
 
 
 class McapRecorder(StepObserver):
@@ -155,27 +135,7 @@ class McapRecorder(StepObserver):
         layout_file = Path(self._file.path).with_name("foxglove_layout.json")
         layout = foxglove_layout(env, options.view_envs)
         mjb = model_bytes(model)
-        header = Header(
-            task=task,
-            seed=int(env.seed_value),
-            num_envs=env.num_envs,
-            control_dt=float(env.step_dt),
-            physics_dt=float(env.physics_dt),
-            substeps=int(env.sim_steps_per_control),
-            start_ns=start_ns,
-            mujoco_version=mujoco.__version__,
-            model=model_digest(mjb),
-            state=options.state,
-            state_sig=int(mujoco.mjtState.mjSTATE_INTEGRATION),
-            nstate=columns.nstate,
-            columns=columns.kept,
-            layout={name: (s.start, s.stop) for name, s in columns.layout.items()},
-            view_envs=self._view_envs,
-            unverifiable=why_unverifiable(model, options.state),
-            keyframe_every=self._keyframe_every,
-            every=options.every,
-            log_id=uuid.uuid4().hex,
-        )
+        header = header_of(env, options, columns, mjb, task, start_ns)
         channels = dict(state_log.CHANNELS) if self._log else {}
         channels |= {EPISODE_TOPIC: "embodichain.Episodes"} | self._views.channels
         rolls = options.max_mb is not None

@@ -207,8 +207,8 @@ def _follow(
             problems = [*problems, *_end(reader, simulation.last_step)]
             if reader.recovered and reader.complete:
                 notes.append(f"the log ends {_where(simulation.last_step)}: {reader.recovered}")
-            if reader.part_note:
-                notes.append(reader.part_note)
+            said = reader.part_note, reader.require_header().every_note
+            notes += [note for note in said if note]
     ok = difference is None and not problems
     errors = simulation.largest_error
     return VerifyReport(path, ok, simulation.steps, envs, difference, problems, errors, notes)

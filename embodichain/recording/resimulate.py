@@ -83,7 +83,7 @@ class Resimulation:
 
     def lose_track(self) -> None:
         """Take the next rows that come, instead of comparing them."""
-        self._followed[:] = False
+        self._followed = np.zeros_like(self._followed)
 
     def _simulated(self, step: int) -> NDArray[np.bool_]:
         """Environments to simulate in a step: between keyframes nobody can begin."""
@@ -148,6 +148,8 @@ class Resimulation:
             LogError: If the rows do not fit the model.
         """
         state = State.decode(data)
+        if self._header.every > 1 and state.step > self.last_step + 1:
+            self.lose_track()  # what lies between was not recorded
         if not state.rows.size and self._header.keyframe_every and state.nstep:
             self._between(state)
             return
@@ -175,8 +177,7 @@ class Resimulation:
         if self._suspect is not None:
             raise Found(self._suspect)
         local, _ = self._local(state.env_ids)
-        self._followed = self._simulated(state.step)
-        self._step(state, local)
+        self._step(state, local[self._followed[local]])
 
     def _compare(
         self, state: State, local: EnvIndex, recorded: F64, compared: NDArray[np.bool_]

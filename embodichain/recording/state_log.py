@@ -163,6 +163,10 @@ class StateLog:
             self.step, action, reward, terminated, truncated, episode_ids, self._own
         )
         self._emit(self.step, "/sim/step", parts)
+        self.skip()
+
+    def skip(self) -> None:
+        """A control step is over."""
         self._own = None
         self._after_physics = False
         self.step += 1

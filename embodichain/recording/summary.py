@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from mcap.records import Channel
 
 from embodichain.recording.attachments import model_digest
+from embodichain.recording.episode_log import TOPIC as EPISODE_TOPIC
+from embodichain.recording.episode_log import EndedEpisode, decode_ends
 from embodichain.recording.header import Header
 from embodichain.recording.messages import StepOutcome
 from embodichain.recording.reader import LogReader
@@ -39,6 +41,7 @@ class Episode:
         total_reward: Sum of rewards over them, undiscounted.
         terminated: Whether it ended by itself; else by a limit.
         last_step: Control step that ended it.
+        success: Whether it was one; None where the task does not say.
     """
 
     env: int
@@ -47,6 +50,7 @@ class Episode:
     total_reward: float
     terminated: bool
     last_step: int
+    success: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +138,7 @@ def summarize(path: str | Path) -> LogSummary:
     counts: Counter[str] = Counter()
     steps, last_step = 0, -1
     episodes: _Episodes | None = None
+    ended: list[EndedEpisode] = []
     with LogReader(Path(path)) as reader:
         for topic, message in reader.messages():
             counts[topic] += 1
@@ -147,6 +152,12 @@ def summarize(path: str | Path) -> LogSummary:
                     reader.complete, reader.damage = False, f"a step is damaged ({error})"
                     break
                 steps, last_step = steps + 1, outcome.step
+            elif topic == EPISODE_TOPIC:
+                try:
+                    ended += decode_ends(message.data)
+                except WireError as error:
+                    reader.complete, reader.damage = False, f"an episode is damaged ({error})"
+                    break
             elif topic == "/sim/state" and not reader.header:
                 reader.require_header()
         header = reader.require_header()
@@ -165,13 +176,24 @@ def summarize(path: str | Path) -> LogSummary:
             header=header,
             channels=channels,
             steps=steps,
-            episodes=episodes.ended if episodes else [],
+            episodes=_joined(header, episodes.ended if episodes else [], ended),
             attachments={name: len(data) for name, data in reader.attachments.items()},
             compressions=sorted(reader.compressions),
             complete=reader.complete and reader.finished,
             warnings=_warnings(reader, last_step),
             files=[file.name for file in reader.files],
         )
+
+
+def _joined(header: Header, found: list[Episode], ended: list[EndedEpisode]) -> list[Episode]:
+    """Episodes of a log's steps, or of `/episode` where steps are left out on purpose."""
+    if header.state == "none" or header.every > 1:
+        return [
+            Episode(e.env, e.episode, e.steps, e.total_reward, e.terminated, e.step, e.success)
+            for e in ended
+        ]
+    success = {(e.env, e.step): e.success for e in ended}
+    return [replace(e, success=success.get((e.env, e.last_step))) for e in found]
 
 
 def _schema_name(reader: LogReader, channel: Channel) -> str:
