@@ -21,6 +21,7 @@ _WORDS = {
     "list": ("tasks", "robots", "terms"),
     "new": ("task",),
     "replay": ("last",),
+    "view": ("last",),
     "export": ("policy",),
     "compare": ("last",),
 }

@@ -124,6 +124,16 @@ _REPLAY = Verb(
         ("replay outputs/latest/rollout.mcap --json", "what it holds, for scripts"),
     ),
 )
+_VIEW = Verb(
+    "view",
+    "Say how to look at a log in Foxglove or Lichtblick; open it, or play it to them.",
+    "FILE|last [options]",
+    (
+        ("view last", "the newest run's log, and the layout beside it"),
+        ("view outputs/latest --open", "with the program that the desktop has for it"),
+        ("view last --serve", "play it at ws://127.0.0.1:8765, also a broken one"),
+    ),
+)
 _RECOVER = Verb(
     "recover",
     "Write a clean log from a broken one, up to where it is good.",
@@ -222,6 +232,7 @@ VERBS: dict[str, Verb] = {
             _COMPARE,
             _EXPORT,
             _REPLAY,
+            _VIEW,
             _RECOVER,
             _DIFF,
             _BENCH,

@@ -111,6 +111,10 @@ class FoxgloveServer:
         if channel.has_sinks():
             channel.log(b"".join(map(bytes, parts)), log_time=time_ns)
 
+    def begin_anew(self) -> None:
+        """Tell clients that time begins again: they forget what they have, and subscribe anew."""
+        self._server.clear_session()
+
     def close(self) -> None:
         """Say goodbye to everybody. A second call does nothing."""
         self._server.stop()

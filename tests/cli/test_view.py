@@ -1,0 +1,122 @@
+"""`embodichain view`: how a log is opened, and that it opens."""
+
+import json
+import os
+import signal
+import stat
+import threading
+import time
+
+import pytest
+
+from embodichain.cli import main
+from embodichain.recording import McapRecorder
+from embodichain.recording.options import RecordOptions
+from embodichain.recording.recover import recover
+from embodichain.recording.viewers import foxglove_playback
+from embodichain.recording.viewers.foxglove_playback import declare_channels, play_log
+from embodichain.recording.viewers.foxglove_server import FoxgloveServer
+from tests.recording.scene import SmallEnv
+from tests.recording.viewers.test_foxglove import Client
+
+
+@pytest.fixture
+def log(tmp_path):
+    env = SmallEnv(length=100)
+    options = RecordOptions(view_envs=[1], view_hz=1000)
+    env.add_observer(McapRecorder(tmp_path / "rollout.mcap", env, options=options))
+    env.reset()
+    for _ in range(10):
+        env.step()
+    env.close()
+    return tmp_path / "rollout.mcap"
+
+
+@pytest.fixture
+def broken(log):
+    data = log.read_bytes()
+    log.write_bytes(data[: int(len(data) * 0.9)])
+    return log
+
+
+def test_two_lines_say_what_to_open(log, capsys):
+    layout = log.with_name("foxglove_layout.json")
+    expected = (
+        f"Foxglove or Lichtblick: Open local file, {log}\n"
+        f"then Layouts, Import from file, {layout}\n"
+    )
+    before = layout.read_bytes()
+    assert main(["view", str(log)]) == 0
+    assert capsys.readouterr() == (expected, "")
+    layout.unlink()  # a log that was copied without it
+    assert main(["view", str(log.parent), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {
+        "file": str(log), "layout": str(layout), "complete": True,
+    }  # fmt: skip
+    assert layout.read_bytes() == before
+
+
+def test_of_a_broken_log_it_says_how_to_save_it(broken, capsys):
+    assert main(["view", str(broken)]) == 0
+    out, err = capsys.readouterr()
+    saved = broken.with_name("rollout_saved.mcap")
+    assert out.startswith(f"embodichain recover {broken} {saved}, and Open local file, {saved}")
+    assert "warning" in err and "incomplete" in err
+    recover(broken, saved)
+    assert main(["view", str(saved)]) == 0
+    assert capsys.readouterr().out.startswith("Foxglove or Lichtblick: Open local file, ")
+
+
+def test_the_desktop_is_asked_to_open_it(log, tmp_path, monkeypatch, capsys):
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    monkeypatch.setenv("PATH", str(folder))
+    assert main(["view", str(log), "--open"]) == 2
+    assert "no xdg-open here" in capsys.readouterr().err
+    program = folder / "xdg-open"
+    program.write_text(f'#!/bin/sh\necho "$1" > {tmp_path}/asked\n')
+    program.chmod(program.stat().st_mode | stat.S_IEXEC)
+    assert main(["view", str(log), "--open"]) == 0
+    assert (tmp_path / "asked").read_text().strip() == str(log)
+
+
+@pytest.mark.parametrize("name", ["log", "broken"])
+def test_it_is_played_to_who_looks_and_again(name, request):
+    path = request.getfixturevalue(name)
+    server, stop = FoxgloveServer("127.0.0.1", 0), threading.Event()
+    topics = declare_channels(path, server)
+    assert "/sim/state" not in topics and {"/tf", "/env_1/scene", "/env_1/metrics"} <= set(topics)
+    player = threading.Thread(target=play_log, args=(path, server, stop.is_set), daemon=True)
+    player.start()
+    try:
+        for _ in range(2):  # whoever comes later sees the scene as well
+            with Client(server.port) as client:
+                client.meet(len(topics))
+                client.subscribe("/tf", "/env_1/scene")
+                assert client.until("/env_1/scene")[2].entities
+                times = [client.until("/tf")[1] for _ in range(3)]
+                assert times == sorted(set(times))
+    finally:
+        stop.set()
+        player.join()
+        server.close()
+
+
+def test_the_verb_serves_until_it_is_interrupted(log, capsys, monkeypatch):
+    def interrupted(path, server, stopped, speed):
+        assert (path, speed) == (log, 2.0)
+        with Client(server.port) as client:
+            client.meet(5)
+        os.kill(os.getpid(), signal.SIGINT)
+        while not stopped():
+            time.sleep(0.01)
+
+    monkeypatch.setattr(foxglove_playback, "play_log", interrupted)
+    assert main(["view", str(log), "--serve", "--port", "0", "--speed", "2"]) == 0
+    assert "playing it at ws://127.0.0.1:" in capsys.readouterr().out
+
+
+def test_wrong_words_are_refused(log, capsys):
+    assert main(["view", str(log), "--serve", "--speed", "0"]) == 2
+    assert main(["view", str(log.with_name("none.mcap"))]) == 2
+    assert "does not exist" in capsys.readouterr().err
