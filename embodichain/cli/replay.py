@@ -9,7 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from embodichain.cli import exits, replay_video
+from embodichain.cli import exits, replay_video, replay_view
 from embodichain.cli.arguments import VerbParser, add_common, print_json
 from embodichain.cli.log_files import log_of
 from embodichain.cli.tables import print_facts, print_table
@@ -23,8 +23,14 @@ if TYPE_CHECKING:
 __all__ = ["main"]
 
 _MOST_EPISODES = 20
-_ACTIONS = ("verify", "video")
-_ONLY_WITH = {"speed": ("video",), "camera": ("video",), "size": ("video",)}
+_ACTIONS = ("verify", "video", "policy", "view")
+_ONLY_WITH = {
+    "speed": ("video", "view"),
+    "camera": ("video",),
+    "size": ("video",),
+    "host": ("view",),
+    "port": ("view",),
+}
 
 
 def main(arguments: list[str]) -> int:
@@ -36,7 +42,11 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--episode", type=int, metavar="K", help="only this episode, from 0")
     parser.add_argument("--from", dest="start", type=int, metavar="T", help="first control step")
     parser.add_argument("--to", dest="stop", type=int, metavar="T", help="step that ends it")
-    parser.add_argument("--speed", type=float, metavar="X", help="of a film; 1 is real time")
+    parser.add_argument(
+        "--speed", type=float, metavar="X", help="of --view and --video; 1 is real time"
+    )
+    parser.add_argument("--policy", metavar="P", help="play its episodes with this policy instead")
+    replay_view.add_arguments(parser)
     replay_video.add_arguments(parser)
     parser.add_argument("--quiet", "-q", action="store_true", help="no progress, no report")
     add_common(parser)
@@ -45,6 +55,12 @@ def main(arguments: list[str]) -> int:
     path = log_of(options.file)
     if options.video is not None:
         return replay_video.film(path, options)
+    if options.view is not None:
+        return replay_view.view(path, options)
+    if options.policy is not None:
+        from embodichain.cli.replay_policy import rerun
+
+        return rerun(path, options)
     if options.verify and (options.start, options.stop) != (None, None):
         raise ConfigError("--from and --to choose what is listed; --verify needs every step before")
     return _verify(path, options) if options.verify else _inspect(path, options)
@@ -52,7 +68,7 @@ def main(arguments: list[str]) -> int:
 
 def _check_together(options: argparse.Namespace) -> None:
     """Refuse options that would do nothing."""
-    what = [name for name in _ACTIONS if getattr(options, name)]
+    what = [name for name in _ACTIONS if getattr(options, name) not in (None, False)]
     if len(what) > 1:
         raise ConfigError(f"--{what[0]} and --{what[1]} are two things: ask for one at a time")
     for name, actions in _ONLY_WITH.items():

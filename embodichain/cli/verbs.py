@@ -120,6 +120,8 @@ _REPLAY = Verb(
         ("replay last --verify", "simulate it again from the file alone"),
         ("replay last --verify --env 2 --episode 0", "only that environment and episode"),
         ("replay last --env 2 --from 100 --to 200", "list its episodes between these steps"),
+        ("replay last --view web", "play it in a browser; --view alone: in a window"),
+        ("replay last --policy zero", "the same episodes with another policy, side by side"),
         ("replay last --video film.mp4 --env 2 --speed 0.5", "film it, at half the speed"),
         ("replay outputs/latest/rollout.mcap --json", "what it holds, for scripts"),
     ),

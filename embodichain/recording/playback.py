@@ -84,6 +84,7 @@ class Playback:
 
     Attributes:
         engine: Holds the state of the step that was last reached: one environment, number 0.
+        changes: How often the environment's model was written to so far.
 
     Raises:
         ConfigError: If there is no such environment.
@@ -99,6 +100,7 @@ class Playback:
         self.log = log
         self.env = env
         self.engine = CpuEngine(log.model, 1, num_threads=1)
+        self.changes = 0
         self._row: F64 | None = None  # of the step being read, as physics received it
         self._later: list[WriteRecord] = []  # writes to the model after that
 
@@ -161,6 +163,7 @@ class Playback:
         found = np.flatnonzero(ids == self.env)
         if not len(found):
             return
+        self.changes += 1
         if write.op == "set_const":
             self.engine.set_const()
         else:

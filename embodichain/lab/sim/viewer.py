@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -29,12 +30,18 @@ class NativeViewer:
     Args:
         engine: The simulations.
         env_id: The environment to show.
+        on_key: Called with the code of a key that was pressed in the window, on its thread.
 
     Raises:
         RenderError: If there is no display.
     """
 
-    def __init__(self, engine: CpuEngine, env_id: int = 0) -> None:
+    def __init__(
+        self,
+        engine: CpuEngine,
+        env_id: int = 0,
+        on_key: Callable[[int], None] | None = None,
+    ) -> None:
         if not has_display():
             raise RenderError("no display to open a window on (DISPLAY is not set)")
         import mujoco.viewer
@@ -43,13 +50,20 @@ class NativeViewer:
         self._env_id = env_id
         self._model = engine.model_of(env_id)
         self._data = mujoco.MjData(self._model)
-        self._handle: Any = mujoco.viewer.launch_passive(self._model, self._data)
+        self._handle: Any = mujoco.viewer.launch_passive(
+            self._model, self._data, key_callback=on_key
+        )
         self.sync()
 
     @property
     def is_running(self) -> bool:
         """Whether the user has the window open."""
         return bool(self._handle.is_running())
+
+    def follow(self, engine: CpuEngine) -> None:
+        """Show the states of another engine of the same model."""
+        self._engine = engine
+        self.sync()
 
     def sync(self) -> None:
         """Show the environment's current state; does nothing once the window is closed."""

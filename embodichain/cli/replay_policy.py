@@ -1,0 +1,168 @@
+"""`embodichain replay FILE --policy P`: the recorded episodes once more, with another policy.
+
+The config is the log's own, and nothing that it names is imported; seeds and environments are the
+same, so every episode begins as the recorded one did.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.cli import exits
+from embodichain.cli.arguments import print_json
+from embodichain.cli.tables import print_facts, print_table
+from embodichain.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from embodichain.config.resolved import Resolved
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.recording.api import Log
+    from embodichain.recording.episodes import LogEpisode
+
+__all__ = ["rerun"]
+
+_LONGER = 10
+_MOST_ROWS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class _Pair:
+    """One episode: as it was recorded, and with the policy."""
+
+    env: int
+    episode: int
+    recorded_steps: int
+    steps: int
+    recorded_return: float
+    total_return: float
+    difference: float
+
+
+def rerun(path: Path, options: argparse.Namespace) -> int:
+    """Play what was recorded with another policy, and put returns side by side."""
+    from embodichain.cli.trained import find_target
+    from embodichain.recording.api import Log
+
+    target = find_target(options.policy)
+    with Log(path) as log:
+        wanted = _wanted(log, options)
+        resolved = _resolved(log)
+        starts = {name: log.read(name, start=0, stop=1)[name] for name in _start_fields(log)}
+        warnings = list(log.warnings)
+    from embodichain.config.factory import make_env
+
+    env = make_env(resolved)
+    try:
+        pairs, same = _play(env, target.policy, resolved, wanted, starts, options)
+    finally:
+        env.close()
+    if not same:
+        warnings.append("the first states differ from the recorded ones: other code, or MuJoCo")
+    for warning in warnings:
+        sys.stderr.write(f"warning: {path}: {warning}\n")
+    facts = {
+        "task": resolved.task_name,
+        "policy": target.policy,
+        "episodes": len(pairs),
+        "recorded_mean_return": float(np.mean([p.recorded_return for p in pairs])),
+        "mean_return": float(np.mean([p.total_return for p in pairs])),
+        "same_start": same,
+    }
+    if options.json:
+        print_json({**facts, "pairs": [asdict(pair) for pair in pairs]})
+    elif not options.quiet:
+        print_table("episodes", [asdict(pair) for pair in pairs[:_MOST_ROWS]])
+        if len(pairs) > _MOST_ROWS:
+            sys.stdout.write(f"... and {len(pairs) - _MOST_ROWS} more: --env, --json\n")
+        print_facts(str(path), [(name.replace("_", " "), value) for name, value in facts.items()])
+    return exits.OK
+
+
+def _wanted(log: Log, options: argparse.Namespace) -> dict[tuple[int, int], LogEpisode]:
+    """Episodes that ended in the log, as far as they are asked for."""
+    ended = [e for e in log.episodes if e.terminated or e.truncated]
+    if any(e.episode for e in log.episodes if e.first_step == log.header.first_step):
+        raise ConfigError(f"{log.path} does not begin with first episodes: seeds lead elsewhere")
+    found = {
+        (e.env, e.episode): e
+        for e in ended
+        if options.env in (None, e.env) and options.episode in (None, e.episode)
+    }
+    if not found:
+        raise ConfigError(f"{log.path} has no such episode that ended: there is nothing to compare")
+    return found
+
+
+def _resolved(log: Log) -> Resolved:
+    """The log's config, made to play without a log, a window, or anything that it could import."""
+    from embodichain.config.resolved import resolve_tree
+
+    tree = log.config
+    if "task" not in tree:
+        raise ConfigError(f"{log.path} holds no config: it was not recorded by `run`")
+    own = {"seed": log.seed, "num_envs": log.num_envs, "policy": None}
+    here = {"viewer": {"name": "none"}, "quiet": True, "video": False, "resume": None}
+    changed = {**tree, **own, **{name: value for name, value in here.items() if name in tree}}
+    return resolve_tree(changed, f"{log.path}: config.yaml", "run", task_name=log.task)
+
+
+def _start_fields(log: Log) -> list[str]:
+    return [name for name in ("qpos", "qvel", "mocap_pos", "mocap_quat") if name in log.columns]
+
+
+def _play(
+    env: BaseEnv,
+    policy_name: str,
+    resolved: Resolved,
+    wanted: dict[tuple[int, int], LogEpisode],
+    starts: dict[str, NDArray[np.float64]],
+    options: argparse.Namespace,
+) -> tuple[list[_Pair], bool]:
+    """The episodes, and whether all environments began as recorded."""
+    from embodichain.cli.policies import policy_of
+    from embodichain.cli.progress import ProgressDisplay
+
+    root = resolved.root
+    root.policy = policy_name
+    policy = policy_of(root, env)
+    obs, _ = env.reset()
+    same = all(
+        np.array_equal(env.sim.engine.state(name), values[0]) for name, values in starts.items()
+    )
+    returns, steps = np.zeros(env.num_envs), np.zeros(env.num_envs, np.int64)
+    pairs: dict[tuple[int, int], _Pair] = {}
+    # Where the task has no limit, another policy might never come to an end.
+    limit = min(env.max_episode_steps, _LONGER * max(e.steps for e in wanted.values()))
+    quiet = options.quiet or options.json
+    with ProgressDisplay("replay", len(wanted), "episodes", quiet=quiet) as display:
+        while len(pairs) < len(wanted):
+            ids = env.episode_ids.numpy()
+            obs, reward, terminated, truncated, _ = env.step(policy(obs, env))
+            returns += reward.numpy(force=True)
+            steps += 1
+            if limit < env.max_episode_steps and (steps >= limit).any():
+                env.truncate(np.flatnonzero(steps >= limit))
+            done = np.flatnonzero((terminated | truncated).numpy(force=True))
+            for i in done.tolist():
+                recorded = wanted.get((i, int(ids[i])))
+                if recorded is not None:
+                    pairs[i, recorded.episode] = _pair(recorded, int(steps[i]), float(returns[i]))
+            if len(done):
+                returns[done], steps[done] = 0.0, 0
+                policy.reset(done)
+            if display.due:
+                display.show(len(pairs), {})
+    return [pairs[key] for key in sorted(pairs)], same
+
+
+def _pair(recorded: LogEpisode, steps: int, total: float) -> _Pair:
+    before = recorded.total_reward
+    where = recorded.env, recorded.episode
+    return _Pair(*where, recorded.steps, steps, before, total, total - before)

@@ -1,0 +1,148 @@
+"""Screens for logs: MuJoCo Studio's page, or MuJoCo's own window. What is played is `log_player`'s.
+
+Neither knows a log: they show states of an engine with one environment.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol
+
+from embodichain.lab.sim.viewer import NativeViewer
+from embodichain.recording.viewers.controls import Facts
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.cpu import CpuEngine
+    from embodichain.recording.viewers.web_page import WebPage
+
+__all__ = ["NativeScreen", "Screen", "WebScreen"]
+
+_SPACE = 32
+_NAP = 0.02
+
+
+class Screen(Protocol):
+    """Where a log is shown."""
+
+    @property
+    def env_id(self) -> int:
+        """The environment that people want to see."""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it makes sense to go on."""
+
+    @property
+    def watched(self) -> bool:
+        """Whether somebody looks now."""
+
+    def begin(self, engine: CpuEngine) -> None:
+        """Show this engine's environment from now on, as its model looks now."""
+
+    def show(self, engine: CpuEngine, facts: Facts) -> None:
+        """Show the engine's state."""
+
+    def pace(self, seconds: float) -> None:
+        """Wait for the next step, or as long as people pause."""
+
+    def close(self) -> None:
+        """Show nothing any more."""
+
+
+class WebScreen:
+    """The page in a browser.
+
+    Args:
+        page: It; closed with this.
+    """
+
+    is_open = True
+
+    def __init__(self, page: WebPage) -> None:
+        self._page = page
+
+    @property
+    def env_id(self) -> int:
+        """The environment that people chose on the page."""
+        return self._page.env_id
+
+    @property
+    def watched(self) -> bool:
+        """Whether a browser has the page open."""
+        return self._page.watched
+
+    def begin(self, engine: CpuEngine) -> None:
+        """Show the model."""
+        self._page.show_model(engine.model_of(0))
+
+    def show(self, engine: CpuEngine, facts: Facts) -> None:
+        """Show the state."""
+        self._page.show(engine.rows[0], facts)
+
+    def pace(self, seconds: float) -> None:
+        """Wait as the page's buttons say; another environment ends a pause."""
+        self._page.pace(seconds, lambda: None)
+
+    def close(self) -> None:
+        """Serve no longer."""
+        self._page.close()
+
+
+class NativeScreen:
+    """MuJoCo's window; the space bar pauses, and lets go on.
+
+    Args:
+        env_id: The environment, for the log.
+        stopped: Whether to wait no longer.
+    """
+
+    def __init__(self, env_id: int, stopped: Callable[[], bool] = lambda: False) -> None:
+        self.env_id = env_id
+        self._stopped = stopped
+        self._window: NativeViewer | None = None
+        self._paused = False
+        self._due = time.monotonic()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the window was not closed."""
+        return self._window is None or self._window.is_running
+
+    @property
+    def watched(self) -> bool:
+        """A window is always looked at."""
+        return True
+
+    def begin(self, engine: CpuEngine) -> None:
+        """Open the window; its model stays the first one.
+
+        Raises:
+            RenderError: If there is no display.
+        """
+        if self._window is None:
+            self._window = NativeViewer(engine, 0, self._on_key)
+        self._window.follow(engine)
+
+    def show(self, engine: CpuEngine, facts: Facts) -> None:
+        """Show the state."""
+        if self._window is not None:
+            self._window.sync()
+
+    def pace(self, seconds: float) -> None:
+        """Wait for the clock, and while it is paused."""
+        self._due = max(self._due + seconds, time.monotonic())
+        while self.is_open and not self._stopped():
+            left = self._due - time.monotonic()
+            if left <= 0 and not self._paused:
+                return
+            time.sleep(_NAP if self._paused else min(left, _NAP))
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._window is not None:
+            self._window.close()
+
+    def _on_key(self, key: int) -> None:
+        if key == _SPACE:
+            self._paused = not self._paused

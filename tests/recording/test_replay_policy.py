@@ -1,0 +1,95 @@
+"""`replay --policy`: the recorded episodes once more, with another policy."""
+
+import json
+
+import numpy as np
+import pytest
+import yaml
+
+import embodichain.recording as recording
+from embodichain.cli import replay
+from embodichain.cli.policies import policy_of
+from embodichain.config import make_env, resolve
+from embodichain.config.frozen import dump_yaml
+from embodichain.recording import McapRecorder, verify
+from embodichain.utils.errors import ConfigError
+from tests.recording.rewrite import rewrite
+
+STEPS = 25
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    """A log of random actions in the cart-pole."""
+    lines = ["task=cart_pole_swing_up", "num_envs=3", "seed=4", "task.max_episode_steps=10"]
+    resolved = resolve([*lines, "policy=random"])
+    path = tmp_path_factory.mktemp("log") / "log.mcap"
+    env = make_env(resolved)
+    env.add_observer(
+        McapRecorder(path, env, dump_yaml(resolved.tree), lines, task="cart_pole_swing_up")
+    )
+    policy = policy_of(resolved.root, env)
+    obs, _ = env.reset()
+    for _ in range(STEPS):
+        obs, *_ = env.step(policy(obs, env))
+    env.close()
+    return path
+
+
+def compared(path, capsys, *options):
+    assert replay.main([str(path), "--policy", *options, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_the_same_policy_gets_the_same_returns(path, capsys):
+    found = compared(path, capsys, "random")
+    with recording.open(path) as log:
+        ended = [e for e in log.episodes if e.terminated or e.truncated]
+    assert found["same_start"]
+    assert [(p["env"], p["episode"]) for p in found["pairs"]] == [(e.env, e.episode) for e in ended]
+    assert all(p["difference"] == 0.0 and p["steps"] == p["recorded_steps"] for p in found["pairs"])
+    assert found["mean_return"] == np.mean([e.total_reward for e in ended])
+
+
+def test_another_policy_begins_alike_and_ends_elsewhere(path, capsys):
+    found = compared(path, capsys, "zero", "--env", "1", "--episode", "1")
+    assert found["same_start"]
+    (pair,) = found["pairs"]
+    assert (pair["env"], pair["episode"]) == (1, 1)
+    assert pair["difference"] == pair["total_return"] - pair["recorded_return"] != 0.0
+
+
+def test_a_table_for_people(path, capsys):
+    assert replay.main([str(path), "--policy", "random", "--env", "0"]) == 0
+    out = capsys.readouterr().out
+    assert "recorded_return" in out and "mean return" in out
+
+
+def test_nothing_that_a_log_names_is_imported(path, tmp_path, capsys):
+    (tmp_path / "evil_module_of_a_log.py").write_text("raise SystemExit('it was imported')")
+
+    def attachment(name, data):
+        if name != "config.yaml":
+            return data
+        tree = yaml.safe_load(data)
+        first = next(iter(tree["task"]["rewards"].values()))
+        first["func"] = "evil_module_of_a_log:reward"
+        return yaml.safe_dump(tree).encode()
+
+    evil = rewrite(path, tmp_path / "evil.mcap", attachment=attachment)
+    with pytest.raises(ConfigError, match="evil_module_of_a_log"):
+        replay.main([str(evil), "--policy", "zero"])
+
+
+def test_what_cannot_be_compared(path, record):
+    with pytest.raises(ConfigError, match="nothing to compare"):
+        replay.main([str(path), "--policy", "zero", "--episode", "7"])
+    with pytest.raises(ConfigError, match="holds no config"):
+        replay.main([str(record()), "--policy", "zero"])
+
+
+def test_one_environment_alone_verifies_with_any_number_of_threads(path):
+    assert verify(path, num_threads=1).ok
+    assert verify(path, num_threads=2).ok
+    alone = verify(path, env=2)
+    assert (alone.ok, alone.envs, alone.steps) == (True, 1, STEPS)
