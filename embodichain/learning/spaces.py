@@ -1,4 +1,4 @@
-"""What a learner sees of an environment: one flat observation vector, actions within [-1, 1].
+"""What a learner sees of an environment: observations flat or by name, actions within [-1, 1].
 
 The environment's own spaces are built in `lab.gym`.
 """
@@ -17,7 +17,13 @@ from embodichain.utils.errors import ConfigError
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
-__all__ = ["ActionScale", "flat_observation", "observation_box"]
+__all__ = [
+    "ActionScale",
+    "flat_observation",
+    "named_observation",
+    "observation_box",
+    "observation_dict",
+]
 
 F32 = NDArray[np.float32]
 
@@ -81,20 +87,45 @@ def observation_box(env: BaseEnv, group: str) -> spaces.Box:
     Raises:
         ConfigError: If no observation is in the group; lists the groups.
     """
+    width = sum(math.prod(space.shape) for space in observation_dict(env, group).values())
+    return spaces.Box(-np.inf, np.inf, (width,), np.float32)
+
+
+def observation_dict(env: BaseEnv, group: str) -> spaces.Dict:
+    """Return the spaces of one environment's observations by name, in the order of the task.
+
+    Args:
+        env: The environment.
+        group: The observation group.
+
+    Raises:
+        ConfigError: If no observation is in the group; lists the groups.
+    """
     try:
         names = env.observation_manager.group_terms(group)
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    width = 0
+    found: dict[str, Any] = {}
     for name in names:
         space: Any = env.single_observation_space
         for key in name.split("/"):
             space = space[key]
-        width += math.prod(space.shape)
-    return spaces.Box(-np.inf, np.inf, (width,), np.float32)
+        found[name] = space
+    return spaces.Dict(found)
 
 
 def flat_observation(env: BaseEnv, obs: Any, group: str) -> F32:
     """Return (N, K) an observation's group as one vector a row, in memory of its own."""
     flat: F32 = env.observation_manager.flatten(obs, group).numpy(force=True)
     return flat
+
+
+def named_observation(obs: Any, space: spaces.Dict) -> dict[str, NDArray[Any]]:
+    """Return an observation's entries (N, ...) by name, in memory of their own.
+
+    Args:
+        obs: An observation of the environment.
+        space: What `observation_dict` returned.
+    """
+    parts = {name: obs[tuple(name.split("/"))].numpy(force=True) for name in space}
+    return {name: np.array(part, space[name].dtype) for name, part in parts.items()}

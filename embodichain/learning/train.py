@@ -27,6 +27,7 @@ from embodichain.config.schema import LARGEST_TRAINING_SEED
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.learning.algorithms import build_algorithm, check_arguments, check_normalize
 from embodichain.learning.curves import draw_curves
+from embodichain.learning.disk import telling_where
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.evaluation import Evaluation
 from embodichain.learning.keeper import CheckpointKeeper, find_resumable
@@ -140,6 +141,7 @@ def train(
         ConfigError: If the task cannot be learned or an argument is wrong; nothing was written.
         KeyboardInterrupt: `progress` raised it, or Ctrl-C came; what was learned until then is
             saved first.
+        WriteError: The folder cannot be written; checkpoints that were whole still are.
     """
     plan = _plan(resolved)
     env = make_env(resolved)
@@ -151,6 +153,7 @@ def train(
         with (
             _torch_threads(TORCH_THREADS),
             wandb_writers(resolved.root.wandb, run_dir, thaw(resolved.tree)) as writers,
+            telling_where(run_dir),
         ):
             return _learn(plan, vec_env, run_dir, progress, writers)
     finally:

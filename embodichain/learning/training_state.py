@@ -20,6 +20,7 @@ from stable_baselines3.common.save_util import load_from_zip_file, recursive_set
 from stable_baselines3.common.vec_env import VecEnv
 
 from embodichain.learning.vec_env import SB3VecEnv
+from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["capture", "load_parameters", "restore", "restore_exploration", "restore_generators"]
 
@@ -100,12 +101,29 @@ def restore_exploration(model: BaseAlgorithm, saved: dict[str, Any]) -> None:
 
 
 def load_parameters(model: BaseAlgorithm, path: Path) -> None:
-    """Load networks and optimizers from a checkpoint, and run nothing else of it."""
-    _, params, variables = load_from_zip_file(path, device="cpu", load_data=False)
-    model.set_parameters(params, exact_match=True, device="cpu")
+    """Load networks and optimizers from a checkpoint, and run nothing else of it.
+
+    Raises:
+        ConfigError: The checkpoint is damaged, or of another network.
+    """
+    try:
+        _, params, variables = load_from_zip_file(path, device="cpu", load_data=False)
+    except Exception as error:  # torch's readers raise anything
+        raise _wrong(f"{path} cannot be loaded", error) from error
+    try:
+        model.set_parameters(params, exact_match=True, device="cpu")
+    except (ValueError, KeyError, RuntimeError) as error:
+        what = f"{path} does not fit the network that the run's config asks for"
+        raise _wrong(what, error) from error
     for name, value in (variables or {}).items():
         if value is not None:
             recursive_setattr(model, f"{name}.data", value.data)
+
+
+def _wrong(what: str, error: Exception) -> ConfigError:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    why = " ".join(lines[:2]) or type(error).__name__
+    return ConfigError([Problem("resume", f"{what}: {why}")])
 
 
 def _exploration(model: BaseAlgorithm) -> dict[str, torch.Tensor]:

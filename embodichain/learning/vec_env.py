@@ -20,7 +20,13 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from embodichain.lab.gym.envs.hooks import EnvHooks
-from embodichain.learning.spaces import ActionScale, flat_observation, observation_box
+from embodichain.learning.spaces import (
+    ActionScale,
+    flat_observation,
+    named_observation,
+    observation_box,
+    observation_dict,
+)
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -34,15 +40,17 @@ F32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
 Indices = int | Iterable[int] | None
 Infos = list[dict[str, Any]]
+Observed = F32 | dict[str, NDArray[Any]]
 
 
 class SB3VecEnv(VecEnv):
     """A Stable-Baselines3 vector environment over one batched environment.
 
-    Observations are one group, flat: (N, K) float32. Actions are (N, A) in [-1, 1], scaled to the
-    task's bounds. An environment whose episode ends is reset in the same step; its info then has
+    Observations are one group: flat, (N, K) float32, or a dict of its entries. Actions are (N, A)
+    in [-1, 1], scaled to the task's bounds. An environment whose episode ends is reset in the same
+    step; its info then has
 
-    * ``terminal_observation``: (K,) the observation before the reset;
+    * ``terminal_observation``: the observation before the reset, (K,) or a dict;
     * ``TimeLimit.truncated``: cut off and not terminated, so that its value may be bootstrapped;
     * ``episode``: return ``r``, length ``l`` and seconds since construction ``t``, as `Monitor`'s;
     * ``is_success``: whether the episode was a success, for tasks that have a success;
@@ -56,13 +64,17 @@ class SB3VecEnv(VecEnv):
     Args:
         env: A batched environment (wrapped or not) with ``autoreset_mode`` SAME_STEP.
         group: The observation group that the policy sees.
+        flatten: Whether it is one vector; otherwise a dict for policies of the name
+            ``MultiInputPolicy``, with an entry of its own shape and type for each observation.
 
     Raises:
         ConfigError: If the group is empty or the action space has no finite bounds.
         ValueError: If the environment does not reset in the same step.
     """
 
-    def __init__(self, env: gym.Env[Any, Any], group: str = "policy") -> None:
+    def __init__(
+        self, env: gym.Env[Any, Any], group: str = "policy", *, flatten: bool = True
+    ) -> None:
         mode = env.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.SAME_STEP:
             raise ValueError(
@@ -73,7 +85,10 @@ class SB3VecEnv(VecEnv):
         self.group = group
         self._scale = ActionScale(self.base.single_action_space)
         num_envs = self.base.num_envs
-        super().__init__(num_envs, observation_box(self.base, group), self._scale.space)
+        self._named = None if flatten else observation_dict(self.base, group)
+        seen = observation_box(self.base, group) if self._named is None else self._named
+        super().__init__(num_envs, seen, self._scale.space)
+        self.metadata = dict(env.metadata)
         self._has_success = _judges_success(self.base)
         self._start = time.time()
         self._returns = np.zeros(num_envs)
@@ -84,11 +99,11 @@ class SB3VecEnv(VecEnv):
 
     # -- stepping ------------------------------------------------------------------------------
 
-    def reset(self) -> F32:
+    def reset(self) -> Observed:
         """Reset every environment; a seed and options given before are used once.
 
         Returns:
-            (N, K) observations.
+            Observations (N, K), or a dict of (N, ...).
 
         Raises:
             ValueError: If environments were given different options: they are reset together.
@@ -101,7 +116,7 @@ class SB3VecEnv(VecEnv):
         self._reset_options()
         self._returns[:] = 0.0
         self._lengths[:] = 0
-        return flat_observation(self.base, obs, self.group)
+        return self._observed(obs)
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Take (N, A) actions in [-1, 1]; the step happens in `step_wait`.
@@ -111,12 +126,12 @@ class SB3VecEnv(VecEnv):
         """
         self._action = torch.from_numpy(self._scale(actions)).to(self.base.device)
 
-    def step_wait(self) -> tuple[F32, F32, Bool, Infos]:
+    def step_wait(self) -> tuple[Observed, F32, Bool, Infos]:
         """Step all environments.
 
         Returns:
-            Observations (N, K), those after the reset where an episode ended; rewards (N,); dones
-            (N,); N infos.
+            Observations as of `reset`, those after the reset where an episode ended; rewards (N,);
+            dones (N,); N infos.
 
         Raises:
             RuntimeError: If `step_async` was not called before.
@@ -138,15 +153,20 @@ class SB3VecEnv(VecEnv):
         infos: Infos = [{} for _ in range(self.num_envs)]
         if dones.any():
             self._finish(infos, np.flatnonzero(dones), ended, info)
-        flat = flat_observation(self.base, obs, self.group)
+        seen = self._observed(obs)
         self.step_seconds += time.perf_counter() - begun
-        return flat, rewards, dones, infos
+        return seen, rewards, dones, infos
+
+    def _observed(self, obs: Any) -> Observed:
+        if self._named is not None:
+            return named_observation(obs, self._named)
+        return flat_observation(self.base, obs, self.group)
 
     def _finish(
         self, infos: Infos, ids: NDArray[np.int64], terminated: Bool, info: dict[str, Any]
     ) -> None:
         """Fill the infos of environments whose episode ended, and begin the next one's counts."""
-        final = flat_observation(self.base, info["final_obs"], self.group)[ids]
+        final = _rows(self._observed(info["final_obs"]), ids)
         success = _success(info["final_info"]) if self._has_success else None
         seconds = round(time.time() - self._start, 6)
         kinds = _ended_by(info["final_info"], ids)
@@ -292,6 +312,14 @@ class SB3VecEnv(VecEnv):
 def _lookup(owner: Any, name: str) -> Any:
     """An attribute of an environment or of what it wraps."""
     return owner.get_wrapper_attr(name) if isinstance(owner, gym.Env) else getattr(owner, name)
+
+
+def _rows(observed: Observed, ids: NDArray[np.int64]) -> Iterable[Any]:
+    """The observation of each environment of `ids`, apart."""
+    if not isinstance(observed, dict):
+        return observed[ids]
+    parts = {name: part[ids] for name, part in observed.items()}
+    return [{name: part[k] for name, part in parts.items()} for k in range(len(ids))]
 
 
 def _numpy(tensor: Any) -> NDArray[Any]:

@@ -1,6 +1,6 @@
 """SB3VecEnv under the wrappers of Stable-Baselines3, and against its DummyVecEnv.
 
-VecTransposeImage needs images, which no task observes yet.
+VecTransposeImage and VecVideoRecorder are in `test_vec_env_dict.py`.
 """
 
 import gymnasium as gym
