@@ -273,16 +273,24 @@ class McapRecorder(StepObserver):
         """Environments were reset."""
         if self._gate.open:
             self._views.on_reset(env_ids)
-        self._opened(env, self._gate.on_reset(env_ids))
+        self._go_on(env, self._gate.on_reset(env_ids))
 
-    def _opened(self, env: BaseEnv, held: list[EventRecord] | None) -> None:
-        """Go on recording, if the gate has just opened; with the events that led there."""
-        if held is None:
-            return
-        for event in held:
+    def _go_on(self, env: BaseEnv, held: list[EventRecord] | None, skip: bool = False) -> None:
+        """Between two steps: record again if the gate has just opened, from the state right now.
+
+        Args:
+            env: The environment.
+            held: The events that led there; None if it has not.
+            skip: Whether the step that ended is not in the log.
+        """
+        for event in held or ():
             self.on_event(env, event)
-        self._keyframe_due = True
-        self._views.show(self._view_envs)
+        if self._log is not None and skip:
+            self._later(self._log.skip)
+        if held is not None:
+            self.on_write(env, Write("state", "row", None, slice(None), self._engine.rows.copy()))
+            self._keyframe_due = True
+            self._views.show(self._view_envs)
 
     def on_step(self, env: BaseEnv, step: StepRecord) -> None:
         """A control step ended."""
@@ -296,9 +304,7 @@ class McapRecorder(StepObserver):
         self._later(self._add_episodes, self._step, reward, ids, ends)
         if recorded:
             self._views.on_step(self._step, step)
-        self._opened(env, self._gate.switch())
-        if self._log is not None and not recorded:
-            self._later(self._log.skip)
+        self._go_on(env, self._gate.switch(), skip=not recorded)
         self._step += 1
         if self._rolling is not None and self._rolling.due:
             self._roll(self._rolling)
@@ -342,7 +348,7 @@ class McapRecorder(StepObserver):
             with suppress(LogWriteError):  # once is enough: it may end what runs already
                 self._file.close()
             return
-        if self._log is not None:
+        if self._log is not None and self._gate.open:
             self._later(self._log.close, self._columns.take(self._engine.rows))
         self._views.close(self._step, self._engine.rows)
         steps = str(self._step)

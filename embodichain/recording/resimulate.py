@@ -148,8 +148,6 @@ class Resimulation:
             LogError: If the rows do not fit the model.
         """
         state = State.decode(data)
-        if self._header.every > 1 and state.step > self.last_step + 1:
-            self.lose_track()  # what lies between was not recorded
         if not state.rows.size and self._header.keyframe_every and state.nstep:
             self._between(state)
             return

@@ -4,7 +4,9 @@ import json
 
 import numpy as np
 import pytest
+import torch
 
+import embodichain
 import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.recording import McapRecorder, RecordOptions, inspect, verify
@@ -128,3 +130,24 @@ def test_from_the_command_line(tmp_path, monkeypatch, capfd):
     capfd.readouterr()
     assert main(["replay", "last", "--verify", "--json"]) == 0
     assert json.loads(capfd.readouterr().out)["steps"] == 6
+
+
+def test_an_episode_behind_a_gap_is_restored(tmp_path):
+    whole, some = (
+        embodichain.make("random_reach", num_envs=2, overrides=["seed=3"]) for _ in range(2)
+    )
+    for env, name, every in ((whole, "a.mcap", 1), (some, "b.mcap", 2)):
+        env.add_observer(McapRecorder(tmp_path / name, env, options=RecordOptions(every=every)))
+        env.reset()
+        for step in range(3 * env.max_episode_steps):
+            env.step(torch.full(env.action_space.shape, 0.1 * (step % 3)))
+        env.close()
+    fresh = embodichain.make("random_reach", num_envs=1)
+    states = []
+    for name in ("a.mcap", "b.mcap"):
+        with recording.open(tmp_path / name) as log:
+            for step in (0, 4):
+                fresh.restore(log, env=1, episode=2, step=step)
+                states.append(fresh.sim.engine.rows.tobytes())
+    assert states[:2] == states[2:]
+    fresh.close()
