@@ -17,6 +17,7 @@ from embodichain.cli.verbs import VERBS
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
+    from embodichain.recording.header import Header
     from embodichain.recording.summary import Episode, LogSummary
     from embodichain.recording.verify_report import VerifyReport
 
@@ -122,13 +123,23 @@ def _print_summary(summary: LogSummary, episodes: list[Episode]) -> None:
         ("mean return", summary.mean_reward),
         ("file", f"{state}, {summary.nbytes / 1e6:.2f} MB, {summary.messages} messages"),
         ("attachments", list(summary.attachments)),
-        ("verifiable", "yes" if not header.unverifiable else f"no: {header.unverifiable}"),
+        ("verifiable", _verifiable(header)),
     ]
     print_facts(str(summary.path), facts)
     print_table("channels", [asdict(channel) for channel in summary.channels])
     print_table("episodes", [asdict(episode) for episode in episodes[:_MOST_EPISODES]])
     if len(episodes) > _MOST_EPISODES:
         sys.stdout.write(f"... and {len(episodes) - _MOST_EPISODES} more: --env, --json\n")
+
+
+def _verifiable(header: Header) -> str:
+    import mujoco
+
+    if header.unverifiable:
+        return f"no: {header.unverifiable}"
+    if header.mujoco_version != mujoco.__version__:
+        return f"not to the bit: this is MuJoCo {mujoco.__version__}; states can be played"
+    return "yes"
 
 
 def _verify(path: Path, options: argparse.Namespace) -> int:
@@ -165,3 +176,5 @@ def _print_report(report: VerifyReport) -> None:
         sys.stderr.write(f"  {problem}\n")
     for name, error in report.largest_error.items():
         sys.stderr.write(f"  largest error of {name}: {error:.3g}\n")
+    for note in report.notes:
+        sys.stderr.write(f"  {note}\n")

@@ -14,6 +14,7 @@ import numpy as np
 import yaml
 
 from embodichain.recording.archive import scene_archive
+from embodichain.recording.provenance import cpu_name
 
 __all__ = [
     "Attachment",
@@ -61,8 +62,9 @@ def load_mjb(data: bytes) -> mujoco.MjModel:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what decides a run's bytes."""
+    """Versions of what decides a run's bytes, and the processor."""
     found = {"python": platform.python_version(), "platform": platform.platform()}
+    found["cpu"] = cpu_name()
     for name in _PACKAGES:
         try:
             found[name] = version(name)

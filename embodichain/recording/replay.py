@@ -7,6 +7,7 @@ was written to the simulation.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -19,6 +20,7 @@ from embodichain.recording.attachments import load_mjb, model_digest
 from embodichain.recording.header import Header, LogError
 from embodichain.recording.messages import State, StepOutcome
 from embodichain.recording.parts import first_file
+from embodichain.recording.provenance import what_can_be_played, what_differs
 from embodichain.recording.reader import LogReader
 from embodichain.recording.resimulate import ActiveSteps, Found, Resimulation
 from embodichain.recording.summary import LogSummary, summarize
@@ -68,10 +70,24 @@ def verify(
         return VerifyReport(path, False, 0, len(selected), problems=[header.unverifiable])
     model, exact, problems = _model(header, attachments)
     if model is None:
-        return VerifyReport(path, False, 0, len(selected), problems=problems)
+        report = VerifyReport(path, False, 0, len(selected), problems=problems)
+        return _with_notes(report, header, attachments)
     active = _everything(len(selected)) if episode is None else _episode(path, selected, episode)
     simulation = Resimulation(header, model, selected, active, exact, num_threads)
-    return _follow(path, simulation, len(selected), problems, progress)
+    report = _follow(path, simulation, len(selected), problems, progress)
+    return _with_notes(report, header, attachments)
+
+
+def _with_notes(
+    report: VerifyReport, header: Header, attachments: dict[str, bytes]
+) -> VerifyReport:
+    """Say what is another here, where physics differs, and what the log is still good for."""
+    if report.difference is None and header.mujoco_version == mujoco.__version__:
+        return report
+    found = what_differs(header, attachments.get("versions.json"))
+    if not found:
+        found = ["MuJoCo, processor and platform are the recorded ones: the file was changed"]
+    return replace(report, notes=[*report.notes, *found, what_can_be_played(header)])
 
 
 def _head(path: Path) -> tuple[Header, dict[str, bytes]]:

@@ -48,7 +48,8 @@ class VerifyReport:
         difference: The first difference, or None.
         problems: Why `ok` is False otherwise, one line each.
         largest_error: Approximate mode: component to largest absolute difference after one step.
-        notes: What is no mistake but should be known: where a recovered log ends.
+        notes: What is no mistake but should be known: where a recovered log ends, what is another
+            here than where the log was made.
     """
 
     path: Path
@@ -72,4 +73,5 @@ class VerifyReport:
         if self.largest_error:
             errors = ", ".join(f"{k} {v:.3g}" for k, v in self.largest_error.items())
             lines.append(f"approximate only: largest difference after one step: {errors}")
+        lines += self.notes
         return "\n".join(lines)

@@ -1,11 +1,14 @@
 """`replay --policy`: the recorded episodes once more, with another policy."""
 
 import json
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
 
+import embodichain
 import embodichain.recording as recording
 from embodichain.cli import replay
 from embodichain.cli.policies import policy_of
@@ -15,24 +18,28 @@ from embodichain.recording import McapRecorder, verify
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
 
+CONF = Path(embodichain.__file__).parent / "conf"
 STEPS = 25
 
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory):
-    """A log of random actions in the cart-pole."""
-    lines = ["task=cart_pole_swing_up", "num_envs=3", "seed=4", "task.max_episode_steps=10"]
-    resolved = resolve([*lines, "policy=random"])
+    """A log of random actions in a task whose YAML was deleted since."""
+    folder = tmp_path_factory.mktemp("conf") / "task"
+    folder.mkdir()
+    own = folder / "own_swing.yaml"
+    shutil.copy(CONF / "task" / "cart_pole_swing_up.yaml", own)
+    lines = ["task=own_swing", "num_envs=3", "seed=4", "task.max_episode_steps=10"]
+    resolved = resolve([*lines, "policy=random"], config_dir=folder.parent)
     path = tmp_path_factory.mktemp("log") / "log.mcap"
     env = make_env(resolved)
-    env.add_observer(
-        McapRecorder(path, env, dump_yaml(resolved.tree), lines, task="cart_pole_swing_up")
-    )
+    env.add_observer(McapRecorder(path, env, dump_yaml(resolved.tree), lines, task="own_swing"))
     policy = policy_of(resolved.root, env)
     obs, _ = env.reset()
     for _ in range(STEPS):
         obs, *_ = env.step(policy(obs, env))
     env.close()
+    own.unlink()  # what is done with the log does not need it
     return path
 
 

@@ -1,3 +1,4 @@
+import json
 import shutil
 import subprocess
 import sys
@@ -7,11 +8,15 @@ import mujoco
 import numpy as np
 import pytest
 
+import embodichain.recording as recording
+from embodichain.cli.dispatch import main
 from embodichain.recording import inspect, verify
 from embodichain.recording.attachments import load_mjb, model_bytes, model_digest
 from embodichain.recording.columns import RowColumns
 from embodichain.recording.messages import State, StepOutcome
 from embodichain.recording.options import RecordOptions
+from embodichain.recording.playback import Playback, Span
+from embodichain.recording.provenance import cpu_name
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
 from tests.recording.scene import MODEL
@@ -275,3 +280,42 @@ def test_whole_rows_begin_at_the_first_applied_force(record):
     narrow = RowColumns(header.slices()).width
     assert widths == [narrow] * 3 + [header.nstate] * 18
     assert narrow == header.nstate - MODEL.nv - 6 * MODEL.nbody
+
+
+def test_what_is_another_here_is_said_where_physics_differs(record, tmp_path):
+    def attachment(name, data):
+        if name != "versions.json":
+            return data
+        versions = json.loads(data)
+        assert versions["cpu"] == cpu_name() != ""
+        return json.dumps(versions | {"cpu": "Abacus 9000"}).encode()
+
+    whole = record()
+    elsewhere = rewrite(whole, tmp_path / "elsewhere.mcap", attachment=attachment)
+    assert verify(elsewhere).ok  # a name alone is no difference
+    flip = Flip(step=5, env=1, column=3, bit=2)
+    bad = rewrite(whole, tmp_path / "bad.mcap", message=flip, attachment=attachment)
+    report = verify(bad)
+    assert not report.ok
+    assert report.notes[0] == f"processor Abacus 9000 there, {cpu_name()} here"
+    assert "can be played all the same" in report.notes[1]
+    assert report.notes[1] in str(report)
+    same = verify(rewrite(whole, tmp_path / "changed.mcap", message=flip))
+    assert "the file was changed" in same.notes[0]
+
+
+def test_another_mujoco_says_what_can_be_played(record, tmp_path, capsys):
+    def metadata(name, values):
+        return {**values, "mujoco_version": "4.9.9"} if name == "embodichain" else values
+
+    path = rewrite(record(), tmp_path / "other.mcap", metadata=metadata)
+    assert main(["replay", str(path), "--verify"]) == 1
+    said = capsys.readouterr().err
+    assert f"MuJoCo 4.9.9 there, {mujoco.__version__} here" in said
+    assert "its recorded states can be played all the same" in said
+    with recording.open(path) as log:  # and they can
+        assert list(Playback(log, 2).steps(Span(3, 6))) == [3, 4, 5, 6]
+    few = record("few.mcap", options=RecordOptions(state="keyframes", keyframe_every=5))
+    report = verify(rewrite(few, tmp_path / "few_other.mcap", metadata=metadata))
+    assert "every 5th state" in report.notes[-1]
+    assert "need mujoco==4.9.9" in report.notes[-1]
