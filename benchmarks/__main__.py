@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks import memory, randomization, startup, step_profile, step_speed
+from benchmarks import memory, randomization, startup, step_profile, step_speed, train
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
@@ -21,6 +21,7 @@ REPORTS = {
     "step_speed": step_speed.report,
     "step_profile": step_profile.report,
     "randomization": randomization.report,
+    "train": train.report,
     "memory": memory.report,
     "startup": startup.report,
 }

@@ -5,10 +5,15 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from benchmarks import arms
 from benchmarks.arms import Arm
+from benchmarks.learners import DUMMY, LOOP, OURS, TRAIN
+from benchmarks.plain_task import PlainTask
 from benchmarks.rounds import measure
+from embodichain.learning import SB3VecEnv
 
 REPO = Path(__file__).parents[2]
 
@@ -48,6 +53,46 @@ def test_randomization(tmp_path):
     )  # fmt: skip
     assert len(facts["results"]) == 4
     assert table.count("| N=2, ") == 2
+
+
+def test_train(tmp_path):
+    table, facts = run(
+        "train", "--rounds=1", "--seeds=1", "--rollouts=1", "--envs=8", "--limit=64",
+        out=tmp_path / "t.json",
+    )  # fmt: skip
+    speeds = facts["speed"]["steps_per_second"]
+    assert set(speeds) == {OURS, TRAIN, DUMMY, LOOP} and all(s[0] > 0 for s in speeds.values())
+    for name, parts in facts["speed"]["ms"].items():
+        assert parts["update"] > 0 and ("physics" in parts) == (name != DUMMY)
+    assert [found["seconds"] for found in facts["solve"]["found"][OURS]] == [None]
+    assert table.count(f"| {OURS} |") == 3 and "not in 64 steps" in table
+
+
+def test_the_plain_task_computes_what_the_yaml_task_does():
+    env = arms.make("reach", 3)
+    vec = SB3VecEnv(env)
+    vec.seed(5)
+    obs = vec.reset()
+    engine = env.sim.engine
+    row, goals = engine.rows[0].copy(), engine.state("mocap_pos").reshape(3, -1, 3).copy()
+    plain = [PlainTask(engine.model, row, env.sim_steps_per_control) for _ in range(3)]
+    for own, goal in zip(plain, goals, strict=True):
+        own.reset(seed=0)
+        own.data.mocap_pos[own.goal] = goal[own.goal]  # the same draw
+    assert np.array_equal([own._observe(own._to_goal()) for own in plain], obs)
+    actions = np.random.default_rng(0).uniform(-1, 1, (100, 3, 6)).astype(np.float32)
+    for number, action in enumerate(actions):
+        obs, rewards, dones, infos = vec.step(action)
+        steps = [own.step(one) for own, one in zip(plain, action, strict=True)]
+        found, paid, _, over, told = map(list, zip(*steps, strict=True))
+        if number < 99:
+            np.testing.assert_allclose(found, obs, atol=1e-6)
+        np.testing.assert_allclose(paid, rewards, atol=1e-6)
+        assert over == list(dones) == [number == 99] * 3
+    assert [t["is_success"] for t in told] == [i["is_success"] for i in infos]
+    final = [info["terminal_observation"] for info in infos]
+    np.testing.assert_allclose(found, final, atol=1e-6)
+    env.close()
 
 
 def test_memory(tmp_path):
