@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
 from embodichain.cli import exits
 from embodichain.cli.arguments import VerbParser, add_common, print_json
@@ -18,9 +19,12 @@ def main(arguments: list[str]) -> int:
     parser = VerbParser(VERBS["export"])
     parser.add_argument("file", metavar="FILE", help="a log, a run's folder, or `last`")
     parser.add_argument(
-        "--format", required=True, metavar="F", help="csv, npz, parquet, hdf5, rrd, ros2 or mp4"
+        "--format",
+        required=True,
+        metavar="F",
+        help="csv, npz, parquet, hdf5, lerobot, rrd, ros2 or mp4",
     )
-    parser.add_argument("--output", "-o", metavar="OUT", help="a new file; else beside the log")
+    parser.add_argument("--output", "-o", metavar="OUT", help="a new file (lerobot: folder)")
     parser.add_argument("--env", type=int, metavar="I", help="only this environment")
     parser.add_argument("--episode", type=int, metavar="K", help="only this episode of --env")
     parser.add_argument("--from", dest="start", type=int, default=0, metavar="T", help="first step")
@@ -38,7 +42,13 @@ def main(arguments: list[str]) -> int:
         for warning in log.warnings:
             sys.stderr.write(f"warning: {log.path}: {warning}\n")
         if options.json:
-            print_json({"file": str(path), "bytes": path.stat().st_size, "complete": log.complete})
+            print_json({"file": str(path), "bytes": _size(path), "complete": log.complete})
         else:
-            sys.stdout.write(f"{path}: {path.stat().st_size / 1e6:.2f} MB\n")
+            sys.stdout.write(f"{path}: {_size(path) / 1e6:.2f} MB\n")
     return exits.OK
+
+
+def _size(path: Path) -> int:
+    """Bytes of a file, or of all files in a folder."""
+    files = [path] if path.is_file() else [p for p in path.rglob("*") if p.is_file()]
+    return sum(file.stat().st_size for file in files)

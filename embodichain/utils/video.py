@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -40,9 +40,12 @@ class VideoFile:
         path: Where it goes; a number is added to the name if it exists already when it is closed.
         size: Width and height in pixels, both even.
         fps: Pictures a second.
+        options: More for the encoder, as ffmpeg's command takes them.
     """
 
-    def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
+    def __init__(
+        self, path: Path, size: tuple[int, int], fps: float, options: Sequence[str] = ()
+    ) -> None:
         import imageio_ffmpeg
 
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -54,7 +57,7 @@ class VideoFile:
             fps=fps,
             codec="libx264",
             macro_block_size=2,
-            output_params=["-preset", "veryfast", "-threads", "1"],
+            output_params=["-preset", "veryfast", "-threads", "1", *options],
         )
         self._writer.send(None)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 from embodichain.recording.api import Log
+from embodichain.recording.episodes import LogEpisode
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -33,13 +35,20 @@ class Part:
     start: int = 0
     stop: int | None = None
 
+    def steps_of(self, episode: LogEpisode) -> range:
+        """The control steps of an episode that are meant; none if it is not."""
+        if self.env not in (None, episode.env) or self.episode not in (None, episode.episode):
+            return range(0)
+        stop = episode.last_step + 1 if self.stop is None else min(self.stop, episode.last_step + 1)
+        return range(max(self.start, episode.first_step), stop)
+
 
 @dataclass(frozen=True, slots=True)
 class Format:
     """A format of files.
 
     Attributes:
-        suffix: Of the file's name.
+        suffix: Of the file's name; empty where it is a folder.
         module: Below this package; its `write(log, part, path)` makes the file.
         what: One line.
     """
@@ -54,6 +63,7 @@ FORMATS: Mapping[str, Format] = {
     "npz": Format(".npz", "npz", "numpy arrays (T, N, ...), with names and units of columns"),
     "parquet": Format(".parquet", "parquet", "the table of csv, columnar and typed"),
     "hdf5": Format(".hdf5", "hdf5", "demonstrations in robomimic's layout, one for each episode"),
+    "lerobot": Format("", "lerobot", "a LeRobotDataset v3, with films of the task's cameras"),
     "rrd": Format(".rrd", "rrd", "a recording for Rerun: scene, curves, events"),
     "ros2": Format(".mcap", "ros2", "a ROS 2 bag: joint states, transforms, robot description"),
     "mp4": Format(".mp4", "mp4", "a film of one environment"),
@@ -76,7 +86,7 @@ def export(
         part: Which part; None is all of it.
 
     Returns:
-        The file.
+        The file, or the folder where the format is one.
 
     Raises:
         ConfigError: If the format is unknown or needs a package that is missing, the part does not
@@ -88,7 +98,9 @@ def export(
             f"no format {format!r}.{did_you_mean(format, FORMATS)} Formats: {', '.join(FORMATS)}"
         )
     chosen = FORMATS[format]
-    name = log.path.stem if chosen.suffix != ".mcap" else f"{log.path.stem}_{format}"
+    name = log.path.stem
+    if chosen.suffix in ("", ".mcap"):
+        name = f"{name}_{format}"
     path = Path(output) if output else log.path.with_name(name + chosen.suffix)
     module = importlib.import_module(f"embodichain.recording.export.{chosen.module}")
     write: Callable[[Log, Part, Path], None] = module.write
@@ -107,10 +119,15 @@ def _new_file(path: Path, suffix: str) -> Iterator[Path]:
     partial = path.with_name(f".{path.stem}.{os.getpid()}.part{suffix}")
     try:
         yield partial
-        os.link(partial, path)  # unlike a rename, it refuses a name that is taken
-    except FileExistsError as error:
+        if partial.is_dir():
+            partial.rename(path)  # refuses a name that is taken by anything but an empty folder
+        else:
+            os.link(partial, path)  # unlike a rename, it refuses a name that is taken
+    except (FileExistsError, NotADirectoryError) as error:
         raise ConfigError(f"{path} exists; it is never replaced") from error
     finally:
+        if partial.is_dir():
+            shutil.rmtree(partial)
         partial.unlink(missing_ok=True)
 
 

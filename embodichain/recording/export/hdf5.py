@@ -36,7 +36,7 @@ def write(log: Log, part: Part, path: Path) -> None:
         ConfigError: If h5py is not installed, or no episode is meant.
     """
     h5py: Any = required("h5py", "hdf5")
-    episodes = [e for e in log.episodes if _is_meant(e, part)]
+    episodes = [e for e in log.episodes if part.steps_of(e)]
     if not episodes:
         raise ConfigError("no episode lies in what was asked for")
     model = _model_xml(log)
@@ -53,21 +53,11 @@ def write(log: Log, part: Part, path: Path) -> None:
             root.attrs[name] = value
 
 
-def _is_meant(episode: LogEpisode, part: Part) -> bool:
-    last = episode.last_step if part.stop is None else min(episode.last_step, part.stop - 1)
-    return (
-        part.env in (None, episode.env)
-        and part.episode in (None, episode.episode)
-        and max(episode.first_step, part.start) <= last
-    )
-
-
 def _read(log: Log, episode: LogEpisode, part: Part) -> LogArrays:
     fields = {*_OBS, *_STATE, "actions", "rewards", "terminated", "truncated"}
     names = [name for name in log.columns if name in fields]
-    start = max(part.start, episode.first_step)
-    stop = episode.last_step + 1 if part.stop is None else min(part.stop, episode.last_step + 1)
-    return log.read(names, episode.env, None, start, stop)
+    steps = part.steps_of(episode)
+    return log.read(names, episode.env, None, steps.start, steps.stop)
 
 
 def _fill(demo: Any, log: Log, data: LogArrays, episode: LogEpisode, model: str) -> None:

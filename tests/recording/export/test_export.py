@@ -217,6 +217,7 @@ def test_nothing_is_overwritten(log, tmp_path, format):
         ("parquet", "pyarrow", "pyarrow", "parquet"),
         ("hdf5", "h5py", "h5py", "hdf5"),
         ("rrd", "rerun", "rerun-sdk", "rerun"),
+        ("lerobot", "pyarrow", "pyarrow", "lerobot"),
     ],
 )
 def test_a_missing_package_is_named(log, monkeypatch, tmp_path, format, module, package, extra):

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.engine.base import EnvIndex
 
-__all__ = ["RecordCameraData"]
+__all__ = ["RecordCameraData", "filmed_from"]
 
 Pixels = Annotated[int, Field(ge=2, multiple_of=2)]
 Intrinsics = Annotated[list[Finite], Field(min_length=4, max_length=4)]
@@ -73,8 +73,7 @@ class RecordCameraData(Term):
         width, height = self._size = tuple(resolution or (640, 480))
         self._camera: Any = camera
         if camera is None:
-            fovy = _fovy(intrinsics or [600.0, 600.0, width / 2, height / 2], width, height)
-            self._camera = _view(eye or [0, 0, 2], target or [0, 0, 0], up or [0, 0, 1], fovy)
+            self._camera = filmed_from((width, height), eye, target, up, intrinsics)
         else:
             model = env.sim.engine.model
             known = [model.camera(i).name for i in range(model.ncam)]
@@ -110,6 +109,23 @@ class RecordCameraData(Term):
             video = self._videos.pop(i, None)
             if video is not None:
                 video.close()
+
+
+def filmed_from(
+    size: tuple[int, int],
+    eye: list[float] | None = None,
+    target: list[float] | None = None,
+    up: list[float] | None = None,
+    intrinsics: list[float] | None = None,
+) -> Any:
+    """The `View` that `record_camera_data` films from: its parameters, and their defaults.
+
+    Raises:
+        ConfigError: If the rasterizer has no such view.
+    """
+    width, height = size
+    fovy = _fovy(intrinsics or [600.0, 600.0, width / 2, height / 2], width, height)
+    return _view(eye or [0, 0, 2], target or [0, 0, 0], up or [0, 0, 1], fovy)
 
 
 def _fovy(intrinsics: list[float], width: int, height: int) -> float:

@@ -1,0 +1,238 @@
+"""LeRobot data sets: as the v3 layout says, as Rerun's reader and, where it is installed, LeRobot
+itself read them."""
+
+import importlib.util
+import json
+
+import imageio_ffmpeg
+import mujoco
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import embodichain.recording as recording
+from embodichain.cli.dispatch import main
+from embodichain.lab.sim.rendering import SceneRenderer, View
+from embodichain.recording import McapRecorder
+from embodichain.recording.export import Part, export
+from embodichain.recording.export.lerobot_stats import merged, of_levels, of_values
+from embodichain.utils.errors import ConfigError
+from tests.recording.scene import MODEL, SmallEnv
+
+CAMERAS = """
+task:
+  description: Move the arm.
+  robot: {uid: arm}
+  events:
+    front: {func: record_camera_data, mode: interval, params: {name: front, resolution: [64, 48],
+      eye: [1.5, -1, 1], target: [0.2, 0, 0.3]}}
+    goal: {func: move_goal, mode: interval}
+"""
+
+
+@pytest.fixture
+def log(record):
+    with recording.open(record(steps=24)) as log:
+        yield log
+
+
+@pytest.fixture
+def filmed(tmp_path):
+    env = SmallEnv(num_envs=2)
+    recorder = McapRecorder(tmp_path / "filmed.mcap", env, CAMERAS, [], None, "small")
+    env.add_observer(recorder)
+    env.reset()
+    for _ in range(10):
+        env.step()
+    env.close()
+    with recording.open(tmp_path / "filmed.mcap") as log:
+        yield log
+
+
+def read(root):
+    info = json.loads((root / "meta/info.json").read_text())
+    episodes = pq.read_table(root / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    frames = pq.read_table(root / info["data_path"].format(chunk_index=0, file_index=0))
+    return info, episodes, frames
+
+
+def test_frames_are_the_steps_of_episodes(log):
+    root = export(log, "lerobot")
+    assert root == log.path.with_name("log_lerobot")
+    info, episodes, frames = read(root)
+    assert (info["codebase_version"], info["fps"]) == ("v3.0", 50)
+    assert (info["total_episodes"], info["total_frames"]) == (len(log.episodes), 24 * 3)
+    assert info["splits"] == {"train": f"0:{len(log.episodes)}"}
+    features = info["features"]
+    assert features["observation.state"]["names"] == ["arm/shoulder", "arm/elbow"]
+    assert features["observation.environment_state"]["names"][:3] == [
+        *("cube/free.x", "cube/free.y", "cube/free.z")
+    ]
+    assert set(frames.column_names) == set(features)
+    kinds = {"float32": pa.float32(), "int64": pa.int64(), "bool": pa.bool_()}
+    for key, feature in features.items():
+        kind, (width,) = kinds[feature["dtype"]], feature["shape"]
+        assert frames.schema.field(key).type == (kind if width == 1 else pa.list_(kind, width))
+    data = log.read()
+    for number, (row, episode) in enumerate(zip(episodes, log.episodes, strict=True)):
+        part = frames.slice(row["dataset_from_index"], row["length"]).to_pydict()
+        steps = slice(episode.first_step, episode.last_step + 1)
+        env = episode.env
+        assert row["episode_index"] == number and row["length"] == episode.steps
+        assert (row["source/env"], row["source/episode"]) == (env, episode.episode)
+        assert part["frame_index"] == list(range(episode.steps))
+        assert part["timestamp"] == pytest.approx(np.arange(episode.steps) * 0.02)
+        assert part["index"][0] == row["dataset_from_index"]
+        assert set(part["episode_index"]) == {number}
+        qpos = data["qpos"][steps, env].astype(np.float32)
+        assert np.array_equal(part["observation.state"], qpos[:, :2])
+        assert np.array_equal(np.array(part["observation.environment_state"])[:, :7], qpos[:, 2:])
+        assert np.array_equal(part["action"], data["actions"][steps, env].astype(np.float32))
+        assert np.array_equal(part["next.reward"], data["rewards"][steps, env].astype(np.float32))
+        done = [False] * (episode.steps - 1) + [episode.terminated or episode.truncated]
+        assert part["next.done"] == done
+        mean = np.mean(part["observation.state"], axis=0)
+        assert row["stats/observation.state/mean"] == pytest.approx(mean, abs=1e-6)
+    stats = json.loads((root / "meta/stats.json").read_text())
+    whole = np.array(frames["action"].to_pylist())
+    for name, expected in (
+        ("mean", whole.mean(axis=0)),
+        ("std", whole.std(axis=0)),
+        ("min", whole.min(axis=0)),
+    ):
+        assert stats["action"][name] == pytest.approx(expected, abs=1e-6)
+    assert stats["action"]["count"] == [72]
+    tasks = pd.read_parquet(root / "meta/tasks.parquet")
+    assert tasks.index.tolist() == ["small"] and tasks["task_index"].tolist() == [0]
+
+
+def test_a_part(log, tmp_path):
+    root = export(log, "lerobot", tmp_path / "part", Part(1, None, 3, 12))
+    _, episodes, frames = read(root)
+    firsts = [(e["source/env"], e["source/first_step"]) for e in episodes]
+    expected = [(e.env, max(3, e.first_step)) for e in log.episodes if e.env == 1]
+    assert firsts == [found for found in expected if found[1] < 12]
+    assert len(frames) == 9
+    with pytest.raises(ConfigError, match="no episode lies in what was asked for"):
+        export(log, "lerobot", tmp_path / "none", Part(start=100))
+    assert not [p for p in tmp_path.iterdir() if "none" in p.name]
+
+
+def test_films_show_the_states(filmed, tmp_path):
+    root = export(filmed, "lerobot", tmp_path / "set")
+    info, episodes, _ = read(root)
+    assert info["robot_type"] == "arm"
+    key = "observation.images.front"
+    assert info["features"][key]["shape"] == [48, 64, 3]
+    data, state = filmed.read(), mujoco.MjData(MODEL)
+    eye = View.look_at((1.5, -1, 1), (0.2, 0, 0.3), (0, 0, 1), _fovy(48))
+
+    class One:
+        def data_of(self, env_id):
+            return state
+
+    renderer = SceneRenderer(filmed.model, 64, 48)
+    seen = []
+    for row, episode in zip(episodes, filmed.episodes, strict=True):
+        where = {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index")}
+        assert (row[f"videos/{key}/from_timestamp"], row[f"videos/{key}/to_timestamp"]) == (
+            *(0.0, pytest.approx(episode.steps / 50)),
+        )
+        path = root / info["video_path"].format(video_key=key, **where)
+        _, *pictures = imageio_ffmpeg.read_frames(str(path))
+        assert len(pictures) == episode.steps
+        for step, picture in enumerate(pictures, start=episode.first_step):
+            state.qpos[:] = data["qpos"][step, episode.env]
+            state.mocap_pos[:] = data["mocap_pos"][step, episode.env].reshape(-1, 3)
+            state.mocap_quat[:] = data["mocap_quat"][step, episode.env].reshape(-1, 4)
+            mujoco.mj_forward(MODEL, state)
+            expected = renderer.draw(One(), 0, eye).astype(np.int64)
+            found = np.frombuffer(picture, np.uint8).reshape(48, 64, 3)
+            assert np.abs(found - expected).mean() < 6  # what the encoder loses
+            seen.append(expected)
+    renderer.close()
+    assert np.std(seen, axis=0).mean() > 0.5  # things moved: a still film would be found out
+    means = np.array(seen).mean(axis=(0, 1, 2)) / 255
+    stats = json.loads((root / "meta/stats.json").read_text())[key]
+    assert np.array(stats["mean"]).shape == (3, 1, 1)
+    assert np.ravel(stats["mean"]) == pytest.approx(means, abs=0.01)
+
+
+def _fovy(height):
+    return 2 * np.degrees(np.arctan(height / 1200))
+
+
+def test_rerun_reads_the_data_set(filmed, tmp_path):
+    pytest.importorskip("rerun")
+    from rerun.experimental import LeRobotReader
+
+    reader = LeRobotReader(export(filmed, "lerobot", tmp_path / "set"))
+    assert reader.version == "v3"
+    assert reader.episodes() == list(range(len(filmed.episodes)))
+    for number, episode in enumerate(filmed.episodes):
+        rows, films = {}, 0
+        for chunk in reader.stream(number):
+            if not chunk.is_static:
+                rows[chunk.entity_path] = rows.get(chunk.entity_path, 0) + len(chunk)
+                films += "VideoStream" in str(chunk.to_record_batch().schema)
+        for key in ("/observation.state", "/observation.environment_state", "/action", "/task"):
+            assert rows[key] == episode.steps
+        assert films
+
+
+@pytest.mark.skipif(importlib.util.find_spec("lerobot") is None, reason="LeRobot is not installed")
+def test_lerobot_loads_the_data_set(filmed, tmp_path):
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    root = export(filmed, "lerobot", tmp_path / "set")
+    found = LeRobotDataset("local/set", root=root, delta_timestamps={"action": [0.0, 0.02]})
+    assert (len(found), found.num_episodes, found.fps) == (20, len(filmed.episodes), 50)
+    data = filmed.read(env=0)
+    frame = found[3]
+    assert frame["task"] == "Move the arm."
+    assert np.array_equal(frame["observation.state"], data["qpos"][3, 0, :2].astype(np.float32))
+    assert np.array_equal(frame["action"], data["actions"][3:5, 0].astype(np.float32))
+    assert tuple(frame["observation.images.front"].shape) == (3, 48, 64)
+    assert found.meta.stats["observation.images.front"]["mean"].shape == (3, 1, 1)
+
+
+def test_statistics_of_parts_make_those_of_all():
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=(300, 4)) * [1, 2, 3, 4] + 5
+    whole, found = of_values(values), merged([of_values(values[:50]), of_values(values[50:])])
+    for name in ("min", "max", "mean", "std", "count"):
+        assert found[name] == pytest.approx(whole[name])
+    assert found["q50"] == pytest.approx(whole["q50"], abs=0.5)
+    pictures = rng.integers(0, 256, (5, 20, 30, 3))
+    counts = np.stack([np.bincount(pictures[..., c].ravel(), minlength=256) for c in range(3)])
+    stats, pixels = of_levels(counts, 5), pictures.reshape(-1, 3) / 255
+    for name, expected in {
+        **{"min": pixels.min(axis=0), "max": pixels.max(axis=0), "mean": pixels.mean(axis=0)},
+        **{"std": pixels.std(axis=0), "q10": np.quantile(pixels, 0.1, axis=0)},
+    }.items():
+        assert stats[name][:, 0, 0] == pytest.approx(expected, abs=0.004)
+
+
+def test_frames_a_second_are_whole(record, tmp_path):
+    class Slow(SmallEnv):
+        def __init__(self, **kwargs):
+            super().__init__(**kwargs)
+            self.sim_steps_per_control = 3
+            self.step_dt = 0.015
+
+    said = r"whole number of frames a second; control steps make 66\.66"
+    with recording.open(record(env=Slow, steps=5)) as log, pytest.raises(ConfigError, match=said):
+        export(log, "lerobot", tmp_path / "set")
+
+
+def test_the_command(record, tmp_path, capsys):
+    path = record(steps=8)
+    arguments = ["export", str(path), "--format", "lerobot", "-o", str(tmp_path / "set")]
+    assert main([*arguments, "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    files = [p for p in (tmp_path / "set").rglob("*") if p.is_file()]
+    assert said["bytes"] == sum(p.stat().st_size for p in files)
+    assert main(arguments) == 2
+    assert "exists; it is never replaced" in capsys.readouterr().err
