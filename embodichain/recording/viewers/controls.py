@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 __all__ = ["SPEEDS", "Facts", "Setup", "Wishes"]
 
@@ -31,6 +32,10 @@ class Facts:
     lines: tuple[tuple[str, str], ...] = ()
     rewards: Mapping[str, float] = field(default_factory=dict)
     sums: Mapping[str, float] = field(default_factory=dict)
+
+    def plain(self) -> tuple[Any, ...]:
+        """Its values in their order."""
+        return self.step, self.seconds, self.lines, self.rewards, self.sums
 
 
 @dataclass(frozen=True, slots=True)

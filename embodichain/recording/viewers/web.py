@@ -6,8 +6,8 @@ The page is `web_page.py`'s. While nobody has it open, a step costs a look at th
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -90,11 +90,11 @@ class WebView(StepObserver):
     def on_step(self, env: BaseEnv, step: StepRecord) -> None:
         """Do what people ask for; show the new state, if a picture is due."""
         page = self._page
-        while (ended := page.take_reset()) is not None:
-            env.truncate(np.array([ended]))
-        self._step = step
         if not page.watched:
             return
+        if (ended := page.take_reset()) is not None:
+            env.truncate(np.array([ended]))
+        self._step = step
         now = time.monotonic()
         if not page.fast or now >= self._next:
             self._next = now + _INTERVAL
@@ -119,12 +119,17 @@ class WebView(StepObserver):
         if step is None:
             return None
         info = step.info
-        rewards = {name: float(values[i]) for name, values in info["rewards"].items()}
-        sums = {name: float(values[i]) for name, values in info["episode_sums"].items()}
+        rewards = _row(info["rewards"], i)
+        sums = _row(info["episode_sums"], i)
         lines = (
             ("episode", str(int(step.episode_ids[i]))),
             ("reward", f"{step.reward[i]:+.4g}, {sum(sums.values()):+.4g} in this episode"),
-            *((f"{name}", f"{float(v[i]):.4g}") for name, v in info["metrics"].items()),
+            *((name, f"{value:.4g}") for name, value in _row(info["metrics"], i).items()),
         )
-        seconds = float(info["elapsed_steps"][i]) * env.step_dt
+        seconds = info["elapsed_steps"].numpy().item(i) * env.step_dt
         return Facts(step.control_step, seconds, lines, rewards, sums)
+
+
+def _row(values: Mapping[str, Any], i: int) -> dict[str, float]:
+    """One environment's numbers of tensors (N,)."""
+    return {name: tensor.numpy(force=True).item(i) for name, tensor in values.items()}

@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+import time
 from multiprocessing.connection import Connection
 from typing import Any
 
 import mujoco
+import numpy as np
+from mujoco.studio import messages
 
 from embodichain.recording.viewers.controls import Facts
 from embodichain.utils.errors import ConfigError
@@ -20,7 +23,7 @@ from embodichain.utils.errors import ConfigError
 __all__ = ["main"]
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-_LOOK_SECONDS = 0.02
+_LOOK_SECONDS = 1.0 / 60.0
 
 
 def main(descriptor: int) -> None:
@@ -66,24 +69,23 @@ class _Page:
     def serve(self) -> str:
         """Returns why it ended."""
         while True:
-            if self._run.poll(_LOOK_SECONDS):
+            # Asleep, not waiting for the socket: then a step does not pay for waking us.
+            time.sleep(_LOOK_SECONDS)
+            state = None
+            while self._run.poll():
                 kind, value = self._run.recv()
                 if kind == "close":
                     return str(value)
-                self._show(kind, value)
+                if kind == "model":
+                    self._studio.send(messages.ModelEvent(model=value))
+                    continue
+                state, facts = value
+                if facts is not None:
+                    self._panel.tell(Facts(*facts))
+            if state is not None:
+                row = np.frombuffer(state).copy()
+                self._studio.send(messages.StateSnapshot(state=row, state_sig=_STATE))
             self._tell_wishes()
-
-    def _show(self, kind: str, value: Any) -> None:
-        from mujoco.studio import messages
-
-        if kind == "model":
-            self._studio.send(messages.ModelEvent(model=value))
-            return
-        row, facts = value
-        self._studio.send(messages.StateSnapshot(state=row, state_sig=_STATE))
-        if isinstance(facts, Facts):
-            self._panel.tell(facts)
-        self._run.send(("shown", None))
 
     def _tell_wishes(self) -> None:
         if self._panel.wishes.paused and not self._studio.controlled:
@@ -91,7 +93,7 @@ class _Page:
         wishes = dataclasses.replace(self._panel.wishes, watched=self._studio.watched)
         if wishes != self._sent:
             self._sent = wishes
-            self._run.send(("wishes", wishes))
+            self._run.send(wishes)
 
 
 if __name__ == "__main__":
