@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from embodichain.recording.foxglove.joints import Joints
+from embodichain.recording.foxglove.markers import Markers
 from embodichain.recording.foxglove.metrics import identifier
 from embodichain.recording.foxglove.places import places
 
@@ -42,7 +43,8 @@ def foxglove_layout(env: BaseEnv, view_envs: Sequence[int]) -> dict[str, Any]:
         view_envs: Environments that the log shows.
     """
     model = env.sim.engine.model
-    seen = [f"/env_{i}/{name}" for i in view_envs for name in ("scene", "markers")]
+    drawn = ("scene", "markers") if Markers(env, view_envs) else ("scene",)
+    seen = [f"/env_{i}/{name}" for i in view_envs for name in drawn]
     topics = {topic: {"visible": True} for topic in seen}
     where = places(env, view_envs) if view_envs else np.zeros((1, 3))
     spread = float(np.ptp(where, axis=0).max())

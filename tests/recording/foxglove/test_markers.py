@@ -1,5 +1,6 @@
 """Commands are drawn where their numbers say, and stand in the metrics."""
 
+import json
 from types import SimpleNamespace
 
 import mujoco
@@ -103,6 +104,12 @@ def test_a_commanded_velocity_is_an_arrow_in_the_heading(path):
 def test_commands_stand_in_the_metrics(path):
     last = decoded(path, "/env_2/metrics")[-1]
     assert (last.command_grasp_x, last.command_walk_1, last.command_home_1) == (2.1, 0.8, 5.0)
+
+
+def test_the_layout_shows_them(path):
+    layout = json.loads(path.with_name("foxglove_layout.json").read_text())
+    shown = {"/env_0/scene", "/env_0/markers", "/env_2/scene", "/env_2/markers"}
+    assert set(layout["configById"]["3D!scene"]["topics"]) == shown
 
 
 def test_without_commands_there_is_no_channel(record):
