@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["WebView"]
 
 _INTERVAL = 1.0 / 60.0
+_FACTS_INTERVAL = 1.0 / 20.0
 
 
 class WebView(StepObserver):
@@ -69,7 +70,7 @@ class WebView(StepObserver):
         self.url = self._page.url
         self._env_id = env_id
         self._restyled = False
-        self._next = 0.0
+        self._next = self._next_facts = 0.0
         self._step: StepRecord | None = None
 
     @property
@@ -98,20 +99,23 @@ class WebView(StepObserver):
         now = time.monotonic()
         if not page.fast or now >= self._next:
             self._next = now + _INTERVAL
-            self._show(env)
+            told = now >= self._next_facts
+            if told:
+                self._next_facts = now + _FACTS_INTERVAL
+            self._show(env, told)
         page.pace(env.step_dt, lambda: self._show(env))
 
     def on_close(self, env: BaseEnv) -> None:
         """Close the page."""
         self._page.close()
 
-    def _show(self, env: BaseEnv) -> None:
+    def _show(self, env: BaseEnv, told: bool = True) -> None:
         """Send the current state of the environment that people want to see."""
         chosen = self._page.env_id
         if chosen != self._env_id or self._restyled:
             self._env_id, self._restyled = chosen, False
             self._page.show_model(env.sim.engine.model_of(chosen))
-        self._page.show(env.sim.engine.rows[chosen], self._facts(env, chosen))
+        self._page.show(env.sim.engine.rows[chosen], self._facts(env, chosen) if told else None)
 
     def _facts(self, env: BaseEnv, i: int) -> Facts | None:
         """What is to be read beside the picture."""

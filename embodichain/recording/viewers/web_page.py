@@ -147,9 +147,10 @@ class WebPage:
 
         Args:
             seconds: Simulated time between two steps.
-            changed: Called when another environment is chosen during a pause.
+            changed: Shows the state; called as a pause begins, and when another environment is
+                chosen in it.
         """
-        shown = self.env_id
+        shown = -1
         while self._wishes.paused and self._waits() and not self._take_step():
             if self.env_id != shown:
                 shown = self.env_id
