@@ -293,7 +293,7 @@ ENV: Vocabulary = {
     "task_instruction": "it belongs to data sets",
     "expert_trajectory": "expert data is not collected here",
     "filter_visual_rand": HANDLED,
-    "filter_dataset_saving": "data sets are made of logs: `embodichain export last --format lerobot`",
+    "filter_dataset_saving": "data sets are made of logs: `embodichain export --format lerobot`",
     "init_rollout_buffer": "a learner keeps its own buffer",
     "rollout_action_semantics": "a learner keeps its own buffer",
     "record_trajectory": _RECORD,
