@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 __all__ = ["rerun"]
 
 _LONGER = 10
+_NEVER = 2**31 - 1
 _MOST_ROWS = 20
 
 
@@ -43,6 +44,7 @@ class _Pair:
     recorded_return: float
     total_return: float
     difference: float
+    cut: bool  # the log ends before the episode: both are over its first steps
 
 
 def rerun(path: Path, options: argparse.Namespace) -> int:
@@ -86,17 +88,16 @@ def rerun(path: Path, options: argparse.Namespace) -> int:
 
 
 def _wanted(log: Log, options: argparse.Namespace) -> dict[tuple[int, int], LogEpisode]:
-    """Episodes that ended in the log, as far as they are asked for."""
-    ended = [e for e in log.episodes if e.terminated or e.truncated]
+    """The log's episodes, as far as they are asked for."""
     if any(e.episode for e in log.episodes if e.first_step == log.header.first_step):
         raise ConfigError(f"{log.path} does not begin with first episodes: seeds lead elsewhere")
     found = {
         (e.env, e.episode): e
-        for e in ended
+        for e in log.episodes
         if options.env in (None, e.env) and options.episode in (None, e.episode)
     }
     if not found:
-        raise ConfigError(f"{log.path} has no such episode that ended: there is nothing to compare")
+        raise ConfigError(f"{log.path} has no such episode: there is nothing to compare")
     return found
 
 
@@ -138,8 +139,10 @@ def _play(
     )
     returns, steps = np.zeros(env.num_envs), np.zeros(env.num_envs, np.int64)
     pairs: dict[tuple[int, int], _Pair] = {}
+    cut = {key: e for key, e in wanted.items() if not (e.terminated or e.truncated)}
     # Where the task has no limit, another policy might never come to an end.
-    limit = min(env.max_episode_steps, _LONGER * max(e.steps for e in wanted.values()))
+    longest = max(e.steps for e in wanted.values())
+    limit = _LONGER * longest if env.max_episode_steps == _NEVER else _NEVER
     quiet = options.quiet or options.json
     with ProgressDisplay("replay", len(wanted), "episodes", quiet=quiet) as display:
         while len(pairs) < len(wanted):
@@ -147,13 +150,16 @@ def _play(
             obs, reward, terminated, truncated, _ = env.step(policy(obs, env))
             returns += reward.numpy(force=True)
             steps += 1
-            if limit < env.max_episode_steps and (steps >= limit).any():
+            if (steps >= limit).any():
                 env.truncate(np.flatnonzero(steps >= limit))
+            for key in [k for k in cut if k[1] == ids[k[0]] and steps[k[0]] == wanted[k].steps]:
+                pairs[key] = _pair(cut.pop(key), int(steps[key[0]]), float(returns[key[0]]))
             done = np.flatnonzero((terminated | truncated).numpy(force=True))
             for i in done.tolist():
-                recorded = wanted.get((i, int(ids[i])))
-                if recorded is not None:
-                    pairs[i, recorded.episode] = _pair(recorded, int(steps[i]), float(returns[i]))
+                key = i, int(ids[i])
+                if key in wanted and key not in pairs:
+                    cut.pop(key, None)
+                    pairs[key] = _pair(wanted[key], int(steps[i]), float(returns[i]))
             if len(done):
                 returns[done], steps[done] = 0.0, 0
                 policy.reset(done)
@@ -165,4 +171,5 @@ def _play(
 def _pair(recorded: LogEpisode, steps: int, total: float) -> _Pair:
     before = recorded.total_reward
     where = recorded.env, recorded.episode
-    return _Pair(*where, recorded.steps, steps, before, total, total - before)
+    cut = not (recorded.terminated or recorded.truncated)
+    return _Pair(*where, recorded.steps, steps, before, total, total - before, cut)
