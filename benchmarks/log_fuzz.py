@@ -169,10 +169,15 @@ def check(path: Path, everything: bool) -> bool:
         with open(path) as log:
             return log.read(), log.episodes
 
+    def simulated() -> Any:
+        with open(path, simulate=True) as log:
+            return log.read("qpos") if log.header.keyframe_every else None
+
     saved = path.with_name("saved.mcap")
     ways: list[Callable[[], Any]] = [lambda: inspect(path), read]
     if everything:
         ways += [lambda: verify(path, num_threads=1), lambda: recover(path, saved)]
+        ways += [simulated]
     refused: ConfigError | None = None
     results = []
     for way in ways:

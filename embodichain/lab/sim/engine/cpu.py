@@ -32,7 +32,7 @@ _STAGE_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
 _STAGE_VEL = int(mujoco.mjtStage.mjSTAGE_VEL)
 _STAGE_ACC = int(mujoco.mjtStage.mjSTAGE_ACC)
 
-# ctrl and applied forces change no position- or velocity-stage field.
+# They change no position- or velocity-stage field.
 _INPUTS = frozenset({"ctrl", "qfrc_applied", "xfrc_applied"})
 # Counters that mean the state is no longer physics.
 _DIVERGED = [
@@ -196,8 +196,7 @@ class CpuEngine:
             for listener in listeners:
                 listener.on_physics(event)
         failed = self._call(self._batch.step, env_ids, nstep=nstep, stage=_STAGE_NONE)
-        if self._stepped:  # nobody looked since the step before
-            self._looks = 0
+        self._looks = 0 if self._stepped else self._looks  # nobody looked since the step before
         self._stepped = True
         if env_ids is None:
             self._any_dirty = self._all_dirty = True
