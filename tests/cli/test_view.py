@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import stat
 import threading
 import time
@@ -120,3 +121,16 @@ def test_wrong_words_are_refused(log, capsys):
     assert main(["view", str(log), "--serve", "--speed", "0"]) == 2
     assert main(["view", str(log.with_name("none.mcap"))]) == 2
     assert "does not exist" in capsys.readouterr().err
+
+
+def test_a_run_says_where_it_is_shown(capsys):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+    short = ("task=random_reach", "num_envs=2", "max_steps=3", "record=none", "viewer=foxglove")
+    assert main(["run", *short, f"viewer.port={port}", "viewer.env=1"]) == 0
+    assert f"viewer: ws://127.0.0.1:{port} (Foxglove, Lichtblick: " in capsys.readouterr().err
+    assert main(["run", *short, f"viewer.port={port}", "viewer.host=0.0.0.0"]) == 0
+    assert "warning: the viewer listens on 0.0.0.0" in capsys.readouterr().err
+    with socket.create_server(("127.0.0.1", port)):
+        assert main(["run", *short, f"viewer.port={port}"]) == 2
+    assert f"viewer.port: cannot listen on 127.0.0.1:{port}" in capsys.readouterr().err

@@ -112,7 +112,7 @@ class FoxgloveServer:
             channel.log(b"".join(map(bytes, parts)), log_time=time_ns)
 
     def begin_anew(self) -> None:
-        """Tell clients that time begins again: they forget what they have, and subscribe anew."""
+        """Tell clients that time begins again: they forget what they have, and stay subscribed."""
         self._server.clear_session()
 
     def close(self) -> None:
