@@ -87,7 +87,7 @@ def observation_box(env: BaseEnv, group: str) -> spaces.Box:
     Raises:
         ConfigError: If no observation is in the group; lists the groups.
     """
-    width = sum(math.prod(space.shape) for space in observation_dict(env, group).values())
+    width = sum(math.prod(space.shape or ()) for space in observation_dict(env, group).values())
     return spaces.Box(-np.inf, np.inf, (width,), np.float32)
 
 
