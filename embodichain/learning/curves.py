@@ -37,6 +37,7 @@ def draw_curves(run_dir: Path) -> Path | None:
         _log.info("no %s: pip install 'embodichain[plot]'", CURVES_FILE)
         return None
     from matplotlib.figure import Figure  # without pyplot: no display, no global state
+    from matplotlib.ticker import EngFormatter
 
     figure = Figure(figsize=(5 * len(columns), 3.5), layout="constrained")
     for axes, (name, points) in zip(
@@ -44,6 +45,7 @@ def draw_curves(run_dir: Path) -> Path | None:
     ):
         axes.plot(*zip(*points, strict=True))
         axes.set_xlabel("environment steps")
+        axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 200k, 1M: long numbers overlap
         axes.set_title(_PANELS[name])
         axes.grid(alpha=0.3)
     path = run_dir / CURVES_FILE
