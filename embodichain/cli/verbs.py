@@ -101,7 +101,8 @@ _COMPARE = Verb(
 _EXPORT = Verb(
     "export",
     "Write a log for another program, or a trained policy as one ONNX or TorchScript file.",
-    "FILE|last --format csv|npz|parquet|hdf5|lerobot|rrd|ros2|mp4 | policy RUN|last|PATH [task=NAME] [-o OUT]",
+    "FILE|last --format csv|npz|parquet|hdf5|lerobot|rrd|ros2|mp4"
+    " | policy RUN|last|PATH [task=NAME] [-o OUT]",
     (
         ("export last --format csv", "the newest log as a table, beside it"),
         ("export FILE --format hdf5 -o demos.hdf5", "episodes in robomimic's layout"),
