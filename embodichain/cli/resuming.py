@@ -56,9 +56,11 @@ def resolve_resumed(overrides: Sequence[str]) -> Resolved:
     if problems:
         raise ConfigError(problems)
     checkpoint, state = find_resumable(folder)
-    tree = {**_tree(folder / CONFIG), "resume": str(folder)}
+    fresh = {"quiet": False, "json": False, "traceback": False, "resume": str(folder)}
+    tree = {**_tree(folder / CONFIG), **fresh}
     for key, value in changes.items():
-        _put(tree, key, value)
+        # An option of the group `record` is its format: the rest of the run's own stays.
+        _put(tree, "record.format" if key == "record" and isinstance(value, str) else key, value)
     found = resolve_tree(
         tree, str(folder / CONFIG), "train", task_name=_task(checkpoint), allow_import=True
     )

@@ -19,7 +19,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a training of `reach` with episodes of 12 steps."""
     root = tmp_path_factory.mktemp("trained")
     keys = ["num_envs=4", "total_timesteps=64", "algo.n_steps=8", "algo.batch_size=16", "seed=5"]
-    keys += ["task.max_episode_steps=12", f"output_dir={root}"]
+    keys += ["task.max_episode_steps=12", "eval.episodes=0", f"output_dir={root}"]
     assert main(["train", "task=reach", "--quiet", *keys]) == 0
     return next(path.parent for path in root.glob("*/*/config.yaml"))
 

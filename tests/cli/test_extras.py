@@ -14,16 +14,19 @@ PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
 def test_every_extra_of_the_package_is_listed_with_its_packages():
     found = tomllib.loads(PYPROJECT.read_text())["project"]["optional-dependencies"]
-    names = {
-        extra: tuple(re.match(r"[\w.-]+", line)[0] for line in lines)
-        for extra, lines in found.items()
-    }
-    own = {
-        extra: packages
-        for extra, packages in names.items()
-        if extra != "dev" and packages != ("embodichain",)
-    }
-    listed = {n: e.packages for n, e in EXTRAS.items() if e.install == f"'embodichain[{n}]'"}
+
+    def packages(extra):
+        names = [re.match(r"([\w.-]+)(?:\[(.*)\])?", line).groups() for line in found[extra]]
+        return {
+            package
+            for name, nested in names
+            for package in (
+                set().union(*map(packages, nested.split(","))) if name == "embodichain" else {name}
+            )
+        }
+
+    own = {extra: packages(extra) for extra in found if extra not in ("dev", "export-log")}
+    listed = {n: set(e.packages) for n, e in EXTRAS.items() if e.install == f"'embodichain[{n}]'"}
     assert listed == own
 
 

@@ -85,6 +85,52 @@ def test_what_the_evaluation_cannot_show_is_said_before_it_trains(capsys):
     assert not list(Path("outputs").rglob("checkpoints"))
 
 
+def test_what_goes_on_is_evaluated_as_it_is_asked_for(trained, capsys):
+    """The run's own flags of output do not count: it was quiet."""
+    lines = ("total_timesteps=96", "record=none", "eval.episodes=3", "output_dir=outputs")
+    assert main(["train", f"resume={trained}", *lines]) == 0
+    text = capsys.readouterr().out
+    assert "eval success" in text and "of 3" in text
+    folder = Path("outputs/latest")
+    summary = json.loads((folder / "summary.json").read_text())
+    assert (summary["env_steps"], summary["eval"]["episodes"]) == (96, 3)
+    assert summary["resumed_from"] == str(trained / "checkpoints/final.zip")
+    assert not (folder / "rollout.mcap").exists() and (folder / "eval.json").is_file()
+
+
+def test_an_interrupted_evaluation_is_told_as_such(capsys, monkeypatch):
+    from embodichain.cli import evaluating
+
+    real = evaluating._play
+
+    def stopped(run, stop, asked):
+        stop.stopped = "SIGINT"  # Ctrl-C comes as the evaluation begins
+        return real(run, stop, asked)
+
+    monkeypatch.setattr(evaluating, "_play", stopped)
+    assert main(["train", *TINY, "--quiet", "record=none"]) == 130
+    assert "interrupted (SIGINT); what was learned is in" in capsys.readouterr().err
+    folder = Path("outputs/latest")
+    summary = json.loads((folder / "summary.json").read_text())
+    assert (summary["status"], summary["eval"]["complete"]) == ("finished", False)
+    assert summary["eval"]["episodes"] == 0
+    assert (folder / "checkpoints/final.zip").is_file()
+
+
+def test_recurrent_policies_from_end_to_end(capsys):
+    pytest.importorskip("sb3_contrib")
+    lines = ("algo=recurrent_ppo", "algo.policy_kwargs={lstm_hidden_size: 8, net_arch: [8]}")
+    found = told(capsys, "train", *TINY, *lines, "eval.episodes=5", "record=none")
+    assert found["algo"] == "recurrent_ppo" and found["eval"]["episodes"] == 5
+    again = told(capsys, "eval", "last", "episodes=5", "record=none")
+    assert again["returns"]["mean"] == found["eval"]["returns"]["mean"]
+    played = ("policy=last", "task=reach", "task.max_episode_steps=4", "num_envs=2", "record=none")
+    assert told(capsys, "run", *played)["episodes"] == 2
+    assert main(["export", "policy", "last", "-o", "p.onnx"]) == 2
+    assert "is recurrent: a file without memory cannot act as it does" in capsys.readouterr().err
+    assert not Path("p.onnx").exists()
+
+
 def test_films(trained, capsys, monkeypatch):
     pytest.importorskip("imageio_ffmpeg")
     lines = ("video=true", "episodes=1")

@@ -209,7 +209,10 @@ def test_trees_come_back_to_the_bit(tmp_path):
 
 
 COMMAND = (sys.executable, "-m", "embodichain", "train")
-SMALL = ("task=reach", "num_envs=4", "sim.num_threads=1", "seed=1", *PPO, "algo.normalize=both")
+SMALL = (
+    *("task=reach", "num_envs=4", "sim.num_threads=1", "seed=1", *PPO, "algo.normalize=both"),
+    "eval.episodes=0",
+)
 
 
 def start(*overrides):
