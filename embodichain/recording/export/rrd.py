@@ -41,13 +41,14 @@ def write(log: Log, part: Part, path: Path) -> None:
     parts = log.parts(
         [name for name in log.columns if name in fields], envs, part.episode, part.start, part.stop
     )
-    stream = Stream(log.header, layout(log.model, envs))
+    offsets = _offsets(log) if len(envs) > 1 else {}
+    places = np.array([offsets.get(env, np.zeros(3)) for env in envs])
+    stream = Stream(log.header, layout(log.model, envs, places))
     stream.about(about(log))
     stream.log("world", stream.rr.ViewCoordinates.RIGHT_HAND_Z_UP, None)
-    offsets = _offsets(log) if len(envs) > 1 else {}
     makers: list[Scene | _Numbers] = []
     for column, env in enumerate(envs):
-        makers.append(Scene(stream, log, env, column, offsets.get(env, np.zeros(3))))
+        makers.append(Scene(stream, log, env, column, places[column]))
         makers.append(_Numbers(stream, log, env, column))
     first = last = -1
     for data in parts:

@@ -7,6 +7,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.recording.export.formats import required
 
@@ -16,20 +17,21 @@ _FROM = np.array([1.0, -1.2, 0.8])
 """Where the eye is, seen from the middle of the scene."""
 
 
-def layout(model: mujoco.MjModel, envs: Sequence[int]) -> Any:
+def layout(model: mujoco.MjModel, envs: Sequence[int], places: NDArray[np.float64]) -> Any:
     """A `rerun.blueprint.Blueprint`.
 
     Args:
         model: The scene's model.
         envs: The environments that are shown; curves are those of the first.
+        places: (n, 3) where each stands, metres.
 
     Raises:
         ConfigError: If rerun is not installed.
     """
     rrb: Any = required("rerun.blueprint", "rrd")
-    center = np.array(model.stat.center, np.float64)
-    direction = _FROM / np.linalg.norm(_FROM)
-    eye = center + 1.5 * float(model.stat.extent) * direction
+    center = np.array(model.stat.center, np.float64) + places.mean(axis=0)
+    size = float(model.stat.extent) + float(np.linalg.norm(np.ptp(places, axis=0)))
+    eye = center + size * _FROM / np.linalg.norm(_FROM)
     first = f"/env_{envs[0]}"
     return rrb.Blueprint(
         rrb.Horizontal(
