@@ -6,6 +6,7 @@ by the environment itself: it has to stand before the first reset.
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -41,6 +42,7 @@ def attach_viewer(
     if viewer.name not in ("web", "foxglove"):
         return
     where = _serve(root, env, lambda: stop.stopped is not None, realtime, resets)
+    logging.getLogger(__name__).info("viewer: %s", where)
     if not root.quiet and not root.json:
         sys.stderr.write(f"viewer: {where}\n")
     if not is_loopback(viewer.host):

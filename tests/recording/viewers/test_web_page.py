@@ -12,7 +12,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from embodichain.recording.viewers.controls import Facts
+from embodichain.recording.viewers.controls import Facts, Wishes
 from embodichain.recording.viewers.web_page import WebPage
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import MODEL, SmallEnv
@@ -21,11 +21,18 @@ OTHERS = "pages of other sites"
 ROW = SmallEnv(num_envs=1).sim.engine.rows[0]
 
 
-@pytest.fixture
-def page():
+@pytest.fixture(scope="module")
+def served():
     made = WebPage(MODEL, num_envs=3)
     yield made
     made.close()
+
+
+@pytest.fixture
+def page(served):
+    """The page, with nobody there and nothing wished for."""
+    served._wishes, served._taken_steps, served._taken_resets = Wishes(), 0, 0
+    return served
 
 
 def port_of(page):
@@ -81,6 +88,8 @@ def test_an_upload_is_refused_to_the_controller_too(page):
                 pass
             assert refused.value.response.status_code == 403
             assert b"takes no files" in refused.value.response.body
+        assert until(lambda: page.watched)
+    assert until(lambda: not page.watched)
     assert ask(page, "/drop") == (403, "this viewer takes no files\n")
 
 
@@ -173,7 +182,8 @@ def test_a_reset_is_taken_once(page):
     assert page.take_reset() is None
 
 
-def test_a_viewer_that_dies_is_no_reason_to_stop(page, caplog):
+def test_a_viewer_that_dies_is_no_reason_to_stop(caplog):
+    page = WebPage(MODEL)
     page._process.kill()
     page._listener.join()
     for _ in range(3):
@@ -221,6 +231,7 @@ def test_a_model_is_sent_again_only_if_it_looks_different(page):
         assert crc_of(state) == before
         page.show_model(painted())
         assert until(lambda: crc_of(state) != before)
+    assert until(lambda: not page.watched)
 
 
 def crc_of(state):
