@@ -60,10 +60,12 @@ class Scalars:
         Raises:
             ValueError: If the step has other scalars than the first one.
         """
-        rows = [np.asarray(values)[env_ids] for _, values in self._walk(step)]
-        if len(rows) != len(self.names):
-            raise ValueError(f"{len(rows)} scalars in a step; the first had {self.names}")
-        taken: F64 = np.stack(rows, dtype=np.float64, casting="unsafe")
+        found = [values for _, values in self._walk(step)]
+        if len(found) != len(self.names):
+            raise ValueError(f"{len(found)} scalars in a step; the first had {self.names}")
+        taken: F64 = np.empty((len(found), len(env_ids)))
+        for row, values in zip(taken, found, strict=True):
+            row[:] = (values.numpy() if hasattr(values, "numpy") else values)[env_ids]
         if weights:
             first = 3 + sum(key in step.info for key in _FACTS)  # where `_walk` is at the terms
             terms = sorted(step.info.get("rewards", {}))
