@@ -79,9 +79,9 @@ class WebView(StepObserver):
         return self._page.watched
 
     def on_write(self, env: BaseEnv, write: Write) -> None:
-        """Note what changes how environments look."""
+        """Note what changes how the environment looks that is shown."""
         if write.op == "model" and write.field in LOOKS:
-            self._restyled = True
+            self._restyled |= write.env_ids is None or self._env_id in write.env_ids
 
     def on_reset(self, env: BaseEnv, env_ids: EnvIndex) -> None:
         """Show the new episode's first state at once."""
