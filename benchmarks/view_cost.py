@@ -71,7 +71,9 @@ def measure(task: str, num_envs: int, steps: int, rounds: int) -> dict[str, floa
         options = RecordOptions(state="none", view_envs=view_envs, view_hz=EVERY_STEP)
         recorder = McapRecorder(folder / f"{next(number)}.mcap", env, options=options)
         env.add_observer(recorder)
-        recorder.flush()  # what is written once does not count
+        for _ in range(2):
+            env.step(next(act))
+        recorder.flush()  # what is made once does not count: meshes, attachments
         writer = next(t for t in threading.enumerate() if t.name == "mcap-writer")
         clock = time.pthread_getcpuclockid(writer.ident or 0)
         begun = time.thread_time(), time.clock_gettime(clock), time.perf_counter()

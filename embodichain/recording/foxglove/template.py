@@ -7,6 +7,7 @@ much.
 from __future__ import annotations
 
 import struct
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +63,7 @@ class Template:
         return filled.tobytes()
 
 
+@lru_cache(maxsize=2)  # messages of one moment share it
 def _stamp(time_ns: int) -> NDArray[np.uint8]:
     """A `Timestamp` of `_STAMP`'s length: numbers with leading zeros, which every decoder reads."""
     seconds, nanos = divmod(time_ns, 1_000_000_000)
