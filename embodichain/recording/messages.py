@@ -123,6 +123,7 @@ class WriteRecord:
 
     step: int
     call: int
+    phase: str
     op: str
     field: str
     env_ids: EnvIndex | None
@@ -137,6 +138,7 @@ class WriteRecord:
         return cls(
             _uint(f, 1),
             _uint(f, 2),
+            _text(f, 3),
             _text(f, 4),
             _text(f, 5),
             _ids(f, 6),

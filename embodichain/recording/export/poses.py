@@ -43,12 +43,14 @@ class ModelHistory:
     def until(self, step: int) -> bool:
         """Apply what was written before the physics of a step; whether anything was.
 
-        A reset writes at the end of a step, for the next one: what carries a step's number came
-        before it only in step 0.
+        An automatic reset writes after the physics of its step, for the next one.
         """
         first = self._done
-        while self._done < len(self._writes) and self._writes[self._done].step < max(step, 1):
-            self._apply(self._writes[self._done])
+        while self._done < len(self._writes):
+            write = self._writes[self._done]
+            if write.step + (write.phase == "after_physics") > step:
+                break
+            self._apply(write)
             self._done += 1
         return self._done > first
 

@@ -129,6 +129,11 @@ def test_frames_follow_the_model_of_their_environment(record, tmp_path):
             columns = np.array([3 * fore])
             self.sim.engine.write_model("body_pos", offsets, everyone, columns)
 
+        def step(self):
+            if self.count == 12:  # between two steps, not at the end of one
+                self.reset(np.array([2]))
+            super().step()
+
     with recording.open(record(env=Moved, steps=20)) as log:
         path = export(log, "ros2", tmp_path / "bag.mcap", Part(env=2))
         episodes = log.read("episodes", env=2)["episodes"][:, 0]
