@@ -26,3 +26,20 @@ def test_asked_for_twice_or_of_several_it_is_one_end(make_env):
     env.truncate(np.array([2]))
     assert env.step(home(env))[3].tolist() == [True, False, True]
     assert env.step(home(env))[3].tolist() == [False, True, False]
+
+
+def test_a_reset_ends_it_as_well(make_env):
+    env = make_env(max_episode_steps=5)
+    env.reset(seed=1)
+    env.truncate(np.array([0, 1]))
+    env.reset(options={"reset_ids": [1]})
+    assert env.step(home(env))[3].tolist() == [True, False, False]
+
+
+def test_it_is_part_of_the_state(make_env):
+    env, other = make_env(max_episode_steps=5), make_env(max_episode_steps=5)
+    for each in (env, other):
+        each.reset(seed=1)
+    env.truncate(np.array([1]))
+    other.load_state_dict(env.state_dict())
+    assert other.step(home(other))[3].tolist() == [False, True, False]

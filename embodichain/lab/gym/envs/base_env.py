@@ -150,6 +150,8 @@ class BaseEnv(EnvOutcome):
         self.sim.engine.forward(where)
         self._elapsed[ids] = 0
         self._success[ids] = False
+        if self._cut is not None:  # that episode has ended
+            self._cut[ids] = False
         self._episode_ids[ids] += 1
         for observer in self.observers:
             observer.on_reset(self, ids)

@@ -27,6 +27,7 @@ def save(env: BaseEnv) -> dict[str, Any]:
         "last_action": env._last_action.copy(),
         "success": env._success.copy(),
         "pending": None if env._pending is None else env._pending.copy(),
+        "cut": None if env._cut is None else env._cut.copy(),
         "observation": env._memory.flat.copy(),
     }
 
@@ -52,4 +53,5 @@ def load(env: BaseEnv, saved: dict[str, Any]) -> None:
     env._last_action = saved["last_action"].copy()
     env._success = saved["success"].copy()
     env._pending = None if saved["pending"] is None else saved["pending"].copy()
+    env._cut = None if saved["cut"] is None else saved["cut"].copy()
     env._memory.flat = saved["observation"].copy()
