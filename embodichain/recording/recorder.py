@@ -30,6 +30,7 @@ from embodichain.recording.episode_gate import EpisodeGate
 from embodichain.recording.episode_log import TOPIC as EPISODE_TOPIC
 from embodichain.recording.episode_log import Ends, EpisodeLog
 from embodichain.recording.foxglove.layout import foxglove_layout
+from embodichain.recording.foxglove.view_encoder import ViewEncoder
 from embodichain.recording.foxglove.views import Views
 from embodichain.recording.header import (
     METADATA_END,
@@ -113,7 +114,8 @@ class McapRecorder(StepObserver):
         self._keyframe_every = options.keyframe_every if options.state == "keyframes" else 0
         self._keyframe_due = True
         self._keyframe = -1  # control step of the newest one
-        self._views = Views(env, options, self._pending.append, self._now)
+        self._views = Views(env, options, self._push_view, self._now)
+        self._encoder = ViewEncoder(engine.model, self._views.spec, self._file)
         self._view_envs = [int(i) for i in options.view_envs]
         self._engine = engine
         self._begin(env, options, columns, config, overrides, task)
@@ -137,7 +139,7 @@ class McapRecorder(StepObserver):
         mjb = model_bytes(model)
         header = header_of(env, options, columns, mjb, task, start_ns)
         channels = dict(state_log.CHANNELS) if self._log else {}
-        channels |= {EPISODE_TOPIC: "embodichain.Episodes"} | self._views.channels
+        channels |= {EPISODE_TOPIC: "embodichain.Episodes"} | self._views.spec.channels
         rolls = options.max_mb is not None
         head = LogHead(
             header, lambda: attachments_of(mjb, spec, config, overrides, layout), again=rolls
@@ -180,6 +182,10 @@ class McapRecorder(StepObserver):
     def _later(self, encode: Callable[..., None], *args: object) -> None:
         """Have the background thread build a message, in order; it owns the arguments from here."""
         self._pending.append((encode, args))
+
+    def _push_view(self, method: str, *args: object) -> None:
+        """Called by the views, for what people look at."""
+        self._later(getattr(self._encoder, method), *args)
 
     def _write_state(self, step: int, topic: str, parts: tuple[Part, ...]) -> None:
         """Called by the state log, on the background thread."""

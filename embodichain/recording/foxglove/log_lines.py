@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.observers import StepRecord
 from embodichain.recording.foxglove.messages import Log, timestamp
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.observers import StepRecord
 
 __all__ = ["ending_text", "event_text", "ids_text", "log_line"]
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -24,10 +24,7 @@ from embodichain.recording.foxglove.messages import (
     Vector3,
     timestamp,
 )
-
-if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
-    from embodichain.lab.gym.envs.managers.command_manager import CommandMarker
+from embodichain.recording.foxglove.view_spec import MarkerSpec
 
 __all__ = ["Markers", "Taken"]
 
@@ -46,47 +43,32 @@ _ALONG = {"x": (1.0, 0.0, 0.0, 0.0), "y": (_S, 0.0, 0.0, _S), "z": (_S, 0.0, -_S
 
 
 class Markers:
-    """What is drawn of an environment's commands.
+    """What is drawn of commands.
 
     Args:
-        env: The environment; without commands nothing is drawn.
+        model: The model; only names are read.
         env_ids: (n,) environments that are viewed.
+        specs: The commands that are drawn.
     """
 
-    def __init__(self, env: BaseEnv, env_ids: Sequence[int]) -> None:
-        self._ids = np.array(env_ids, np.int64)
-        manager = getattr(env, "command_manager", None)  # environments of others may have none
-        terms = {} if manager is None else dict(manager.terms)
-        self._commands = {name: term.instance for name, term in terms.items()}
-        self._drawn: dict[str, CommandMarker] = {
-            name: term.marker for name, term in self._commands.items() if term.marker is not None
-        }
-        self._frames = {i: frame_names(env.sim.engine.model, i) for i in env_ids}
+    def __init__(
+        self, model: mujoco.MjModel, env_ids: Sequence[int], specs: Sequence[MarkerSpec]
+    ) -> None:
+        self._specs = specs
+        self._frames = [frame_names(model, i) for i in env_ids]
 
     def __bool__(self) -> bool:
         """Whether there is anything to draw."""
-        return bool(self._drawn)
-
-    def scalars(self) -> dict[str, F64]:
-        """Every column of every command by name, (N,) each: live views."""
-        return {
-            f"{name}_{label}": command.values[:, column]
-            for name, command in self._commands.items()
-            for column, label in enumerate(command.names or map(str, range(len(command.values.T))))
-        }
-
-    def take(self) -> Taken:
-        """The commands in force; called where the environment is stepped."""
-        return {name: self._commands[name].values[self._ids] for name in self._drawn}
+        return bool(self._specs)
 
     def encode(self, time_ns: int, index: int, data: mujoco.MjData, taken: Taken) -> bytes:
         """`SceneUpdate` of the index-th viewed environment, as bytes; after `mj_kinematics`."""
-        frames = self._frames[int(self._ids[index])]
+        frames = self._frames[index]
         update = SceneUpdate()
-        for name, marker in self._drawn.items():
-            entity = update.entities.add(id=f"{frames[0]}/commands/{name}")
+        for marker in self._specs:
+            entity = update.entities.add(id=f"{frames[0]}/commands/{marker.name}")
             entity.timestamp.CopyFrom(timestamp(time_ns))
-            values = taken[name][index].tolist()
+            values = taken[marker.name][index].tolist()
             if marker.kind == "pose":
                 entity.frame_id, entity.frame_locked = frames[marker.body], True
                 _axes(entity, values)

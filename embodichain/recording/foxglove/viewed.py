@@ -40,9 +40,6 @@ class Viewed:
         self._inputs = [(getattr(data, name), layout[name]) for name in fields]
         self._scene: Scene | None = None
         self._big = False
-        root = f"/env_{env_id}"
-        self.scene_topic, self.joints_topic = f"{root}/scene", f"{root}/joint_states"
-        self.metrics_topic, self.markers_topic = f"{root}/metrics", f"{root}/markers"
 
     def set_field(self, field: str, columns: NDArray[np.int64] | slice, values: F64) -> None:
         """Give this environment's own model other values, (k,) columns of a flattened field."""

@@ -1,38 +1,33 @@
 """The channels for people: poses, joints, looks and numbers of a few environments, and the log.
 
-The thread that steps physics only copies the viewed rows, a few times a simulated second; the
-background thread computes their kinematics on models of its own. So looking costs the simulation
-next to nothing and cannot disturb it: no derived field of the engine is asked for.
+The thread that steps physics only copies the viewed rows, a few times a simulated second, and
+pushes them as plain data; `ViewEncoder` makes messages of them elsewhere. So looking costs the
+simulation next to nothing and cannot disturb it: no derived field of the engine is asked for.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import partial
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.observers import EventRecord, StepRecord
 from embodichain.lab.sim.engine.base import F64, EnvIndex, Write
-from embodichain.recording.foxglove.frames import Frames
-from embodichain.recording.foxglove.log_lines import ending_text, event_text, ids_text, log_line
-from embodichain.recording.foxglove.markers import Markers, Taken
-from embodichain.recording.foxglove.metrics import Scalars
+from embodichain.recording.foxglove.commands import Commands
+from embodichain.recording.foxglove.log_lines import ending_text, ids_text
 from embodichain.recording.foxglove.places import pitch_of, places
-from embodichain.recording.foxglove.scene import Props
-from embodichain.recording.foxglove.viewed import Viewed
-from embodichain.recording.mcap_file import Part
+from embodichain.recording.foxglove.scalars import Scalars
+from embodichain.recording.foxglove.view_spec import ViewSpec
 from embodichain.recording.options import RecordLike
-from embodichain.recording.schemas import scalars_descriptor_set
 from embodichain.recording.shapes import LOOKS, PLANE_SIZE
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.observers import EventRecord, StepRecord
 
-__all__ = ["SEEN", "Sink", "Views"]
+__all__ = ["SEEN", "Push", "Views"]
 
 SEEN = (
     *LOOKS,
@@ -41,17 +36,11 @@ SEEN = (
 """Model fields that move or colour anything begin so."""
 
 
-class Sink(Protocol):
-    """Where messages go, on the background thread: a file, or people who are connected."""
+class Push(Protocol):
+    """Hands a call of `ViewEncoder` to whoever makes the messages."""
 
-    def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
-        """Declare a channel; `data` is the schema where it is this run's own."""
-
-    def write(self, topic: str, time_ns: int, parts: Sequence[Part]) -> None:
-        """Write or send a message."""
-
-
-Push = Callable[[Callable[[Sink], None]], None]
+    def __call__(self, method: str, *args: object) -> None:
+        """Hand over a name of `PUSHED` and arguments: plain data that nobody writes into later."""
 
 
 class Views:
@@ -60,7 +49,7 @@ class Views:
     Args:
         env: The environment.
         options: Which environments, and how often.
-        push: Called with work for the background thread.
+        push: Called with what `ViewEncoder` shall do.
         now: Log time in ns.
     """
 
@@ -77,19 +66,15 @@ class Views:
         self._sampled = -1
         self._scalars: Scalars | None = None
         self._rewards = getattr(env, "reward_manager", None)  # environments of others may have none
-        model, where = env.sim.engine.model, places(env, self._ids.tolist())
-        meshes = Props(pitch_of(env) if len(self._ids) > 1 else PLANE_SIZE)
-        self._viewed = [Viewed(model, i, meshes) for i in self._ids.tolist()]
-        self._frames = Frames(model, self._ids.tolist(), where.tolist())
-        self._markers = Markers(env, self._ids.tolist())
-        self.channels = {"/log": "foxglove.Log"}
-        if self._viewed:
-            self.channels["/tf"] = "foxglove.FrameTransforms"
-        for viewed in self._viewed:
-            self.channels[viewed.scene_topic] = "foxglove.SceneUpdate"
-            self.channels[viewed.joints_topic] = "foxglove.JointStates"
-            if self._markers:
-                self.channels[viewed.markers_topic] = "foxglove.SceneUpdate"
+        env_ids = self._ids.tolist()
+        self._commands = Commands(env, env_ids)
+        self.spec = ViewSpec(
+            env_ids=tuple(env_ids),
+            offsets=tuple((x, y, z) for x, y, z in places(env, env_ids).tolist()),
+            ground=pitch_of(env) if len(env_ids) > 1 else PLANE_SIZE,
+            markers=self._commands.markers,
+        )
+        """What `ViewEncoder` is built from."""
 
     def start(self, model_fields: Mapping[str, NDArray[Any]]) -> None:
         """Say that recording begins; take over model fields that are randomized already."""
@@ -104,24 +89,22 @@ class Views:
 
     def show(self, env_ids: Iterable[int]) -> None:
         """Show the scenes of these environments with the next sample, whatever was shown."""
-        self._asked.update(set(env_ids) & set(self._ids.tolist()))
+        self._asked.update(set(map(int, env_ids)) & set(self.spec.env_ids))
 
     def say(self, message: str, level: str = "INFO") -> None:
         """Write a line to `/log`."""
-        self._push(partial(_write_line, self._now(), message, level))
+        self._push("line", self._now(), message, level)
 
     def on_model_write(self, write: Write) -> None:
         """A model field of viewed environments changed: their looks and links may have."""
         if write.values is None or not write.field.startswith(SEEN):
             return
-        for row, env_id in self._seen(write.env_ids):
-            values, viewed = write.values[row].copy(), self._of(env_id)
-            self._push(
-                lambda _, v=viewed, x=values: v.set_field(write.field, write.columns, x)  # type: ignore[misc]
-            )
-
-    def _of(self, env_id: int) -> Viewed:
-        return self._viewed[int(np.searchsorted(self._ids, env_id))]
+        seen = self._seen(write.env_ids)
+        columns = write.columns
+        if seen and not isinstance(columns, slice):
+            columns = columns.copy()
+        for row, env_id in seen:
+            self._push("set_field", env_id, write.field, columns, write.values[row].copy())
 
     def _seen(self, env_ids: EnvIndex | None) -> list[tuple[int, int]]:
         """Which of these environments (None: all) are viewed: place among them, and id."""
@@ -139,32 +122,13 @@ class Views:
             last: Nothing follows: sample in any case.
         """
         due = step % self._every == 0 or self._reset or self._asked or last
-        if not self._viewed or step == self._sampled or not due:
+        if not self.spec.env_ids or step == self._sampled or not due:
             return
         self._sampled = step
         scenes = {**dict.fromkeys(self._reset, False), **dict.fromkeys(self._asked, True)}
         self._reset.clear()
         self._asked.clear()
-        taken = rows[self._ids], self._markers.take()
-        self._push(partial(self._sample, self._now(), *taken, scenes))
-
-    def _sample(
-        self, time_ns: int, rows: F64, commands: Taken, scenes: Mapping[int, bool], sink: Sink
-    ) -> None:
-        """Compute and write what is seen; runs on the background thread."""
-        for index, (viewed, row) in enumerate(zip(self._viewed, rows, strict=True)):
-            viewed.place(row)
-            self._frames.place(index, viewed.data)
-            if viewed.env_id in scenes:
-                scene = viewed.scene(time_ns, anyway=scenes[viewed.env_id])
-                if scene is not None:
-                    sink.write(viewed.scene_topic, time_ns, (scene,))
-            joints = viewed.joints.encode(time_ns, viewed.data)
-            sink.write(viewed.joints_topic, time_ns, (joints,))
-            if self._markers:
-                drawn = self._markers.encode(time_ns, index, viewed.data, commands)
-                sink.write(viewed.markers_topic, time_ns, (drawn,))
-        sink.write("/tf", time_ns, (self._frames.encode(time_ns),))
+        self._push("sample", self._now(), rows[self._ids], self._commands.take(), scenes)
 
     def on_reset(self, env_ids: EnvIndex) -> None:
         """Viewed environments that were reset show their scene anew."""
@@ -177,7 +141,7 @@ class Views:
         """Write a line for each viewed environment in which a term fired, with what it drew."""
         for row, env_id in self._seen(event.env_ids):
             drawn = {name: values[row].copy() for name, values in event.drawn.items()}
-            self._push(partial(_write_event, self._now(), env_id, event.term, event.mode, drawn))
+            self._push("event", self._now(), env_id, event.term, event.mode, drawn)
 
     def on_step(self, step: int, record: StepRecord) -> None:
         """Write the numbers of viewed environments when due, and a line for what diverged."""
@@ -189,47 +153,22 @@ class Views:
         ended = record.terminated[self._ids] | record.truncated[self._ids]
         for env_id in self._ids[ended].tolist():
             self.say(ending_text(record, env_id))
-        if not self._viewed or step % self._every:
+        if not self.spec.env_ids or step % self._every:
             return
         manager = self._rewards
         weights = None if manager is None else manager.weights
         taken = self.declare(record).take(record, self._ids, weights)
-        self._push(partial(self._number, self._now(), taken))
-
-    def _number(self, time_ns: int, taken: F64, sink: Sink) -> None:
-        """Write numbers; runs on the background thread."""
-        if self._scalars is not None:
-            for viewed, data in zip(self._viewed, self._scalars.encode(taken), strict=True):
-                sink.write(viewed.metrics_topic, time_ns, (data,))
+        self._push("numbers", self._now(), taken)
 
     def declare(self, record: StepRecord) -> Scalars:
         """Find the run's scalars in its first step, and declare their channels."""
         if self._scalars is not None:
             return self._scalars
-        self._scalars = Scalars(record, self._markers.scalars())
-        schema = scalars_descriptor_set("Metrics", self._scalars.names)
-        topics = [viewed.metrics_topic for viewed in self._viewed]
-
-        def declare(sink: Sink) -> None:
-            for topic in topics:
-                sink.channel(topic, "embodichain.Metrics", schema)
-
-        self._push(declare)
+        self._scalars = Scalars(record, self._commands.scalars())
+        self._push("scalars", tuple(self._scalars.names))
         return self._scalars
 
     def close(self, step: int, rows: F64) -> None:
         """Show the last state, and say that recording ends."""
         self.on_rows(step, rows, last=True)
         self.say(f"recording ends after {step} steps")
-
-
-def _write_line(time_ns: int, message: str, level: str, sink: Sink) -> None:
-    """Write a line; runs on the background thread."""
-    sink.write("/log", time_ns, (log_line(time_ns, message, level),))
-
-
-def _write_event(
-    time_ns: int, env_id: int, term: str, mode: str, drawn: Mapping[str, NDArray[Any]], sink: Sink
-) -> None:
-    """Write a line about an event; runs on the background thread."""
-    sink.write("/log", time_ns, (log_line(time_ns, event_text(env_id, term, mode, drawn)),))

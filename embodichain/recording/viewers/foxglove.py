@@ -11,13 +11,14 @@ import re
 import threading
 import time
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
 from embodichain.lab.sim.engine.base import EnvIndex, Write
-from embodichain.recording.foxglove.views import SEEN, Sink, Views
+from embodichain.recording.foxglove.view_encoder import ViewEncoder
+from embodichain.recording.foxglove.views import SEEN, Views
 from embodichain.recording.options import RecordOptions, check_options
 from embodichain.recording.viewers.foxglove_server import DEFAULT_PORT, FoxgloveServer
 
@@ -30,7 +31,8 @@ _ENV = re.compile(r"/env_(\d+)/")
 _EVERY_STEP = 1e9
 """Hz of simulated time: here the wall clock decides what is sampled."""
 
-Job = Callable[[Sink], None]
+Job = tuple[str, tuple[object, ...]]
+"""A method of `ViewEncoder`, and its arguments."""
 
 
 class FoxgloveView(StepObserver):
@@ -67,7 +69,6 @@ class FoxgloveView(StepObserver):
         options = RecordOptions(view_envs=shown, view_hz=_EVERY_STEP)
         check_options(options, env.num_envs)
         self._server = FoxgloveServer(host, DEFAULT_PORT if port is None else port)
-        self._thread = _Thread(self._server)
         self._envs = shown
         self._interval = 1.0 / fps
         self._step_dt = float(env.step_dt)
@@ -77,9 +78,10 @@ class FoxgloveView(StepObserver):
         self._shown = self._stepped = 0.0
         self._looking = False
         self._unseen: set[str] = set(env.sim.engine.state_dict()["model"])
-        self._views = Views(env, options, self._thread.put, self._now)
-        for topic, schema in self._views.channels.items():
+        self._views = Views(env, options, self._push, self._now)
+        for topic, schema in self._views.spec.channels.items():
             self._server.channel(topic, schema)
+        self._thread = _Thread(ViewEncoder(env.sim.engine.model, self._views.spec, self._server))
         self._close = partial(_close, self._thread, self._server)
         weakref.finalize(self, self._close)  # also when Python ends: the thread is in native code
 
@@ -95,6 +97,9 @@ class FoxgloveView(StepObserver):
 
     def _now(self) -> int:
         return self._start_ns + self._step * self._period_ns
+
+    def _push(self, method: str, *args: object) -> None:
+        self._thread.put((method, args))
 
     def on_write(self, env: BaseEnv, write: Write) -> None:
         """Remember which looks changed; what they are now is read when somebody looks."""
@@ -148,8 +153,8 @@ class FoxgloveView(StepObserver):
 class _Thread:
     """One background thread that makes messages; the simulation never waits for it."""
 
-    def __init__(self, sink: Sink) -> None:
-        self._sink = sink
+    def __init__(self, encoder: ViewEncoder) -> None:
+        self._encoder = encoder
         self._queue: queue.SimpleQueue[Job | None] = queue.SimpleQueue()
         self._error: BaseException | None = None
         self._thread = threading.Thread(target=self._run, name="foxglove-view", daemon=True)
@@ -178,7 +183,8 @@ class _Thread:
     def _run(self) -> None:
         try:
             while (job := self._queue.get()) is not None:
-                job(self._sink)
+                method, args = job
+                getattr(self._encoder, method)(*args)
         except BaseException as error:  # noqa: BLE001 - raised again by `ready`
             self._error = error
 

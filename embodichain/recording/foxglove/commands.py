@@ -1,0 +1,50 @@
+"""The commands of viewed environments, as the simulation's thread reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from embodichain.lab.sim.engine.base import F64
+from embodichain.recording.foxglove.view_spec import MarkerSpec
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = ["Commands"]
+
+
+class Commands:
+    """What an environment is commanded, and which of it is drawn.
+
+    Args:
+        env: The environment; it may have no commands.
+        env_ids: (n,) environments that are viewed.
+    """
+
+    def __init__(self, env: BaseEnv, env_ids: Sequence[int]) -> None:
+        self._ids = np.array(env_ids, np.int64)
+        manager = getattr(env, "command_manager", None)  # environments of others may have none
+        terms = {} if manager is None else dict(manager.terms)
+        self._commands = {name: term.instance for name, term in terms.items()}
+        self.markers = tuple(
+            MarkerSpec(name, term.marker.kind, int(term.marker.body))
+            for name, term in self._commands.items()
+            if term.marker is not None
+        )
+
+    def scalars(self) -> dict[str, F64]:
+        """Every column of every command by name, (N,) each: live views."""
+        return {
+            f"{name}_{label}": command.values[:, column]
+            for name, command in self._commands.items()
+            for column, label in enumerate(command.names or map(str, range(len(command.values.T))))
+        }
+
+    def take(self) -> dict[str, F64]:
+        """The drawn commands in force, (n, K) each, copied."""
+        return {
+            marker.name: self._commands[marker.name].values[self._ids] for marker in self.markers
+        }

@@ -1,0 +1,119 @@
+"""`ViewEncoder`: makes the messages for people out of what `Views` pushed.
+
+It runs on another thread or in another process, on models of its own, so looking costs the
+simulation next to nothing and cannot disturb it. A process has to start fast: no torch, no
+Gymnasium and nothing of a task is imported here, and what is pushed is plain data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Protocol
+
+import mujoco
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.engine.base import F64
+from embodichain.recording.foxglove.frames import Frames
+from embodichain.recording.foxglove.log_lines import event_text, log_line
+from embodichain.recording.foxglove.markers import Markers, Taken
+from embodichain.recording.foxglove.metrics import Metrics
+from embodichain.recording.foxglove.scene import Props
+from embodichain.recording.foxglove.view_spec import Topics, ViewSpec
+from embodichain.recording.foxglove.viewed import Viewed
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from embodichain.recording.mcap_file import Part
+
+__all__ = ["PUSHED", "Sink", "ViewEncoder"]
+
+PUSHED = frozenset({"sample", "set_field", "scalars", "numbers", "line", "event"})
+"""Methods of `ViewEncoder` that may be called by name; whoever receives names refuses others."""
+
+
+class Sink(Protocol):
+    """Where messages go: a file, or people who are connected."""
+
+    def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
+        """Declare a channel; `data` is the schema where it is this run's own."""
+
+    def write(self, topic: str, time_ns: int, parts: Sequence[Part]) -> None:
+        """Write or send a message."""
+
+
+class ViewEncoder:
+    """Makes and writes messages.
+
+    Args:
+        model: The compiled model.
+        spec: What is viewed; its channels are declared by whoever owns the sink.
+        sink: Where messages go.
+    """
+
+    def __init__(self, model: mujoco.MjModel, spec: ViewSpec, sink: Sink) -> None:
+        self._sink = sink
+        props = Props(spec.ground)
+        self._viewed = {i: Viewed(model, i, props) for i in spec.env_ids}
+        self._topics = [Topics.of(i) for i in spec.env_ids]
+        self._frames = Frames(model, spec.env_ids, spec.offsets)
+        self._markers = Markers(model, spec.env_ids, spec.markers)
+        self._metrics: Metrics | None = None
+
+    def set_field(
+        self, env_id: int, field: str, columns: NDArray[np.int64] | slice, values: F64
+    ) -> None:
+        """Give an environment other values, (k,) columns of a flattened model field."""
+        self._viewed[env_id].set_field(field, columns, values)
+
+    def sample(self, time_ns: int, rows: F64, commands: Taken, scenes: Mapping[int, bool]) -> None:
+        """Compute and write what is seen.
+
+        Args:
+            time_ns: The moment.
+            rows: (n, nstate) rows of the viewed environments.
+            commands: Values of the drawn commands.
+            scenes: Environments whose scene is due; whether somebody sees it for the first time.
+        """
+        write = self._sink.write
+        every = zip(self._viewed.values(), self._topics, rows, strict=True)
+        for index, (viewed, topics, row) in enumerate(every):
+            viewed.place(row)
+            self._frames.place(index, viewed.data)
+            if viewed.env_id in scenes:
+                scene = viewed.scene(time_ns, anyway=scenes[viewed.env_id])
+                if scene is not None:
+                    write(topics.scene, time_ns, (scene,))
+            write(topics.joints, time_ns, (viewed.joints.encode(time_ns, viewed.data),))
+            if self._markers:
+                drawn = self._markers.encode(time_ns, index, viewed.data, commands)
+                write(topics.markers, time_ns, (drawn,))
+        write("/tf", time_ns, (self._frames.encode(time_ns),))
+
+    def scalars(self, names: Sequence[str]) -> None:
+        """Declare the metrics' channels; these are the fields of `numbers` from here on."""
+        metrics = self._metrics = Metrics(names)
+        for topics in self._topics:
+            self._sink.channel(topics.metrics, metrics.SCHEMA, metrics.descriptor_set)
+
+    def numbers(self, time_ns: int, taken: F64) -> None:
+        """Write the metrics, (S, n).
+
+        Raises:
+            RuntimeError: If nobody said which scalars they are.
+        """
+        if self._metrics is None:
+            raise RuntimeError("numbers came before the names of the scalars")
+        for topics, data in zip(self._topics, self._metrics.encode(taken), strict=True):
+            self._sink.write(topics.metrics, time_ns, (data,))
+
+    def line(self, time_ns: int, message: str, level: str) -> None:
+        """Write a line to `/log`."""
+        self._sink.write("/log", time_ns, (log_line(time_ns, message, level),))
+
+    def event(
+        self, time_ns: int, env_id: int, term: str, mode: str, drawn: Mapping[str, NDArray[Any]]
+    ) -> None:
+        """Write a line about an event that drew these values."""
+        self.line(time_ns, event_text(env_id, term, mode, drawn), "INFO")
