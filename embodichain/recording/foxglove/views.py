@@ -140,7 +140,7 @@ class Views:
     def on_event(self, event: EventRecord) -> None:
         """Write a line for each viewed environment in which a term fired, with what it drew."""
         for row, env_id in self._seen(event.env_ids):
-            drawn = {name: values[row].copy() for name, values in event.drawn.items()}
+            drawn = {name: np.array(values[row]) for name, values in event.drawn.items()}
             self._push("event", self._now(), env_id, event.term, event.mode, drawn)
 
     def on_step(self, step: int, record: StepRecord) -> None:
