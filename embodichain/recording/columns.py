@@ -61,14 +61,12 @@ class RowColumns:
         words = np.ascontiguousarray(rows).view(np.uint64)
         return not any(words[:, cols].any() for cols in left_out)
 
-    def take(self, rows: F64) -> F64:
-        """Copy the columns in use of whole rows, (n, nstate) -> (n, width), contiguous."""
-        out = np.empty((len(rows), self.width))
+    def take(self, rows: F64, out: F64) -> None:
+        """Copy the columns in use of whole rows, (n, nstate), into (n, width)."""
         at = 0
         for start, stop in self.ranges:
             out[:, at : at + stop - start] = rows[:, start:stop]
             at += stop - start
-        return out
 
 
 def spread(kept: list[tuple[int, int]], narrow: F64, nstate: int) -> F64:

@@ -99,7 +99,7 @@ class EpisodeLog:
         new = self._episodes != episode_ids
         if new.any():
             self._sums[new] = self._lengths[new] = 0
-            self._episodes = episode_ids
+            self._episodes = episode_ids.copy()
         self._sums += reward
         self._lengths += 1
         if ends is None:

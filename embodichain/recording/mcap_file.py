@@ -137,7 +137,7 @@ class McapFile:
         self._chunk_size += len(data)
 
     def message(self, channel_id: int, time_ns: int, parts: Sequence[Part]) -> None:
-        """Add a message; arrays must not change until the chunk is written."""
+        """Add a message; arrays must not change until `settle`."""
         size = _MESSAGE_FIXED
         for part in parts:
             size += len(part) if type(part) is bytes else part.nbytes  # type: ignore[union-attr]
@@ -200,10 +200,17 @@ class McapFile:
         self._close_chunk()
         self._stream.flush()
 
+    def settle(self) -> None:
+        """Let go of arrays: what they held is written, or copied where it is little."""
+        if self._chunk_size > CHUNK_BYTES // 2:
+            self._close_chunk()
+        else:
+            self._chunk = [b"".join(self._chunk)]  # type: ignore[arg-type]  # arrays are buffers
+
     def _close_chunk(self) -> None:
         if not self._messages:
             return
-        data = b"".join(self._chunk)  # type: ignore[arg-type]  # arrays are buffers
+        data = b"".join(self._chunk)  # type: ignore[arg-type]
         packed = self._compress(data)
         start, end = self._first, self._last
         # The record's fields by hand: the library would copy the data twice more.

@@ -131,7 +131,8 @@ class _Filler:
             rows = rows[state.env_ids]
         if not columns.whole and not columns.narrow_enough(rows):
             columns.widen()
-        taken = columns.take(rows)
+        taken = np.empty((len(rows), columns.width))
+        columns.take(rows, taken)
         if state.env_ids is None and len(rows) < n:
             mine, taken = taken, np.full((n, columns.width), np.nan)
             taken[self._ids] = mine

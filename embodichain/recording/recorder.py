@@ -1,14 +1,13 @@
 """`McapRecorder`: watches an environment and writes its log.
 
-It only collects and hands over: what replay needs is `state_log`, what people look at is
-`foxglove.views`, the file is `writer`.
+It only collects and hands over to another process (`writer`): what replay needs is `state_log`,
+what people look at is `foxglove.views`, both come together in `log_builder`.
 """
 
 from __future__ import annotations
 
 import atexit
 import json
-import threading
 import time
 import weakref
 from collections.abc import Callable, Sequence
@@ -23,38 +22,26 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
 from embodichain.lab.sim.engine.base import EnvIndex, PhysicsEvent, Write
 from embodichain.lab.sim.engine.layout import row_layout
-from embodichain.recording import state_log
 from embodichain.recording.attachments import attachments_of, model_bytes
 from embodichain.recording.columns import RowColumns
 from embodichain.recording.episode_gate import EpisodeGate
-from embodichain.recording.episode_log import TOPIC as EPISODE_TOPIC
-from embodichain.recording.episode_log import Ends, EpisodeLog
+from embodichain.recording.episode_log import Ends
 from embodichain.recording.foxglove.layout import foxglove_layout
-from embodichain.recording.foxglove.view_encoder import ViewEncoder
 from embodichain.recording.foxglove.views import Views
-from embodichain.recording.header import (
-    METADATA_END,
-    check_keyframes,
-)
-from embodichain.recording.log_head import LogHead, RecordStats, Rolling, header_of
-from embodichain.recording.mcap_file import Part
+from embodichain.recording.header import check_keyframes
+from embodichain.recording.log_builder import VIEW
+from embodichain.recording.log_head import LogHead, RecordStats, header_of
 from embodichain.recording.options import (
     RecordLike,
     RecordOptions,
     check_options,
 )
-from embodichain.recording.writer import Batch, LogWriteError, McapThread
+from embodichain.recording.writer import LogWriteError, LogWriter
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
 __all__ = ["McapRecorder", "RecordStats"]
-
-BATCH_STEPS, BATCH_SECONDS = 16, 0.05
-"""Small steps are handed over in batches: waking the other thread costs more than writing them."""
-BATCH_BYTES = 2**19
-QUEUE_BYTES = 64 * 2**20
-"""About how much may wait for the disk before the simulation waits too."""
 
 
 class McapRecorder(StepObserver):
@@ -89,166 +76,146 @@ class McapRecorder(StepObserver):
         check_options(options, env.num_envs)
         engine = env.sim.engine
         check_keyframes(options, engine.model)
-        columns = RowColumns(row_layout(engine.model))
+        self._columns = RowColumns(row_layout(engine.model))
         self._period_ns = round(env.step_dt * 1e9)
         self._start_ns = time.time_ns()
-        self._pending: Batch = []
         self._step = 0
-        step_bytes = 8 * env.num_envs * columns.nstate
-        self._batch_steps = max(1, min(BATCH_STEPS, BATCH_BYTES // step_bytes))
-        self._handed_over = (0, time.monotonic())
-        depth = max(4, min(256, QUEUE_BYTES // (3 * step_bytes * self._batch_steps)))
-        self._lock = threading.Lock()  # whoever holds it may take what is pending
-        collect = partial(_collected, weakref.ref(self))
-        self._file = McapThread(Path(path), options.compression, depth, collect, _ends)
         self._closed = False
-        self._columns = columns
-        self._log = (
-            state_log.StateLog(engine, columns, env.sim_steps_per_control, self._write_state)
-            if options.state != "none"
-            else None
-        )
-        self._episodes = EpisodeLog(env.num_envs)
+        self._keeps_state = options.state != "none"
         self._gate = EpisodeGate(options.every, next(iter(options.view_envs), 0))
         self._substeps = int(env.sim_steps_per_control)
         self._keyframe_every = options.keyframe_every if options.state == "keyframes" else 0
         self._keyframe_due = True
         self._keyframe = -1  # control step of the newest one
-        self._views = Views(env, options, self._push_view, self._now)
-        self._encoder = ViewEncoder(engine.model, self._views.spec, self._file)
         self._view_envs = [int(i) for i in options.view_envs]
         self._engine = engine
-        self._begin(env, options, columns, config, overrides, task)
+        self._max_bytes = 0.0 if options.max_mb is None else options.max_mb * 1e6
+        self._places: dict[object, int] = {}
+        self._told = 0  # width of the rows that the writer knows of
+        self._parts = 0  # files that were asked for after the first
+        self._views = Views(env, options, self._push, self._now)
+        make_head = self._head(env, options, config, overrides, task)
+        # Rows before and after physics, and about half as much again.
+        step_bytes = 3 * 8 * env.num_envs * self._columns.width
+        self._file = LogWriter(Path(path), options.compression, make_head, step_bytes)
+        if not self._columns.narrow_enough(engine.rows):
+            self._columns.widen()
+        model_fields = engine.state_dict()["model"]
+        self._write_start(model_fields)
+        self._views.start(model_fields)
         # A program that fails without closing still leaves a whole log.
         self._at_exit = partial(_close_if_alive, weakref.ref(self))
         atexit.register(self._at_exit)
 
-    def _begin(
+    def _head(
         self,
         env: BaseEnv,
         options: RecordLike,
-        columns: RowColumns,
         config: str,
         overrides: str | Sequence[str],
         task: str,
-    ) -> None:
-        """Queue attachments and metadata, then what the simulation is now."""
-        model, spec, start_ns = env.sim.engine.model, env.sim.scene.spec, self._start_ns
-        layout_file = Path(self._file.path).with_name("foxglove_layout.json")
+    ) -> Callable[[], LogHead]:
+        """What makes the head of the log, on another thread: packing a scene takes a while."""
+        model, spec = env.sim.engine.model, env.sim.scene.spec
         layout = foxglove_layout(env, options.view_envs)
         mjb = model_bytes(model)
-        header = header_of(env, options, columns, mjb, task, start_ns)
-        channels = dict(state_log.CHANNELS) if self._log else {}
-        channels |= {EPISODE_TOPIC: "embodichain.Episodes"} | self._views.spec.channels
-        rolls = options.max_mb is not None
-        head = LogHead(
-            header, lambda: attachments_of(mjb, spec, config, overrides, layout), again=rolls
-        )
-        self._rolling = Rolling(self._file, head, options.max_mb * 1e6) if options.max_mb else None
+        header = header_of(env, options, self._columns, mjb, task, self._start_ns)
+        views, rolls = self._views.spec, bool(self._max_bytes)
 
-        def write_head(file: McapThread) -> None:
-            head.write(file)
-            for topic, schema in channels.items():
-                file.channel(topic, schema)
-            if not layout_file.exists():
-                _write_json(layout_file, layout)
+        def make() -> LogHead:
+            attachments = attachments_of(mjb, spec, config, overrides, layout)
+            return LogHead(header, attachments, views, json.dumps(layout, indent=1), rolls)
 
-        self._pending.append(write_head)
-        model_fields = self._engine.state_dict()["model"]
-        if not columns.narrow_enough(self._engine.rows):
-            columns.widen()
-        self._write_start(model_fields)
-        self._views.start(model_fields)
-        self._hand_over()
+        return make
 
     def _write_start(self, model_fields: dict[str, NDArray[Any]]) -> None:
-        """Queue what the simulation is now: a file begins."""
-        if self._log is not None:
-            self._later(self._log.start, model_fields, self._engine.rows.copy())
-        if self._rolling is not None:
-            self._pending.append(self._rolling.began)
+        """Say what the simulation is now: a file begins."""
+        if self._keeps_state:
+            fields = {name: np.array(values) for name, values in model_fields.items()}
+            self._file.call("start", self._engine.rows, fields)
+        self._file.call("began")
 
-    def _roll(self, rolling: Rolling) -> None:
+    def _roll(self) -> None:
         """Go on in another file, from the state that the simulation has right now."""
-        self._pending.append(rolling.job(self._step))
+        self._parts += 1
+        self._file.call("roll", self._step)
         self._write_start(self._engine.model_fields())
         self._views.show(self._view_envs)
         self._keyframe_due = True
-        self._hand_over()
+
+    @property
+    def _full(self) -> bool:
+        """Whether the file in progress has reached its size.
+
+        A file holds at least as much of the run as it has attachments.
+        """
+        written = self._file.counters
+        here = written.part == self._parts and written.head_bytes > 0
+        return here and written.size > max(self._max_bytes, 2 * written.head_bytes)
+
+    def _push(self, method: str, *args: object) -> None:
+        """Called by the views."""
+        self._file.call(VIEW + method, *args)
 
     def _now(self) -> int:
         return self._start_ns + self._step * self._period_ns
 
-    def _later(self, encode: Callable[..., None], *args: object) -> None:
-        """Have the background thread build a message, in order; it owns the arguments from here."""
-        self._pending.append((encode, args))
-
-    def _push_view(self, method: str, *args: object) -> None:
-        """Called by the views, for what people look at."""
-        self._later(getattr(self._encoder, method), *args)
-
-    def _write_state(self, step: int, topic: str, parts: tuple[Part, ...]) -> None:
-        """Called by the state log, on the background thread."""
-        self._file.write(topic, self._start_ns + step * self._period_ns, parts)
-
-    def _hand_over_when_due(self) -> None:
-        step, when = self._handed_over
-        if self._step - step >= self._batch_steps or time.monotonic() - when > BATCH_SECONDS:
-            self._hand_over()
-
-    def _hand_over(self) -> None:
-        self._handed_over = self._step, time.monotonic()
-        with self._lock:
-            batch = self._pending[:]
-            self._pending.clear()
-            self._file.put(batch)
-
-    def _collect(self, file: McapThread) -> Batch:
-        """What nobody handed over, because no step came: a killed process must not lose it.
-
-        Called on the background thread, which never waits for the simulation here. Nothing may
-        be in the queue: that would come later in the file than what follows it.
-        """
-        if not self._lock.acquire(blocking=False):
-            return []
-        try:
-            batch = self._pending[:] if file.idle else []
-            del self._pending[: len(batch)]
-        finally:
-            self._lock.release()
-        return batch
-
     @property
     def stats(self) -> RecordStats:
         """What has been written so far."""
-        return RecordStats(self._file.path, self._step, self._file.nbytes)
+        return RecordStats(self._file.path, self._step, self._file.counters.nbytes)
 
     def on_write(self, env: BaseEnv, write: Write) -> None:
         """Something outside physics was written to the simulation."""
         nobody = write.env_ids is not None and not len(write.env_ids)
-        if self._log is not None and write.op != "forward" and not nobody:
+        if self._keeps_state and write.op != "forward" and not nobody:
             self._columns.heed(write)
             if self._gate.open or write.op in ("model", "set_const"):
-                self._later(self._log.on_write, write)
+                self._file.call("write", self._place(write), write.env_ids, write.values)
         if write.op == "model":
             self._views.on_model_write(write)
 
+    def _place(self, write: Write) -> int:
+        """Number of what is written and where, which is told once."""
+        columns = write.columns
+        if isinstance(columns, slice):
+            span: object = (columns.start, columns.stop, columns.step)
+        else:
+            span = columns.tobytes()
+        key = write.op, write.field, span
+        number = self._places.get(key)
+        if number is None:
+            number = self._places[key] = len(self._places)
+            self._file.call("place", number, write.op, write.field, columns)
+        return number
+
+    def _told_columns(self) -> RowColumns:
+        """The columns that are handed over, which are told when they change."""
+        if self._told != self._columns.width:
+            self._told = self._columns.width
+            self._file.call("columns", self._columns.ranges)
+        return self._columns
+
     def on_physics(self, env: BaseEnv, event: PhysicsEvent) -> None:
         """Physics is about to step, or has just stepped."""
-        log, ids = self._log, event.env_ids
+        ids = event.env_ids
         before = event.phase == "before"
         if before and ids is None and event.nstep == self._substeps:
             self._gate.on_physics()
         if not self._gate.open:
             return
-        if log is not None:
-            taken = None
-            if not before or not self._keyframe_every or self._is_keyframe(event):
-                taken = self._columns.take(event.rows if ids is None else event.rows[ids])
-            if before:
-                self._later(log.before_physics, taken, event.nstep, ids)
+        if self._keeps_state:
+            rows = event.rows if ids is None else event.rows[ids]
+            columns = self._told_columns()
+            shape = len(rows), columns.width
+            if not before:
+                what = event.nstep, ids, event.failed
+                self._file.call_with("after", shape, partial(columns.take, rows), *what)
+            elif not self._keyframe_every or self._is_keyframe(event):
+                take = partial(columns.take, rows)
+                self._file.call_with("before", shape, take, event.nstep, ids)
             else:
-                self._later(log.after_physics, taken, self._columns.ranges, event)
+                self._file.call("before", None, event.nstep, ids)
         if before and ids is None:
             self._views.on_rows(self._step, event.rows)
 
@@ -271,9 +238,8 @@ class McapRecorder(StepObserver):
         if not self._gate.open:
             self._gate.hold(event)
             return
-        if self._log is not None:
-            self._later(self._log.on_event, event)
-        self._views.on_event(event)
+        what = event.term, event.mode, event.env_ids, tuple(event.drawn), *event.drawn.values()
+        self._file.call("event", self._now(), *what)
 
     def on_reset(self, env: BaseEnv, env_ids: EnvIndex) -> None:
         """Environments were reset."""
@@ -291,38 +257,29 @@ class McapRecorder(StepObserver):
         """
         for event in held or ():
             self.on_event(env, event)
-        if self._log is not None and skip:
-            self._later(self._log.skip)
+        if self._keeps_state and skip:
+            self._file.call("skip")
         if held is not None:
-            self.on_write(env, Write("state", "row", None, slice(None), self._engine.rows.copy()))
+            self.on_write(env, Write("state", "row", None, slice(None), self._engine.rows))
             self._keyframe_due = True
             self._views.show(self._view_envs)
 
     def on_step(self, env: BaseEnv, step: StepRecord) -> None:
         """A control step ended."""
-        # Copies: the caller of `step` may write into what it was handed.
-        reward, ids = step.reward.copy(), step.episode_ids.copy()
-        recorded = self._gate.open
-        if self._log is not None and recorded:
-            flags = step.terminated.copy(), step.truncated.copy()
-            self._later(self._log.on_step, step.action.copy(), reward, *flags, ids)
+        reward, ids = step.reward, step.episode_ids
         ends = Ends.of(step, env.termination_manager.values)
-        self._later(self._add_episodes, self._step, reward, ids, ends)
+        recorded = self._gate.open
         if recorded:
-            self._views.on_step(self._step, step)
+            flags = step.terminated, step.truncated
+            self._file.call("step", self._step, step.action, reward, *flags, ids, ends)
+            self._views.on_step(self._step, step, ended=ends is not None)
+        else:
+            self._file.call("unseen_step", self._step, reward, ids, ends)
         self._go_on(env, self._gate.switch(), skip=not recorded)
         self._step += 1
-        if self._rolling is not None and self._rolling.due:
-            self._roll(self._rolling)
-        self._hand_over_when_due()
-
-    def _add_episodes(
-        self, step: int, reward: NDArray[Any], ids: NDArray[np.int64], ends: Ends | None
-    ) -> None:
-        """Called on the background thread."""
-        parts = self._episodes.add(step, reward, ids, ends)
-        if parts is not None:
-            self._write_state(step, EPISODE_TOPIC, parts)
+        if self._max_bytes and self._full:
+            self._roll()
+        self._file.hand_over_when_due()
 
     def on_close(self, env: BaseEnv) -> None:
         """The environment closes."""
@@ -337,7 +294,6 @@ class McapRecorder(StepObserver):
             OSError: If the file could not be written.
         """
         if not self._closed:
-            self._hand_over()
             self._file.flush()
 
     def close(self) -> None:
@@ -354,15 +310,13 @@ class McapRecorder(StepObserver):
             with suppress(LogWriteError):  # once is enough: it may end what runs already
                 self._file.close()
             return
-        if self._log is not None and self._gate.open:
-            self._later(self._log.close, self._columns.take(self._engine.rows))
-        self._views.close(self._step, self._engine.rows)
-        steps = str(self._step)
-        self._pending.append(lambda file: file.metadata(METADATA_END, {"steps": steps}))
-        if self._rolling is not None:
-            self._pending.append(self._rolling.finish(self._step))
         try:
-            self._hand_over()
+            if self._keeps_state and self._gate.open:
+                rows, columns = self._engine.rows, self._told_columns()
+                shape = len(rows), columns.width
+                self._file.call_with("end", shape, partial(columns.take, rows))
+            self._views.close(self._step, self._engine.rows)
+            self._file.call("finish", self._step)
         finally:
             self._file.close()
 
@@ -371,18 +325,3 @@ def _close_if_alive(recorder: weakref.ref[McapRecorder]) -> None:
     found = recorder()
     if found is not None:
         found.close()
-
-
-def _collected(recorder: weakref.ref[McapRecorder], file: McapThread) -> Batch:
-    found = recorder()
-    return found._collect(file) if found is not None else []
-
-
-def _ends(file: McapThread) -> str:
-    steps = file.written("/sim/step")
-    return f"it ends after control step {steps - 1}" if steps else "no control step is in it"
-
-
-def _write_json(path: Path, content: object) -> None:
-    with path.open("x") as stream:
-        json.dump(content, stream, indent=1)

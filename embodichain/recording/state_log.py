@@ -18,13 +18,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.observers import EventRecord
-from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex, PhysicsEvent, Write
+from embodichain.lab.sim.engine.base import F64, EnvIndex, Write, WriteOp
 from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS
-from embodichain.recording.columns import RowColumns
 from embodichain.recording.hashing import RowHash
 from embodichain.recording.mcap_file import Part
 from embodichain.recording.messages import (
@@ -54,33 +54,37 @@ Ranges = list[tuple[int, int]]
 
 
 class StateLog:
-    """Turns what an engine reports into messages, on the background thread.
+    """Turns what an engine did into messages, in the process that writes them.
 
-    The thread that steps the simulation only copies what would change under it (`McapRecorder`);
-    building messages overlaps with physics here.
+    The one that steps the simulation only copies what would change under it (`McapRecorder`).
 
     Args:
-        engine: What is recorded; only its model is looked at.
-        columns: Columns of a row that are written.
+        model: What is recorded.
+        layout: Component name to its columns within a row.
         substeps: Physics steps of an ordinary control step.
         emit: Called with a control step, a topic and the parts of a message.
     """
 
-    def __init__(self, engine: Engine, columns: RowColumns, substeps: int, emit: Emit) -> None:
-        self._engine = engine
-        self._columns = columns
+    def __init__(
+        self, model: mujoco.MjModel, layout: Mapping[str, slice], substeps: int, emit: Emit
+    ) -> None:
+        self._model = model
+        self._layout = dict(layout)
+        self._nstate = max(columns.stop for columns in self._layout.values())
         self._substeps = substeps
         self._emit = emit
-        self._hash = RowHash(columns.nstate)
+        self._hash = RowHash(self._nstate)
+        self._ranges: Ranges = [(0, self._nstate)]
         self.step = 0
         self.call = 0
         self._own: Calls | None = None  # the call whose hash `/sim/step` will carry
         self._after_physics = False
         self._stamp = stamp(0, 0)
-        self._heads: dict[object, tuple[bytes, bytes]] = {}
+        self._places: dict[int, Write] = {}
+        self._heads: dict[tuple[bool, int], tuple[bytes, bytes]] = {}
 
-    def start(self, model_fields: Mapping[str, NDArray[Any]], rows: F64) -> None:
-        """Write what the simulation is before anything happens: model fields, then whole rows.
+    def start(self, rows: F64, model_fields: Mapping[str, NDArray[Any]]) -> None:
+        """Write what the simulation is before anything happens: model fields, then whole `rows`.
 
         Constants that MuJoCo derives are written as they are; `set_const` before them sets what
         follows from the fields and is none itself.
@@ -96,58 +100,73 @@ class StateLog:
         head = write_head(START, op, field, None)
         self._emit(self.step, "/sim/write", encode_write(self._stamp, head, None, values))
 
-    def on_write(self, write: Write) -> None:
-        """A write outside physics."""
-        columns = write.columns
-        span: object = (
-            columns.tobytes()
-            if isinstance(columns, np.ndarray)
-            else (columns.start, columns.stop, columns.step)
-        )
-        key = (self._after_physics, write.op, write.field, span)
+    def place(
+        self, number: int, op: WriteOp, field: str, columns: NDArray[np.int64] | slice
+    ) -> None:
+        """Remember what writes with this number write, and where: the attributes of a `Write`."""
+        kept = columns if isinstance(columns, slice) else columns.copy()
+        self._places[number] = Write(op, field, None, kept, None)
+
+    def on_write(self, place: int, env_ids: EnvIndex | None, values: F64 | None) -> None:
+        """A write outside physics, to a place that was told."""
+        key = self._after_physics, place
         head = self._heads.get(key)
         if head is None:
-            head = self._heads[key] = self._head(write)
-        parts = encode_write(self._stamp, head, write.env_ids, write.values)
-        self._emit(self.step, "/sim/write", parts)
+            phase = "after_physics" if self._after_physics else "before_physics"
+            write = self._places[place]
+            columns = None if values is None else self._columns(write)
+            head = self._heads[key] = write_head(phase, write.op, write.field, columns)
+        self._emit(self.step, "/sim/write", encode_write(self._stamp, head, env_ids, values))
 
-    def _head(self, write: Write) -> tuple[bytes, bytes]:
-        phase = "after_physics" if self._after_physics else "before_physics"
-        return write_head(phase, write.op, write.field, _columns(write, self._width_of))
+    def _columns(self, write: Write) -> NDArray[np.int64] | None:
+        """Columns as indices; None for all of them."""
+        if not isinstance(write.columns, slice):
+            return write.columns
+        if write.columns == slice(None):
+            return None
+        every: NDArray[np.int64] = np.arange(self._width_of(write), dtype=np.int64)
+        return every[write.columns]
 
     def _width_of(self, write: Write) -> int:
         if write.op == "model":
-            owner: Any = self._engine.model
+            owner: Any = self._model
             *path, name = write.field.split(".")
             for part in path:
                 owner = getattr(owner, part)
-            size: int = np.size(getattr(owner, name))
-            return size
+            return int(np.size(getattr(owner, name)))
         if write.field == "row":
-            return self._columns.nstate
-        component = self._engine.component(write.field)
-        width: int = component.stop - component.start
+            return self._nstate
+        columns = self._layout[write.field]
+        width: int = columns.stop - columns.start
         return width
 
     def before_physics(self, taken: F64 | None, nstep: int, ids: EnvIndex | None) -> None:
         """A call is about to begin, with these rows (n, width); None between keyframes."""
         self._emit(self.step, "/sim/state", encode_state(self.step, taken, self.call, nstep, ids))
 
-    def after_physics(self, taken: F64, ranges: Ranges, event: PhysicsEvent) -> None:
-        """A call has returned these columns (n, width) of its rows: hash them."""
-        ids = event.env_ids
-        hashes = self._hash.of_columns(taken, ranges)
-        done = Calls(self.step, self.call, ids, hashes, event.failed)
+    def columns(self, ranges: Ranges) -> None:
+        """From here on these columns of rows are handed over, as half-open ranges."""
+        self._ranges = ranges
+
+    def after_physics(
+        self, taken: F64, nstep: int, ids: EnvIndex | None, failed: EnvIndex | None
+    ) -> None:
+        """A call has returned these rows (n, width): hash them."""
+        hashes = self._hash.of_columns(taken, self._ranges)
+        done = Calls(self.step, self.call, ids, hashes, failed)
         self.call += 1
         self._stamp = stamp(self.step, self.call)
         self._after_physics = True
-        if self._own is None and ids is None and event.nstep == self._substeps:
+        if self._own is None and ids is None and nstep == self._substeps:
             self._own = done
         else:
             self._emit(self.step, "/sim/physics", encode_call(done))
 
-    def on_event(self, event: EventRecord) -> None:
-        """A term of the event manager fired."""
+    def on_event(
+        self, term: str, mode: str, env_ids: EnvIndex | None, drawn: Mapping[str, NDArray[Any]]
+    ) -> None:
+        """A term of the event manager fired: the attributes of an `EventRecord`."""
+        event = EventRecord(term, mode, env_ids, drawn)
         self._emit(self.step, "/sim/event", encode_event(self._stamp, event))
 
     def on_step(
@@ -158,7 +177,7 @@ class StateLog:
         truncated: NDArray[np.bool_],
         episode_ids: NDArray[np.int64],
     ) -> None:
-        """A control step ended; the arrays are the log's own."""
+        """A control step ended."""
         parts = encode_step(
             self.step, action, reward, terminated, truncated, episode_ids, self._own
         )
@@ -178,12 +197,3 @@ class StateLog:
             self._emit(self.step, "/sim/physics", encode_call(self._own))
             self._own = None
         self._emit(self.step, "/sim/state", encode_state(self.step, taken, self.call, 0, None))
-
-
-def _columns(write: Write, width_of: Callable[[Write], int]) -> NDArray[np.int64] | None:
-    """Columns as indices; None for all of them."""
-    if not isinstance(write.columns, slice):
-        return write.columns
-    if write.values is None or write.columns == slice(None):
-        return None
-    return np.arange(width_of(write), dtype=np.int64)[write.columns]

@@ -1,110 +1,162 @@
-"""One background thread that compresses and writes an MCAP file.
+"""`LogWriter`: the simulation's side of the process that writes a log.
 
-The simulation hands over batches of messages and goes on; when the disk is slower than physics, it
-waits (the queue is bounded, nothing is dropped). What a message means is known elsewhere.
+It copies arguments of calls into shared memory and hands them over in batches; the calls are
+carried out by the other process, in order (`log_builder`). When that does not keep up, it waits:
+nothing is dropped. What the calls mean is not known here.
 """
 
 from __future__ import annotations
 
 import atexit
 import errno
+import json
+import marshal
+import math
 import os
-import queue
+import pickle
+import select
 import threading
 import time
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any
 
-from embodichain.recording.mcap_file import McapFile, Part
-from embodichain.recording.schemas import descriptor_set
+import numpy as np
+from numpy.typing import NDArray
 
-__all__ = ["Batch", "Deferred", "Job", "LogWriteError", "McapThread", "Message"]
+from embodichain.recording import handover, worker
+from embodichain.recording.handover import PICKLED, Counters, Order, Reply, Slab
 
-FLUSH_SECONDS = 1.0
-"""What a killed process loses at most."""
+__all__ = ["LogWriteError", "LogWriter"]
 
-Message = tuple[str, int, tuple[Part, ...]]
-"""Topic, log time in ns, and the parts of the payload."""
-Job = Callable[["McapThread"], None]
-"""Work for the background thread; it may register channels and write."""
-Deferred = tuple[Callable[..., None], tuple[object, ...]]
-"""A function for the background thread and its arguments."""
-Batch = list[Message | Job | Deferred]
+BATCH_SECONDS = 0.05
+"""Calls wait no longer than this for the next one before they are handed over with it."""
+IDLE_SECONDS = 0.25
+"""And no longer than this if none comes: with the flushing of the file that stays below 1 s."""
+SLAB_BYTES = 3 * 2**19
+BUDGET_BYTES = 64 * 2**20
+"""About how much may wait for the disk before the simulation waits too."""
+_CONTENT_BYTES = 2**16
+"""Kept free in a slab for what is no array."""
+_BATCH_CALLS = 512
+"""Calls in a batch; more would not fit there."""
+_PLAIN = frozenset({int, float, bool, str, type(None)})
+_NUMBERS = frozenset("?bBhHiIlLqQefd")
+"""Kinds of arrays whose bytes are all there is to them."""
 
 
 class LogWriteError(OSError):
     """The log could not be written; the text says why, and where it ends."""
 
 
-class McapThread:
-    """A file that is written beside the simulation.
+class LogWriter:
+    """A log that another process writes.
 
     Args:
         path: A new file; an existing one is never overwritten.
         compression: ``lz4``, ``zstd`` or ``none``.
-        depth: Batches that may wait in the queue.
-        collect: Asked, on the background thread, for what was not handed over within a second.
-        ends: Says where the file ends, for the error when it cannot be written.
+        make_head: Makes what the log begins with (a `LogHead`), on a thread of its own. Calls wait
+            for it in the other process, the simulation does not.
+        step_bytes: About how much one control step hands over.
 
     Raises:
         FileExistsError: If `path` exists.
+        OSError: If the file or the process cannot be made.
     """
 
     def __init__(
-        self,
-        path: Path,
-        compression: str,
-        depth: int,
-        collect: Callable[[McapThread], Batch] | None = None,
-        ends: Callable[[McapThread], str] | None = None,
+        self, path: Path, compression: str, make_head: Callable[[], object], step_bytes: int = 0
     ) -> None:
         self.path = path
-        self._collect, self._ends = collect, ends
-        self._compression = compression
-        # A descriptor: whoever renames the folder meanwhile does not send later files elsewhere.
-        self.folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            self._stream: BinaryIO = path.open("xb", buffering=0)
-        except BaseException:
-            os.close(self.folder)
-            raise
-        self._writer = McapFile(self._stream, compression, library="embodichain")
-        self._before: Counter[str] = Counter()
-        self._bytes_before = 0
-        self.part = 0
-        """Files that were finished."""
-        self.finished: Callable[[int], None] | None = None
-        """Called on the background thread with the size of the last file, when it is whole."""
-        self._queue: queue.Queue[Batch | None] = queue.Queue(depth)
-        self._channels: dict[str, int] = {}
-        self._declared: dict[str, tuple[str, bytes | None]] = {}
-        self._schemas: dict[str, int] = {}
+        self._slab_bytes = _pages(max(SLAB_BYTES, step_bytes + _CONTENT_BYTES))
+        self._budget = max(BUDGET_BYTES, 4 * self._slab_bytes)
+        self._made_bytes = 0
+        self._slabs: dict[int, Slab] = {}
+        self._free: list[Slab] = []
+        self._slab: Slab | None = None
+        self._pending: list[handover.Call] = []
+        self._unsent: Order | None = None
+        self._replies = b""
+        self._flushed = False
+        self._ended = False
+        self._closed = self._told = False
         self._error: BaseException | None = None
-        self._told = False
-        self._closed = False
-        self._thread = threading.Thread(target=self._run, name="mcap-writer", daemon=True)
+        self._where = ""
+        self._pid = os.getpid()
+        self._turn = _Turn(self)
+        self._handed_over = time.monotonic()
+        self._stop = threading.Event()
+        self._head = threading.Thread(target=self._send_head, args=(make_head,), name="log-head")
+        self._open(path, compression)
+        self._head.start()
+        self._thread = threading.Thread(target=self._watch, name="log-handover", daemon=True)
         self._thread.start()
-        # A program that ends without closing must not leave this thread in the middle of a chunk:
-        # the file would lack its end, and a daemon thread in native code may crash at exit.
+        # A program that ends without closing leaves a file with its end all the same.
         atexit.register(self.close)
 
-    # -- called by the simulation's thread -------------------------------------------------------
+    def _open(self, path: Path, compression: str) -> None:
+        # A descriptor: whoever renames the folder meanwhile does not send later files elsewhere.
+        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+            file = os.open(path, flags, 0o666)
+            try:
+                self._worker = worker.acquire()
+                page = Slab(0, Counters.SIZE)
+                self.counters = Counters(page)
+                content = pickle.dumps((path.name, compression), 5)
+                slab = self._take(len(content))
+                at = _put(slab, content)
+                order = partial(self._order, handover.OPEN, slab, slab, at, len(content))
+                self._send(order(), (file, folder, page.descriptor))
+                page.forget_descriptor()
+            finally:
+                os.close(file)
+        finally:
+            os.close(folder)
 
-    def put(self, batch: Batch) -> None:
-        """Hand over messages and jobs, in order; waits while the queue is full.
+    # -- calls -------------------------------------------------------------------------------------
+
+    def call(self, method: str, *args: object) -> None:
+        """Have the other process call a method, after all calls before; arrays are copied.
 
         Raises:
-            OSError: If the file could not be written; the log ends there.
+            OSError: If the log could not be written; it ends there.
         """
-        while True:
-            self._raise_error()
-            try:
-                self._queue.put(batch, timeout=1.0)
-            except queue.Full:
-                continue
-            return
+        with self._turn:
+            self._append(method, args)
+
+    def call_with(
+        self,
+        method: str,
+        shape: tuple[int, ...],
+        fill: Callable[[NDArray[np.float64]], object],
+        *args: object,
+    ) -> None:
+        """The same with a first argument that `fill` writes where it is handed over from.
+
+        Raises:
+            OSError: If the log could not be written.
+        """
+        with self._turn:
+            nbytes = 8 * math.prod(shape)
+            slab = self._room(nbytes + _array_bytes(args))
+            at = slab.at
+            fill(np.ndarray(shape, np.float64, slab.memory, at))
+            slab.at = at + nbytes
+            kept, places = _place(slab, args, 1)
+            self._pending.append((method, (None, *kept), (0, at, "d", shape, *places)))
+
+    def _append(self, method: str, args: tuple[object, ...]) -> None:
+        slab = self._room(_array_bytes(args))
+        self._pending.append((method, *_place(slab, args)))
+
+    def hand_over_when_due(self) -> None:
+        """Hand over if the oldest call has waited long enough; called after every step."""
+        if time.monotonic() - self._handed_over > BATCH_SECONDS:
+            with self._turn:
+                self._hand_over()
 
     def flush(self) -> None:
         """Wait until everything handed over so far is in the file, readable there.
@@ -112,15 +164,13 @@ class McapThread:
         Raises:
             OSError: If the file could not be written.
         """
-        done = threading.Event()
-
-        def write_out(_thread: McapThread) -> None:
-            self._writer.flush()
-            done.set()
-
-        self.put([write_out])
-        while not done.wait(timeout=0.1):
-            self._raise_error()
+        self._head.join()
+        with self._turn:
+            self._hand_over()
+            self._flushed = False
+            self._send(self._order(handover.FLUSH))
+            while not self._flushed:
+                self._receive(wait=True)
 
     def close(self) -> None:
         """Write what waits, the index and the end of the file. A second call does nothing.
@@ -128,18 +178,24 @@ class McapThread:
         Raises:
             OSError: If the file could not be written.
         """
-        if self._closed:
+        if self._closed or os.getpid() != self._pid:  # a forked process: the log is the other's
             return
         self._closed = True
         atexit.unregister(self.close)
-        while self._thread.is_alive():
-            try:
-                self._queue.put(None, timeout=1.0)
-                break
-            except queue.Full:
-                continue
-        self._thread.join()
-        self._raise_error()
+        self._stop.set()
+        self._head.join()
+        try:
+            with self._turn:
+                self._hand_over()
+                self._send(self._order(handover.CLOSE))
+                while not self._ended:
+                    self._receive(wait=True)
+        except BaseException:
+            self._worker.close()
+            raise
+        finally:
+            self._let_go()
+        worker.release(self._worker)
 
     @property
     def lost(self) -> bool:
@@ -147,149 +203,258 @@ class McapThread:
         return self._told
 
     @property
-    def idle(self) -> bool:
-        """Whether nothing waits in the queue."""
-        return self._queue.empty()
+    def worker_pid(self) -> int:
+        """The process that writes."""
+        return self._worker.pid
 
-    @property
-    def size(self) -> int:
-        """Bytes of the file in progress, those of its last chunk before they are compressed."""
-        return self._writer.size
+    # -- handing over; whoever does it has its turn ------------------------------------------------
 
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all files that were written."""
-        return self._bytes_before + self._writer.nbytes
+    def _room(self, nbytes: int) -> Slab:
+        """The slab of the batch, with room for so many bytes."""
+        slab = self._slab
+        full = len(self._pending) >= _BATCH_CALLS
+        if slab is None or full or slab.at + nbytes > slab.size - _CONTENT_BYTES:
+            self._hand_over()
+            slab = self._slab = self._take(nbytes + _CONTENT_BYTES)
+        return slab
 
-    def written(self, topic: str) -> int:
-        """How many messages of a channel are in the files, readable there."""
-        channel = self._channels.get(topic)
-        return self._before[topic] + (0 if channel is None else self._writer.count(channel))
-
-    def _raise_error(self) -> None:
-        error = self._error
-        if error is not None:
-            self._told = True
-            why = error.strerror if isinstance(error, OSError) and error.strerror else repr(error)
-            end = f"; {self._ends(self)}" if self._ends is not None else ""
-            raise LogWriteError(f"the log {self.path} could not be written: {why}{end}") from error
-
-    # -- called by the background thread ---------------------------------------------------------
-
-    def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
-        """Declare a channel once.
-
-        Args:
-            topic: Its name.
-            schema: ``embodichain.NAME`` or ``foxglove.NAME``.
-            data: The schema's FileDescriptorSet, where it is this run's own.
-        """
-        if topic in self._channels:
-            return
-        self._declared[topic] = schema, data
-        if schema not in self._schemas:
-            self._schemas[schema] = self._writer.schema(
-                schema, data if data is not None else descriptor_set(schema)
-            )
-        self._channels[topic] = self._writer.channel(topic, self._schemas[schema])
-
-    def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
-        """Add an attachment."""
-        self._writer.attachment(name, media_type, data, time_ns)
-
-    def metadata(self, name: str, values: Mapping[str, str]) -> None:
-        """Add a metadata record."""
-        self._writer.metadata(name, values)
-
-    def write(self, topic: str, time_ns: int, parts: Sequence[Part]) -> None:
-        """Add a message to a declared channel."""
-        self._writer.message(self._channels[topic], time_ns, parts)
-
-    def roll(self, name: str, last: Callable[[McapThread], None]) -> int:
-        """Finish the file, and go on in another one, with the same channels under the same ids.
-
-        The new file exists before the old one names it: whoever reads finds both.
-
-        Args:
-            name: The new file, in the same folder.
-            last: Called for what the old file shall end with.
-
-        Returns:
-            Size of the finished file.
-        """
-        stream = self._new(name)
-        try:
-            last(self)
-            self._writer.finish()
-            self._check_place()
-        except BaseException:
-            stream.close()
-            raise
-        for topic, channel in self._channels.items():
-            self._before[topic] += self._writer.count(channel)
-        nbytes = self._writer.nbytes
-        self._stream.close()
-        self._stream = stream
-        self._writer = McapFile(stream, self._compression, library="embodichain")
-        self._bytes_before += nbytes
-        self._channels.clear()
-        self._schemas.clear()
-        for topic, (schema, data) in list(self._declared.items()):
-            self.channel(topic, schema, data)
-        self.part += 1
-        return nbytes
-
-    def _new(self, name: str) -> BinaryIO:
-        """A new file in the folder, without a buffer: chunks are large.
-
-        What could not be written must not come again at close.
-        """
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-        return open(os.open(name, flags, 0o666, dir_fd=self.folder), "wb", buffering=0)
-
-    def _run(self) -> None:
-        try:
-            self._loop()
-            self._writer.finish()
-            self._check_place()
-            if self.finished is not None:
-                self.finished(self._writer.nbytes)
-        except BaseException as error:  # noqa: BLE001  (`put` and `close` raise it)
-            self._error = error
-        finally:
-            try:
-                self._stream.close()
-            except OSError as error:  # some file systems say here that they could not write
-                self._error = self._error or error
-            os.close(self.folder)
-            while self._error is not None and not self._queue.empty():
-                self._queue.get_nowait()  # nobody must wait for a dead writer
-
-    def _check_place(self) -> None:
-        """Raise if the file was removed: what is written then is gone with this process."""
-        if not os.fstat(self._stream.fileno()).st_nlink:
-            raise FileNotFoundError(errno.ENOENT, "the file was removed while it was written")
-
-    def _loop(self) -> None:
-        due = time.monotonic() + FLUSH_SECONDS
-        waiting = False
+    def _take(self, nbytes: int) -> Slab:
+        """A slab that nobody uses; waits while too many are on their way."""
+        size = self._slab_bytes if nbytes <= self._slab_bytes else _pages(nbytes)
+        self._receive()
         while True:
+            if size == self._slab_bytes and self._free:
+                slab = self._free.pop()
+                slab.at = 0
+                return slab
+            used = len(self._slabs) - len(self._free) - (self._slab is not None)
+            if self._made_bytes + size <= self._budget or not used:
+                return self._make(size)
+            self._receive(wait=True)
+
+    def _make(self, size: int) -> Slab:
+        """A new slab, which the other process is told of."""
+        self._worker.slabs += 1
+        slab = Slab(self._worker.slabs, size)
+        self._made_bytes += size
+        self._slabs[slab.number] = slab
+        order = self._order(handover.SLAB, slab, slab, 0, size)
+        self._send(order, (slab.descriptor,))
+        slab.forget_descriptor()
+        return slab
+
+    def _hand_over(self) -> None:
+        self._handed_over = time.monotonic()
+        if self._unsent is not None:  # an interrupt came while it was sent: twice does no harm
+            self._send(self._unsent)
+            self._unsent = None
+        slab = self._slab
+        if slab is None or not self._pending:
+            return
+        content = marshal.dumps(self._pending)
+        fits = slab.at + len(content) <= slab.size
+        target = slab if fits else self._take(len(content))
+        at = _put(target, content)
+        order = self._order(handover.BATCH, slab, target, at, len(content))
+        # Nothing can interrupt between these: they call nothing.
+        self._unsent, self._pending, self._slab = order, [], None
+        self._send(order)
+        self._unsent = None
+
+    def _order(
+        self,
+        kind: int,
+        slab: Slab | None = None,
+        content: Slab | None = None,
+        at: int = 0,
+        length: int = 0,
+    ) -> Order:
+        self._worker.orders += 1
+        arrays, packed = (0 if s is None else s.number for s in (slab, content))
+        return Order(kind, self._worker.orders, arrays, packed, at, length)
+
+    def _send(self, order: Order, descriptors: tuple[int, ...] = ()) -> None:
+        try:
+            handover.send_order(self._worker.connection, order, descriptors)
+        except (BrokenPipeError, ConnectionResetError):
+            self._receive(wait=True)  # says why
+            raise
+
+    def _receive(self, wait: bool = False) -> None:
+        """Take replies in."""
+        if wait and self._head.is_alive():  # it has to have its turn: the others wait for it
+            self._turn.let(self._head)
+        connection = self._worker.connection
+        if not select.select([connection], [], [], None if wait else 0)[0]:
+            return
+        try:
+            data = connection.recv(4096)
+        except ConnectionResetError:
+            data = b""
+        if not data:
+            self._fail_without_a_word()
+        self._replies += data
+        while len(self._replies) >= Reply.size:
+            kind, number = Reply.unpack_from(self._replies)
+            self._replies = self._replies[Reply.size :]
+            if kind == handover.FREED:
+                self._take_back(number)
+            elif kind == handover.FLUSHED:
+                self._flushed = True
+            elif kind == handover.CLOSED:
+                self._ended = True
+            else:
+                self._fail(self._rest(number))
+
+    def _take_back(self, number: int) -> None:
+        slab = self._slabs.get(number)
+        if slab is None:
+            return
+        if slab.size == self._slab_bytes:
+            self._free.append(slab)
+        else:
+            del self._slabs[number]
+            self._made_bytes -= slab.size
+
+    def _rest(self, length: int) -> bytes:
+        """The bytes that follow a reply."""
+        while len(self._replies) < length:
+            more = self._worker.connection.recv(2**16)
+            if not more:
+                break
+            self._replies += more
+        return self._replies[:length]
+
+    def _fail(self, report: bytes) -> None:
+        """The other process could not write: remember why, as it says."""
+        found: dict[str, Any] = json.loads(report)
+        self._where = found["where"]
+        if found["errno"] is not None:
+            self._error = OSError(found["errno"], found["why"])
+        else:
+            self._error = RuntimeError(found["traceback"])
+        raise self._told_error()
+
+    def _fail_without_a_word(self) -> None:
+        how = self._worker.how_it_ended()
+        why = f"the process that writes it has ended ({how})"
+        self._error = ChildProcessError(errno.EPIPE, why)
+        raise self._told_error()
+
+    def _told_error(self) -> LogWriteError:
+        error = self._error
+        why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        end = f"; {self._where}" if self._where else ""
+        told = LogWriteError(f"the log {self.path} could not be written: {why}{end}")
+        told.__cause__ = error
+        return told
+
+    def _let_go(self) -> None:
+        """Nothing is handed over any more."""
+        self._pending, self._slab, self._free = [], None, []
+        self._slabs.clear()
+
+    # -- other threads -----------------------------------------------------------------------------
+
+    def _send_head(self, make: Callable[[], object]) -> None:
+        """Make what the log begins with, and send it."""
+        try:
+            content = pickle.dumps(make(), 5)
+            with self._turn.lock:
+                slab = self._make(_pages(len(content)))
+                _put(slab, content)
+                self._send(self._order(handover.HEAD, slab, slab, 0, len(content)))
+        except BaseException as error:  # noqa: BLE001  (the next call raises it)
+            self._error = self._error or error
+
+    def _watch(self) -> None:
+        """Hand over what nobody adds to: a killed process must not lose it.
+
+        Never waits for the simulation, which hands over itself when it is at it.
+        """
+        while not self._stop.wait(IDLE_SECONDS):
+            if self._head.is_alive() or not self._turn.lock.acquire(blocking=False):
+                continue
             try:
-                batch = self._queue.get(timeout=max(0.0, due - time.monotonic()))
-            except queue.Empty:
-                batch = self._collect(self) if self._collect is not None else []
-            if batch is None:
-                return
-            for item in batch:
-                if not isinstance(item, tuple):
-                    item(self)
-                elif len(item) == 2:
-                    item[0](*item[1])
-                else:
-                    self.write(*item)
-            waiting = waiting or bool(batch)
-            if time.monotonic() >= due:
-                if waiting:
-                    self._writer.flush()
-                    self._check_place()
-                due, waiting = time.monotonic() + FLUSH_SECONDS, False
+                if not self._error and time.monotonic() - self._handed_over >= IDLE_SECONDS:
+                    self._hand_over()
+            except OSError as error:
+                self._error = self._error or error
+                return  # the next call says it
+            finally:
+                self._turn.lock.release()
+
+
+class _Turn:
+    """Who may hand over; the simulation is told, in its turn, that the log could not be written."""
+
+    def __init__(self, writer: LogWriter) -> None:
+        self._writer = writer
+        self.lock = threading.Lock()
+
+    def __enter__(self) -> None:
+        self.lock.acquire()
+        if self._writer._error is not None:
+            self._writer._told = True
+            self.lock.release()
+            raise self._writer._told_error()
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self.lock.release()
+        if kind is LogWriteError:
+            self._writer._told = True
+
+    def let(self, thread: threading.Thread) -> None:
+        """Have a thread finish that needs its turn, in the middle of one's own."""
+        self.lock.release()
+        try:
+            thread.join()
+        finally:
+            self.lock.acquire()
+
+
+def _array_bytes(args: tuple[object, ...]) -> int:
+    """How much room arrays among these need at most."""
+    return sum([arg.nbytes + 8 for arg in args if isinstance(arg, np.ndarray)])
+
+
+def _place(
+    slab: Slab, args: tuple[object, ...], first: int = 0
+) -> tuple[tuple[object, ...], tuple[object, ...]]:
+    """Put what is no number and no text into a slab, or pickle it: the rest of a `Call`.
+
+    Args:
+        slab: With room for the arrays.
+        args: Arguments.
+        first: Number of the first one.
+    """
+    kept: list[object] = []
+    places: list[object] = []
+    memory, at = slab.memory, slab.at
+    for index, arg in enumerate(args, first):
+        if type(arg) in _PLAIN:
+            kept.append(arg)
+            continue
+        kept.append(None)
+        if isinstance(arg, np.ndarray) and arg.dtype.char in _NUMBERS:
+            end = at + arg.nbytes
+            buffer: Any = arg if arg.flags.c_contiguous else np.ascontiguousarray(arg)
+            memory[at:end] = buffer
+            places += (index, at, arg.dtype.char, arg.shape)
+            at = end + 7 & ~7
+        else:
+            places += (index, 0, PICKLED, pickle.dumps(arg, 5))
+    slab.at = at
+    return tuple(kept), tuple(places)
+
+
+def _put(slab: Slab, content: bytes) -> int:
+    """Copy bytes behind what is in a slab; where they begin."""
+    at = slab.at
+    slab.memory[at : at + len(content)] = content
+    slab.at = at + len(content)
+    return at
+
+
+def _pages(nbytes: int) -> int:
+    return -(-nbytes // 4096) * 4096

@@ -6,7 +6,7 @@ import torch
 
 from embodichain.recording import McapRecorder
 from embodichain.recording.replay import verify
-from embodichain.recording.state_log import StateLog
+from embodichain.recording.writer import LogWriter
 from tests.helpers.randomizers import CASES
 from tests.helpers.ur10_task import HOME, builder
 
@@ -47,9 +47,12 @@ def test_it_verifies(tmp_path, late) -> None:
 
 @pytest.mark.parametrize("lost", ["all fields", "one field", "derived fields"])
 def test_what_was_randomized_before_the_log_belongs_to_it(tmp_path, monkeypatch, lost) -> None:
-    start = StateLog.start
+    call = LogWriter.call
 
-    def forgetful(self, fields, rows):
+    def forgetful(self, method, *args):
+        if method != "start":
+            return call(self, method, *args)
+        rows, fields = args
         kept = dict(fields)
         if lost == "all fields":
             kept = {}
@@ -57,8 +60,8 @@ def test_what_was_randomized_before_the_log_belongs_to_it(tmp_path, monkeypatch,
             kept.pop("actuator_forcerange")
         else:
             kept["dof_invweight0"] = kept["dof_invweight0"] * 1.01
-        start(self, kept, rows)
+        return call(self, method, rows, kept)
 
-    monkeypatch.setattr(StateLog, "start", forgetful)
+    monkeypatch.setattr(LogWriter, "call", forgetful)
     record(tmp_path / "log.mcap", late=True)
     assert not verify(tmp_path / "log.mcap").ok

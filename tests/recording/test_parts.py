@@ -245,23 +245,26 @@ def test_nothing_is_lost_when_the_next_file_cannot_be_made(tmp_path):
 KILLED = """
 import os, signal, sys
 from embodichain.recording import McapRecorder, RecordOptions
+from embodichain.recording.log_builder import LogBuilder
+from tests.helpers.writing_here import write_here
 from tests.recording.scene import SmallEnv
+write_here()  # so that it is killed with the simulation
 env = SmallEnv()
 recorder = McapRecorder("rollout.mcap", env, options=RecordOptions(max_mb=0.01))
 env.add_observer(recorder)
-moment, rename, roll = sys.argv[1], os.replace, recorder._rolling._head.write
+moment, rename, begin = sys.argv[1], os.replace, LogBuilder._write_head
 
-def write(file, part=0, first_step=0):
+def write_head(self, part, first_step):
     if part == 2 and moment == "new":
         os.kill(os.getpid(), signal.SIGKILL)
-    roll(file, part, first_step)
+    begin(self, part, first_step)
 
 def replace(*args, **kwargs):
     if moment == "manifest":
         os.kill(os.getpid(), signal.SIGKILL)
     rename(*args, **kwargs)
 
-recorder._rolling._head.write, os.replace = write, replace
+LogBuilder._write_head, os.replace = write_head, replace
 env.reset()
 for step in range(1000):
     env.step()

@@ -178,9 +178,9 @@ def test_a_growing_log_is_read_by_others(tmp_path):
     assert verify(tmp_path / "log.mcap").ok
 
 
-def test_steps_and_the_writers_own_collecting_keep_their_order(tmp_path, monkeypatch):
-    """The writer looks for what is pending all the time, while steps are made."""
-    monkeypatch.setattr("embodichain.recording.writer.FLUSH_SECONDS", 0.0)
+def test_steps_and_what_is_handed_over_meanwhile_keep_their_order(tmp_path, monkeypatch):
+    """What is pending is looked for all the time, while steps are made."""
+    monkeypatch.setattr("embodichain.recording.writer.IDLE_SECONDS", 0.0)
     env = SmallEnv(num_envs=2)
     recorder = McapRecorder(tmp_path / "log.mcap", env)
     env.add_observer(recorder)

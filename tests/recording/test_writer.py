@@ -1,102 +1,216 @@
+"""The process that writes a log, and the simulation's side of it."""
+
+import os
+import signal
+import subprocess
+import sys
 import threading
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.reader import make_reader
 
-from embodichain.recording.writer import McapThread
+from embodichain import recording
+from embodichain.lab.gym.envs.observers import EventRecord
+from embodichain.recording import McapRecorder, inspect, verify, worker, writer
+from embodichain.recording.writer import LogWriteError
+from tests.recording.scene import SmallEnv
 
-TOPIC, SCHEMA = "/sim/state", "embodichain.BatchedState"
-
-
-def start(path, depth=4, compression="lz4"):
-    thread = McapThread(path, compression, depth)
-    thread.put([lambda file: file.channel(TOPIC, SCHEMA)])
-    return thread
+ROOT = Path(__file__).parents[2]
 
 
-def read(path):
-    with path.open("rb") as stream:
-        return [m.data for _, _, m in make_reader(stream, validate_crcs=True).iter_messages()]
+def recorded(path, **kwargs):
+    env = SmallEnv(**kwargs)
+    recorder = McapRecorder(path, env)
+    env.add_observer(recorder)
+    env.reset()
+    return env, recorder
 
 
-def test_a_slow_disk_makes_the_simulation_wait_and_drops_nothing(tmp_path):
-    gate = threading.Event()
-    thread = start(tmp_path / "log.mcap", depth=2)
-    thread.put([lambda file: gate.wait()])
-    put = []
+def steps(env, count):
+    for _ in range(count):
+        env.step()
 
-    def simulate():
-        for i in range(50):
-            thread.put([(TOPIC, i, (b"%d" % i,))])
-            put.append(i)
 
-    simulation = threading.Thread(target=simulate)
-    simulation.start()
-    simulation.join(0.5)
-    assert simulation.is_alive()
-    assert len(put) <= 3
-    gate.set()
+def pid_of(recorder):
+    return recorder._file.worker_pid
+
+
+def test_a_slow_disk_makes_the_simulation_wait_and_drops_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(writer, "BUDGET_BYTES", 0)  # as few slabs as there may be
+    env, recorder = recorded(tmp_path / "log.mcap")
+    steps(env, 3)
+    recorder.flush()
+    os.kill(pid_of(recorder), signal.SIGSTOP)
+    simulation = threading.Thread(target=steps, args=(env, 2000))
+    try:
+        simulation.start()
+        before = -1
+        deadline = time.monotonic() + 60
+        while env.count != before and time.monotonic() < deadline:
+            before = env.count
+            simulation.join(2.0)
+        assert simulation.is_alive()
+        assert env.count < 2000
+    finally:
+        os.kill(pid_of(recorder), signal.SIGCONT)
     simulation.join()
-    thread.close()
-    assert read(tmp_path / "log.mcap") == [b"%d" % i for i in range(50)]
+    env.close()
+    report = verify(tmp_path / "log.mcap")
+    assert report.ok, str(report)
+    assert report.steps == 2003
 
 
-def test_an_error_reaches_the_simulation(tmp_path):
-    def fail(file):
-        raise OSError(28, "No space left on device")
-
-    thread = start(tmp_path / "log.mcap", depth=1)
-    thread.put([fail])
-    with pytest.raises(OSError, match=r"log\.mcap could not be written") as error:
-        for _ in range(20):
-            thread.put([])
-    assert "No space left" in str(error.value.__cause__)
-    with pytest.raises(OSError, match=r"log\.mcap could not be written"):
-        thread.close()
-    thread.close()  # it was told
-
-
-def test_flushing_a_failed_file_says_so(tmp_path):
-    def fail(file):
-        raise OSError(28, "No space left on device")
-
-    thread = start(tmp_path / "log.mcap")
-    thread.put([fail])
-    with pytest.raises(OSError, match=r"log\.mcap could not be written"):
-        thread.flush()
-    with pytest.raises(OSError, match=r"log\.mcap could not be written"):
-        thread.close()
+def test_a_writer_that_is_killed_ends_the_run_loudly_and_only_this_one(tmp_path):
+    env, recorder = recorded(tmp_path / "log.mcap")
+    steps(env, 5)
+    recorder.flush()
+    os.kill(pid_of(recorder), signal.SIGKILL)
+    said = r"log\.mcap could not be written: the process that writes it has ended \(signal 9\)"
+    with pytest.raises(LogWriteError, match=said):
+        for _ in range(200):
+            env.step()
+            recorder.flush()
+    with pytest.raises(LogWriteError, match=said):
+        env.step()
+    recorder.close()  # it was told
+    assert inspect(tmp_path / "log.mcap").steps == 5
+    again, _ = recorded(tmp_path / "again.mcap")
+    steps(again, 3)
+    again.close()
+    assert verify(tmp_path / "again.mcap").ok
 
 
-@pytest.mark.parametrize("compression", ["lz4", "zstd", "none"])
-def test_chunks_of_every_compression(tmp_path, compression):
-    thread = start(tmp_path / "log.mcap", compression=compression)
-    arrays = [np.random.default_rng(i).normal(size=50_000) for i in range(6)]  # several chunks
-    for i, array in enumerate(arrays):
-        thread.put([(TOPIC, i, (b"head", array, b"tail"))])
-    thread.close()
-    assert read(tmp_path / "log.mcap") == [b"head" + a.tobytes() + b"tail" for a in arrays]
-    with (tmp_path / "log.mcap").open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert len(summary.chunk_indexes) > 1
-    assert summary.statistics.message_count == 6
-    assert summary.statistics.chunk_count == len(summary.chunk_indexes)
-    assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (0, 5)
+def test_closing_says_what_nobody_was_told(tmp_path):
+    env, recorder = recorded(tmp_path / "log.mcap")
+    steps(env, 2)
+    recorder.flush()
+    os.kill(pid_of(recorder), signal.SIGKILL)
+    with pytest.raises(LogWriteError, match="could not be written"):
+        recorder.close()
+    recorder.close()
 
 
-def test_a_file_without_messages_is_whole(tmp_path):
-    start(tmp_path / "log.mcap").close()
-    assert read(tmp_path / "log.mcap") == []
-    with (tmp_path / "log.mcap").open("rb") as stream:
-        assert list(make_reader(stream).get_summary().channels) == [1]
+def test_what_cannot_be_packed_ends_the_log_with_its_reason(tmp_path, monkeypatch):
+    def refuse(spec):
+        raise OSError(2, "No such file or directory", "wheel.stl")
+
+    monkeypatch.setattr("embodichain.recording.attachments.scene_archive", refuse)
+    env, recorder = recorded(tmp_path / "log.mcap")
+    with pytest.raises(LogWriteError, match="No such file or directory"):
+        recorder.flush()
+    recorder.close()
+    del env
 
 
-def test_a_channel_is_declared_once(tmp_path):
-    thread = start(tmp_path / "log.mcap")
-    thread.put([lambda file: file.channel(TOPIC, SCHEMA), (TOPIC, 1, (b"",))])
-    thread.close()
-    with (tmp_path / "log.mcap").open("rb") as stream:
-        summary = make_reader(stream).get_summary()
-    assert [c.topic for c in summary.channels.values()] == [TOPIC]
-    assert [s.name for s in summary.schemas.values()] == [SCHEMA]
+def test_one_process_writes_one_log_after_another(tmp_path):
+    pids = []
+    for name in "abc":
+        env, recorder = recorded(tmp_path / f"{name}.mcap")
+        steps(env, 4)
+        pids.append(pid_of(recorder))
+        env.close()
+        assert verify(tmp_path / f"{name}.mcap").ok
+    assert len(set(pids)) == 1
+
+
+def test_two_logs_at_once_have_a_process_each(tmp_path):
+    logs = [recorded(tmp_path / f"{i}.mcap", seed=i) for i in range(2)]
+    assert len({pid_of(recorder) for _, recorder in logs}) == 2
+    for _ in range(10):
+        for env, _ in logs:
+            env.step()
+    for env, _ in logs:
+        env.close()
+    assert all(verify(tmp_path / f"{i}.mcap").steps == 10 for i in range(2))
+
+
+def test_what_is_larger_than_a_slab_has_one_of_its_own(tmp_path, monkeypatch):
+    for name in ("SLAB_BYTES", "_CONTENT_BYTES"):
+        monkeypatch.setattr(writer, name, 4096)
+    env, recorder = recorded(tmp_path / "log.mcap", num_envs=64)
+    steps(env, 30)
+    env.close()
+    report = verify(tmp_path / "log.mcap")
+    assert report.ok, str(report)
+    assert (report.steps, inspect(tmp_path / "log.mcap").complete) == (30, True)
+    del recorder
+
+
+def test_a_forked_process_leaves_the_log_alone(tmp_path):
+    env, recorder = recorded(tmp_path / "log.mcap")
+    steps(env, 3)
+    forked = os.fork()
+    if not forked:
+        try:
+            recorder.close()
+        finally:
+            os._exit(0)
+    assert os.waitpid(forked, 0)[1] == 0
+    steps(env, 3)
+    env.close()
+    assert verify(tmp_path / "log.mcap").steps == 6
+
+
+def test_a_process_that_waits_is_used_and_ends_with_its_program(tmp_path):
+    script = """
+import sys
+from embodichain.recording import worker
+worker.warm_up()
+worker.warm_up()
+first = worker.acquire()
+print(first.pid, flush=True)
+worker.release(first)
+assert worker.acquire() is first
+"""
+    run = [sys.executable, "-c", script]
+    done = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, check=True)
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(done.stdout), 0)
+
+
+def test_nothing_heavy_is_imported_by_the_process_that_writes():
+    script = """
+import sys
+import embodichain.recording.write_process
+heavy = {"torch", "gymnasium", "hydra", "tensordict", "stable_baselines3"}
+print(*sorted(heavy & set(sys.modules)))
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == []
+
+
+def test_idle_workers_are_few(tmp_path):
+    logs = [recorded(tmp_path / f"{i}.mcap") for i in range(3)]
+    workers = [recorder._file._worker for _, recorder in logs]
+    for env, _ in logs:
+        env.close()
+    assert sum(w.alive for w in workers) <= 1
+    assert len(worker._idle) <= 1
+
+
+def test_unusual_arrays_arrive_as_they_were(tmp_path):
+    env, recorder = recorded(tmp_path / "log.mcap")
+    grid = np.arange(12.0).reshape(3, 4)
+    drawn = {
+        "turned": grid.T[:3],
+        "every_other": grid[:, ::2],
+        "small": np.arange(3, dtype=np.int16),
+        "flags": np.array([True, False, True]),
+        "half": np.arange(3, dtype=np.float16),
+        "none": np.empty((3, 0)),
+        "any": np.array([1, 2, 3], dtype=object),
+    }
+    recorder.on_event(env, EventRecord("odd", "interval", None, drawn))
+    grid[:] = -1  # copied: it may change at once
+    env.close()
+    with recording.open(tmp_path / "log.mcap") as log:
+        (event,) = (event for event in log.events() if event.term == "odd")
+    expected = np.arange(12.0).reshape(3, 4)
+    drawn |= {"turned": expected.T[:3], "every_other": expected[:, ::2]}
+    assert {name: array.tolist() for name, array in event.drawn.items()} == {
+        name: array.astype(float).tolist() for name, array in drawn.items()
+    }

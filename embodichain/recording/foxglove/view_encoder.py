@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import mujoco
+import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64
@@ -23,8 +24,6 @@ from embodichain.recording.foxglove.view_spec import Topics, ViewSpec
 from embodichain.recording.foxglove.viewed import Viewed
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from embodichain.recording.mcap_file import Part
 
 __all__ = ["PUSHED", "Sink", "ViewEncoder"]
@@ -113,7 +112,29 @@ class ViewEncoder:
         self._sink.write("/log", time_ns, (log_line(time_ns, message, level),))
 
     def event(
-        self, time_ns: int, env_id: int, term: str, mode: str, drawn: Mapping[str, NDArray[Any]]
+        self,
+        time_ns: int,
+        term: str,
+        mode: str,
+        env_ids: NDArray[np.int64] | None,
+        names: Sequence[str],
+        *drawn: NDArray[Any],
     ) -> None:
-        """Write a line about an event that drew these values."""
-        self.line(time_ns, event_text(env_id, term, mode, drawn), "INFO")
+        """Write a line for each viewed environment in which a term fired, with what it drew.
+
+        Args:
+            time_ns: The moment.
+            term: The term.
+            mode: Why it fired.
+            env_ids: (n,) where it fired, ascending; None is everywhere.
+            names: Of what it drew.
+            drawn: What it drew, (n, ...) each.
+        """
+        for env_id in self._viewed:
+            row = env_id
+            if env_ids is not None:
+                row = int(np.searchsorted(env_ids, env_id))
+                if row == len(env_ids) or env_ids[row] != env_id:
+                    continue
+            values = {name: array[row] for name, array in zip(names, drawn, strict=True)}
+            self.line(time_ns, event_text(env_id, term, mode, values), "INFO")

@@ -139,26 +139,35 @@ class Views:
 
     def on_event(self, event: EventRecord) -> None:
         """Write a line for each viewed environment in which a term fired, with what it drew."""
-        for row, env_id in self._seen(event.env_ids):
-            drawn = {name: np.array(values[row]) for name, values in event.drawn.items()}
-            self._push("event", self._now(), env_id, event.term, event.mode, drawn)
+        what = event.term, event.mode, event.env_ids, tuple(event.drawn)
+        self._push("event", self._now(), *what, *map(np.array, event.drawn.values()))
 
-    def on_step(self, step: int, record: StepRecord) -> None:
-        """Write the numbers of viewed environments when due, and a line for what diverged."""
-        diverged = record.info.get("diverged")
-        if diverged is not None and record.terminated.any():  # to diverge is to terminate
-            ids = np.flatnonzero(np.asarray(diverged))
-            if len(ids):
-                self.say(f"environments {ids_text(ids)} diverged in step {step}", "WARNING")
-        ended = record.terminated[self._ids] | record.truncated[self._ids]
-        for env_id in self._ids[ended].tolist():
-            self.say(ending_text(record, env_id))
+    def on_step(self, step: int, record: StepRecord, ended: bool = True) -> None:
+        """Write the numbers of viewed environments when due, and a line for what diverged.
+
+        Args:
+            step: Control step.
+            record: What it returned.
+            ended: Whether an episode may have ended in any environment.
+        """
+        if ended:
+            self._say_endings(step, record)
         if not self.spec.env_ids or step % self._every:
             return
         manager = self._rewards
         weights = None if manager is None else manager.weights
         taken = self.declare(record).take(record, self._ids, weights)
         self._push("numbers", self._now(), taken)
+
+    def _say_endings(self, step: int, record: StepRecord) -> None:
+        diverged = record.info.get("diverged")
+        if diverged is not None and record.terminated.any():  # to diverge is to terminate
+            ids = np.flatnonzero(np.asarray(diverged))
+            if len(ids):
+                self.say(f"environments {ids_text(ids)} diverged in step {step}", "WARNING")
+        over = record.terminated[self._ids] | record.truncated[self._ids]
+        for env_id in self._ids[over].tolist():
+            self.say(ending_text(record, env_id))
 
     def declare(self, record: StepRecord) -> Scalars:
         """Find the run's scalars in its first step, and declare their channels."""

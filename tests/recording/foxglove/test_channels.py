@@ -17,6 +17,7 @@ from embodichain.recording.foxglove.glb import glb
 from embodichain.recording.foxglove.layout import foxglove_layout
 from embodichain.recording.options import RecordOptions
 from embodichain.recording.shapes import Mesh
+from tests.helpers.writing_here import write_here
 from tests.recording.scene import MODEL, SmallEnv
 
 VIEW = RecordOptions(view_envs=(0, 2), view_hz=1000)  # every control step
@@ -274,6 +275,7 @@ def test_the_layout_plots_every_reward_and_sees_every_environment():
 def test_a_big_scene_is_not_repeated_unless_it_changed(record, monkeypatch):
     from embodichain.recording.foxglove import viewed
 
+    write_here(monkeypatch.setattr)
     monkeypatch.setattr(viewed, "BIG_SCENE", 100)
     # Masses are randomized at every reset: nobody sees them.
     assert len(decoded(record(steps=20, num_envs=1), "/env_0/scene")) == 1

@@ -12,11 +12,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["F64", "Engine", "EngineListener", "EnvIndex", "PhysicsEvent", "Write"]
+__all__ = ["F64", "Engine", "EngineListener", "EnvIndex", "PhysicsEvent", "Write", "WriteOp"]
 
 F64 = NDArray[np.float64]
 EnvIndex = NDArray[np.int64]
 """Sorted unique environment indices."""
+WriteOp = Literal["state", "model", "reset", "set_const", "forward"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +36,7 @@ class Write:
         values: (n, k) float64, never aliasing the engine, or None.
     """
 
-    op: Literal["state", "model", "reset", "set_const", "forward"]
+    op: WriteOp
     field: str
     env_ids: EnvIndex | None
     columns: NDArray[np.int64] | slice

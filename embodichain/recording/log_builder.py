@@ -1,0 +1,165 @@
+"""`LogBuilder`: carries out the recorder's calls, by name, in the process that writes the log.
+
+It brings together what replay needs (`state_log`), how episodes end (`episode_log`), what people
+look at (`view_encoder`) and the file (`log_file`).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.engine.base import F64, EnvIndex
+from embodichain.recording import state_log
+from embodichain.recording.attachments import load_mjb
+from embodichain.recording.episode_log import TOPIC as EPISODE_TOPIC
+from embodichain.recording.episode_log import Ends, EpisodeLog
+from embodichain.recording.foxglove.view_encoder import PUSHED, ViewEncoder
+from embodichain.recording.header import METADATA, METADATA_END
+from embodichain.recording.log_file import LogFile
+from embodichain.recording.log_head import LogHead
+from embodichain.recording.mcap_file import Part
+from embodichain.recording.parts import Manifest, part_name
+from embodichain.recording.state_log import StateLog
+
+__all__ = ["LAYOUT_FILE", "VIEW", "LogBuilder"]
+
+LAYOUT_FILE = "foxglove_layout.json"
+VIEW = "view."
+"""What names of `ViewEncoder`'s methods begin with."""
+
+
+class LogBuilder:
+    """A log in progress; building it writes the head.
+
+    Args:
+        file: Where it is written.
+        head: What it begins with.
+
+    Attributes:
+        methods: What may be called, by name.
+    """
+
+    def __init__(self, file: LogFile, head: LogHead) -> None:
+        self.file = file
+        header = self._header = head.header
+        self._attachments = head.attachments
+        model = load_mjb(next(data for name, _, data in head.attachments if name == "model.mjb"))
+        self._start_ns, self._period_ns = header.start_ns, header.period_ns
+        layout = {name: slice(*columns) for name, columns in header.layout.items()}
+        self._log = StateLog(model, layout, header.substeps, self._write)
+        self._episodes = EpisodeLog(header.num_envs)
+        self._views = ViewEncoder(model, head.views, file)
+        self._manifest = Manifest(file.folder, file.name, header.log_id, header.period_ns * 1e-9)
+        self._write_head(0, 0)
+        if not head.rolls:
+            self._attachments = []  # not needed again
+        channels = dict(state_log.CHANNELS) if header.state != "none" else {}
+        channels |= {EPISODE_TOPIC: "embodichain.Episodes"} | head.views.channels
+        for topic, schema in channels.items():
+            file.channel(topic, schema)
+        _write_layout(file.folder, head.layout)
+        log = self._log
+        self.methods: Mapping[str, Callable[..., None]] = {
+            "start": log.start,
+            "began": file.began,
+            "columns": log.columns,
+            "place": log.place,
+            "write": log.on_write,
+            "before": log.before_physics,
+            "after": log.after_physics,
+            "event": self._event,
+            "step": self._step,
+            "unseen_step": self._end_episodes,
+            "skip": log.skip,
+            "end": log.close,
+            "roll": self._roll,
+            "finish": self._finish,
+            **{VIEW + name: getattr(self._views, name) for name in PUSHED},
+        }
+
+    def _write_head(self, part: int, first_step: int) -> None:
+        for name, media_type, data in self._attachments:
+            self.file.attach(name, media_type, data, self._start_ns)
+        header = replace(self._header, part=part, first_step=first_step)
+        self.file.metadata(METADATA, header.to_metadata())
+
+    def _write(self, step: int, topic: str, parts: tuple[Part, ...]) -> None:
+        self.file.write(topic, self._start_ns + step * self._period_ns, parts)
+
+    def _step(
+        self,
+        step: int,
+        action: F64,
+        reward: NDArray[Any],
+        terminated: NDArray[np.bool_],
+        truncated: NDArray[np.bool_],
+        episode_ids: NDArray[np.int64],
+        ends: Ends | None,
+    ) -> None:
+        """A control step ended."""
+        if self._header.state != "none":
+            self._log.on_step(action, reward, terminated, truncated, episode_ids)
+        self._end_episodes(step, reward, episode_ids, ends)
+
+    def _event(
+        self,
+        time_ns: int,
+        term: str,
+        mode: str,
+        env_ids: EnvIndex | None,
+        names: tuple[str, ...],
+        *drawn: NDArray[Any],
+    ) -> None:
+        """A term of the event manager fired, and drew these values."""
+        if self._header.state != "none":
+            self._log.on_event(term, mode, env_ids, dict(zip(names, drawn, strict=True)))
+        self._views.event(time_ns, term, mode, env_ids, names, *drawn)
+
+    def _end_episodes(
+        self, step: int, reward: NDArray[Any], episode_ids: NDArray[np.int64], ends: Ends | None
+    ) -> None:
+        """A control step ended; those that are not recorded say that at least."""
+        parts = self._episodes.add(step, reward, episode_ids, ends)
+        if parts is not None:
+            self._write(step, EPISODE_TOPIC, parts)
+
+    def _roll(self, step: int) -> None:
+        """Go on in another file with this control step."""
+        part = self.file.part + 1
+        name = part_name(self.file.name, part)
+
+        def last(file: LogFile) -> None:
+            file.metadata(METADATA_END, {"steps": str(step), "next": name})
+
+        self._manifest.closed(step, self.file.roll(name, last))
+        self._write_head(part, step)
+        self._manifest.begun(name, step)
+        self._manifest.write(complete=False)
+
+    def _finish(self, steps: int) -> None:
+        """The last call: the log has so many control steps."""
+        self.file.metadata(METADATA_END, {"steps": str(steps)})
+
+        def whole(nbytes: int) -> None:
+            if self.file.part:
+                self._manifest.closed(steps, nbytes)
+                self._manifest.write(complete=True)
+
+        self.file.finished = whole
+
+
+def _write_layout(folder: int, text: str) -> None:
+    """Put the viewer's layout beside the log, unless there is one."""
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+    try:
+        descriptor = os.open(LAYOUT_FILE, flags, 0o666, dir_fd=folder)
+    except FileExistsError:
+        return
+    with open(descriptor, "w") as stream:
+        stream.write(text)

@@ -1,0 +1,189 @@
+"""The process that writes logs: takes orders (`handover`) until the simulation's process ends.
+
+What it is told to write means nothing here; `LogBuilder` knows.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import marshal
+import os
+import pickle
+import socket
+import time
+import traceback
+from typing import Any
+
+import numpy as np
+
+from embodichain.recording import handover
+from embodichain.recording.handover import PICKLED, Counters, Order, Reply, Slab
+from embodichain.recording.log_builder import LogBuilder
+from embodichain.recording.log_file import LogFile
+
+__all__ = ["main"]
+
+FLUSH_SECONDS = 1.0
+"""What is lost at most when this process is killed as well."""
+NICE = 10
+"""How far this process stands back where a core is wanted by the simulation too."""
+
+
+def main(descriptor: int) -> None:
+    """Write one log after another.
+
+    Args:
+        descriptor: Of the socket that orders come from.
+    """
+    os.nice(NICE)
+    with socket.socket(fileno=descriptor) as connection:
+        writing = _Writing(connection)
+        try:
+            while (received := writing.next_order()) is not None:
+                writing.carry_out(*received)
+            writing.abandon()
+        except (BrokenPipeError, ConnectionResetError):
+            return  # nobody is there to be told anything
+        except Exception as error:  # noqa: BLE001  (whoever gave the order is told)
+            writing.fail(error)
+
+
+class _Writing:
+    """The log in progress, if any, and the memory it comes from."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        self._slabs: dict[int, Slab] = {}
+        self._standard = 0
+        self._file: LogFile | None = None
+        self._builder: LogBuilder | None = None
+        self._waiting: list[Order] = []
+        self._last = 0
+        self._due = 0.0
+        self._dirty = False
+
+    def next_order(self) -> tuple[Order, list[int]] | None:
+        """Wait for an order; meanwhile flush what was written, when it is due."""
+        while self._file is not None and self._dirty:
+            self._connection.settimeout(max(0.001, self._due - time.monotonic()))
+            try:
+                self._connection.recv(1, socket.MSG_PEEK)
+                break
+            except TimeoutError:
+                self._flush()
+            except ConnectionResetError:
+                break
+        self._connection.settimeout(None)
+        return handover.receive_order(self._connection)
+
+    def carry_out(self, order: Order, descriptors: list[int]) -> None:
+        """Do what an order says."""
+        if order.number <= self._last:  # sent twice
+            return
+        self._last = order.number
+        if order.kind == handover.SLAB:
+            slab = Slab(order.slab, order.length, *descriptors)
+            slab.forget_descriptor()
+            self._slabs[order.slab] = slab
+        elif order.kind == handover.OPEN:
+            self._open(order, *descriptors)
+        elif order.kind == handover.HEAD:
+            self._begin(order)
+        elif order.kind == handover.BATCH:
+            if self._builder is None:  # calls wait for the head
+                self._waiting.append(order)
+            else:
+                self._batch(self._builder, order)
+        elif order.kind == handover.FLUSH:
+            self._flush()
+            self._reply(handover.FLUSHED)
+        elif order.kind == handover.CLOSE:
+            self._close()
+
+    def _open(self, order: Order, file: int, folder: int, page: int) -> None:
+        name, compression = _unpickled(self._content(order))
+        slab = Slab(0, Counters.SIZE, page)
+        slab.forget_descriptor()
+        self._file = LogFile(file, folder, name, compression, Counters(slab))
+        self._free(order)
+        self._flush()
+
+    def _begin(self, order: Order) -> None:
+        if self._file is None:
+            return
+        self._builder = LogBuilder(self._file, _unpickled(self._content(order)))
+        self._free(order)
+        waiting, self._waiting = self._waiting, []
+        for batch in waiting:
+            self._batch(self._builder, batch)
+
+    def _batch(self, builder: LogBuilder, order: Order) -> None:
+        """Carry out calls, whose arrays lie in the slab until they are written or copied."""
+        memory = self._slabs[order.slab].memory
+        table = builder.methods
+        for method, args, places in marshal.loads(self._content(order)):
+            values = list(args)
+            for k in range(0, len(places), 4):
+                index, at, kind, shape = places[k : k + 4]
+                if kind == PICKLED:
+                    values[index] = _unpickled(shape)
+                else:
+                    values[index] = np.ndarray(shape, kind, memory, at)
+            table[method](*values)
+            del values
+        builder.file.settle()
+        self._free(order)
+        self._dirty = True
+        if time.monotonic() >= self._due:
+            self._flush()
+
+    def _content(self, order: Order) -> bytes:
+        return self._slabs[order.content].memory[order.at : order.at + order.length]
+
+    def _free(self, order: Order) -> None:
+        for number in {order.slab, order.content}:
+            self._reply(handover.FREED, number)
+
+    def _reply(self, kind: int, number: int = 0) -> None:
+        self._connection.sendall(Reply.pack(kind, number))
+
+    def _flush(self) -> None:
+        if self._file is not None:
+            self._file.flush()
+        self._due, self._dirty = time.monotonic() + FLUSH_SECONDS, False
+
+    def _close(self) -> None:
+        file, self._file, self._builder = self._file, None, None
+        if file is not None:
+            file.finish()
+        self._slabs.clear()
+        self._reply(handover.CLOSED)
+
+    def abandon(self) -> None:
+        """Nobody gives orders any more, in the middle of a log: keep what was handed over."""
+        if self._file is not None:
+            self._file.flush()
+            self._file.close()
+
+    def fail(self, error: Exception) -> None:
+        """Tell the simulation why its log ends here."""
+        known = isinstance(error, OSError) and error.errno is not None
+        report = {
+            "errno": error.errno if known and isinstance(error, OSError) else None,
+            "why": error.strerror if known and isinstance(error, OSError) else str(error),
+            "traceback": "".join(traceback.format_exception(error)),
+            "where": "" if self._file is None else self._file.where_it_ends,
+        }
+        data = json.dumps(report).encode()
+        try:
+            self._reply(handover.FAILED, len(data))
+            self._connection.sendall(data)
+        except OSError as gone:
+            if gone.errno not in (errno.EPIPE, errno.ECONNRESET):
+                raise
+
+
+def _unpickled(data: bytes) -> Any:
+    """Content of an order: it comes from the process that started this one, from nowhere else."""
+    return pickle.loads(data)  # noqa: S301

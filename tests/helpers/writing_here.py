@@ -1,0 +1,32 @@
+"""The process that writes logs, as a thread of this one: what a test patches holds for it too."""
+
+import socket
+import threading
+
+from embodichain.recording import worker, write_process
+
+
+class Here:
+    """Stands for a `Worker`."""
+
+    def __init__(self):
+        self.orders = self.slabs = 0
+        self.connection, theirs = socket.socketpair()
+        end = theirs.detach()
+        self.thread = threading.Thread(target=write_process.main, args=(end,), daemon=True)
+        self.thread.start()
+
+    def close(self):
+        self.connection.close()
+        self.thread.join()
+
+
+def write_here(patch=setattr):
+    """Have every log that is opened from now on written by a thread.
+
+    Args:
+        patch: pytest's `monkeypatch.setattr`, or `setattr` for good.
+    """
+    patch(write_process, "NICE", 0)
+    patch(worker, "acquire", Here)
+    patch(worker, "release", Here.close)

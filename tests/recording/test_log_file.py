@@ -1,0 +1,68 @@
+import os
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from embodichain.recording.log_file import LogFile
+
+TOPIC, SCHEMA = "/sim/state", "embodichain.BatchedState"
+
+
+def start(path, compression="lz4"):
+    file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL)
+    log = LogFile(file, os.open(path.parent, os.O_RDONLY), path.name, compression)
+    log.channel(TOPIC, SCHEMA)
+    return log
+
+
+def read(path):
+    with path.open("rb") as stream:
+        return [m.data for _, _, m in make_reader(stream, validate_crcs=True).iter_messages()]
+
+
+@pytest.mark.parametrize("compression", ["lz4", "zstd", "none"])
+def test_chunks_of_every_compression(tmp_path, compression):
+    log = start(tmp_path / "log.mcap", compression)
+    arrays = [np.random.default_rng(i).normal(size=50_000) for i in range(6)]  # several chunks
+    for i, array in enumerate(arrays):
+        log.write(TOPIC, i, (b"head", array, b"tail"))
+    log.finish()
+    assert read(tmp_path / "log.mcap") == [b"head" + a.tobytes() + b"tail" for a in arrays]
+    with (tmp_path / "log.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert len(summary.chunk_indexes) > 1
+    assert summary.statistics.message_count == 6
+    assert summary.statistics.chunk_count == len(summary.chunk_indexes)
+    assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (0, 5)
+
+
+@pytest.mark.parametrize("size", [10, 40_000, 100_000])  # copied, and written at once
+def test_arrays_may_change_once_they_are_settled(tmp_path, size):
+    log = start(tmp_path / "log.mcap")
+    array, expected = np.zeros(size), []
+    for i in range(5):
+        array[:] = i
+        expected.append(array.tobytes())
+        log.write(TOPIC, i, (array,))
+        log.settle()
+    log.finish()
+    assert read(tmp_path / "log.mcap") == expected
+
+
+def test_a_file_without_messages_is_whole(tmp_path):
+    start(tmp_path / "log.mcap").finish()
+    assert read(tmp_path / "log.mcap") == []
+    with (tmp_path / "log.mcap").open("rb") as stream:
+        assert list(make_reader(stream).get_summary().channels) == [1]
+
+
+def test_a_channel_is_declared_once(tmp_path):
+    log = start(tmp_path / "log.mcap")
+    log.channel(TOPIC, SCHEMA)
+    log.write(TOPIC, 1, (b"",))
+    log.finish()
+    with (tmp_path / "log.mcap").open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert [c.topic for c in summary.channels.values()] == [TOPIC]
+    assert [s.name for s in summary.schemas.values()] == [SCHEMA]
