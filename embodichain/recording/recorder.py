@@ -132,7 +132,7 @@ class McapRecorder(StepObserver):
         """Say what the simulation is now: a file begins."""
         if self._keeps_state:
             fields = {name: np.array(values) for name, values in model_fields.items()}
-            self._file.call("start", self._engine.rows, fields)
+            self._file.call("start", self._engine.rows.copy(), fields)
         self._file.call("began")
 
     def _roll(self) -> None:
@@ -149,6 +149,8 @@ class McapRecorder(StepObserver):
 
         A file holds at least as much of the run as it has attachments.
         """
+        if self._file.ahead > self._max_bytes / 4:
+            self._file.catch_up()
         written = self._file.counters
         here = written.part == self._parts and written.head_bytes > 0
         return here and written.size > max(self._max_bytes, 2 * written.head_bytes)
@@ -260,18 +262,19 @@ class McapRecorder(StepObserver):
         if self._keeps_state and skip:
             self._file.call("skip")
         if held is not None:
-            self.on_write(env, Write("state", "row", None, slice(None), self._engine.rows))
+            self.on_write(env, Write("state", "row", None, slice(None), self._engine.rows.copy()))
             self._keyframe_due = True
             self._views.show(self._view_envs)
 
     def on_step(self, env: BaseEnv, step: StepRecord) -> None:
         """A control step ended."""
-        reward, ids = step.reward, step.episode_ids
+        # Copies: the caller of `step` may write into what it was handed.
+        reward, ids = step.reward.copy(), step.episode_ids
         ends = Ends.of(step, env.termination_manager.values)
         recorded = self._gate.open
         if recorded:
-            flags = step.terminated, step.truncated
-            self._file.call("step", self._step, step.action, reward, *flags, ids, ends)
+            flags = step.terminated.copy(), step.truncated.copy()
+            self._file.call("step", self._step, step.action.copy(), reward, *flags, ids, ends)
             self._views.on_step(self._step, step, ended=ends is not None)
         else:
             self._file.call("unseen_step", self._step, reward, ids, ends)

@@ -70,7 +70,7 @@ class StateLog:
     ) -> None:
         self._model = model
         self._layout = dict(layout)
-        self._nstate = max(columns.stop for columns in self._layout.values())
+        self._nstate: int = max(columns.stop for columns in self._layout.values())
         self._substeps = substeps
         self._emit = emit
         self._hash = RowHash(self._nstate)

@@ -15,6 +15,7 @@ import socket
 import subprocess
 import sys
 import threading
+from contextlib import suppress
 
 __all__ = ["Worker", "acquire", "release", "warm_up"]
 
@@ -25,7 +26,7 @@ for number in {ignored}:
 import json
 sys.path[:] = json.loads(sys.argv[2])
 from embodichain.recording.write_process import main
-main(int(sys.argv[1]))
+main(int(sys.argv[1]), int(sys.argv[3]))
 """
 _IGNORED = ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1", "SIGUSR2")
 """Batch systems send them to every process; this one ends when the simulation's has ended."""
@@ -53,25 +54,31 @@ class Worker:
         if not sys.executable:
             raise RuntimeError("a log is written by another Python, and sys.executable is empty")
         self.connection, theirs = socket.socketpair()
+        hurry, self._hurry = os.pipe()
+        os.set_blocking(self._hurry, False)
         self.orders = self.slabs = 0
         ignored = [int(getattr(signal, name)) for name in _IGNORED if hasattr(signal, name)]
         path = [os.path.abspath(entry) for entry in sys.path]
-        number = str(theirs.fileno())
+        ends = theirs.fileno(), hurry
+        words = str(ends[0]), json.dumps(path), str(ends[1])
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", _START.format(ignored=ignored), number, json.dumps(path)],
-                pass_fds=[theirs.fileno()],
+                [sys.executable, "-c", _START.format(ignored=ignored), *words],
+                pass_fds=ends,
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,  # what goes wrong is told on stderr
-                start_new_session=True,  # Ctrl-C is the simulation's
+                # Ctrl-C is the simulation's. No session of its own: that would have a share of the
+                # processor of its own, however far its threads stand back.
+                process_group=0,
                 cwd="/",  # nobody's folder is kept busy
                 env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
             )
         except BaseException:
-            self.connection.close()
+            self._let_go()
             raise
         finally:
             theirs.close()
+            os.close(hurry)
         _all.add(self)
 
     @property
@@ -84,6 +91,18 @@ class Worker:
         """Of the process."""
         return self._process.pid
 
+    def hurry(self) -> None:
+        """Say that somebody waits for the process."""
+        with suppress(BlockingIOError, BrokenPipeError):  # it was told, or is told otherwise
+            os.write(self._hurry, b"!")
+
+    def _let_go(self) -> None:
+        """Close what connects both processes; a second time does nothing."""
+        self.connection.close()
+        if self._hurry >= 0:
+            os.close(self._hurry)
+            self._hurry = -1
+
     def how_it_ended(self) -> str:
         """``signal 9`` or ``status 1``; waits for the end."""
         try:
@@ -94,7 +113,7 @@ class Worker:
 
     def close(self) -> None:
         """Let the process end: it does when nobody gives orders any more."""
-        self.connection.close()
+        self._let_go()
         _all.discard(self)
         try:
             self._process.wait(_END_SECONDS)
@@ -138,7 +157,7 @@ def _end() -> None:
 def _forget() -> None:
     """In a forked process: the workers are the other's, and must see it end."""
     for worker in _all:
-        worker.connection.close()
+        worker._let_go()
     _all.clear()
     _idle.clear()
 

@@ -10,9 +10,13 @@ import json
 import marshal
 import os
 import pickle
+import select
 import socket
+import threading
 import time
 import traceback
+from contextlib import suppress
+from io import FileIO
 from typing import Any
 
 import numpy as np
@@ -26,27 +30,50 @@ __all__ = ["main"]
 
 FLUSH_SECONDS = 1.0
 """What is lost at most when this process is killed as well."""
-NICE = 10
-"""How far this process stands back where a core is wanted by the simulation too."""
+CALM_SECONDS = 1.0
+"""Nobody has had to wait for so long: the writer stands back again."""
 
 
-def main(descriptor: int) -> None:
+def main(orders: int, hurry: int) -> None:
     """Write one log after another.
 
+    A thread that runs only where no core is wanted otherwise does it, until the simulation has to
+    wait: on a machine where others want every core it would never come to anything.
+
     Args:
-        descriptor: Of the socket that orders come from.
+        orders: Descriptor of the socket that orders come from.
+        hurry: Descriptor that something can be read from when the simulation waits.
     """
-    os.nice(NICE)
-    with socket.socket(fileno=descriptor) as connection:
+    with socket.socket(fileno=orders) as connection, open(hurry, "rb", buffering=0) as calls:
         writing = _Writing(connection)
-        try:
-            while (received := writing.next_order()) is not None:
-                writing.carry_out(*received)
-            writing.abandon()
-        except (BrokenPipeError, ConnectionResetError):
-            return  # nobody is there to be told anything
-        except Exception as error:  # noqa: BLE001  (whoever gave the order is told)
-            writing.fail(error)
+        while not writing.over:
+            quiet = threading.Thread(target=_write_quietly, args=(writing,), name="log-writer")
+            quiet.start()
+            waits = calls.read(1)  # empty: the simulation's process has ended
+            writing.pause = bool(waits)
+            quiet.join()
+            writing.pause = False
+            if waits:
+                _write_at_once(writing, calls)
+
+
+def _write_quietly(writing: _Writing) -> None:
+    """Carry out orders where no core is wanted by anybody else."""
+    if hasattr(os, "SCHED_IDLE"):
+        # Some containers forbid it; then it is a thread like any other.
+        with suppress(PermissionError):
+            os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    while not writing.pause and not writing.over:
+        writing.carry_on()
+
+
+def _write_at_once(writing: _Writing, calls: FileIO) -> None:
+    """Carry out orders until the simulation has not had to wait for a while."""
+    calm = time.monotonic() + CALM_SECONDS
+    while time.monotonic() < calm and not writing.over:
+        writing.carry_on()
+        if select.select([calls], [], [], 0)[0] and calls.read(4096):
+            calm = time.monotonic() + CALM_SECONDS
 
 
 class _Writing:
@@ -55,15 +82,33 @@ class _Writing:
     def __init__(self, connection: socket.socket) -> None:
         self._connection = connection
         self._slabs: dict[int, Slab] = {}
-        self._standard = 0
         self._file: LogFile | None = None
         self._builder: LogBuilder | None = None
         self._waiting: list[Order] = []
         self._last = 0
         self._due = 0.0
         self._dirty = False
+        self.pause = False
+        """Whether somebody else shall carry on."""
+        self.over = False
+        """Whether nothing follows."""
 
-    def next_order(self) -> tuple[Order, list[int]] | None:
+    def carry_on(self) -> None:
+        """Wait for an order and carry it out."""
+        try:
+            received = self._next_order()
+            if received is None:
+                self.over = True
+                self._abandon()
+            else:
+                self._carry_out(*received)
+        except (BrokenPipeError, ConnectionResetError):
+            self.over = True  # nobody is there to be told anything
+        except Exception as error:  # noqa: BLE001  (whoever gave the order is told)
+            self.over = True
+            self._fail(error)
+
+    def _next_order(self) -> tuple[Order, list[int]] | None:
         """Wait for an order; meanwhile flush what was written, when it is due."""
         while self._file is not None and self._dirty:
             self._connection.settimeout(max(0.001, self._due - time.monotonic()))
@@ -77,7 +122,7 @@ class _Writing:
         self._connection.settimeout(None)
         return handover.receive_order(self._connection)
 
-    def carry_out(self, order: Order, descriptors: list[int]) -> None:
+    def _carry_out(self, order: Order, descriptors: list[int]) -> None:
         """Do what an order says."""
         if order.number <= self._last:  # sent twice
             return
@@ -160,13 +205,13 @@ class _Writing:
         self._slabs.clear()
         self._reply(handover.CLOSED)
 
-    def abandon(self) -> None:
+    def _abandon(self) -> None:
         """Nobody gives orders any more, in the middle of a log: keep what was handed over."""
         if self._file is not None:
             self._file.flush()
             self._file.close()
 
-    def fail(self, error: Exception) -> None:
+    def _fail(self, error: Exception) -> None:
         """Tell the simulation why its log ends here."""
         known = isinstance(error, OSError) and error.errno is not None
         report = {

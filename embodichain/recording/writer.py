@@ -11,7 +11,6 @@ import atexit
 import errno
 import json
 import marshal
-import math
 import os
 import pickle
 import select
@@ -34,6 +33,8 @@ BATCH_SECONDS = 0.05
 """Calls wait no longer than this for the next one before they are handed over with it."""
 IDLE_SECONDS = 0.25
 """And no longer than this if none comes: with the flushing of the file that stays below 1 s."""
+HURRY_SECONDS = 0.05
+"""After waiting so long for the other process, it is told not to stand back."""
 SLAB_BYTES = 3 * 2**19
 BUDGET_BYTES = 64 * 2**20
 """About how much may wait for the disk before the simulation waits too."""
@@ -41,6 +42,8 @@ _CONTENT_BYTES = 2**16
 """Kept free in a slab for what is no array."""
 _BATCH_CALLS = 512
 """Calls in a batch; more would not fit there."""
+_CALL_BYTES = 256
+"""About what a call takes besides rows."""
 _PLAIN = frozenset({int, float, bool, str, type(None)})
 _NUMBERS = frozenset("?bBhHiIlLqQefd")
 """Kinds of arrays whose bytes are all there is to them."""
@@ -71,7 +74,9 @@ class LogWriter:
         self.path = path
         self._slab_bytes = _pages(max(SLAB_BYTES, step_bytes + _CONTENT_BYTES))
         self._budget = max(BUDGET_BYTES, 4 * self._slab_bytes)
+        self._filled = self._slab_bytes - self._slab_bytes // 4  # rows leave room for the rest
         self._made_bytes = 0
+        self._away = 0  # bytes in slabs that the other process has
         self._slabs: dict[int, Slab] = {}
         self._free: list[Slab] = []
         self._slab: Slab | None = None
@@ -84,7 +89,7 @@ class LogWriter:
         self._error: BaseException | None = None
         self._where = ""
         self._pid = os.getpid()
-        self._turn = _Turn(self)
+        self._lock = threading.Lock()  # whoever holds it may hand over
         self._handed_over = time.monotonic()
         self._stop = threading.Event()
         self._head = threading.Thread(target=self._send_head, args=(make_head,), name="log-head")
@@ -110,6 +115,7 @@ class LogWriter:
                 at = _put(slab, content)
                 order = partial(self._order, handover.OPEN, slab, slab, at, len(content))
                 self._send(order(), (file, folder, page.descriptor))
+                self._away += slab.at
                 page.forget_descriptor()
             finally:
                 os.close(file)
@@ -119,44 +125,66 @@ class LogWriter:
     # -- calls -------------------------------------------------------------------------------------
 
     def call(self, method: str, *args: object) -> None:
-        """Have the other process call a method, after all calls before; arrays are copied.
+        """Have the other process call a method, after all calls before.
+
+        Arguments are copied later: nobody may write into them any more.
 
         Raises:
             OSError: If the log could not be written; it ends there.
         """
-        with self._turn:
-            self._append(method, args)
+        with self._lock:
+            if self._error is not None:
+                raise self._told_error()
+            self._pending.append((method, args, ()))
 
     def call_with(
         self,
         method: str,
-        shape: tuple[int, ...],
+        shape: tuple[int, int],
         fill: Callable[[NDArray[np.float64]], object],
         *args: object,
     ) -> None:
-        """The same with a first argument that `fill` writes where it is handed over from.
+        """The same with a first argument that `fill` writes at once, where it is handed over from.
 
         Raises:
             OSError: If the log could not be written.
         """
-        with self._turn:
-            nbytes = 8 * math.prod(shape)
-            slab = self._room(nbytes + _array_bytes(args))
+        with self._lock:
+            if self._error is not None:
+                raise self._told_error()
+            nbytes = 8 * shape[0] * shape[1]
+            slab = self._slab
+            if slab is None or slab.at + nbytes > self._filled:
+                self._hand_over()
+                slab = self._slab = self._take(nbytes + _CONTENT_BYTES)
             at = slab.at
             fill(np.ndarray(shape, np.float64, slab.memory, at))
             slab.at = at + nbytes
-            kept, places = _place(slab, args, 1)
-            self._pending.append((method, (None, *kept), (0, at, "d", shape, *places)))
-
-    def _append(self, method: str, args: tuple[object, ...]) -> None:
-        slab = self._room(_array_bytes(args))
-        self._pending.append((method, *_place(slab, args)))
+            self._pending.append((method, (None, *args), (0, at, "d", shape)))
 
     def hand_over_when_due(self) -> None:
-        """Hand over if the oldest call has waited long enough; called after every step."""
-        if time.monotonic() - self._handed_over > BATCH_SECONDS:
-            with self._turn:
+        """Hand over if calls have waited long enough; called after every step."""
+        late = time.monotonic() - self._handed_over > BATCH_SECONDS
+        if late or len(self._pending) > _BATCH_CALLS:
+            with self._lock:
                 self._hand_over()
+
+    @property
+    def ahead(self) -> int:
+        """About how many bytes the counters do not know of yet."""
+        here = 0 if self._slab is None else self._slab.at
+        return self._away + here + _CALL_BYTES * len(self._pending)
+
+    def catch_up(self) -> None:
+        """Wait until the counters know of everything.
+
+        Raises:
+            OSError: If the file could not be written.
+        """
+        with self._lock:
+            self._hand_over()
+            while self._away:
+                self._receive(wait=True)
 
     def flush(self) -> None:
         """Wait until everything handed over so far is in the file, readable there.
@@ -165,7 +193,7 @@ class LogWriter:
             OSError: If the file could not be written.
         """
         self._head.join()
-        with self._turn:
+        with self._lock:
             self._hand_over()
             self._flushed = False
             self._send(self._order(handover.FLUSH))
@@ -185,7 +213,7 @@ class LogWriter:
         self._stop.set()
         self._head.join()
         try:
-            with self._turn:
+            with self._lock:
                 self._hand_over()
                 self._send(self._order(handover.CLOSE))
                 while not self._ended:
@@ -207,16 +235,7 @@ class LogWriter:
         """The process that writes."""
         return self._worker.pid
 
-    # -- handing over; whoever does it has its turn ------------------------------------------------
-
-    def _room(self, nbytes: int) -> Slab:
-        """The slab of the batch, with room for so many bytes."""
-        slab = self._slab
-        full = len(self._pending) >= _BATCH_CALLS
-        if slab is None or full or slab.at + nbytes > slab.size - _CONTENT_BYTES:
-            self._hand_over()
-            slab = self._slab = self._take(nbytes + _CONTENT_BYTES)
-        return slab
+    # -- handing over; the lock is held ------------------------------------------------------------
 
     def _take(self, nbytes: int) -> Slab:
         """A slab that nobody uses; waits while too many are on their way."""
@@ -244,20 +263,26 @@ class LogWriter:
         return slab
 
     def _hand_over(self) -> None:
+        if self._error is not None:
+            raise self._told_error()
         self._handed_over = time.monotonic()
         if self._unsent is not None:  # an interrupt came while it was sent: twice does no harm
             self._send(self._unsent)
             self._unsent = None
-        slab = self._slab
-        if slab is None or not self._pending:
+        if not self._pending:
             return
-        content = marshal.dumps(self._pending)
+        slab = self._slab
+        if slab is None:
+            slab = self._slab = self._take(0)
+        limit = slab.size - _CONTENT_BYTES
+        content = marshal.dumps([_placed(slab, limit, *call) for call in self._pending])
         fits = slab.at + len(content) <= slab.size
         target = slab if fits else self._take(len(content))
         at = _put(target, content)
         order = self._order(handover.BATCH, slab, target, at, len(content))
         # Nothing can interrupt between these: they call nothing.
         self._unsent, self._pending, self._slab = order, [], None
+        self._away += slab.at + (target.at if target is not slab else 0)
         self._send(order)
         self._unsent = None
 
@@ -282,11 +307,19 @@ class LogWriter:
 
     def _receive(self, wait: bool = False) -> None:
         """Take replies in."""
-        if wait and self._head.is_alive():  # it has to have its turn: the others wait for it
-            self._turn.let(self._head)
+        if wait and self._head.is_alive():  # it needs the lock, and the others wait for it
+            self._lock.release()
+            try:
+                self._head.join()
+            finally:
+                self._lock.acquire()
         connection = self._worker.connection
-        if not select.select([connection], [], [], None if wait else 0)[0]:
-            return
+        patience = HURRY_SECONDS if wait else 0.0
+        while not select.select([connection], [], [], patience)[0]:
+            if not wait:
+                return
+            self._worker.hurry()
+            patience = 1.0
         try:
             data = connection.recv(4096)
         except ConnectionResetError:
@@ -307,9 +340,8 @@ class LogWriter:
                 self._fail(self._rest(number))
 
     def _take_back(self, number: int) -> None:
-        slab = self._slabs.get(number)
-        if slab is None:
-            return
+        slab = self._slabs[number]
+        self._away -= slab.at
         if slab.size == self._slab_bytes:
             self._free.append(slab)
         else:
@@ -343,7 +375,10 @@ class LogWriter:
 
     def _told_error(self) -> LogWriteError:
         error = self._error
-        why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+        self._told = True
+        why = str(error)
+        if isinstance(error, OSError) and error.strerror:
+            why = error.strerror + (f": {error.filename}" if error.filename else "")
         end = f"; {self._where}" if self._where else ""
         told = LogWriteError(f"the log {self.path} could not be written: {why}{end}")
         told.__cause__ = error
@@ -360,12 +395,13 @@ class LogWriter:
         """Make what the log begins with, and send it."""
         try:
             content = pickle.dumps(make(), 5)
-            with self._turn.lock:
+            with self._lock:
                 slab = self._make(_pages(len(content)))
                 _put(slab, content)
                 self._send(self._order(handover.HEAD, slab, slab, 0, len(content)))
+                self._away += slab.at
         except BaseException as error:  # noqa: BLE001  (the next call raises it)
-            self._error = self._error or error
+            self._error, self._told = self._error or error, False
 
     def _watch(self) -> None:
         """Hand over what nobody adds to: a killed process must not lose it.
@@ -373,79 +409,50 @@ class LogWriter:
         Never waits for the simulation, which hands over itself when it is at it.
         """
         while not self._stop.wait(IDLE_SECONDS):
-            if self._head.is_alive() or not self._turn.lock.acquire(blocking=False):
+            if self._head.is_alive() or not self._lock.acquire(blocking=False):
                 continue
             try:
                 if not self._error and time.monotonic() - self._handed_over >= IDLE_SECONDS:
                     self._hand_over()
             except OSError as error:
-                self._error = self._error or error
+                self._error, self._told = self._error or error, False
                 return  # the next call says it
             finally:
-                self._turn.lock.release()
+                self._lock.release()
 
 
-class _Turn:
-    """Who may hand over; the simulation is told, in its turn, that the log could not be written."""
-
-    def __init__(self, writer: LogWriter) -> None:
-        self._writer = writer
-        self.lock = threading.Lock()
-
-    def __enter__(self) -> None:
-        self.lock.acquire()
-        if self._writer._error is not None:
-            self._writer._told = True
-            self.lock.release()
-            raise self._writer._told_error()
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        self.lock.release()
-        if kind is LogWriteError:
-            self._writer._told = True
-
-    def let(self, thread: threading.Thread) -> None:
-        """Have a thread finish that needs its turn, in the middle of one's own."""
-        self.lock.release()
-        try:
-            thread.join()
-        finally:
-            self.lock.acquire()
-
-
-def _array_bytes(args: tuple[object, ...]) -> int:
-    """How much room arrays among these need at most."""
-    return sum([arg.nbytes + 8 for arg in args if isinstance(arg, np.ndarray)])
-
-
-def _place(
-    slab: Slab, args: tuple[object, ...], first: int = 0
-) -> tuple[tuple[object, ...], tuple[object, ...]]:
-    """Put what is no number and no text into a slab, or pickle it: the rest of a `Call`.
+def _placed(
+    slab: Slab, limit: int, method: str, args: tuple[object, ...], places: tuple[object, ...]
+) -> handover.Call:
+    """A call as it is handed over: what is no number and no text lies in the slab, or is pickled.
 
     Args:
-        slab: With room for the arrays.
-        args: Arguments.
-        first: Number of the first one.
+        slab: Where arrays go.
+        limit: Bytes of it that may be used; arrays that do not fit are pickled.
+        method: The method.
+        args: Its arguments.
+        places: Of arguments that lie in the slab already.
     """
-    kept: list[object] = []
-    places: list[object] = []
-    memory, at = slab.memory, slab.at
-    for index, arg in enumerate(args, first):
+    kept: list[object] | None = None
+    found: list[object] = []
+    at = slab.at
+    for index, arg in enumerate(args):
         if type(arg) in _PLAIN:
-            kept.append(arg)
             continue
-        kept.append(None)
-        if isinstance(arg, np.ndarray) and arg.dtype.char in _NUMBERS:
+        if kept is None:
+            kept, found = list(args), list(places)
+        kept[index] = None
+        if type(arg) is np.ndarray and (kind := arg.dtype.char) in _NUMBERS:
             end = at + arg.nbytes
-            buffer: Any = arg if arg.flags.c_contiguous else np.ascontiguousarray(arg)
-            memory[at:end] = buffer
-            places += (index, at, arg.dtype.char, arg.shape)
-            at = end + 7 & ~7
-        else:
-            places += (index, 0, PICKLED, pickle.dumps(arg, 5))
+            if end <= limit:
+                buffer: Any = arg if arg.flags.c_contiguous else np.ascontiguousarray(arg)
+                slab.memory[at:end] = buffer
+                found += (index, at, kind, arg.shape)
+                at = end + 7 & ~7
+                continue
+        found += (index, 0, PICKLED, pickle.dumps(arg, 5))
     slab.at = at
-    return tuple(kept), tuple(places)
+    return (method, args, places) if kept is None else (method, tuple(kept), tuple(found))
 
 
 def _put(slab: Slab, content: bytes) -> int:

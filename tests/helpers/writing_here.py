@@ -1,5 +1,6 @@
 """The process that writes logs, as a thread of this one: what a test patches holds for it too."""
 
+import os
 import socket
 import threading
 
@@ -12,12 +13,17 @@ class Here:
     def __init__(self):
         self.orders = self.slabs = 0
         self.connection, theirs = socket.socketpair()
-        end = theirs.detach()
-        self.thread = threading.Thread(target=write_process.main, args=(end,), daemon=True)
+        hurry, self._hurry = os.pipe()
+        ends = theirs.detach(), hurry
+        self.thread = threading.Thread(target=write_process.main, args=ends, daemon=True)
         self.thread.start()
+
+    def hurry(self):
+        os.write(self._hurry, b"!")
 
     def close(self):
         self.connection.close()
+        os.close(self._hurry)
         self.thread.join()
 
 
@@ -27,6 +33,5 @@ def write_here(patch=setattr):
     Args:
         patch: pytest's `monkeypatch.setattr`, or `setattr` for good.
     """
-    patch(write_process, "NICE", 0)
     patch(worker, "acquire", Here)
     patch(worker, "release", Here.close)
