@@ -93,13 +93,17 @@ def test_closing_says_what_nobody_was_told(tmp_path):
 
 
 def test_what_cannot_be_packed_ends_the_log_with_its_reason(tmp_path, monkeypatch):
+    built = threading.Event()
+
     def refuse(spec):
+        built.wait(60)
         raise OSError(2, "No such file or directory", "wheel.stl")
 
     monkeypatch.setattr("embodichain.recording.attachments.scene_archive", refuse)
     env = SmallEnv()
     recorder = McapRecorder(tmp_path / "log.mcap", env)
     env.add_observer(recorder)
+    built.set()
     with pytest.raises(LogWriteError, match=r"No such file or directory: wheel\.stl"):
         recorder.flush()
     with pytest.raises(LogWriteError, match=r"wheel\.stl"):
