@@ -72,6 +72,7 @@ class LogBuilder:
             "place": log.place,
             "write": log.on_write,
             "before": log.before_physics,
+            "as_written": log.as_written,
             "after": log.after_physics,
             "event": self._event,
             "step": self._step,

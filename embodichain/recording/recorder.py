@@ -91,6 +91,7 @@ class McapRecorder(StepObserver):
         self._engine = engine
         self._max_bytes = 0.0 if options.max_mb is None else options.max_mb * 1e6
         self._places: dict[object, int] = {}
+        self._known = False  # whether the writer can tell every row from calls and writes
         self._told = 0  # width of the rows that the writer knows of
         self._parts = 0  # files that were asked for after the first
         self._views = Views(env, options, self._push, self._now)
@@ -172,6 +173,8 @@ class McapRecorder(StepObserver):
         nobody = write.env_ids is not None and not len(write.env_ids)
         if self._keeps_state and write.op != "forward" and not nobody:
             self._columns.heed(write)
+            if write.op != "state" or write.field == "row":
+                self._known = False
             if self._gate.open or write.op in ("model", "set_const"):
                 self._file.call("write", self._place(write), write.env_ids, write.values)
         if write.op == "model":
@@ -205,6 +208,7 @@ class McapRecorder(StepObserver):
         if before and ids is None and event.nstep == self._substeps:
             self._gate.on_physics()
         if not self._gate.open:
+            self._known = False
             return
         if self._keeps_state:
             rows = event.rows if ids is None else event.rows[ids]
@@ -213,11 +217,14 @@ class McapRecorder(StepObserver):
             if not before:
                 what = event.nstep, ids, event.failed
                 self._file.call_with("after", shape, partial(columns.take, rows), *what)
-            elif not self._keyframe_every or self._is_keyframe(event):
+            elif self._keyframe_every and not self._is_keyframe(event):
+                self._file.call("before", None, event.nstep, ids)
+            elif self._known:
+                self._file.call("as_written", event.nstep, ids)
+            else:
                 take = partial(columns.take, rows)
                 self._file.call_with("before", shape, take, event.nstep, ids)
-            else:
-                self._file.call("before", None, event.nstep, ids)
+                self._known = ids is None and not self._keyframe_every
         if before and ids is None:
             self._views.on_rows(self._step, event.rows)
 

@@ -80,6 +80,7 @@ class StateLog:
         self._own: Calls | None = None  # the call whose hash `/sim/step` will carry
         self._after_physics = False
         self._stamp = stamp(0, 0)
+        self._rows: F64 | None = None  # (N, nstate) as they are, as far as that is known
         self._places: dict[int, Write] = {}
         self._heads: dict[tuple[bool, int], tuple[bytes, bytes]] = {}
 
@@ -95,6 +96,7 @@ class StateLog:
             for field, values in model_fields.items():
                 self._write("model", field, np.asarray(values, np.float64))
         self._write("state", "row", rows)
+        self._rows = rows.copy()
 
     def _write(self, op: str, field: str, values: NDArray[np.float64] | None) -> None:
         head = write_head(START, op, field, None)
@@ -117,6 +119,15 @@ class StateLog:
             columns = None if values is None else self._columns(write)
             head = self._heads[key] = write_head(phase, write.op, write.field, columns)
         self._emit(self.step, "/sim/write", encode_write(self._stamp, head, env_ids, values))
+        write = self._places[place]
+        if self._rows is not None and write.op == "state" and write.field != "row":
+            component = self._rows[:, self._layout[write.field]]
+            if env_ids is None:
+                component[:, write.columns] = values
+            elif isinstance(write.columns, slice):
+                component[env_ids, write.columns] = values
+            else:
+                component[env_ids[:, None], write.columns] = values
 
     def _columns(self, write: Write) -> NDArray[np.int64] | None:
         """Columns as indices; None for all of them."""
@@ -143,6 +154,36 @@ class StateLog:
     def before_physics(self, taken: F64 | None, nstep: int, ids: EnvIndex | None) -> None:
         """A call is about to begin, with these rows (n, width); None between keyframes."""
         self._emit(self.step, "/sim/state", encode_state(self.step, taken, self.call, nstep, ids))
+        if taken is not None:
+            self._keep(taken, ids)
+
+    def as_written(self, nstep: int, ids: EnvIndex | None) -> None:
+        """A call is about to begin, with the rows that calls and writes so far have left.
+
+        Nobody has to copy them for that. Were something changed that no write told, physics would
+        return other rows than these give, and the hashes would show it.
+
+        Raises:
+            RuntimeError: If the rows are not known.
+        """
+        if self._rows is None:
+            raise RuntimeError("rows were not told before they are needed")
+        rows = self._rows if ids is None else self._rows[ids]
+        taken = np.concatenate([rows[:, start:stop] for start, stop in self._ranges], axis=1)
+        self._emit(self.step, "/sim/state", encode_state(self.step, taken, self.call, nstep, ids))
+
+    def _keep(self, taken: F64, ids: EnvIndex | None) -> None:
+        """Remember rows (n, width)."""
+        if self._rows is None:
+            return
+        at = 0
+        for start, stop in self._ranges:
+            part = taken[:, at : at + stop - start]
+            if ids is None:
+                self._rows[:, start:stop] = part
+            else:
+                self._rows[ids, start:stop] = part
+            at += stop - start
 
     def columns(self, ranges: Ranges) -> None:
         """From here on these columns of rows are handed over, as half-open ranges."""
@@ -153,6 +194,7 @@ class StateLog:
     ) -> None:
         """A call has returned these rows (n, width): hash them."""
         hashes = self._hash.of_columns(taken, self._ranges)
+        self._keep(taken, ids)
         done = Calls(self.step, self.call, ids, hashes, failed)
         self.call += 1
         self._stamp = stamp(self.step, self.call)

@@ -30,6 +30,8 @@ __all__ = ["main"]
 
 FLUSH_SECONDS = 1.0
 """What is lost at most when this process is killed as well."""
+LOOK_SECONDS = 0.004
+LOOK_FOR_SECONDS = 0.25
 CALM_SECONDS = 1.0
 """Nobody has had to wait for so long: the writer stands back again."""
 
@@ -64,7 +66,7 @@ def _write_quietly(writing: _Writing) -> None:
         with suppress(PermissionError):
             os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     while not writing.pause and not writing.over:
-        writing.carry_on()
+        writing.carry_on(looks=True)
 
 
 def _write_at_once(writing: _Writing, calls: FileIO) -> None:
@@ -93,10 +95,17 @@ class _Writing:
         self.over = False
         """Whether nothing follows."""
 
-    def carry_on(self) -> None:
-        """Wait for an order and carry it out."""
+    def carry_on(self, looks: bool = False) -> None:
+        """Wait for an order and carry it out.
+
+        Args:
+            looks: Look for orders now and then while they come often: to wake whoever waits for
+                one takes the simulation longer than to write it down.
+        """
         try:
-            received = self._next_order()
+            if not self._wait(looks):
+                return
+            received = handover.receive_order(self._connection)
             if received is None:
                 self.over = True
                 self._abandon()
@@ -108,19 +117,25 @@ class _Writing:
             self.over = True
             self._fail(error)
 
-    def _next_order(self) -> tuple[Order, list[int]] | None:
-        """Wait for an order; meanwhile flush what was written, when it is due."""
-        while self._file is not None and self._dirty:
-            self._connection.settimeout(max(0.001, self._due - time.monotonic()))
-            try:
-                self._connection.recv(1, socket.MSG_PEEK)
-                break
-            except TimeoutError:
+    def _wait(self, looks: bool) -> bool:
+        """Wait for an order, and flush when it is due; False if somebody else shall carry on."""
+        began = time.monotonic()
+        while self._file is not None and not self._ready(0.0):
+            if self.pause:
+                return False
+            now = time.monotonic()
+            if self._dirty and now >= self._due:
                 self._flush()
-            except ConnectionResetError:
+            elif looks and now < began + LOOK_FOR_SECONDS:
+                time.sleep(LOOK_SECONDS)
+            elif self._dirty:
+                self._ready(self._due - now)
+            else:
                 break
-        self._connection.settimeout(None)
-        return handover.receive_order(self._connection)
+        return True
+
+    def _ready(self, seconds: float) -> bool:
+        return bool(select.select([self._connection], [], [], seconds)[0])
 
     def _carry_out(self, order: Order, descriptors: list[int]) -> None:
         """Do what an order says."""

@@ -8,9 +8,12 @@ import pytest
 import yaml
 from mcap.reader import make_reader
 
+from embodichain import recording
+from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.recording import McapRecorder, inspect, verify
 from embodichain.recording.archive import load_mjz
 from embodichain.recording.attachments import load_mjb
+from embodichain.recording.columns import RowColumns
 from embodichain.recording.messages import State, StepOutcome, WriteRecord
 from embodichain.recording.options import RecordOptions
 from embodichain.utils.errors import ConfigError
@@ -268,3 +271,49 @@ raise RuntimeError("the program fails")
     assert done.returncode == 1 and "the program fails" in done.stderr
     assert verify(path).ok
     assert inspect(path).complete
+
+
+class _Looking(McapRecorder):
+    """Remembers the rows that physics received."""
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.received = []
+
+    def on_physics(self, env, event):
+        if event.phase == "before" and self._gate.open:
+            ids = slice(None) if event.env_ids is None else event.env_ids
+            self.received.append(event.rows[ids].copy())
+        super().on_physics(env, event)
+
+
+@pytest.mark.parametrize("options", [{}, {"every": 2}, {"max_mb": 0.2}])
+@pytest.mark.parametrize("settle", [0, 3])
+@pytest.mark.parametrize("push", [False, True])
+def test_rows_that_nobody_copied_are_those_that_physics_received(tmp_path, options, settle, push):
+    env = SmallEnv(settle=settle, push=push)
+    options = RecordOptions(view_envs=[], **options)
+    recorder = _Looking(tmp_path / "log.mcap", env, options=options)
+    env.add_observer(recorder)
+    env.reset()
+    for step in range(40):
+        if step == 13:
+            env.reset(np.array([1]))
+        env.sim.engine.write("qvel", 0.1 * step, np.array([0, 2]), np.array([1, 0]))
+        env.step()
+    received = [*recorder.received, env.sim.engine.rows.copy()]
+    gate_open = recorder._gate.open
+    env.close()
+    assert verify(tmp_path / "log.mcap").ok
+    with recording.open(tmp_path / "log.mcap") as log:
+        states = [
+            State.decode(data) for topic, _, data in log.raw_messages() if topic == "/sim/state"
+        ]
+    whole = env.sim.engine.rows.shape[1]
+    assert len(states) == len(received) - (not gate_open)
+    for state, rows in zip(states, received, strict=False):
+        kept = rows
+        if state.rows.shape[1] < whole:
+            kept = np.empty(state.rows.shape)
+            RowColumns(row_layout(env.sim.engine.model)).take(rows, kept)
+        assert state.rows.tobytes() == kept.tobytes()

@@ -55,8 +55,8 @@ class Scalars:
         if len(found) != len(self.names):
             raise ValueError(f"{len(found)} scalars in a step; the first had {self.names}")
         taken: F64 = np.empty((len(found), len(env_ids)))
-        for row, values in zip(taken, found, strict=True):
-            row[:] = (values.numpy() if hasattr(values, "numpy") else values)[env_ids]
+        for row, values in enumerate(found):
+            taken[row] = (values.numpy() if hasattr(values, "numpy") else values)[env_ids]
         if weights:
             first = 3 + sum(key in step.info for key in _FACTS)  # where `_walk` is at the terms
             terms = sorted(step.info.get("rewards", {}))
