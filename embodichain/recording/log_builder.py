@@ -52,7 +52,8 @@ class LogBuilder:
         model = load_mjb(next(data for name, _, data in head.attachments if name == "model.mjb"))
         self._start_ns, self._period_ns = header.start_ns, header.period_ns
         layout = {name: slice(*columns) for name, columns in header.layout.items()}
-        self._log = StateLog(model, layout, header.substeps, self._write)
+        derives = header.state == "all"
+        self._log = StateLog(model, layout, header.substeps, derives, self._write)
         self._episodes = EpisodeLog(header.num_envs)
         self._views = ViewEncoder(model, head.views, file)
         self._manifest = Manifest(file.folder, file.name, header.log_id, header.period_ns * 1e-9)
@@ -83,6 +84,11 @@ class LogBuilder:
             "finish": self._finish,
             **{VIEW + name: getattr(self._views, name) for name in PUSHED},
         }
+
+    def settle(self) -> None:
+        """Let go of arrays that were handed over."""
+        self._log.settle()
+        self.file.settle()
 
     def _write_head(self, part: int, first_step: int) -> None:
         for name, media_type, data in self._attachments:

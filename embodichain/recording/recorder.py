@@ -176,6 +176,7 @@ class McapRecorder(StepObserver):
             if write.op != "state" or write.field == "row":
                 self._known = False
             if self._gate.open or write.op in ("model", "set_const"):
+                self._told_columns()
                 self._file.call("write", self._place(write), write.env_ids, write.values)
         if write.op == "model":
             self._views.on_model_write(write)

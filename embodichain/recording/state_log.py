@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.observers import EventRecord
 from embodichain.lab.sim.engine.base import F64, EnvIndex, Write, WriteOp
 from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS
+from embodichain.recording.columns import spread
 from embodichain.recording.hashing import RowHash
 from embodichain.recording.mcap_file import Part
 from embodichain.recording.messages import (
@@ -62,12 +63,19 @@ class StateLog:
         model: What is recorded.
         layout: Component name to its columns within a row.
         substeps: Physics steps of an ordinary control step.
+        derives: Whether rows are to be derived from calls and writes: `as_written` is called.
         emit: Called with a control step, a topic and the parts of a message.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, layout: Mapping[str, slice], substeps: int, emit: Emit
+        self,
+        model: mujoco.MjModel,
+        layout: Mapping[str, slice],
+        substeps: int,
+        derives: bool,
+        emit: Emit,
     ) -> None:
+        self._derives = derives
         self._model = model
         self._layout = dict(layout)
         self._nstate: int = max(columns.stop for columns in self._layout.values())
@@ -80,7 +88,10 @@ class StateLog:
         self._own: Calls | None = None  # the call whose hash `/sim/step` will carry
         self._after_physics = False
         self._stamp = stamp(0, 0)
-        self._rows: F64 | None = None  # (N, nstate) as they are, as far as that is known
+        self._rows: F64 | None = None  # (N, width) as calls and writes have left them, if known
+        self._emitted = False  # whether a message refers to them
+        self._narrow = np.arange(self._nstate)  # column of a row to its column there, or -1
+        self._targets: dict[int, tuple[Any, Any]] = {}
         self._places: dict[int, Write] = {}
         self._heads: dict[tuple[bool, int], tuple[bytes, bytes]] = {}
 
@@ -96,7 +107,6 @@ class StateLog:
             for field, values in model_fields.items():
                 self._write("model", field, np.asarray(values, np.float64))
         self._write("state", "row", rows)
-        self._rows = rows.copy()
 
     def _write(self, op: str, field: str, values: NDArray[np.float64] | None) -> None:
         head = write_head(START, op, field, None)
@@ -119,15 +129,40 @@ class StateLog:
             columns = None if values is None else self._columns(write)
             head = self._heads[key] = write_head(phase, write.op, write.field, columns)
         self._emit(self.step, "/sim/write", encode_write(self._stamp, head, env_ids, values))
+        if self._rows is not None and values is not None:
+            self._apply(place, env_ids, values)
+
+    def _apply(self, place: int, env_ids: EnvIndex | None, values: F64) -> None:
+        """Change the rows as a write did; other kinds than these make them unknown."""
         write = self._places[place]
-        if self._rows is not None and write.op == "state" and write.field != "row":
-            component = self._rows[:, self._layout[write.field]]
-            if env_ids is None:
-                component[:, write.columns] = values
-            elif isinstance(write.columns, slice):
-                component[env_ids, write.columns] = values
-            else:
-                component[env_ids[:, None], write.columns] = values
+        if write.op != "state" or write.field == "row" or self._rows is None:
+            return
+        if self._emitted:
+            self._rows, self._emitted = self._rows.copy(), False
+        columns, of_values = self._target(place, write)
+        if env_ids is None:
+            self._rows[:, columns] = values[:, of_values]
+        elif isinstance(columns, slice):
+            self._rows[env_ids, columns] = values[:, of_values]
+        else:
+            self._rows[env_ids[:, None], columns] = values[:, of_values]
+
+    def _target(self, place: int, write: Write) -> tuple[Any, Any]:
+        """Columns of the rows that a write changes, and which of its values they get.
+
+        Columns that are left out of rows get nothing but zeros.
+        """
+        found = self._targets.get(place)
+        if found is None:
+            columns = np.arange(self._nstate)[self._layout[write.field]][write.columns]
+            narrow = self._narrow[columns]
+            kept = np.flatnonzero(narrow >= 0)
+            target: Any = narrow[kept]
+            if len(target) and (np.diff(target) == 1).all():
+                target = slice(int(target[0]), int(target[-1]) + 1)
+            which: Any = slice(None) if len(kept) == len(columns) else kept
+            found = self._targets[place] = target, which
+        return found
 
     def _columns(self, write: Write) -> NDArray[np.int64] | None:
         """Columns as indices; None for all of them."""
@@ -154,8 +189,8 @@ class StateLog:
     def before_physics(self, taken: F64 | None, nstep: int, ids: EnvIndex | None) -> None:
         """A call is about to begin, with these rows (n, width); None between keyframes."""
         self._emit(self.step, "/sim/state", encode_state(self.step, taken, self.call, nstep, ids))
-        if taken is not None:
-            self._keep(taken, ids)
+        if self._derives and taken is not None and ids is None:
+            self._rows, self._emitted = taken, True
 
     def as_written(self, nstep: int, ids: EnvIndex | None) -> None:
         """A call is about to begin, with the rows that calls and writes so far have left.
@@ -169,32 +204,40 @@ class StateLog:
         if self._rows is None:
             raise RuntimeError("rows were not told before they are needed")
         rows = self._rows if ids is None else self._rows[ids]
-        taken = np.concatenate([rows[:, start:stop] for start, stop in self._ranges], axis=1)
-        self._emit(self.step, "/sim/state", encode_state(self.step, taken, self.call, nstep, ids))
+        self._emit(self.step, "/sim/state", encode_state(self.step, rows, self.call, nstep, ids))
+        self._emitted = self._emitted or ids is None
 
-    def _keep(self, taken: F64, ids: EnvIndex | None) -> None:
-        """Remember rows (n, width)."""
-        if self._rows is None:
-            return
-        at = 0
-        for start, stop in self._ranges:
-            part = taken[:, at : at + stop - start]
-            if ids is None:
-                self._rows[:, start:stop] = part
-            else:
-                self._rows[ids, start:stop] = part
-            at += stop - start
+    def settle(self) -> None:
+        """Copy what is not this log's own: the memory of arrays that were handed over goes."""
+        if self._rows is not None and not self._rows.flags.owndata:
+            self._rows = self._rows.copy()
+        self._emitted = False
 
     def columns(self, ranges: Ranges) -> None:
         """From here on these columns of rows are handed over, as half-open ranges."""
-        self._ranges = ranges
+        if self._rows is not None:
+            self._rows = self._widened(self._rows, ranges)
+        self._ranges, self._emitted = ranges, False
+        self._narrow = np.full(self._nstate, -1)
+        kept = np.concatenate([np.arange(start, stop) for start, stop in ranges])
+        self._narrow[kept] = np.arange(len(kept))
+        self._targets.clear()
+
+    def _widened(self, rows: F64, ranges: Ranges) -> F64:
+        """Rows with more columns, which are zero so far."""
+        whole = spread(self._ranges, rows, self._nstate)
+        return np.concatenate([whole[:, start:stop] for start, stop in ranges], axis=1)
 
     def after_physics(
         self, taken: F64, nstep: int, ids: EnvIndex | None, failed: EnvIndex | None
     ) -> None:
         """A call has returned these rows (n, width): hash them."""
         hashes = self._hash.of_columns(taken, self._ranges)
-        self._keep(taken, ids)
+        if ids is None and self._derives:
+            self._rows, self._emitted = taken, False
+        elif self._rows is not None:
+            self._rows, self._emitted = self._rows.copy(), False
+            self._rows[ids] = taken
         done = Calls(self.step, self.call, ids, hashes, failed)
         self.call += 1
         self._stamp = stamp(self.step, self.call)

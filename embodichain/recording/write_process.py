@@ -192,7 +192,7 @@ class _Writing:
                     values[index] = np.ndarray(shape, kind, memory, at)
             table[method](*values)
             del values
-        builder.file.settle()
+        builder.settle()
         self._free(order)
         self._dirty = True
         if time.monotonic() >= self._due:
