@@ -44,7 +44,10 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         _import_everything()
         moments = [rng.uniform(0.0, LONGEST) for _ in range(options.kills)]
-        found = [kill_one(Path(folder) / str(i), moment) for i, moment in enumerate(moments)]
+        found = [
+            kill_one(Path(folder) / str(i), moment, both=i % 2 == 1)
+            for i, moment in enumerate(moments)
+        ]
     print(report(found))
     if options.out:
         write_json(options.out, {"kills": found})
@@ -59,8 +62,25 @@ def _import_everything() -> None:
     env.close()
 
 
-def kill_one(folder: Path, moment: float) -> dict[str, Any]:
-    """Start a recording, kill it after `moment` seconds, and look at what is left."""
+def children_of(pid: int) -> list[int]:
+    """Processes that a process has started: those that write its logs."""
+    stats = (path.read_text() for path in Path("/proc").glob("[0-9]*/stat"))
+    found = []
+    for stat in stats:
+        number, _, rest = stat.partition(" ")
+        if int(rest.rpartition(")")[2].split()[1]) == pid:
+            found.append(int(number))
+    return found
+
+
+def kill_one(folder: Path, moment: float, both: bool) -> dict[str, Any]:
+    """Start a recording, kill it after `moment` seconds, and look at what is left.
+
+    Args:
+        folder: Made for it.
+        moment: Seconds.
+        both: Whether the process that writes is killed as well.
+    """
     folder.mkdir()
     shared = mmap.mmap(-1, 8 * (MOST_STEPS + 1))
     times = np.frombuffer(shared, np.float64)
@@ -72,13 +92,17 @@ def kill_one(folder: Path, moment: float) -> dict[str, Any]:
         finally:
             os._exit(1)
     time.sleep(moment)
-    os.kill(child, signal.SIGKILL)
+    writers = children_of(child)
+    for process in [*writers, child] if both else [child]:
+        os.kill(process, signal.SIGKILL)
     killed = time.monotonic()
     _, status = os.waitpid(child, 0)
+    while any(Path(f"/proc/{process}").exists() for process in writers):
+        time.sleep(0.01)  # it writes what it was handed
     found = look(folder, times[: int(times[-1])].copy(), killed)
     if os.waitstatus_to_exitcode(status) != -signal.SIGKILL:
         found["wrong"].append("it ended by itself")
-    return {"moment": moment, **found}
+    return {"moment": moment, "both": both, **found}
 
 
 def _record(folder: Path, times: Any) -> None:
@@ -134,14 +158,25 @@ def look(folder: Path, times: Any, killed: float) -> dict[str, Any]:
 def report(found: Sequence[dict[str, Any]]) -> str:
     """How the files were, and how much of the newest was lost."""
     rows = []
-    for state in dict.fromkeys(one["state"] for one in found):
-        those = [one for one in found if one["state"] == state]
+    for state, both in dict.fromkeys((one["state"], one["both"]) for one in found):
+        those = [one for one in found if (one["state"], one["both"]) == (state, both)]
         lost = [one["lost_s"] for one in those]
         steps = sum(one["steps"] for one in those)
         bad = sum(bool(one["wrong"]) for one in those)
-        rows.append([f"killed {state}", len(those), f"{steps:,}", f"{max(lost):.2f}", bad])
+        rows.append(
+            [
+                f"killed {state}",
+                "both" if both else "simulation",
+                len(those),
+                f"{steps:,}",
+                f"{max(lost):.2f}",
+                bad,
+            ]
+        )
     lines = [
-        table(["moment", "processes", "steps read and verified", "most lost, s", "wrong"], rows)
+        table(
+            ["moment", "killed", "logs", "steps read and verified", "most lost, s", "wrong"], rows
+        )
     ]
     return "\n".join([*lines, *(problem for one in found for problem in one["wrong"])])
 

@@ -81,7 +81,7 @@ def _table(values: Mapping[str, Any], ids: NDArray[np.int64], dtype: Any) -> Tab
 
 
 class EpisodeLog:
-    """Adds up rewards, and encodes what ends; on the background thread.
+    """Adds up rewards, and encodes what ends; where the log is written.
 
     Args:
         num_envs: N.

@@ -1,7 +1,7 @@
 """Bytes of our own messages, and back.
 
-Encoders return parts (bytes and arrays) that the writer thread joins, so that the thread that steps
-the simulation copies nothing twice. `schemas` declares the fields; tests hold both together.
+Encoders return parts (bytes and arrays) that are joined when a chunk is full: nothing is copied
+twice. `schemas` declares the fields; tests hold both together.
 """
 
 from __future__ import annotations

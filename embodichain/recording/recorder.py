@@ -168,6 +168,11 @@ class McapRecorder(StepObserver):
         """What has been written so far."""
         return RecordStats(self._file.path, self._step, self._file.counters.nbytes)
 
+    @property
+    def writer_pid(self) -> int:
+        """The process that writes the file."""
+        return self._file.worker_pid
+
     def on_write(self, env: BaseEnv, write: Write) -> None:
         """Something outside physics was written to the simulation."""
         nobody = write.env_ids is not None and not len(write.env_ids)

@@ -18,6 +18,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.log_survival import children_of
 from embodichain.cli import main
 from embodichain.recording import McapRecorder, inspect, verify
 from embodichain.recording.recover import recover
@@ -55,8 +56,10 @@ def run_in(folder, *words, **kwargs):
 def test_killed_at_any_moment_it_reads_verifies_and_recovers(tmp_path, moment):
     process, log = run_in(tmp_path)
     time.sleep(random.Random(moment).uniform(0, 1.5))
+    if moment % 2:  # with the process that writes: the machine ran out of memory, say
+        os.kill(*children_of(process.pid), signal.SIGKILL)
     process.kill()
-    process.communicate()
+    process.communicate()  # until both have ended
     before = log.read_bytes()
     broken = verify(log)
     assert broken.difference is None

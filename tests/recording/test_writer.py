@@ -33,16 +33,12 @@ def steps(env, count):
         env.step()
 
 
-def pid_of(recorder):
-    return recorder._file.worker_pid
-
-
 def test_a_slow_disk_makes_the_simulation_wait_and_drops_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(writer, "BUDGET_BYTES", 0)  # as few slabs as there may be
     env, recorder = recorded(tmp_path / "log.mcap")
     steps(env, 3)
     recorder.flush()
-    os.kill(pid_of(recorder), signal.SIGSTOP)
+    os.kill(recorder.writer_pid, signal.SIGSTOP)
     simulation = threading.Thread(target=steps, args=(env, 2000))
     try:
         simulation.start()
@@ -54,7 +50,7 @@ def test_a_slow_disk_makes_the_simulation_wait_and_drops_nothing(tmp_path, monke
         assert simulation.is_alive()
         assert env.count < 2000
     finally:
-        os.kill(pid_of(recorder), signal.SIGCONT)
+        os.kill(recorder.writer_pid, signal.SIGCONT)
     simulation.join()
     env.close()
     report = verify(tmp_path / "log.mcap")
@@ -66,7 +62,7 @@ def test_a_writer_that_is_killed_ends_the_run_loudly_and_only_this_one(tmp_path)
     env, recorder = recorded(tmp_path / "log.mcap")
     steps(env, 5)
     recorder.flush()
-    os.kill(pid_of(recorder), signal.SIGKILL)
+    os.kill(recorder.writer_pid, signal.SIGKILL)
     said = r"log\.mcap could not be written: the process that writes it has ended \(signal 9\)"
     with pytest.raises(LogWriteError, match=said):
         for _ in range(200):
@@ -86,7 +82,7 @@ def test_closing_says_what_nobody_was_told(tmp_path):
     env, recorder = recorded(tmp_path / "log.mcap")
     steps(env, 2)
     recorder.flush()
-    os.kill(pid_of(recorder), signal.SIGKILL)
+    os.kill(recorder.writer_pid, signal.SIGKILL)
     with pytest.raises(LogWriteError, match="could not be written"):
         recorder.close()
     recorder.close()
@@ -116,7 +112,7 @@ def test_one_process_writes_one_log_after_another(tmp_path):
     for name in "abc":
         env, recorder = recorded(tmp_path / f"{name}.mcap")
         steps(env, 4)
-        pids.append(pid_of(recorder))
+        pids.append(recorder.writer_pid)
         env.close()
         assert verify(tmp_path / f"{name}.mcap").ok
     assert len(set(pids)) == 1
@@ -124,7 +120,7 @@ def test_one_process_writes_one_log_after_another(tmp_path):
 
 def test_two_logs_at_once_have_a_process_each(tmp_path):
     logs = [recorded(tmp_path / f"{i}.mcap", seed=i) for i in range(2)]
-    assert len({pid_of(recorder) for _, recorder in logs}) == 2
+    assert len({recorder.writer_pid for _, recorder in logs}) == 2
     for _ in range(10):
         for env, _ in logs:
             env.step()

@@ -1,4 +1,4 @@
-"""`Viewed`: one environment as the background thread sees it, with a model of its own."""
+"""`Viewed`: one environment as whoever encodes its messages sees it, with a model of its own."""
 
 from __future__ import annotations
 
