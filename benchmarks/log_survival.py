@@ -17,6 +17,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -64,12 +65,12 @@ def _import_everything() -> None:
 
 def children_of(pid: int) -> list[int]:
     """Processes that a process has started: those that write its logs."""
-    stats = (path.read_text() for path in Path("/proc").glob("[0-9]*/stat"))
     found = []
-    for stat in stats:
-        number, _, rest = stat.partition(" ")
-        if int(rest.rpartition(")")[2].split()[1]) == pid:
-            found.append(int(number))
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(FileNotFoundError, ProcessLookupError):  # it has ended meanwhile
+            parent = path.read_text().rpartition(")")[2].split()[1]
+            if int(parent) == pid:
+                found.append(int(path.parent.name))
     return found
 
 
