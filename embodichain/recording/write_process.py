@@ -5,7 +5,6 @@ What it is told to write means nothing here; `LogBuilder` knows.
 
 from __future__ import annotations
 
-import errno
 import json
 import marshal
 import os
@@ -28,8 +27,8 @@ from embodichain.recording.log_file import LogFile
 
 __all__ = ["main"]
 
-FLUSH_SECONDS = 1.0
-"""What is lost at most when this process is killed as well."""
+FLUSH_SECONDS = 0.5
+"""Together with what is not handed over yet, at most a second is lost if all is killed."""
 LOOK_SECONDS = 0.004
 LOOK_FOR_SECONDS = 0.25
 CALM_SECONDS = 1.0
@@ -111,8 +110,6 @@ class _Writing:
                 self._abandon()
             else:
                 self._carry_out(*received)
-        except (BrokenPipeError, ConnectionResetError):
-            self.over = True  # nobody is there to be told anything
         except Exception as error:  # noqa: BLE001  (whoever gave the order is told)
             self.over = True
             self._fail(error)
@@ -206,7 +203,9 @@ class _Writing:
             self._reply(handover.FREED, number)
 
     def _reply(self, kind: int, number: int = 0) -> None:
-        self._connection.sendall(Reply.pack(kind, number))
+        # What was handed over is written, also when whoever did it is gone.
+        with suppress(BrokenPipeError, ConnectionResetError):
+            self._connection.sendall(Reply.pack(kind, number))
 
     def _flush(self) -> None:
         if self._file is not None:
@@ -236,12 +235,9 @@ class _Writing:
             "where": "" if self._file is None else self._file.where_it_ends,
         }
         data = json.dumps(report).encode()
-        try:
-            self._reply(handover.FAILED, len(data))
+        self._reply(handover.FAILED, len(data))
+        with suppress(BrokenPipeError, ConnectionResetError):
             self._connection.sendall(data)
-        except OSError as gone:
-            if gone.errno not in (errno.EPIPE, errno.ECONNRESET):
-                raise
 
 
 def _unpickled(data: bytes) -> Any:

@@ -31,7 +31,7 @@ __all__ = ["LogWriteError", "LogWriter"]
 
 BATCH_SECONDS = 0.05
 """Calls wait no longer than this for the next one before they are handed over with it."""
-IDLE_SECONDS = 0.25
+IDLE_SECONDS = 0.2
 """And no longer than this if none comes: with the flushing of the file that stays below 1 s."""
 HURRY_SECONDS = 0.05
 """After waiting so long for the other process, it is told not to stand back."""
@@ -77,6 +77,7 @@ class LogWriter:
         self._filled = self._slab_bytes - self._slab_bytes // 4  # rows leave room for the rest
         self._made_bytes = 0
         self._away = 0  # bytes in slabs that the other process has
+        self._progress = 0.0  # when one came back
         self._slabs: dict[int, Slab] = {}
         self._free: list[Slab] = []
         self._slab: Slab | None = None
@@ -282,6 +283,8 @@ class LogWriter:
         order = self._order(handover.BATCH, slab, target, at, len(content))
         # Nothing can interrupt between these: they call nothing.
         self._unsent, self._pending, self._slab = order, [], None
+        if not self._away:
+            self._progress = self._handed_over
         self._away += slab.at + (target.at if target is not slab else 0)
         self._send(order)
         self._unsent = None
@@ -342,6 +345,7 @@ class LogWriter:
     def _take_back(self, number: int) -> None:
         slab = self._slabs[number]
         self._away -= slab.at
+        self._progress = time.monotonic()
         if slab.size == self._slab_bytes:
             self._free.append(slab)
         else:
@@ -412,13 +416,21 @@ class LogWriter:
             if self._head.is_alive() or not self._lock.acquire(blocking=False):
                 continue
             try:
-                if not self._error and time.monotonic() - self._handed_over >= IDLE_SECONDS:
-                    self._hand_over()
+                if self._error is None:
+                    self._look_after(time.monotonic())
             except OSError as error:
                 self._error, self._told = self._error or error, False
                 return  # the next call says it
             finally:
                 self._lock.release()
+
+    def _look_after(self, now: float) -> None:
+        """Hand over what waits, and do not let the other process stand back for long."""
+        if now - self._handed_over >= IDLE_SECONDS:
+            self._hand_over()
+        self._receive()
+        if self._away and now - self._progress >= IDLE_SECONDS:
+            self._worker.hurry()
 
 
 def _placed(

@@ -15,6 +15,7 @@ from embodichain import recording
 from embodichain.lab.gym.envs.observers import EventRecord
 from embodichain.recording import McapRecorder, inspect, verify, worker, writer
 from embodichain.recording.writer import LogWriteError
+from embodichain.utils.errors import ConfigError
 from tests.recording.scene import SmallEnv
 
 ROOT = Path(__file__).parents[2]
@@ -214,3 +215,30 @@ def test_unusual_arrays_arrive_as_they_were(tmp_path):
     assert {name: array.tolist() for name, array in event.drawn.items()} == {
         name: array.astype(float).tolist() for name, array in drawn.items()
     }
+
+
+def test_a_busy_machine_does_not_keep_a_log_from_being_written(tmp_path):
+    """The writer stands back where a core is wanted, but not for long."""
+    burn = [sys.executable, "-c", "while True: pass"]
+    busy = [subprocess.Popen(burn) for _ in range(2 * (os.cpu_count() or 1))]
+    try:
+        env, recorder = recorded(tmp_path / "log.mcap")
+        steps(env, 50)
+        deadline = time.monotonic() + 60
+        while inspect_steps(tmp_path / "log.mcap") < 50 and time.monotonic() < deadline:
+            time.sleep(0.1)
+        assert inspect(tmp_path / "log.mcap").steps == 50
+        env.close()
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+    assert verify(tmp_path / "log.mcap").ok
+    del recorder
+
+
+def inspect_steps(path):
+    try:
+        return inspect(path).steps
+    except ConfigError:
+        return 0  # its beginning is not there yet
