@@ -26,7 +26,7 @@ class LogFile:
         file: Descriptor of a new file; it is closed in the end.
         folder: Of the file's folder: later files go there, whoever renames it meanwhile.
         name: The file's name.
-        compression: ``lz4``, ``zstd`` or ``none``.
+        compression: One of `mcap_file.COMPRESSORS`.
         counters: Told how large it is; None tells nobody.
     """
 

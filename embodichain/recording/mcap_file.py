@@ -37,10 +37,15 @@ CHUNK_LIMIT = 2**27
 
 COMPRESSORS: Mapping[str, Callable[[bytes], bytes]] = {
     "none": bytes,
+    # Files as large as lz4's below, in half the time.
+    "zstd-fast": zstandard.ZstdCompressor(level=-30).compress,
     # Acceleration 8 takes three quarters of the time, and files become 8 % larger.
     "lz4": partial(lz4.frame.compress, compression_level=-8),
     "zstd": zstandard.ZstdCompressor(level=1).compress,
 }
+
+_NAMES = {"none": "", "zstd-fast": "zstd"}
+"""What compressors are called in a file, where that differs."""
 
 # Opcode, record length, channel, sequence, log time, publish time.
 _MESSAGE = struct.Struct("<BQHIQQ")
@@ -61,13 +66,13 @@ class McapFile:
 
     Args:
         stream: Where to write; `finish` leaves it open.
-        compression: ``lz4``, ``zstd`` or ``none``.
+        compression: One of `COMPRESSORS`.
         library: Name of the writer, for the header.
     """
 
     def __init__(self, stream: BinaryIO, compression: str, library: str) -> None:
         self._stream = stream
-        self._name = "" if compression == "none" else compression
+        self._name = _NAMES.get(compression, compression)
         self._compress = COMPRESSORS[compression]
         self._offset = 0
         self._chunk: list[Part] = []

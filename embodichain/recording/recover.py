@@ -69,7 +69,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
         temporary = target.with_name(f".{target.name}.{os.getpid()}")
         try:
             with temporary.open("xb") as stream:
-                copy = _Copy(reader, McapFile(stream, "lz4", library="embodichain recover"))
+                copy = _Copy(reader, McapFile(stream, "zstd-fast", library="embodichain recover"))
                 copy.all_records()
                 os.fsync(stream.fileno())
             _publish(temporary, target)

@@ -50,12 +50,14 @@ def main(orders: int, hurry: int) -> None:
         while not writing.over:
             quiet = threading.Thread(target=_write_quietly, args=(writing,), name="log-writer")
             quiet.start()
-            waits = calls.read(1)  # empty: the simulation's process has ended
-            writing.pause = bool(waits)
+            waits = calls.read(1)
+            writing.pause = True
             quiet.join()
             writing.pause = False
             if waits:
                 _write_at_once(writing, calls)
+            while not waits and not writing.over:  # the simulation's process has ended
+                writing.carry_on()
 
 
 def _write_quietly(writing: _Writing) -> None:

@@ -58,7 +58,7 @@ class LogWriter:
 
     Args:
         path: A new file; an existing one is never overwritten.
-        compression: ``lz4``, ``zstd`` or ``none``.
+        compression: As in `RecordOptions`.
         make_head: Makes what the log begins with (a `LogHead`), on a thread of its own. Calls wait
             for it in the other process, the simulation does not.
         step_bytes: About how much one control step hands over.
@@ -305,12 +305,13 @@ class LogWriter:
         try:
             handover.send_order(self._worker.connection, order, descriptors)
         except (BrokenPipeError, ConnectionResetError):
-            self._receive(wait=True)  # says why
-            raise
+            while True:  # until it has said why
+                self._receive(wait=True)
 
     def _receive(self, wait: bool = False) -> None:
         """Take replies in."""
-        if wait and self._head.is_alive():  # it needs the lock, and the others wait for it
+        head_waits = self._head.is_alive() and threading.current_thread() is not self._head
+        if wait and head_waits:  # for the lock, and what is on its way waits for the head
             self._lock.release()
             try:
                 self._head.join()

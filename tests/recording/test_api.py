@@ -28,7 +28,7 @@ def rows_of_steps(path):
     return np.stack([np.array(m.state).reshape(m.num_envs, m.width) for m in states])
 
 
-@pytest.mark.parametrize("compression", ["lz4", "zstd", "none"])
+@pytest.mark.parametrize("compression", ["zstd-fast", "lz4", "zstd", "none"])
 def test_arrays_are_what_another_library_reads(record, compression):
     path = record(steps=25, settle=3, options=RecordOptions(compression=compression))
     rows, steps = rows_of_steps(path), decoded(path, "/sim/step")

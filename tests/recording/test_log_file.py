@@ -21,7 +21,7 @@ def read(path):
         return [m.data for _, _, m in make_reader(stream, validate_crcs=True).iter_messages()]
 
 
-@pytest.mark.parametrize("compression", ["lz4", "zstd", "none"])
+@pytest.mark.parametrize("compression", ["zstd-fast", "lz4", "zstd", "none"])
 def test_chunks_of_every_compression(tmp_path, compression):
     log = start(tmp_path / "log.mcap", compression)
     arrays = [np.random.default_rng(i).normal(size=50_000) for i in range(6)]  # several chunks

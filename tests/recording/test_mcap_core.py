@@ -31,7 +31,7 @@ def validate(validator, path):
     return done.returncode, json.loads(done.stdout)
 
 
-@pytest.mark.parametrize("compression", ["lz4", "zstd", "none"])
+@pytest.mark.parametrize("compression", ["zstd-fast", "lz4", "zstd", "none"])
 def test_reads_it_indexed_and_as_a_stream(validator, record, compression):
     path = record(steps=30, options=RecordOptions(compression=compression, view_envs=(0, 2)))
     code, found = validate(validator, path)

@@ -229,7 +229,8 @@ def test_closing_twice_is_closing_once(tmp_path):
         ({"max_mb": 0}, "record.max_mb: 0 must be positive"),
         (
             {"compression": "lz5"},
-            "record.compression: 'lz5' is not one of lz4, zstd, none. Did you mean 'lz4'?",
+            "record.compression: 'lz5' is not one of zstd-fast, lz4, zstd, none. "
+            "Did you mean 'lz4'?",
         ),
         ({"view_hz": 0}, "record.view_hz: 0 must be positive (1/s, simulated)"),
         (
