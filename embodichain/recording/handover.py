@@ -33,6 +33,7 @@ __all__ = [
     "Counters",
     "Order",
     "Reply",
+    "ReplyReader",
     "Slab",
     "receive_order",
     "send_order",
@@ -103,6 +104,44 @@ def receive_order(connection: socket.socket) -> tuple[Order, list[int]] | None:
         data += more
         descriptors += found
     return Order(*_ORDER.unpack(data)), descriptors
+
+
+class ReplyReader:
+    """Takes replies off a socket.
+
+    Args:
+        connection: The socket.
+    """
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        self._data = b""
+
+    def read(self) -> list[tuple[int, int, bytes]] | None:
+        """Wait for replies: kind, number, and the report of a failure.
+
+        Returns:
+            Those that have arrived; None when the other process has ended.
+        """
+        if not self._more():
+            return None
+        found: list[tuple[int, int, bytes]] = []
+        while len(self._data) >= Reply.size:
+            kind, number = Reply.unpack_from(self._data)
+            end = Reply.size + (number if kind == FAILED else 0)
+            while len(self._data) < end and self._more():
+                pass
+            found.append((kind, number, self._data[Reply.size : end]))
+            self._data = self._data[end:]
+        return found
+
+    def _more(self) -> bool:
+        try:
+            data = self._connection.recv(2**16)
+        except ConnectionResetError:
+            data = b""
+        self._data += data
+        return bool(data)
 
 
 class Slab:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import atexit
 import errno
-import json
 import marshal
 import os
 import pickle
@@ -17,15 +16,15 @@ import select
 import threading
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.recording import handover, worker
-from embodichain.recording.handover import PICKLED, Counters, Order, Reply, Slab
+from embodichain.recording.handover import Counters, Order, ReplyReader, Slab
+from embodichain.recording.placing import placed, put
+from embodichain.recording.write_error import LogWriteError, cause_of, write_error
 
 __all__ = ["LogWriteError", "LogWriter"]
 
@@ -44,13 +43,6 @@ _BATCH_CALLS = 512
 """Calls in a batch; more would not fit there."""
 _CALL_BYTES = 256
 """About what a call takes besides rows."""
-_PLAIN = frozenset({int, float, bool, str, type(None)})
-_NUMBERS = frozenset("?bBhHiIlLqQefd")
-"""Kinds of arrays whose bytes are all there is to them."""
-
-
-class LogWriteError(OSError):
-    """The log could not be written; the text says why, and where it ends."""
 
 
 class LogWriter:
@@ -83,7 +75,6 @@ class LogWriter:
         self._slab: Slab | None = None
         self._pending: list[handover.Call] = []
         self._unsent: Order | None = None
-        self._replies = b""
         self._flushed = False
         self._ended = False
         self._closed = self._told = False
@@ -109,13 +100,14 @@ class LogWriter:
             file = os.open(path, flags, 0o666)
             try:
                 self._worker = worker.acquire()
+                self._replies = ReplyReader(self._worker.connection)
                 page = Slab(0, Counters.SIZE)
                 self.counters = Counters(page)
                 content = pickle.dumps((path.name, compression), 5)
                 slab = self._take(len(content))
-                at = _put(slab, content)
-                order = partial(self._order, handover.OPEN, slab, slab, at, len(content))
-                self._send(order(), (file, folder, page.descriptor))
+                at = put(slab, content)
+                order = self._order(handover.OPEN, slab, slab, at, len(content))
+                self._send(order, (file, folder, page.descriptor))
                 self._away += slab.at
                 page.forget_descriptor()
             finally:
@@ -223,7 +215,8 @@ class LogWriter:
             self._worker.close()
             raise
         finally:
-            self._let_go()
+            self._pending, self._slab, self._free = [], None, []
+            self._slabs.clear()
         worker.release(self._worker)
 
     @property
@@ -276,10 +269,10 @@ class LogWriter:
         if slab is None:
             slab = self._slab = self._take(0)
         limit = slab.size - _CONTENT_BYTES
-        content = marshal.dumps([_placed(slab, limit, *call) for call in self._pending])
+        content = marshal.dumps([placed(slab, limit, *call) for call in self._pending])
         fits = slab.at + len(content) <= slab.size
         target = slab if fits else self._take(len(content))
-        at = _put(target, content)
+        at = put(target, content)
         order = self._order(handover.BATCH, slab, target, at, len(content))
         # Nothing can interrupt between these: they call nothing.
         self._unsent, self._pending, self._slab = order, [], None
@@ -324,16 +317,10 @@ class LogWriter:
                 return
             self._worker.hurry()
             patience = 1.0
-        try:
-            data = connection.recv(4096)
-        except ConnectionResetError:
-            data = b""
-        if not data:
-            self._fail_without_a_word()
-        self._replies += data
-        while len(self._replies) >= Reply.size:
-            kind, number = Reply.unpack_from(self._replies)
-            self._replies = self._replies[Reply.size :]
+        replies = self._replies.read()
+        if replies is None:
+            self._fail(None)
+        for kind, number, report in replies or ():
             if kind == handover.FREED:
                 self._take_back(number)
             elif kind == handover.FLUSHED:
@@ -341,7 +328,7 @@ class LogWriter:
             elif kind == handover.CLOSED:
                 self._ended = True
             else:
-                self._fail(self._rest(number))
+                self._fail(report)
 
     def _take_back(self, number: int) -> None:
         slab = self._slabs[number]
@@ -353,46 +340,19 @@ class LogWriter:
             del self._slabs[number]
             self._made_bytes -= slab.size
 
-    def _rest(self, length: int) -> bytes:
-        """The bytes that follow a reply."""
-        while len(self._replies) < length:
-            more = self._worker.connection.recv(2**16)
-            if not more:
-                break
-            self._replies += more
-        return self._replies[:length]
-
-    def _fail(self, report: bytes) -> None:
-        """The other process could not write: remember why, as it says."""
-        found: dict[str, Any] = json.loads(report)
-        self._where = found["where"]
-        if found["errno"] is not None:
-            self._error = OSError(found["errno"], found["why"])
+    def _fail(self, report: bytes | None) -> None:
+        """The other process could not write, or has ended without a word."""
+        if report is None:
+            how = self._worker.how_it_ended()
+            why = f"the process that writes it has ended ({how})"
+            self._error = ChildProcessError(errno.EPIPE, why)
         else:
-            self._error = RuntimeError(found["traceback"])
-        raise self._told_error()
-
-    def _fail_without_a_word(self) -> None:
-        how = self._worker.how_it_ended()
-        why = f"the process that writes it has ended ({how})"
-        self._error = ChildProcessError(errno.EPIPE, why)
+            self._error, self._where = cause_of(report)
         raise self._told_error()
 
     def _told_error(self) -> LogWriteError:
-        error = self._error
         self._told = True
-        why = str(error)
-        if isinstance(error, OSError) and error.strerror:
-            why = error.strerror + (f": {error.filename}" if error.filename else "")
-        end = f"; {self._where}" if self._where else ""
-        told = LogWriteError(f"the log {self.path} could not be written: {why}{end}")
-        told.__cause__ = error
-        return told
-
-    def _let_go(self) -> None:
-        """Nothing is handed over any more."""
-        self._pending, self._slab, self._free = [], None, []
-        self._slabs.clear()
+        return write_error(self.path, self._error, self._where)
 
     # -- other threads -----------------------------------------------------------------------------
 
@@ -402,7 +362,7 @@ class LogWriter:
             content = pickle.dumps(make(), 5)
             with self._lock:
                 slab = self._make(_pages(len(content)))
-                _put(slab, content)
+                put(slab, content)
                 self._send(self._order(handover.HEAD, slab, slab, 0, len(content)))
                 self._away += slab.at
         except BaseException as error:  # noqa: BLE001  (the next call raises it)
@@ -432,48 +392,6 @@ class LogWriter:
         self._receive()
         if self._away and now - self._progress >= IDLE_SECONDS:
             self._worker.hurry()
-
-
-def _placed(
-    slab: Slab, limit: int, method: str, args: tuple[object, ...], places: tuple[object, ...]
-) -> handover.Call:
-    """A call as it is handed over: what is no number and no text lies in the slab, or is pickled.
-
-    Args:
-        slab: Where arrays go.
-        limit: Bytes of it that may be used; arrays that do not fit are pickled.
-        method: The method.
-        args: Its arguments.
-        places: Of arguments that lie in the slab already.
-    """
-    kept: list[object] | None = None
-    found: list[object] = []
-    at = slab.at
-    for index, arg in enumerate(args):
-        if type(arg) in _PLAIN:
-            continue
-        if kept is None:
-            kept, found = list(args), list(places)
-        kept[index] = None
-        if type(arg) is np.ndarray and (kind := arg.dtype.char) in _NUMBERS:
-            end = at + arg.nbytes
-            if end <= limit:
-                buffer: Any = arg if arg.flags.c_contiguous else np.ascontiguousarray(arg)
-                slab.memory[at:end] = buffer
-                found += (index, at, kind, arg.shape)
-                at = end + 7 & ~7
-                continue
-        found += (index, 0, PICKLED, pickle.dumps(arg, 5))
-    slab.at = at
-    return (method, args, places) if kept is None else (method, tuple(kept), tuple(found))
-
-
-def _put(slab: Slab, content: bytes) -> int:
-    """Copy bytes behind what is in a slab; where they begin."""
-    at = slab.at
-    slab.memory[at : at + len(content)] = content
-    slab.at = at + len(content)
-    return at
 
 
 def _pages(nbytes: int) -> int:
