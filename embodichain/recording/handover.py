@@ -186,10 +186,9 @@ class Counters:
 
     SIZE = 4096
     _NAMES = ("nbytes", "size", "part", "head_bytes")
-    __slots__ = ("_values", "slab")
+    __slots__ = ("_values",)
 
     def __init__(self, slab: Slab) -> None:
-        self.slab = slab
         self._values = np.ndarray(len(self._NAMES), "<u8", slab.memory)
 
     def set(self, nbytes: int, size: int, part: int, head_bytes: int) -> None:

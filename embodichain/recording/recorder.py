@@ -96,7 +96,7 @@ class McapRecorder(StepObserver):
         self._parts = 0  # files that were asked for after the first
         self._views = Views(env, options, self._push, self._now)
         make_head = self._head(env, options, config, overrides, task)
-        # Rows before and after physics, and about half as much again.
+        # A slab holds the rows of two steps, and half as much again of the rest.
         step_bytes = 3 * 8 * env.num_envs * self._columns.width
         self._file = LogWriter(Path(path), options.compression, make_head, step_bytes)
         if not self._columns.narrow_enough(engine.rows):
@@ -304,7 +304,7 @@ class McapRecorder(StepObserver):
     def flush(self) -> None:
         """Wait until everything recorded so far is in the file, where readers find it.
 
-        Nobody has to call this: the file is flushed every second. After `close` it does nothing.
+        Nobody has to call this: the file is flushed within a second. After `close` it does nothing.
 
         Raises:
             OSError: If the file could not be written.

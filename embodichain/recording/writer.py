@@ -53,7 +53,7 @@ class LogWriter:
         compression: As in `RecordOptions`.
         make_head: Makes what the log begins with (a `LogHead`), on a thread of its own. Calls wait
             for it in the other process, the simulation does not.
-        step_bytes: About how much one control step hands over.
+        step_bytes: How large a slab is at least.
 
     Raises:
         FileExistsError: If `path` exists.
