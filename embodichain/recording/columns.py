@@ -14,9 +14,21 @@ import numpy as np
 
 from embodichain.lab.sim.engine.base import F64, Write
 
-__all__ = ["INPUTS_ALWAYS_ZERO", "RowColumns", "column_name", "spread"]
+__all__ = [
+    "INPUTS",
+    "INPUTS_ALWAYS_ZERO",
+    "NEEDS_HEED",
+    "RowColumns",
+    "column_name",
+    "moved_ranges",
+    "spread",
+]
 
 INPUTS_ALWAYS_ZERO = ("qfrc_applied", "xfrc_applied")
+INPUTS = (*INPUTS_ALWAYS_ZERO, "ctrl", "eq_active", "mocap_pos", "mocap_quat", "userdata")
+"""Components that physics reads and never writes; what they are follows from writes alone."""
+NEEDS_HEED = frozenset({*INPUTS_ALWAYS_ZERO, "row"})
+"""Fields of writes that may leave something in columns that are left out."""
 
 
 class RowColumns:
@@ -30,6 +42,8 @@ class RowColumns:
         self.layout = dict(layout)
         self.nstate: int = max(cols.stop for cols in self.layout.values())
         self.kept = _complement([self.layout[n] for n in INPUTS_ALWAYS_ZERO], self.nstate)
+        self.moved = moved_ranges(self.layout)
+        self.moved_width = _width(self.moved)
         self.ranges = self.kept
         self.width = _width(self.kept)
 
@@ -63,10 +77,24 @@ class RowColumns:
 
     def take(self, rows: F64, out: F64) -> None:
         """Copy the columns in use of whole rows, (n, nstate), into (n, width)."""
-        at = 0
-        for start, stop in self.ranges:
-            out[:, at : at + stop - start] = rows[:, start:stop]
-            at += stop - start
+        _side_by_side(self.ranges, rows, out)
+
+    def take_moved(self, rows: F64, out: F64) -> None:
+        """Copy the columns that physics may have written, (n, nstate), into (n, moved_width)."""
+        _side_by_side(self.moved, rows, out)
+
+
+def moved_ranges(layout: Mapping[str, slice]) -> list[tuple[int, int]]:
+    """Columns of whole rows that physics may write, as half-open ranges."""
+    nstate = max(columns.stop for columns in layout.values())
+    return _complement([layout[name] for name in INPUTS if name in layout], nstate)
+
+
+def _side_by_side(ranges: list[tuple[int, int]], rows: F64, out: F64) -> None:
+    at = 0
+    for start, stop in ranges:
+        out[:, at : at + stop - start] = rows[:, start:stop]
+        at += stop - start
 
 
 def spread(kept: list[tuple[int, int]], narrow: F64, nstate: int) -> F64:

@@ -31,6 +31,8 @@ __all__ = [
     "SLAB",
     "Call",
     "Counters",
+    "FormFields",
+    "FormTold",
     "Order",
     "Reply",
     "ReplyReader",
@@ -53,6 +55,13 @@ Call = tuple[str, tuple[object, ...], tuple[object, ...]]
 (its index, offset, type and shape), or for what is pickled (index, 0, `PICKLED` and the bytes). The
 rest are numbers and texts, so that a batch of calls is packed by `marshal`, in a tenth of the time
 that pickle takes."""
+FormFields = tuple[tuple[str, tuple[int, ...], int], ...]
+"""Type, shape and offset of each array of calls that are alike."""
+FormTold = tuple[int, str, FormFields]
+"""Number of a form, its method and its arrays.
+
+A batch is a list of forms that are new, and a list of calls; a call that has a form is its number,
+where the arrays lie in the slab, and the arguments that precede them."""
 PICKLED = "pickled"
 
 

@@ -73,8 +73,8 @@ class LogBuilder:
             "place": log.place,
             "write": log.on_write,
             "before": log.before_physics,
-            "as_written": log.as_written,
             "after": log.after_physics,
+            "stepped": log.stepped,
             "event": self._event,
             "step": self._step,
             "unseen_step": self._end_episodes,
@@ -102,17 +102,17 @@ class LogBuilder:
     def _step(
         self,
         step: int,
+        ends: Ends | None,
         action: F64,
         reward: NDArray[Any],
         terminated: NDArray[np.bool_],
         truncated: NDArray[np.bool_],
         episode_ids: NDArray[np.int64],
-        ends: Ends | None,
     ) -> None:
         """A control step ended."""
         if self._header.state != "none":
             self._log.on_step(action, reward, terminated, truncated, episode_ids)
-        self._end_episodes(step, reward, episode_ids, ends)
+        self._end_episodes(step, ends, reward, episode_ids)
 
     def _event(
         self,
@@ -129,7 +129,7 @@ class LogBuilder:
         self._views.event(time_ns, term, mode, env_ids, names, *drawn)
 
     def _end_episodes(
-        self, step: int, reward: NDArray[Any], episode_ids: NDArray[np.int64], ends: Ends | None
+        self, step: int, ends: Ends | None, reward: NDArray[Any], episode_ids: NDArray[np.int64]
     ) -> None:
         """A control step ended; those that are not recorded say that at least."""
         parts = self._episodes.add(step, reward, episode_ids, ends)

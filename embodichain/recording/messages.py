@@ -36,6 +36,9 @@ __all__ = [
 ]
 
 
+_F8, _I8 = np.dtype("<f8"), np.dtype("<i8")
+_BOOL = np.dtype(np.bool_)
+
 START = "start"
 """Phase of what a file begins with."""
 
@@ -224,15 +227,15 @@ def encode_step(
     actions, rewards, terms, truncs, ids, hashes = _step_heads(n, action.size // n)
     parts: list[Part] = [
         stamp(step, physics.call if physics else 0) + actions,
-        np.ascontiguousarray(action, "<f8"),
+        np.ascontiguousarray(action, _F8),
         rewards,
-        np.ascontiguousarray(reward, "<f8"),
+        np.ascontiguousarray(reward, _F8),
         terms,
-        np.ascontiguousarray(terminated, np.bool_),
+        np.ascontiguousarray(terminated, _BOOL),
         truncs,
-        np.ascontiguousarray(truncated, np.bool_),
+        np.ascontiguousarray(truncated, _BOOL),
         ids,
-        np.ascontiguousarray(episode_ids, "<i8"),
+        np.ascontiguousarray(episode_ids, _I8),
     ]
     if physics is not None:
         parts += [hashes, physics.hashes]
@@ -280,7 +283,7 @@ def encode_write(
     start = when + head[0] + _env_ids(6, env_ids) + head[1]
     if values is None:
         return (start,)
-    data = np.ascontiguousarray(values, "<f8")
+    data = np.ascontiguousarray(values, _F8)
     return start + wire.packed(8, data.nbytes), data
 
 
@@ -289,7 +292,7 @@ def encode_event(when: bytes, event: EventRecord) -> tuple[Part, ...]:
     start = when + _event_head(event.term, event.mode) + _env_ids(5, event.env_ids)
     parts: list[Part] = [start]
     for name, drawn in event.drawn.items():
-        values = np.ascontiguousarray(drawn, "<f8")
+        values = np.ascontiguousarray(drawn, _F8)
         parts += [_drawn_head(name, values.shape), values]
     return tuple(parts)
 

@@ -11,11 +11,11 @@ import json
 import time
 import weakref
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,7 +23,7 @@ from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRe
 from embodichain.lab.sim.engine.base import EnvIndex, PhysicsEvent, Write
 from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.recording.attachments import attachments_of, model_bytes
-from embodichain.recording.columns import RowColumns
+from embodichain.recording.columns import NEEDS_HEED, RowColumns
 from embodichain.recording.episode_gate import EpisodeGate
 from embodichain.recording.episode_log import Ends
 from embodichain.recording.foxglove.layout import foxglove_layout
@@ -36,7 +36,7 @@ from embodichain.recording.options import (
     RecordOptions,
     check_options,
 )
-from embodichain.recording.writer import LogWriteError, LogWriter
+from embodichain.recording.writer import LogWriter
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -85,6 +85,9 @@ class McapRecorder(StepObserver):
         self._gate = EpisodeGate(options.every, next(iter(options.view_envs), 0))
         self._substeps = int(env.sim_steps_per_control)
         self._keyframe_every = options.keyframe_every if options.state == "keyframes" else 0
+        # What is reset in the middle of a step, or changed by a plugin, no write tells.
+        resets = not engine.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        self._derives = not (self._keyframe_every or resets or engine.model.nplugin)
         self._keyframe_due = True
         self._keyframe = -1  # control step of the newest one
         self._view_envs = [int(i) for i in options.view_envs]
@@ -92,6 +95,7 @@ class McapRecorder(StepObserver):
         self._max_bytes = 0.0 if options.max_mb is None else options.max_mb * 1e6
         self._places: dict[object, int] = {}
         self._known = False  # whether the writer can tell every row from calls and writes
+        self._as_written = False  # whether physics is at it, with rows that the writer can tell
         self._told = 0  # width of the rows that the writer knows of
         self._parts = 0  # files that were asked for after the first
         self._views = Views(env, options, self._push, self._now)
@@ -101,6 +105,7 @@ class McapRecorder(StepObserver):
         self._file = LogWriter(Path(path), options.compression, make_head, step_bytes)
         if not self._columns.narrow_enough(engine.rows):
             self._columns.widen()
+        self._tell_columns()
         model_fields = engine.state_dict()["model"]
         self._write_start(model_fields)
         self._views.start(model_fields)
@@ -175,14 +180,19 @@ class McapRecorder(StepObserver):
 
     def on_write(self, env: BaseEnv, write: Write) -> None:
         """Something outside physics was written to the simulation."""
-        nobody = write.env_ids is not None and not len(write.env_ids)
-        if self._keeps_state and write.op != "forward" and not nobody:
-            self._columns.heed(write)
+        ids, values = write.env_ids, write.values
+        if self._keeps_state and write.op != "forward" and (ids is None or len(ids)):
             if write.op != "state" or write.field == "row":
                 self._known = False
+            if write.field in NEEDS_HEED:
+                self._columns.heed(write)
+                self._tell_columns()
             if self._gate.open or write.op in ("model", "set_const"):
-                self._told_columns()
-                self._file.call("write", self._place(write), write.env_ids, write.values)
+                place = self._place(write)
+                if ids is None and values is not None:
+                    self._file.call_alike(place, "write", (place, None), values)
+                else:
+                    self._file.call("write", place, ids, values)
         if write.op == "model":
             self._views.on_model_write(write)
 
@@ -200,12 +210,11 @@ class McapRecorder(StepObserver):
             self._file.call("place", number, write.op, write.field, columns)
         return number
 
-    def _told_columns(self) -> RowColumns:
-        """The columns that are handed over, which are told when they change."""
+    def _tell_columns(self) -> None:
+        """Say which columns are handed over from now on, if that has changed."""
         if self._told != self._columns.width:
             self._told = self._columns.width
             self._file.call("columns", self._columns.ranges)
-        return self._columns
 
     def on_physics(self, env: BaseEnv, event: PhysicsEvent) -> None:
         """Physics is about to step, or has just stepped."""
@@ -217,22 +226,35 @@ class McapRecorder(StepObserver):
             self._known = False
             return
         if self._keeps_state:
-            rows = event.rows if ids is None else event.rows[ids]
-            columns = self._told_columns()
-            shape = len(rows), columns.width
-            if not before:
-                what = event.nstep, ids, event.failed
-                self._file.call_with("after", shape, partial(columns.take, rows), *what)
-            elif self._keyframe_every and not self._is_keyframe(event):
-                self._file.call("before", None, event.nstep, ids)
-            elif self._known:
-                self._file.call("as_written", event.nstep, ids)
+            if before:
+                self._before(event)
             else:
-                take = partial(columns.take, rows)
-                self._file.call_with("before", shape, take, event.nstep, ids)
-                self._known = ids is None and not self._keyframe_every
+                method, self._as_written = "stepped" if self._as_written else "after", False
+                self._take(method, (event.nstep, ids, event.failed), event)
         if before and ids is None:
             self._views.on_rows(self._step, event.rows)
+
+    def _before(self, event: PhysicsEvent) -> None:
+        """Hand over the rows that physics receives, unless they follow from what was before."""
+        nstep, ids = event.nstep, event.env_ids
+        self._as_written = False
+        if self._keyframe_every and not self._is_keyframe(event):
+            self._file.call("before", nstep, ids, None)
+        elif self._known:
+            self._as_written = True  # said together with what physics returns
+        else:
+            self._take("before", (nstep, ids), event)
+            self._known = ids is None and self._derives
+
+    def _take(self, method: str, args: tuple[object, ...], event: PhysicsEvent) -> None:
+        """Hand over the rows of a physics call."""
+        columns, rows = self._columns, event.rows
+        width, take = columns.width, columns.take
+        if event.env_ids is not None:
+            rows = rows[event.env_ids]
+        elif method == "stepped":
+            width, take = columns.moved_width, columns.take_moved
+        self._file.call_with(method, args, (len(rows), width), partial(take, rows))
 
     def _is_keyframe(self, event: PhysicsEvent) -> bool:
         """Whether this call's rows are written: the first of a step's own physics, when due.
@@ -253,8 +275,12 @@ class McapRecorder(StepObserver):
         if not self._gate.open:
             self._gate.hold(event)
             return
-        what = event.term, event.mode, event.env_ids, tuple(event.drawn), *event.drawn.values()
-        self._file.call("event", self._now(), *what)
+        ids, drawn = event.env_ids, event.drawn.values()
+        what = self._now(), event.term, event.mode, ids, tuple(event.drawn)
+        if ids is None:
+            self._file.call_alike(event.term, "event", what, *drawn)
+        else:
+            self._file.call("event", *what, *drawn)
 
     def on_reset(self, env: BaseEnv, env_ids: EnvIndex) -> None:
         """Environments were reset."""
@@ -281,17 +307,22 @@ class McapRecorder(StepObserver):
 
     def on_step(self, env: BaseEnv, step: StepRecord) -> None:
         """A control step ended."""
-        # Copies: the caller of `step` may write into what it was handed.
-        reward, ids = step.reward.copy(), step.episode_ids
         ends = Ends.of(step, env.termination_manager.values)
         recorded = self._gate.open
-        if recorded:
-            flags = step.terminated.copy(), step.truncated.copy()
-            self._file.call("step", self._step, step.action.copy(), reward, *flags, ids, ends)
-            self._views.on_step(self._step, step, ended=ends is not None)
+        # Copies: the caller of `step` may write into what it was handed.
+        if not recorded:
+            reward, ids = step.reward.copy(), step.episode_ids.copy()
+            self._file.call("unseen_step", self._step, ends, reward, ids)
         else:
-            self._file.call("unseen_step", self._step, reward, ids, ends)
-        self._go_on(env, self._gate.switch(), skip=not recorded)
+            what = step.action, step.reward, step.terminated, step.truncated, step.episode_ids
+            if ends is None:
+                self._file.call_alike("step", "step", (self._step, None), *what)
+            else:
+                self._file.call("step", self._step, ends, *(array.copy() for array in what))
+            self._views.on_step(self._step, step, ended=ends is not None)
+        held = self._gate.switch()
+        if held is not None or not recorded:
+            self._go_on(env, held, skip=not recorded)
         self._step += 1
         if self._max_bytes and self._full:
             self._roll()
@@ -323,14 +354,13 @@ class McapRecorder(StepObserver):
         self._closed = True
         atexit.unregister(self._at_exit)
         if self._file.lost:
-            with suppress(LogWriteError):  # once is enough: it may end what runs already
-                self._file.close()
+            self._file.close()
             return
         try:
             if self._keeps_state and self._gate.open:
-                rows, columns = self._engine.rows, self._told_columns()
+                rows, columns = self._engine.rows, self._columns
                 shape = len(rows), columns.width
-                self._file.call_with("end", shape, partial(columns.take, rows))
+                self._file.call_with("end", (), shape, partial(columns.take, rows))
             self._views.close(self._step, self._engine.rows)
             self._file.call("finish", self._step)
         finally:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.observers import EventRecord
 from embodichain.lab.sim.engine.base import F64, EnvIndex, Write, WriteOp
 from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS
-from embodichain.recording.columns import spread
+from embodichain.recording.columns import moved_ranges, spread
 from embodichain.recording.hashing import RowHash
 from embodichain.recording.mcap_file import Part
 from embodichain.recording.messages import (
@@ -63,7 +63,7 @@ class StateLog:
         model: What is recorded.
         layout: Component name to its columns within a row.
         substeps: Physics steps of an ordinary control step.
-        derives: Whether rows are to be derived from calls and writes: `as_written` is called.
+        derives: Whether rows are to be derived from calls and writes: `stepped` is called.
         emit: Called with a control step, a topic and the parts of a message.
     """
 
@@ -91,6 +91,7 @@ class StateLog:
         self._rows: F64 | None = None  # (N, width) as calls and writes have left them, if known
         self._emitted = False  # whether a message refers to them
         self._narrow = np.arange(self._nstate)  # column of a row to its column there, or -1
+        self._moved = moved_ranges(layout)  # columns that physics may write, in the narrow rows
         self._targets: dict[int, tuple[Any, Any]] = {}
         self._places: dict[int, Write] = {}
         self._heads: dict[tuple[bool, int], tuple[bytes, bytes]] = {}
@@ -186,17 +187,25 @@ class StateLog:
         width: int = columns.stop - columns.start
         return width
 
-    def before_physics(self, taken: F64 | None, nstep: int, ids: EnvIndex | None) -> None:
+    def before_physics(self, nstep: int, ids: EnvIndex | None, taken: F64 | None) -> None:
         """A call is about to begin, with these rows (n, width); None between keyframes."""
         self._emit(self.step, "/sim/state", encode_state(self.step, taken, self.call, nstep, ids))
         if self._derives and taken is not None and ids is None:
             self._rows, self._emitted = taken, True
 
-    def as_written(self, nstep: int, ids: EnvIndex | None) -> None:
-        """A call is about to begin, with the rows that calls and writes so far have left.
+    def stepped(
+        self, nstep: int, ids: EnvIndex | None, failed: EnvIndex | None, taken: F64
+    ) -> None:
+        """A call began with the rows that calls and writes so far had left, and returned these.
 
-        Nobody has to copy them for that. Were something changed that no write told, physics would
-        return other rows than these give, and the hashes would show it.
+        Nobody has to copy the former for that. Were something changed that no write told, physics
+        would return other rows than those give, and the hashes would show it.
+
+        Args:
+            nstep: Physics steps of the call.
+            ids: (n,) environments that stepped; None is all.
+            failed: Environments in which the engine raised.
+            taken: (n, width) rows; of all environments only the columns that physics may write.
 
         Raises:
             RuntimeError: If the rows are not known.
@@ -206,6 +215,14 @@ class StateLog:
         rows = self._rows if ids is None else self._rows[ids]
         self._emit(self.step, "/sim/state", encode_state(self.step, rows, self.call, nstep, ids))
         self._emitted = self._emitted or ids is None
+        if ids is None:
+            moved = self._rows.copy()
+            at = 0
+            for start, stop in self._moved:
+                moved[:, start:stop] = taken[:, at : at + stop - start]
+                at += stop - start
+            taken = moved
+        self.after_physics(nstep, ids, failed, taken)
 
     def settle(self) -> None:
         """Copy what is not this log's own: the memory of arrays that were handed over goes."""
@@ -222,6 +239,9 @@ class StateLog:
         kept = np.concatenate([np.arange(start, stop) for start, stop in ranges])
         self._narrow[kept] = np.arange(len(kept))
         self._targets.clear()
+        # Those that physics may write are all handed over, so neighbours stay neighbours.
+        moved = moved_ranges(self._layout)
+        self._moved = [(int(self._narrow[a]), int(self._narrow[b - 1]) + 1) for a, b in moved]
 
     def _widened(self, rows: F64, ranges: Ranges) -> F64:
         """Rows with more columns, which are zero so far."""
@@ -229,7 +249,7 @@ class StateLog:
         return np.concatenate([whole[:, start:stop] for start, stop in ranges], axis=1)
 
     def after_physics(
-        self, taken: F64, nstep: int, ids: EnvIndex | None, failed: EnvIndex | None
+        self, nstep: int, ids: EnvIndex | None, failed: EnvIndex | None, taken: F64
     ) -> None:
         """A call has returned these rows (n, width): hash them."""
         hashes = self._hash.of_columns(taken, self._ranges)

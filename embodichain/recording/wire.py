@@ -33,6 +33,7 @@ class WireError(ValueError):
     """Bytes are not a protobuf message."""
 
 
+@lru_cache(maxsize=4096)
 def varint(value: int) -> bytes:
     """Return a non-negative integer in base 128."""
     if value < 0x80:
@@ -45,6 +46,7 @@ def varint(value: int) -> bytes:
     return bytes(out)
 
 
+@lru_cache(maxsize=4096)
 def uint(field: int, value: int) -> bytes:
     """A varint field (uint32, uint64, enum); nothing for 0, as proto3 has it."""
     return varint(field << 3) + varint(value) if value else b""

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import marshal
+import mmap
 import os
 import pickle
 import select
@@ -14,6 +15,7 @@ import socket
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from contextlib import suppress
 from io import FileIO
 from typing import Any
@@ -21,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from embodichain.recording import handover
-from embodichain.recording.handover import PICKLED, Counters, Order, Reply, Slab
+from embodichain.recording.handover import PICKLED, Counters, FormFields, Order, Reply, Slab
 from embodichain.recording.log_builder import LogBuilder
 from embodichain.recording.log_file import LogFile
 
@@ -87,6 +89,7 @@ class _Writing:
         self._slabs: dict[int, Slab] = {}
         self._file: LogFile | None = None
         self._builder: LogBuilder | None = None
+        self._forms: dict[int, tuple[Callable[..., None], FormFields]] = {}
         self._waiting: list[Order] = []
         self._last = 0
         self._due = 0.0
@@ -181,16 +184,17 @@ class _Writing:
         """Carry out calls, whose arrays lie in the slab until they are written or copied."""
         memory = self._slabs[order.slab].memory
         table = builder.methods
-        for method, args, places in marshal.loads(self._content(order)):
-            values = list(args)
-            for k in range(0, len(places), 4):
-                index, at, kind, shape = places[k : k + 4]
-                if kind == PICKLED:
-                    values[index] = _unpickled(shape)
-                else:
-                    values[index] = np.ndarray(shape, kind, memory, at)
-            table[method](*values)
-            del values
+        forms, calls = marshal.loads(self._content(order))
+        for number, method, fields in forms:
+            self._forms[number] = table[method], fields
+        for call in calls:
+            if type(call[0]) is int:
+                method, fields = self._forms[call[0]]
+                at = call[1]
+                method(*call[2:], *[np.ndarray(s, kind, memory, at + a) for kind, s, a in fields])
+            else:
+                name, args, places = call
+                table[name](*(_found(memory, args, places) if places else args))
         builder.settle()
         self._free(order)
         self._dirty = True
@@ -219,6 +223,7 @@ class _Writing:
         if file is not None:
             file.finish()
         self._slabs.clear()
+        self._forms.clear()
         self._reply(handover.CLOSED)
 
     def _abandon(self) -> None:
@@ -240,6 +245,18 @@ class _Writing:
         self._reply(handover.FAILED, len(data))
         with suppress(BrokenPipeError, ConnectionResetError):
             self._connection.sendall(data)
+
+
+def _found(memory: mmap.mmap, args: tuple[object, ...], places: tuple[Any, ...]) -> list[object]:
+    """Arguments of a call with those that lie in memory, or are pickled."""
+    values = list(args)
+    for k in range(0, len(places), 4):
+        index, at, kind, shape = places[k : k + 4]
+        if kind == PICKLED:
+            values[index] = _unpickled(shape)
+        else:
+            values[index] = np.ndarray(shape, kind, memory, at)
+    return values
 
 
 def _unpickled(data: bytes) -> Any:

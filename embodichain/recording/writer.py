@@ -9,21 +9,23 @@ from __future__ import annotations
 
 import atexit
 import errno
-import marshal
 import os
 import pickle
 import select
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
+from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.recording import handover, worker
 from embodichain.recording.handover import Counters, Order, ReplyReader, Slab
-from embodichain.recording.placing import placed, put
+from embodichain.recording.placing import WaitingCalls, put
+from embodichain.recording.slab_pool import SlabPool
 from embodichain.recording.write_error import LogWriteError, cause_of, write_error
 
 __all__ = ["LogWriteError", "LogWriter"]
@@ -64,16 +66,12 @@ class LogWriter:
         self, path: Path, compression: str, make_head: Callable[[], object], step_bytes: int = 0
     ) -> None:
         self.path = path
-        self._slab_bytes = _pages(max(SLAB_BYTES, step_bytes + _CONTENT_BYTES))
-        self._budget = max(BUDGET_BYTES, 4 * self._slab_bytes)
-        self._filled = self._slab_bytes - self._slab_bytes // 4  # rows leave room for the rest
-        self._made_bytes = 0
-        self._away = 0  # bytes in slabs that the other process has
-        self._progress = 0.0  # when one came back
-        self._slabs: dict[int, Slab] = {}
-        self._free: list[Slab] = []
+        slab_bytes = max(SLAB_BYTES, step_bytes + _CONTENT_BYTES)
+        self._slabs = SlabPool(slab_bytes, BUDGET_BYTES, lambda: self._worker.new_slab())
+        self._filled = slab_bytes - slab_bytes // 4  # rows leave room for the rest
+        self._progress = 0.0  # when a slab came back
         self._slab: Slab | None = None
-        self._pending: list[handover.Call] = []
+        self._calls = WaitingCalls()
         self._unsent: Order | None = None
         self._flushed = False
         self._ended = False
@@ -93,27 +91,23 @@ class LogWriter:
         atexit.register(self.close)
 
     def _open(self, path: Path, compression: str) -> None:
-        # A descriptor: whoever renames the folder meanwhile does not send later files elsewhere.
-        folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-            file = os.open(path, flags, 0o666)
-            try:
-                self._worker = worker.acquire()
-                self._replies = ReplyReader(self._worker.connection)
-                page = Slab(0, Counters.SIZE)
-                self.counters = Counters(page)
-                content = pickle.dumps((path.name, compression), 5)
-                slab = self._take(len(content))
-                at = put(slab, content)
-                order = self._order(handover.OPEN, slab, slab, at, len(content))
-                self._send(order, (file, folder, page.descriptor))
-                self._away += slab.at
-                page.forget_descriptor()
-            finally:
-                os.close(file)
-        finally:
-            os.close(folder)
+        with ExitStack() as opened:
+            # A descriptor: whoever renames the folder does not send later files elsewhere.
+            folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+            opened.callback(os.close, folder)
+            file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+            opened.callback(os.close, file)
+            self._worker = worker.acquire()
+            self._replies = ReplyReader(self._worker.connection)
+            page = Slab(0, Counters.SIZE)
+            self.counters = Counters(page)
+            content = pickle.dumps((path.name, compression), 5)
+            slab = self._take(len(content))
+            at = put(slab, content)
+            order = self._order(handover.OPEN, slab, slab, at, len(content))
+            self._send(order, (file, folder, page.descriptor))
+            self._slabs.away += slab.at
+            page.forget_descriptor()
 
     # -- calls -------------------------------------------------------------------------------------
 
@@ -128,16 +122,19 @@ class LogWriter:
         with self._lock:
             if self._error is not None:
                 raise self._told_error()
-            self._pending.append((method, args, ()))
+            self._calls.add(method, args)
 
-    def call_with(
-        self,
-        method: str,
-        shape: tuple[int, int],
-        fill: Callable[[NDArray[np.float64]], object],
-        *args: object,
+    def call_alike(
+        self, kind: Hashable, method: str, args: tuple[object, ...], *arrays: NDArray[Any]
     ) -> None:
-        """The same with a first argument that `fill` writes at once, where it is handed over from.
+        """The same for calls of which many are alike; arrays are copied at once.
+
+        Args:
+            kind: What calls of this method have in common whose arrays have the same types and
+                shapes. Should they not, nothing is wrong, only slower.
+            method: The method.
+            args: Its first arguments: numbers, texts and None.
+            arrays: The arguments that follow.
 
         Raises:
             OSError: If the log could not be written.
@@ -145,20 +142,40 @@ class LogWriter:
         with self._lock:
             if self._error is not None:
                 raise self._told_error()
-            nbytes = 8 * shape[0] * shape[1]
-            slab = self._slab
-            if slab is None or slab.at + nbytes > self._filled:
-                self._hand_over()
-                slab = self._slab = self._take(nbytes + _CONTENT_BYTES)
+            form = self._calls.form(method, kind, arrays)
+            slab = self._room(form.nbytes)
+            at = slab.at
+            if form.fill(slab, arrays):
+                self._calls.waiting.append((form.number, at, *args))
+            else:
+                self._calls.add(method, (*args, *map(np.array, arrays)))
+
+    def call_with(
+        self,
+        method: str,
+        args: tuple[object, ...],
+        shape: tuple[int, int],
+        fill: Callable[[NDArray[np.float64]], object],
+    ) -> None:
+        """The same with a last argument that `fill` writes at once, where it is handed over from.
+
+        Raises:
+            OSError: If the log could not be written.
+        """
+        nbytes = 8 * shape[0] * shape[1]
+        with self._lock:
+            if self._error is not None:
+                raise self._told_error()
+            slab = self._room(nbytes)
             at = slab.at
             fill(np.ndarray(shape, np.float64, slab.memory, at))
             slab.at = at + nbytes
-            self._pending.append((method, (None, *args), (0, at, "d", shape)))
+            self._calls.add(method, (*args, None), (len(args), at, "d", shape))
 
     def hand_over_when_due(self) -> None:
         """Hand over if calls have waited long enough; called after every step."""
         late = time.monotonic() - self._handed_over > BATCH_SECONDS
-        if late or len(self._pending) > _BATCH_CALLS:
+        if late or len(self._calls.waiting) > _BATCH_CALLS:
             with self._lock:
                 self._hand_over()
 
@@ -166,7 +183,7 @@ class LogWriter:
     def ahead(self) -> int:
         """About how many bytes the counters do not know of yet."""
         here = 0 if self._slab is None else self._slab.at
-        return self._away + here + _CALL_BYTES * len(self._pending)
+        return self._slabs.away + here + _CALL_BYTES * len(self._calls.waiting)
 
     def catch_up(self) -> None:
         """Wait until the counters know of everything.
@@ -176,7 +193,7 @@ class LogWriter:
         """
         with self._lock:
             self._hand_over()
-            while self._away:
+            while self._slabs.away:
                 self._receive(wait=True)
 
     def flush(self) -> None:
@@ -197,11 +214,11 @@ class LogWriter:
         """Write what waits, the index and the end of the file. A second call does nothing.
 
         Raises:
-            OSError: If the file could not be written.
+            OSError: If the file could not be written, and no call said so before.
         """
         if self._closed or os.getpid() != self._pid:  # a forked process: the log is the other's
             return
-        self._closed = True
+        self._closed, told = True, self._told
         atexit.unregister(self.close)
         self._stop.set()
         self._head.join()
@@ -211,11 +228,13 @@ class LogWriter:
                 self._send(self._order(handover.CLOSE))
                 while not self._ended:
                     self._receive(wait=True)
-        except BaseException:
+        except BaseException as error:
             self._worker.close()
+            if told and isinstance(error, LogWriteError):  # once is enough
+                return
             raise
         finally:
-            self._pending, self._slab, self._free = [], None, []
+            self._calls, self._slab = WaitingCalls(), None
             self._slabs.clear()
         worker.release(self._worker)
 
@@ -233,28 +252,28 @@ class LogWriter:
 
     def _take(self, nbytes: int) -> Slab:
         """A slab that nobody uses; waits while too many are on their way."""
-        size = self._slab_bytes if nbytes <= self._slab_bytes else _pages(nbytes)
         self._receive()
-        while True:
-            if size == self._slab_bytes and self._free:
-                slab = self._free.pop()
-                slab.at = 0
-                return slab
-            used = len(self._slabs) - len(self._free) - (self._slab is not None)
-            if self._made_bytes + size <= self._budget or not used:
-                return self._make(size)
+        while (slab := self._slabs.take(nbytes, self._slab is not None)) is None:
             self._receive(wait=True)
-
-    def _make(self, size: int) -> Slab:
-        """A new slab, which the other process is told of."""
-        self._worker.slabs += 1
-        slab = Slab(self._worker.slabs, size)
-        self._made_bytes += size
-        self._slabs[slab.number] = slab
-        order = self._order(handover.SLAB, slab, slab, 0, size)
-        self._send(order, (slab.descriptor,))
-        slab.forget_descriptor()
+        self._tell(slab)
         return slab
+
+    def _room(self, nbytes: int) -> Slab:
+        """The slab that is being filled, or the next one if it has not so much room."""
+        slab = self._slab
+        if slab is None or slab.at + nbytes > self._filled:
+            self._hand_over()
+            if self._slab is not None:  # nothing waited
+                self._slabs.put_back(self._slab)
+            slab = self._slab = self._take(nbytes + _CONTENT_BYTES)
+        return slab
+
+    def _tell(self, slab: Slab) -> None:
+        """Tell the other process of a slab, if it is new."""
+        if slab.descriptor >= 0:
+            order = self._order(handover.SLAB, slab, slab, 0, slab.size)
+            self._send(order, (slab.descriptor,))
+            slab.forget_descriptor()
 
     def _hand_over(self) -> None:
         if self._error is not None:
@@ -263,36 +282,31 @@ class LogWriter:
         if self._unsent is not None:  # an interrupt came while it was sent: twice does no harm
             self._send(self._unsent)
             self._unsent = None
-        if not self._pending:
+        if not self._calls.waiting:
             return
         slab = self._slab
         if slab is None:
             slab = self._slab = self._take(0)
         limit = slab.size - _CONTENT_BYTES
-        content = marshal.dumps([placed(slab, limit, *call) for call in self._pending])
+        content = self._calls.packed(slab, limit)
         fits = slab.at + len(content) <= slab.size
         target = slab if fits else self._take(len(content))
         at = put(target, content)
         order = self._order(handover.BATCH, slab, target, at, len(content))
         # Nothing can interrupt between these: they call nothing.
-        self._unsent, self._pending, self._slab = order, [], None
-        if not self._away:
+        self._unsent, self._calls.waiting, self._calls.new_forms, self._slab = order, [], [], None
+        if not self._slabs.away:
             self._progress = self._handed_over
-        self._away += slab.at + (target.at if target is not slab else 0)
+        self._slabs.away += slab.at + (target.at if target is not slab else 0)
         self._send(order)
         self._unsent = None
 
     def _order(
-        self,
-        kind: int,
-        slab: Slab | None = None,
-        content: Slab | None = None,
-        at: int = 0,
-        length: int = 0,
+        self, kind: int, slab: Slab | None = None, content: Slab | None = None, *span: int
     ) -> Order:
         self._worker.orders += 1
         arrays, packed = (0 if s is None else s.number for s in (slab, content))
-        return Order(kind, self._worker.orders, arrays, packed, at, length)
+        return Order(kind, self._worker.orders, arrays, packed, *span)
 
     def _send(self, order: Order, descriptors: tuple[int, ...] = ()) -> None:
         try:
@@ -322,23 +336,14 @@ class LogWriter:
             self._fail(None)
         for kind, number, report in replies or ():
             if kind == handover.FREED:
-                self._take_back(number)
+                self._slabs.take_back(number)
+                self._progress = time.monotonic()
             elif kind == handover.FLUSHED:
                 self._flushed = True
             elif kind == handover.CLOSED:
                 self._ended = True
             else:
                 self._fail(report)
-
-    def _take_back(self, number: int) -> None:
-        slab = self._slabs[number]
-        self._away -= slab.at
-        self._progress = time.monotonic()
-        if slab.size == self._slab_bytes:
-            self._free.append(slab)
-        else:
-            del self._slabs[number]
-            self._made_bytes -= slab.size
 
     def _fail(self, report: bytes | None) -> None:
         """The other process could not write, or has ended without a word."""
@@ -361,10 +366,11 @@ class LogWriter:
         try:
             content = pickle.dumps(make(), 5)
             with self._lock:
-                slab = self._make(_pages(len(content)))
+                slab = self._slabs.make(len(content))
+                self._tell(slab)
                 put(slab, content)
                 self._send(self._order(handover.HEAD, slab, slab, 0, len(content)))
-                self._away += slab.at
+                self._slabs.away += slab.at
         except BaseException as error:  # noqa: BLE001  (the next call raises it)
             self._error, self._told = self._error or error, False
 
@@ -390,9 +396,5 @@ class LogWriter:
         if now - self._handed_over >= IDLE_SECONDS:
             self._hand_over()
         self._receive()
-        if self._away and now - self._progress >= IDLE_SECONDS:
+        if self._slabs.away and now - self._progress >= IDLE_SECONDS:
             self._worker.hurry()
-
-
-def _pages(nbytes: int) -> int:
-    return -(-nbytes // 4096) * 4096

@@ -11,12 +11,16 @@ class Here:
     """Stands for a `Worker`."""
 
     def __init__(self):
-        self.orders = self.slabs = 0
+        self.orders = self._slabs = 0
         self.connection, theirs = socket.socketpair()
         hurry, self._hurry = os.pipe()
         ends = theirs.detach(), hurry
         self.thread = threading.Thread(target=write_process.main, args=ends, daemon=True)
         self.thread.start()
+
+    def new_slab(self):
+        self._slabs += 1
+        return self._slabs
 
     def hurry(self):
         os.write(self._hurry, b"!")

@@ -15,7 +15,7 @@ from embodichain.lab.sim.engine.cpu import CpuEngine
 
 XML = """
 <mujoco model="scene">
-  <option timestep="0.005" integrator="implicitfast"/>
+  <option timestep="0.005" integrator="implicitfast"><flag autoreset="disable"/></option>
   <asset>
     <mesh name="wedge" vertex="0 0 0  .1 0 0  0 .1 0  0 0 .1"/>
     <material name="red" rgba=".8 .1 .1 1"/>

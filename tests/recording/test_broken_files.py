@@ -14,7 +14,8 @@ from embodichain.utils.errors import ConfigError
 
 ROOT = Path(__file__).parents[2]
 
-# Steps until it is killed; says how many steps it has handed over.
+# Steps until it is killed; says, before each step, which one it is about to make: what
+# the log's writer got is never more than that.
 RUN = """
 import sys, time
 from embodichain.recording import McapRecorder
@@ -24,15 +25,15 @@ recorder = McapRecorder(sys.argv[1], env)
 env.add_observer(recorder)
 env.reset()
 while True:
+    print(env.count + 1, flush=True)
     env.step()
-    print(env.count, flush=True)
     time.sleep(0.01)
 """
 
 
 @pytest.fixture
 def killed(tmp_path):
-    """A log whose process got SIGKILL in mid-run, and the number of steps it had made."""
+    """A log whose process got SIGKILL in mid-run, and the number of steps it had begun."""
     path = tmp_path / "killed.mcap"
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
     process = subprocess.Popen(
@@ -43,9 +44,9 @@ def killed(tmp_path):
     while time.monotonic() < deadline and not (path.exists() and _has_steps(path)):
         time.sleep(0.1)
     process.send_signal(signal.SIGKILL)
-    steps = int(process.stdout.read().split()[-1])
+    begun = int(process.stdout.read().split()[-1])
     process.wait()
-    return path, steps
+    return path, begun
 
 
 def _has_steps(path):
@@ -56,9 +57,9 @@ def _has_steps(path):
 
 
 def test_a_killed_run_reads_up_to_its_last_chunk(killed):
-    path, made = killed
+    path, begun = killed
     summary = inspect(path)
-    assert 20 < summary.steps <= made
+    assert 20 < summary.steps <= begun
     assert not summary.complete
     assert summary.warnings == [
         "incomplete: the file ends early: it was not closed, or cut; "

@@ -17,7 +17,7 @@ from embodichain.recording.columns import RowColumns
 from embodichain.recording.messages import State, StepOutcome, WriteRecord
 from embodichain.recording.options import RecordOptions
 from embodichain.utils.errors import ConfigError
-from tests.recording.scene import MODEL, SmallEnv
+from tests.recording.scene import MODEL, XML, SmallEnv
 
 
 def messages(path, topic):
@@ -305,14 +305,37 @@ def test_rows_that_nobody_copied_are_those_that_physics_received(tmp_path, optio
     received = [*recorder.received, env.sim.engine.rows.copy()]
     gate_open = recorder._gate.open
     env.close()
-    assert verify(tmp_path / "log.mcap").ok
-    with recording.open(tmp_path / "log.mcap") as log:
+    _assert_received(tmp_path / "log.mcap", env, received[: None if gate_open else -1])
+
+
+@pytest.mark.parametrize("autoreset", ["enable", "disable"])
+def test_rows_of_environments_that_diverge_are_those_that_physics_received(tmp_path, autoreset):
+    flag = f'autoreset="{autoreset}"'
+    model = mujoco.MjModel.from_xml_string(XML.replace('autoreset="disable"', flag))
+    env = SmallEnv(model=model)
+    recorder = _Looking(tmp_path / "log.mcap", env, options=RecordOptions(view_envs=[]))
+    env.add_observer(recorder)
+    env.reset()
+    for step in range(12):
+        if step == 4:
+            env.sim.engine.write("qvel", 1e200, np.array([1]), np.array([0]))
+        env.step()
+    assert env.sim.engine.rows[0].any()
+    received = [*recorder.received, env.sim.engine.rows.copy()]
+    env.close()
+    _assert_received(tmp_path / "log.mcap", env, received)
+
+
+def _assert_received(path, env, received):
+    """The log verifies, and its states are these rows, bit for bit."""
+    assert verify(path).ok
+    with recording.open(path) as log:
         states = [
             State.decode(data) for topic, _, data in log.raw_messages() if topic == "/sim/state"
         ]
     whole = env.sim.engine.rows.shape[1]
-    assert len(states) == len(received) - (not gate_open)
-    for state, rows in zip(states, received, strict=False):
+    assert len(states) == len(received)
+    for state, rows in zip(states, received, strict=True):
         kept = rows
         if state.rows.shape[1] < whole:
             kept = np.empty(state.rows.shape)

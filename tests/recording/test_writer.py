@@ -217,6 +217,58 @@ def test_unusual_arrays_arrive_as_they_were(tmp_path):
     }
 
 
+def test_calls_that_look_alike_and_are_not_arrive_as_they_were(tmp_path):
+    env, recorder = recorded(tmp_path / "log.mcap")
+    grid = np.arange(12.0).reshape(3, 4)
+    drawn = [
+        {"a": grid},
+        {"a": 2 * grid},
+        {"a": np.asfortranarray(3 * grid)},
+        {"a": grid[:, :2]},
+        {"a": grid.astype(np.int32)},
+        {"a": grid, "b": grid},
+        {},
+        {"a": grid.tolist()},
+        {"a": 4 * grid},
+    ]
+    for values in drawn:
+        recorder.on_event(env, EventRecord("step", "interval", None, values))
+        env.step()  # has a call of that name, with other arrays
+    env.close()
+    assert verify(tmp_path / "log.mcap").ok
+    with recording.open(tmp_path / "log.mcap") as log:
+        found = [event.drawn for event in log.events() if event.term == "step"]
+    assert [{n: a.tolist() for n, a in values.items()} for values in found] == [
+        {n: np.asarray(a, float).tolist() for n, a in values.items()} for values in drawn
+    ]
+
+
+LOST = """
+import os, signal, sys
+from embodichain.recording import McapRecorder
+from tests.recording.scene import SmallEnv
+env = SmallEnv()
+recorder = McapRecorder(sys.argv[1], env)
+env.add_observer(recorder)
+env.reset()
+os.kill(recorder.writer_pid, signal.SIGKILL)
+try:
+    while True:
+        env.step()
+        recorder.flush()
+except OSError as error:
+    print("told:", error, file=sys.stderr)
+"""
+
+
+def test_a_program_that_was_told_is_not_told_again_when_it_ends(tmp_path):
+    command = [sys.executable, "-c", LOST, tmp_path / "log.mcap"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0
+    assert done.stderr.count("could not be written") == 1
+    assert "atexit" not in done.stderr
+
+
 def test_a_busy_machine_does_not_keep_a_log_from_being_written(tmp_path):
     """The writer stands back where a core is wanted, but not for long."""
     burn = [sys.executable, "-c", "while True: pass"]

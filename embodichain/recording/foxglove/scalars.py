@@ -31,9 +31,20 @@ class Scalars:
     def __init__(self, step: StepRecord, commands: Mapping[str, Any] | None = None) -> None:
         self.names: list[str] = []
         self._commands = commands or {}
-        for name in (identifier(path) for path, _ in self._walk(step)):
+        self._keys = [key for key in _FACTS if key in step.info]
+        self._terms = {key: sorted(step.info.get(key, {})) for key, _ in _GROUPS}
+        for name in map(identifier, self._titles()):
             taken = sum(n == name or n.startswith(f"{name}__") for n in self.names)
             self.names.append(f"{name}__{taken + 1}" if taken else name)
+
+    def _titles(self) -> Iterator[str]:
+        yield from ("reward", "terminated", "truncated")
+        yield from self._keys
+        for key, prefix in _GROUPS:
+            for name in self._terms[key]:
+                yield f"{prefix}_{name}"
+        for name in self._commands:
+            yield f"command_{name}"
 
     def take(
         self,
@@ -51,33 +62,34 @@ class Scalars:
         Raises:
             ValueError: If the step has other scalars than the first one.
         """
-        found = [values for _, values in self._walk(step)]
-        if len(found) != len(self.names):
-            raise ValueError(f"{len(found)} scalars in a step; the first had {self.names}")
+        found = self._found(step)
         taken: F64 = np.empty((len(found), len(env_ids)))
         for row, values in enumerate(found):
             taken[row] = (values.numpy() if hasattr(values, "numpy") else values)[env_ids]
-        if weights:
-            first = 3 + sum(key in step.info for key in _FACTS)  # where `_walk` is at the terms
-            terms = sorted(step.info.get("rewards", {}))
+        terms = self._terms["rewards"]
+        if weights and terms:
+            first = 3 + len(self._keys)
             factors = [weights.get(name, 1.0) for name in terms]
             taken[first : first + len(terms)] *= np.array(factors)[:, None]
         return taken
 
-    def _walk(self, step: StepRecord) -> Iterator[tuple[str, Any]]:
-        """Name and (N,) values of everything worth a plot, in a fixed order."""
-        yield "reward", step.reward
-        yield "terminated", step.terminated
-        yield "truncated", step.truncated
-        for key in _FACTS:
-            if key in step.info:
-                yield key, step.info[key]
-        for key, prefix in _GROUPS:
-            group: Mapping[str, Any] = step.info.get(key, {})
-            for name in sorted(group):
-                yield f"{prefix}_{name}", group[name]
-        for name, values in self._commands.items():
-            yield f"command_{name}", values
+    def _found(self, step: StepRecord) -> list[Any]:
+        """(N,) values of everything worth a plot, in the order of the names."""
+        info = step.info
+        found: list[Any] = [step.reward, step.terminated, step.truncated]
+        try:
+            found += [info[key] for key in self._keys]
+            for key, names in self._terms.items():
+                group = info.get(key, {})
+                if len(group) != len(names):
+                    raise KeyError(key)
+                found += [group[name] for name in names]
+        except KeyError as error:
+            raise ValueError(
+                f"a step's scalars are not those of the first one: {self.names}"
+            ) from error
+        found += self._commands.values()
+        return found
 
 
 def identifier(name: str) -> str:

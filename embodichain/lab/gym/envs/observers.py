@@ -1,14 +1,15 @@
 """`StepObserver`: how recording, viewers and dashboards watch an environment from outside.
 
-The records an observer receives live here as well. Nothing here knows a log format or a window.
+The records an observer receives live here as well: named tuples, which are made in a third of the
+time of frozen data classes, several in every step. Nothing here knows a log format or a window.
 A Gymnasium wrapper could not do this: it sees nothing of what happens inside an automatic reset.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,7 @@ if TYPE_CHECKING:
 __all__ = ["EventRecord", "StepObserver", "StepRecord"]
 
 
-@dataclass(frozen=True, slots=True)
-class EventRecord:
+class EventRecord(NamedTuple):
     """A term of the event manager has fired, or a command was drawn.
 
     Attributes:
@@ -35,11 +35,10 @@ class EventRecord:
     term: str
     mode: str
     env_ids: EnvIndex | None
-    drawn: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+    drawn: Mapping[str, NDArray[Any]] = MappingProxyType({})
 
 
-@dataclass(frozen=True, slots=True)
-class StepRecord:
+class StepRecord(NamedTuple):
     """One control step, as `BaseEnv.step` returns it. Everything in it may be kept.
 
     Attributes:

@@ -5,8 +5,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import mujoco
 import numpy as np
@@ -20,8 +19,7 @@ EnvIndex = NDArray[np.int64]
 WriteOp = Literal["state", "model", "reset", "set_const", "forward"]
 
 
-@dataclass(frozen=True, slots=True)
-class Write:
+class Write(NamedTuple):
     """One write to the simulation outside physics, exactly as it was applied.
 
     Attributes:
@@ -43,8 +41,7 @@ class Write:
     values: F64 | None
 
 
-@dataclass(frozen=True, slots=True)
-class PhysicsEvent:
+class PhysicsEvent(NamedTuple):
     """Physics is about to step (``before``) or has just stepped (``after``).
 
     Attributes:
