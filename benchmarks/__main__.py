@@ -12,13 +12,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks import memory, randomization, startup, step_profile, step_speed, train
+from benchmarks import log_cost, memory, randomization, startup, step_profile, step_speed, train
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
 PAGE = ROOT / "docs" / "performance.md"
 REPORTS = {
     "step_speed": step_speed.report,
+    "log_cost": log_cost.report,
     "step_profile": step_profile.report,
     "randomization": randomization.report,
     "train": train.report,

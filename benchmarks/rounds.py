@@ -55,12 +55,12 @@ class Result:
 
 def steps_for(arm: Arm, seconds: float, episode: int) -> int:
     """Control steps, whole episodes, that take about so many seconds."""
-    _timed(arm, 4)
-    speed = 16 / _timed(arm, 16)
+    timed(arm, 4)
+    speed = 16 / timed(arm, 16)
     return episode * max(1, round(seconds * speed / episode))
 
 
-def _timed(arm: Arm, steps: int) -> float:
+def timed(arm: Arm, steps: int) -> float:
     """Seconds for so many control steps."""
     arm.prepare()
     start = time.perf_counter()
@@ -97,7 +97,7 @@ def measure(
             turn = [arm for arm in arms if arm.num_envs == size]
             for arm in order.sample(turn, len(turn)):
                 count = steps[_key(arm)]
-                speeds[_key(arm)].append(size * count / _timed(arm, count))
+                speeds[_key(arm)].append(size * count / timed(arm, count))
         say(f"round {number + 1} of {rounds}: {time.perf_counter() - begun:.0f} s")
     return [_result(arm, speeds) for arm in arms]
 

@@ -1,7 +1,7 @@
 """Control steps/s of every arm beside the bare batch: `python -m benchmarks.step_speed`.
 
 One process for each number of environments: it builds all arms of that size and lets them take
-turns in random order. The raw figures go to a JSON file.
+turns in random order. The raw figures go to a JSON file. `log_cost` says better what a log costs.
 """
 
 from __future__ import annotations
@@ -38,10 +38,6 @@ TARGETS = {
     LINK: {64: 0.85, 1024: 0.85},
     TUTORIAL: {1: 0.10, 8: 0.28, 64: 0.70, 1024: 0.88},
 }
-LOG_LIMITS = {64: 0.15, 1024: 0.10}
-SUBSTEPS = {1: 0.10, 10: 0.03}
-"""Physics steps a control step, and the share that a log may cost at most with so many."""
-SUBSTEPS_SIZE = 1024
 
 
 def main() -> None:
@@ -88,8 +84,6 @@ def measured_here(size: int, options: argparse.Namespace) -> list[dict[str, Any]
         if size in options.log_sizes:
             logged = arms.make("random_reach", size)
             built.append(arms.recorded(logged, LOG, FLOOR, folder))
-            if size == SUBSTEPS_SIZE:
-                built += substeps_arms(size, folder)
         if size in options.sizes:
             peers = size <= MAX_WORKERS and not options.no_peers
             built += further_arms(env, folder, peers)
@@ -97,24 +91,6 @@ def measured_here(size: int, options: argparse.Namespace) -> list[dict[str, Any]
             stack.callback(arm.close)
         results = measure(built, options.rounds, options.seconds, options.episode)
     return [result.facts() for result in results]
-
-
-def substeps_arms(size: int, folder: Path) -> list[Arm]:
-    """random_reach with other numbers of physics steps a control step, without and with a log."""
-    built = []
-    for count in SUBSTEPS:
-        name, logged_name, floor = substeps_names(count)
-        override = f"task.sim_steps_per_control={count}"
-        env, logged = (arms.make("random_reach", size, override) for _ in range(2))
-        built += [arms.environment(env, name, floor), arms.bare(floor, env, 2)]
-        built.append(arms.recorded(logged, logged_name, floor, folder))
-    return built
-
-
-def substeps_names(count: int) -> tuple[str, str, str]:
-    """Names of the arms without a log, with one, and of the floor."""
-    steps = f"{count} physics step" + ("s" if count > 1 else "")
-    return f"{YAML}, {steps}", f"{LOG}, {steps}", f"{FLOOR}, {steps}"
 
 
 def further_arms(env: BaseEnv, folder: Path, peers: bool) -> list[Arm]:
@@ -143,7 +119,7 @@ def further_arms(env: BaseEnv, folder: Path, peers: bool) -> list[Arm]:
 
 
 def report(facts: dict[str, Any]) -> str:
-    """Two Markdown tables: ratios to the floor, and the log's cost."""
+    """A Markdown table: ratios to the floor."""
     fields = Result.__dataclass_fields__
     results = [Result(**{name: found[name] for name in fields}) for found in facts["results"]]
     sizes = sorted({result.num_envs for result in results})
@@ -151,13 +127,8 @@ def report(facts: dict[str, Any]) -> str:
     rows = []
     for name in dict.fromkeys(result.name for result in results):
         rows.append([name, *(_cell(by.get((name, size))) for size in sizes)])
-    parts = [
-        "Control steps/s, **ratio** to the 2-thread floor [lowest to highest], > its target:",
-        table(["arm", *(f"N={size}" for size in sizes)], rows),
-        "What the log costs, as a share of a step without it:",
-        table(["N", "physics steps", "cost", "at most"], _costs(by)),
-    ]
-    return "\n\n".join(parts)
+    heading = "Control steps/s, **ratio** to the 2-thread floor [lowest to highest], > its target:"
+    return heading + "\n\n" + table(["arm", *(f"N={size}" for size in sizes)], rows)
 
 
 def _cell(result: Result | None) -> str:
@@ -170,28 +141,6 @@ def _cell(result: Result | None) -> str:
     target = TARGETS.get(result.name, {}).get(result.num_envs)
     aim = f" > {target:.2f}" if target else ""
     return f"{speed} **{result.ratio:.2f}** [{low:.2f} to {high:.2f}]{aim}"
-
-
-def _costs(by: dict[tuple[str, int], Result]) -> list[list[str]]:
-    """Rows of the table of what the log costs."""
-    asked = [(YAML, LOG, "4", n, LOG_LIMITS.get(n)) for name, n in by if name == LOG]
-    for count, limit in SUBSTEPS.items():
-        name, logged, _ = substeps_names(count)
-        asked += [(name, logged, str(count), n, limit) for other, n in by if other == logged]
-    rows = []
-    for name, logged, steps, size, limit in asked:
-        costs = _shares(by[name, size], by[logged, size])
-        cost = costs[len(costs) // 2]
-        cell = f"{cost:.1%} [{costs[0]:.1%} to {costs[-1]:.1%}]"
-        verdict = "" if limit is None else f"{limit:.0%}, {'met' if cost <= limit else 'missed'}"
-        rows.append([str(size), steps, cell, verdict])
-    return rows
-
-
-def _shares(plain: Result, logged: Result) -> list[float]:
-    """Time with the log over time without it, less one, of every round; sorted."""
-    pairs = zip(plain.speeds, logged.speeds, strict=True)
-    return sorted(without / with_log - 1 for without, with_log in pairs)
 
 
 if __name__ == "__main__":

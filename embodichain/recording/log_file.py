@@ -9,6 +9,7 @@ import errno
 import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from io import FileIO
 
 from embodichain.recording.handover import Counters
 from embodichain.recording.mcap_file import McapFile, Part
@@ -36,8 +37,7 @@ class LogFile:
         self.name, self.folder = name, folder
         self._compression = compression
         self._counters = counters
-        # Without a buffer: chunks are large, and what could not be written must not come again.
-        self._stream = os.fdopen(file, "wb", buffering=0)
+        self._stream = FileIO(file, "wb")
         self._writer = McapFile(self._stream, compression, _LIBRARY)
         self._before: Counter[str] = Counter()
         self._bytes_before = 0
@@ -125,7 +125,7 @@ class LogFile:
         """
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         opened = os.open(name, flags, 0o666, dir_fd=self.folder)
-        stream = os.fdopen(opened, "wb", buffering=0)
+        stream = FileIO(opened, "wb")
         try:
             last(self)
             self._writer.finish()

@@ -7,11 +7,13 @@ is copied once, and every other record is still the library's. What messages mea
 
 from __future__ import annotations
 
+import os
 import struct
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any, BinaryIO
+from io import FileIO
+from typing import Any
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
@@ -65,12 +67,13 @@ class McapFile:
     """An MCAP file that grows.
 
     Args:
-        stream: Where to write; `finish` leaves it open.
+        stream: Where to write, without a buffer: chunks are large, and what could not be written
+            must not come again. `finish` leaves it open.
         compression: One of `COMPRESSORS`.
         library: Name of the writer, for the header.
     """
 
-    def __init__(self, stream: BinaryIO, compression: str, library: str) -> None:
+    def __init__(self, stream: FileIO, compression: str, library: str) -> None:
         self._stream = stream
         self._name = _NAMES.get(compression, compression)
         self._compress = COMPRESSORS[compression]
@@ -90,12 +93,16 @@ class McapFile:
         self._write(MAGIC)
         self._write(_record(records.Header(profile="", library=library)))
 
-    def _write(self, data: bytes) -> int:
-        """Append bytes; return where they start."""
-        at, view = self._offset, memoryview(data)
-        while view:  # a stream without a buffer may take a part
-            view = view[self._stream.write(view) :]
-        self._offset += len(data)
+    def _write(self, *parts: bytes) -> int:
+        """Append bytes at once; return where they start."""
+        at, left = self._offset, list[bytes | memoryview](parts)
+        while left:
+            done = os.writev(self._stream.fileno(), left)
+            self._offset += done
+            while left and done >= len(left[0]):
+                done -= len(left.pop(0))
+            if left:  # a disk that is nearly full may take a part
+                left[0] = memoryview(left[0])[done:]
         return at
 
     @property
@@ -203,7 +210,6 @@ class McapFile:
     def flush(self) -> None:
         """Close the chunk in progress and hand everything to the operating system."""
         self._close_chunk()
-        self._stream.flush()
 
     def settle(self) -> None:
         """Let go of arrays: what they held is written, or copied where it is little."""
@@ -225,7 +231,7 @@ class McapFile:
         head = struct.pack("<BQ", Opcode.CHUNK, len(head) + len(packed)) + head
         at, index_at = self._offset, self._offset + len(head) + len(packed)
         index, offsets = self._message_index(index_at)
-        self._write(b"".join((head, packed, index)))  # at once: it is there, or it is not
+        self._write(head, packed, index)  # at once: it is there, or it is not
         for channel, entries in self._index.items():
             self._counts[channel] += len(entries) // 2
         self._chunk_index.append(
@@ -287,7 +293,6 @@ class McapFile:
         tail = _FOOTER.pack(Opcode.FOOTER, 8 + 8 + 4, start, offset_start)
         self._write(tail + struct.pack("<I", crc32(tail, crc32(whole))))
         self._write(MAGIC)
-        self._stream.flush()
 
     def _statistics(self) -> records.Statistics:
         return records.Statistics(

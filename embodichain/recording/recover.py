@@ -68,7 +68,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
             raise ConfigError(f"the folder {target.parent} does not exist")
         temporary = target.with_name(f".{target.name}.{os.getpid()}")
         try:
-            with temporary.open("xb") as stream:
+            with temporary.open("xb", buffering=0) as stream:
                 copy = _Copy(reader, McapFile(stream, "zstd-fast", library="embodichain recover"))
                 copy.all_records()
                 os.fsync(stream.fileno())

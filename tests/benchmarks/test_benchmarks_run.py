@@ -11,6 +11,7 @@ import pytest
 from benchmarks import arms
 from benchmarks.arms import Arm
 from benchmarks.learners import DUMMY, LOOP, OURS, TRAIN
+from benchmarks.log_cost import sure
 from benchmarks.plain_task import PlainTask
 from benchmarks.rounds import measure
 from embodichain.learning import SB3VecEnv
@@ -37,6 +38,27 @@ def test_step_speed(tmp_path):
     assert all(result["speeds"][0] > 0 for result in arms.values())
     assert all(f"| {name} |" in table for name in arms)
     assert "host" not in facts["machine"]
+
+
+def test_log_cost(tmp_path):
+    table, facts = run(
+        "log_cost", "--pairs=3", "--case", "2", "4", "--case", "3", "1", "--seconds=0",
+        "--episode=3", out=tmp_path / "raw.json",
+    )  # fmt: skip
+    assert [(r["num_envs"], r["physics_steps"]) for r in facts["results"]] == [(2, 4), (3, 1)]
+    for result in facts["results"]:
+        plain, logged = result["seconds"]["plain"], result["seconds"]["logged"]
+        assert len(plain) == len(logged) == 3
+        assert min(plain + logged) > 0
+    assert table.count("| 2 | 4 | ") == table.count("| 3 | 1 | ") == 1
+
+
+def test_how_sure_a_median_is():
+    values = [float(k) for k in range(60)]
+    low, high = sure(values)
+    # 90 % of 60 fair coins show between 24 and 36 heads.
+    assert (low, high) == (23.0, 36.0)
+    assert sure([1.0, 2.0, 3.0]) == (1.0, 3.0)
 
 
 def test_step_profile_accounts_for_every_part(tmp_path):

@@ -56,7 +56,7 @@ class Scalars:
 
         Args:
             step: The step; one whose terms are others is refused.
-            env_ids: (n,) environments.
+            env_ids: (n,) environments, ascending, at least one.
             weights: Of the reward's terms: each is shown as it adds to the reward.
 
         Raises:
@@ -64,8 +64,11 @@ class Scalars:
         """
         found = self._found(step)
         taken: F64 = np.empty((len(found), len(env_ids)))
+        first, last = int(env_ids[0]), int(env_ids[-1])
+        side_by_side = last - first + 1 == len(env_ids)  # slices cost half of what indices do
+        which: Any = slice(first, last + 1) if side_by_side else env_ids
         for row, values in enumerate(found):
-            taken[row] = (values.numpy() if hasattr(values, "numpy") else values)[env_ids]
+            taken[row] = (values.numpy() if hasattr(values, "numpy") else values)[which]
         terms = self._terms["rewards"]
         if weights and terms:
             first = 3 + len(self._keys)
