@@ -2,7 +2,8 @@
 
 Two equal environments in one process, one with a log, take turns next to each other, in random
 order: a machine whose speed wanders wanders less from one turn to the next. Each case has a process
-of its own. A turn is whole episodes, and ends when everything is in the file.
+of its own. A turn is whole episodes, and ends when everything is in the file: that wait of 10 to 20
+ms, once a run, has to be little beside a turn.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from typing import Any
 
 from benchmarks import arms
 from benchmarks.machine import table, write_json
-from benchmarks.rounds import EPISODE, steps_for, timed
+from benchmarks.rounds import EPISODE, timed
 
 LIMITS: dict[tuple[int, int], float | None] = {
     (4, 4): None,
@@ -39,7 +40,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pairs", type=int, default=60, help="at most; at least a fifth of it")
     parser.add_argument("--limit", type=float, default=180.0, help="seconds that a case may take")
-    parser.add_argument("--seconds", type=float, default=0.4, help="about how long a turn is")
+    parser.add_argument("--seconds", type=float, default=2.0, help="about how long a turn is")
     parser.add_argument("--episode", type=int, default=EPISODE, help="turns are multiples of it")
     parser.add_argument(
         "--case", type=int, nargs=2, action="append", metavar=("N", "STEPS"),
@@ -83,8 +84,9 @@ def measured(num_envs: int, steps: int, options: argparse.Namespace) -> dict[str
             arms.environment(without, "plain", "plain"),
             arms.recorded(with_log, "logged", "plain", Path(folder)),
         ]
-        counts = [steps_for(arm, options.seconds, options.episode) for arm in both]
-        count = counts[0]
+        episode: int = options.episode
+        plain, _ = (min(timed(arm, episode) for _ in range(2)) for arm in both)
+        count = episode * max(1, round(options.seconds / plain))
         found: dict[str, list[float]] = {arm.name: [] for arm in both}
         end = time.monotonic() + options.limit
         for number in range(options.pairs):
