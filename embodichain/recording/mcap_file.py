@@ -231,9 +231,12 @@ class McapFile:
         head = struct.pack("<BQ", Opcode.CHUNK, len(head) + len(packed)) + head
         at, index_at = self._offset, self._offset + len(head) + len(packed)
         index, offsets = self._message_index(index_at)
-        self._write(head, packed, index)  # at once: it is there, or it is not
-        for channel, entries in self._index.items():
-            self._counts[channel] += len(entries) // 2
+        try:
+            self._write(head, packed, index)  # at once: it is there, or it is not
+        finally:
+            if self._offset >= index_at:  # its messages are, even if a full disk took no more
+                for channel, entries in self._index.items():
+                    self._counts[channel] += len(entries) // 2
         self._chunk_index.append(
             records.ChunkIndex(
                 message_start_time=start,

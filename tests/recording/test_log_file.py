@@ -1,8 +1,12 @@
 import os
+import struct
 
 import numpy as np
 import pytest
+from mcap.exceptions import McapError
 from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.stream_reader import StreamReader
 
 from embodichain.recording.log_file import LogFile
 
@@ -66,3 +70,32 @@ def test_a_channel_is_declared_once(tmp_path):
         summary = make_reader(stream).get_summary()
     assert [c.topic for c in summary.channels.values()] == [TOPIC]
     assert [s.name for s in summary.schemas.values()] == [SCHEMA]
+
+
+@pytest.mark.parametrize(("lacks", "there"), [(1, True), (40, True), (200, False)])
+def test_a_disk_that_fills_within_a_chunk_leaves_what_is_said(tmp_path, monkeypatch, lacks, there):
+    """The last bytes of a chunk are its index: without them its messages can still be read."""
+    log = start(tmp_path / "log.mcap", "none")
+    for i in range(2):
+        log.write(TOPIC, i, (b"message" * 40,))
+    took, write = [], os.writev
+
+    def full(descriptor, parts):
+        if took:
+            raise OSError(28, "No space left on device")
+        data = b"".join(parts)
+        took.append(write(descriptor, [data[: len(data) - lacks]]))
+        return took[0]
+
+    monkeypatch.setattr(os, "writev", full)
+    with pytest.raises(OSError, match="No space left"):
+        log.flush()
+    monkeypatch.undo()
+    log.close()
+    assert log.written(TOPIC) == (2 if there else 0)
+    with (tmp_path / "log.mcap").open("rb") as stream:
+        found = []
+        with pytest.raises((McapError, struct.error)):  # it ends in the middle of a record
+            for record in StreamReader(stream).records:
+                found += [record] if isinstance(record, Message) else []
+    assert len(found) == log.written(TOPIC)
