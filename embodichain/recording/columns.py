@@ -15,7 +15,6 @@ import numpy as np
 from embodichain.lab.sim.engine.base import F64, Write
 
 __all__ = [
-    "INPUTS",
     "INPUTS_ALWAYS_ZERO",
     "NEEDS_HEED",
     "RowColumns",
@@ -25,7 +24,7 @@ __all__ = [
 ]
 
 INPUTS_ALWAYS_ZERO = ("qfrc_applied", "xfrc_applied")
-INPUTS = (*INPUTS_ALWAYS_ZERO, "ctrl", "eq_active", "mocap_pos", "mocap_quat", "userdata")
+_INPUTS = (*INPUTS_ALWAYS_ZERO, "ctrl", "eq_active", "mocap_pos", "mocap_quat", "userdata")
 """Components that physics reads and never writes; what they are follows from writes alone."""
 NEEDS_HEED = frozenset({*INPUTS_ALWAYS_ZERO, "row"})
 """Fields of writes that may leave something in columns that are left out."""
@@ -87,7 +86,7 @@ class RowColumns:
 def moved_ranges(layout: Mapping[str, slice]) -> list[tuple[int, int]]:
     """Columns of whole rows that physics may write, as half-open ranges."""
     nstate = max(columns.stop for columns in layout.values())
-    return _complement([layout[name] for name in INPUTS if name in layout], nstate)
+    return _complement([layout[name] for name in _INPUTS if name in layout], nstate)
 
 
 def _side_by_side(ranges: list[tuple[int, int]], rows: F64, out: F64) -> None:

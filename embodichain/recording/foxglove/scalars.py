@@ -71,9 +71,9 @@ class Scalars:
             taken[row] = (values.numpy() if hasattr(values, "numpy") else values)[which]
         terms = self._terms["rewards"]
         if weights and terms:
-            first = 3 + len(self._keys)
+            at = 3 + len(self._keys)
             factors = [weights.get(name, 1.0) for name in terms]
-            taken[first : first + len(terms)] *= np.array(factors)[:, None]
+            taken[at : at + len(terms)] *= np.array(factors)[:, None]
         return taken
 
     def _found(self, step: StepRecord) -> list[Any]:
