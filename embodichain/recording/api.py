@@ -30,6 +30,7 @@ from embodichain.recording.messages import WriteRecord
 from embodichain.recording.metrics import read_metrics
 from embodichain.recording.model_columns import Column, state_columns
 from embodichain.recording.rebuild import FilledFile
+from embodichain.recording.with_inputs import WithInputs
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -66,7 +67,7 @@ class Log:
 
     def __init__(self, path: str | Path, simulate: bool = False) -> None:
         self._file = ChunkFile(Path(path))
-        self._states = FilledFile(self._file) if simulate else self._file
+        self._simulate = simulate
         self.path = self._file.path
         try:
             self.header: Header = self._file.require_header()
@@ -308,12 +309,20 @@ class Log:
         components = [name for name in names if name in self.header.layout]
         outcomes = [name for name in names if name in OUTCOMES]
         ids = self._envs(env)
-        file = self._states if components else self._file
-        if isinstance(file, FilledFile):
-            file.only = ids
-        gatherer = Gatherer(file, components, outcomes, ids, span)
+        gatherer = Gatherer(self._source(components, ids), components, outcomes, ids, span)
         gatherer.run()
         return gatherer
+
+    def _source(
+        self, components: Sequence[str], ids: NDArray[np.int64]
+    ) -> ChunkFile | WithInputs | FilledFile:
+        """What has these components of the state in every message, and has least to do for it."""
+        if components and self._simulate and self.header.keyframe_every:
+            filled = FilledFile(self._file)
+            filled.only = ids
+            return filled
+        every = all(self.header.is_moved(name) for name in components)
+        return self._file if every else WithInputs(self._file)
 
     # -- the rest ----------------------------------------------------------------------------------
 

@@ -2,7 +2,8 @@
 
 Applied forces are inputs that nobody writes in most tasks: 51 of 123 columns for an arm with a
 free cube. They stay out of the file until the first write that is not zero; from there on rows are
-whole, which a message says by its width.
+whole. Inputs follow from the last state that has them and the writes since, so most states have
+only the columns that physics writes. A message says by its width which columns it has.
 """
 
 from __future__ import annotations
@@ -16,12 +17,22 @@ from embodichain.lab.sim.engine.base import F64, Write
 
 __all__ = [
     "INPUTS_ALWAYS_ZERO",
+    "INPUTS_EVERY",
     "NEEDS_HEED",
+    "Ranges",
     "RowColumns",
     "column_name",
     "moved_ranges",
     "spread",
+    "width_of",
 ]
+
+Ranges = list[tuple[int, int]]
+"""Columns of a row, as half-open ranges."""
+
+INPUTS_EVERY = 50
+"""Control steps from one state with inputs to the next, at most: others have what physics writes,
+and their inputs follow from the writes since."""
 
 INPUTS_ALWAYS_ZERO = ("qfrc_applied", "xfrc_applied")
 _INPUTS = (*INPUTS_ALWAYS_ZERO, "ctrl", "eq_active", "mocap_pos", "mocap_quat", "userdata")
@@ -42,9 +53,9 @@ class RowColumns:
         self.nstate: int = max(cols.stop for cols in self.layout.values())
         self.kept = _complement([self.layout[n] for n in INPUTS_ALWAYS_ZERO], self.nstate)
         self.moved = moved_ranges(self.layout)
-        self.moved_width = _width(self.moved)
+        self.moved_width = width_of(self.moved)
         self.ranges = self.kept
-        self.width = _width(self.kept)
+        self.width = width_of(self.kept)
 
     @property
     def whole(self) -> bool:
@@ -83,20 +94,20 @@ class RowColumns:
         _side_by_side(self.moved, rows, out)
 
 
-def moved_ranges(layout: Mapping[str, slice]) -> list[tuple[int, int]]:
+def moved_ranges(layout: Mapping[str, slice]) -> Ranges:
     """Columns of whole rows that physics may write, as half-open ranges."""
     nstate = max(columns.stop for columns in layout.values())
     return _complement([layout[name] for name in _INPUTS if name in layout], nstate)
 
 
-def _side_by_side(ranges: list[tuple[int, int]], rows: F64, out: F64) -> None:
+def _side_by_side(ranges: Ranges, rows: F64, out: F64) -> None:
     at = 0
     for start, stop in ranges:
         out[:, at : at + stop - start] = rows[:, start:stop]
         at += stop - start
 
 
-def spread(kept: list[tuple[int, int]], narrow: F64, nstate: int) -> F64:
+def spread(kept: Ranges, narrow: F64, nstate: int) -> F64:
     """Whole rows of what was written, (n, width) -> (n, nstate); columns left out are zero."""
     if narrow.shape[1] == nstate:
         return narrow
@@ -108,11 +119,12 @@ def spread(kept: list[tuple[int, int]], narrow: F64, nstate: int) -> F64:
     return out
 
 
-def _width(ranges: list[tuple[int, int]]) -> int:
+def width_of(ranges: Ranges) -> int:
+    """How many columns these are."""
     return sum(stop - start for start, stop in ranges)
 
 
-def _complement(holes: list[slice], size: int) -> list[tuple[int, int]]:
+def _complement(holes: list[slice], size: int) -> Ranges:
     """Half-open ranges of [0, size) outside the holes; at least one, if perhaps empty."""
     keep = np.ones(size + 1, np.bool_)
     for hole in holes:

@@ -17,12 +17,14 @@ from numpy.typing import NDArray
 from embodichain.recording import wire
 from embodichain.recording.arrays import LogArrays
 from embodichain.recording.chunks import ChunkFile, Found
+from embodichain.recording.columns import width_of
 from embodichain.recording.header import Header, LogError
 from embodichain.recording.mcap_file import CHUNK_LIMIT
 from embodichain.recording.messages import State
 from embodichain.recording.model_columns import Column
 from embodichain.recording.rebuild import FilledFile
 from embodichain.recording.step_block import decode_steps
+from embodichain.recording.with_inputs import WithInputs
 
 __all__ = ["OUTCOMES", "Gatherer", "Steps"]
 
@@ -74,7 +76,7 @@ class Gatherer:
         span: Steps.
     """
 
-    file: ChunkFile | FilledFile
+    file: ChunkFile | WithInputs | FilledFile
     components: Sequence[str]
     outcomes: Sequence[str]
     env_ids: NDArray[np.int64]
@@ -87,10 +89,10 @@ class Gatherer:
         n = self._header.num_envs
         self._all = len(self.env_ids) == n and bool((self.env_ids == np.arange(n)).all())
         self._tail = wire.uint(6, self._header.substeps)
-        narrow = sum(b - a for a, b in self._header.columns)
+        widths = {self._header.width, self._header.nstate, width_of(self._header.moved)} - {0}
         self._heads = {
             width: wire.uint(2, n) + wire.uint(3, width) + wire.packed(4, 8 * n * width)
-            for width in {narrow, self._header.nstate} - {0}
+            for width in widths
         }
         self._pending: _Row | None = None
 
@@ -235,15 +237,19 @@ class Gatherer:
             target[at : at + count] = 0.0 if columns is None else shaped[..., columns]
 
     def _within(self, component: str, width: int) -> slice | None:
-        """Columns of a component in rows of a width; None where they were left out as zero."""
+        """Columns of a component in rows of a width; None where they were left out as zero.
+
+        Raises:
+            WireError: If they were left out because writes tell them, and those are lost.
+        """
         start, stop = self._header.layout[component]
-        if width == self._header.nstate:
-            return slice(start, stop)
         at = 0
-        for a, b in self._header.columns:
+        for a, b in self._header.ranges_of(width):
             if a <= start and stop <= b:
                 return slice(at + start - a, at + stop - a)
             at += b - a
+        if width not in (self._header.width, self._header.nstate):
+            raise wire.WireError(f"what {component} was before is not in the file")
         return None
 
     def _put_outcomes(self, steps: list[tuple[int, memoryview]], at: int) -> int:

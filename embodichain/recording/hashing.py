@@ -81,6 +81,22 @@ class RowHash:
         words = taken.view(np.uint64)
         return _mix((words ^ (words >> _HALF)) @ self._coefficients_of(ranges))
 
+    def sums(self, taken: F64, columns: NDArray[np.int64]) -> U64:
+        """Return (n,) what some columns add to the hash before it is `mixed`.
+
+        Args:
+            taken: (n, k) those columns, contiguous.
+            columns: (k,) which they are.
+        """
+        words = taken.view(np.uint64)
+        found: U64 = (words ^ (words >> _HALF)) @ self._coefficients[columns]
+        return found
+
+    @staticmethod
+    def mixed(sums: U64) -> U64:
+        """Return (n,) hashes from the sums over all columns, in place."""
+        return _mix(sums)
+
     def _coefficients_of(self, ranges: list[tuple[int, int]]) -> U64:
         if self._used[0] != ranges:
             self._used = ranges, np.concatenate([self._coefficients[a:b] for a, b in ranges])

@@ -9,9 +9,11 @@ from typing import Any
 
 import mujoco
 
+from embodichain.recording.columns import Ranges, moved_ranges, width_of
 from embodichain.recording.mcap_file import CHUNK_LIMIT
 from embodichain.recording.options import RecordLike
 from embodichain.recording.records import DamageError
+from embodichain.recording.wire import WireError
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = [
@@ -30,7 +32,8 @@ METADATA = "embodichain"
 METADATA_END = "embodichain.end"
 METADATA_RECOVERED = "embodichain.recovered"
 """In a file that was saved from a broken one: from which, and why it ends where it does."""
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+"""1 had inputs in every state."""
 _LONGEST_STEP = 1e5
 """Seconds; a longer step is not believed."""
 
@@ -56,7 +59,8 @@ class Header:
         state: ``all``, ``keyframes`` or ``none``.
         state_sig: MuJoCo's state specification (`mjSTATE_INTEGRATION`).
         nstate: Columns of a whole row.
-        columns: Half-open ranges of columns in messages narrower than `nstate`; the others are 0.
+        columns: Half-open ranges of columns in use, if not all of them; the others are 0. See
+            `ranges_of`.
         layout: Component of the row to its (start, stop) columns.
         view_envs: Environments shown to viewers.
         unverifiable: Why this log cannot be verified; empty if it can.
@@ -105,9 +109,10 @@ class Header:
             LogError: If it was written by a later version, or lacks something.
         """
         version = values.get("format_version", "")
-        if version != str(FORMAT_VERSION):
+        if version not in map(str, range(1, FORMAT_VERSION + 1)):
             raise LogError(
-                f"the log has format version {version or 'none'!r}; this reads {FORMAT_VERSION}"
+                f"the log has format version {version or 'none'!r}; this reads 1 to "
+                f"{FORMAT_VERSION}"
             )
         text = {"task", "mujoco_version", "model", "state", "unverifiable", "log_id"}
         # What has a default came later than the first logs.
@@ -179,6 +184,32 @@ class Header:
             return ""
         begins = f"file {self.part + 1} of a log, from step {self.first_step} on"
         return f"{begins}; {alone or 'its last file'}"
+
+    @property
+    def moved(self) -> Ranges:
+        """Columns that physics writes."""
+        return moved_ranges(self.slices())
+
+    @property
+    def width(self) -> int:
+        """How many columns are in use, if not all of them."""
+        return width_of(self.columns)
+
+    def is_moved(self, component: str) -> bool:
+        """Whether physics writes a component, so that every state has it."""
+        start, stop = self.layout[component]
+        return any(a <= start and stop <= b for a, b in self.moved)
+
+    def ranges_of(self, width: int) -> Ranges:
+        """Which columns a state of so many has: all, those in use, or those that physics writes.
+
+        Raises:
+            WireError: If no state has so many.
+        """
+        for ranges in ([(0, self.nstate)], self.columns, self.moved):
+            if width_of(ranges) == width:
+                return ranges
+        raise WireError(f"rows have {width} columns")
 
     def slices(self) -> dict[str, slice]:
         """The layout as slices."""

@@ -20,6 +20,7 @@ from embodichain.recording.messages import State, WriteRecord, encode_state
 from embodichain.recording.resimulate import Found as Difference
 from embodichain.recording.resimulate import Resimulation
 from embodichain.recording.wire import WireError
+from embodichain.recording.with_inputs import WithInputs
 
 __all__ = ["FilledFile"]
 
@@ -27,7 +28,7 @@ __all__ = ["FilledFile"]
 class FilledFile:
     """A log whose `/sim/state` has rows in every control step.
 
-    A log that was recorded with `state: all` is read as it is.
+    Of a log that was recorded with `state: all` nothing is simulated.
 
     Args:
         file: The log; it knows of damage that is met.
@@ -57,7 +58,7 @@ class FilledFile:
         file, every = self._file, self._file.chunks
         wanted = every if chunks is None else chunks
         if not wanted or not file.require_header().keyframe_every:
-            yield from file.blocks(chunks)
+            yield from WithInputs(file).blocks(chunks)
             return
         begins = every.index(wanted[0])
         filler = _Filler(file, self.only, wanted[0].start_ns)

@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64, EnvIndex
 from embodichain.lab.sim.engine.cpu import CpuEngine
-from embodichain.recording.columns import column_name, spread
+from embodichain.recording.columns import Ranges, column_name, spread
 from embodichain.recording.hashing import RowHash
 from embodichain.recording.header import Header, LogError
 from embodichain.recording.messages import Calls, State, StepOutcome, WriteRecord
 from embodichain.recording.verify_report import Difference
+from embodichain.recording.wire import WireError
 
 __all__ = ["ActiveSteps", "Found", "Resimulation"]
 
@@ -68,6 +69,7 @@ class Resimulation:
         self._engine = CpuEngine(model, len(selected), num_threads)
         self._hash = RowHash(header.nstate)
         self._layout = header.slices()
+        self._ranges: Ranges = [(0, header.nstate)]  # columns in use: others are zero
         # Environments whose rows here are the log's.
         self._followed = self._simulated(header.first_step).copy()
         self._calls: dict[int, tuple[EnvIndex, NDArray[np.uint64]]] = {}
@@ -151,8 +153,12 @@ class Resimulation:
         if not state.rows.size and self._header.keyframe_every and state.nstep:
             self._between(state)
             return
-        if state.rows.shape[1] not in (self._header.nstate, _width(self._header)):
-            raise LogError(f"step {state.step}: rows have {state.rows.shape[1]} columns")
+        try:
+            ranges = self._header.ranges_of(state.rows.shape[1])
+        except WireError as error:
+            raise LogError(f"step {state.step}: {error}") from error
+        if state.rows.shape[1] in (self._header.nstate, self._header.width):
+            self._ranges = ranges
         count = self._header.num_envs if state.env_ids is None else len(state.env_ids)
         if len(state.rows) != count:
             raise LogError(f"step {state.step}: {len(state.rows)} rows")
@@ -160,12 +166,12 @@ class Resimulation:
         active = self._simulated(state.step)
         compared = active & self._followed
         recorded = state.rows[rows]
-        self._compare(state, local, recorded, (compared & self._active(state.step))[local])
+        compare = (compared & self._active(state.step))[local]
+        self._compare(state, local, recorded, compare, ranges)
         new = (active & ~compared)[local]
         if new.any() or not self._exact:
             take = active[local] if not self._exact else new
-            whole = spread(self._header.columns, recorded[take], self._header.nstate)
-            self._engine.write("row", whole, local[take])
+            self._engine.write("row", self._whole(recorded[take], local[take]), local[take])
         self._followed = active
         if state.nstep:
             self._step(state, local[active[local]])
@@ -177,11 +183,25 @@ class Resimulation:
         local, _ = self._local(state.env_ids)
         self._step(state, local[self._followed[local]])
 
+    def _whole(self, recorded: F64, local: EnvIndex) -> F64:
+        """Whole rows; inputs that were left out are those of the writes that were followed."""
+        header, width = self._header, recorded.shape[1]
+        rows = spread(header.ranges_of(width), recorded, header.nstate)
+        if width not in (header.nstate, header.width):
+            rows, at = self._engine.rows[local], 0
+            for start, stop in header.moved:
+                rows[:, start:stop] = recorded[:, at : at + stop - start]
+                at += stop - start
+        return rows
+
     def _compare(
-        self, state: State, local: EnvIndex, recorded: F64, compared: NDArray[np.bool_]
+        self,
+        state: State,
+        local: EnvIndex,
+        recorded: F64,
+        compared: NDArray[np.bool_],
+        ranges: Ranges,
     ) -> None:
-        whole = recorded.shape[1] == self._header.nstate
-        ranges = [(0, self._header.nstate)] if whole else self._header.columns
         rows = self._engine.rows
         if len(local) != len(rows):
             rows = rows[local]
@@ -194,7 +214,7 @@ class Resimulation:
             at += stop - start
         differs &= compared
         if not self._exact:
-            self._measure(rows[compared], recorded[compared])
+            self._measure(rows[compared], self._whole(recorded[compared], local[compared]))
         elif differs.any() or self._suspect is not None:
             self._report(state, local, rows, recorded, differs)
 
@@ -217,17 +237,16 @@ class Resimulation:
             row, step = int(at[0]), suspect.step
         else:
             row, step = int(np.flatnonzero(differs)[0]), state.step
-        there = spread(self._header.columns, recorded[row : row + 1], self._header.nstate)[0]
+        there = self._whole(recorded[row : row + 1], local[row : row + 1])[0]
         here = rows[row]
         column = int(np.flatnonzero(here.view(np.uint64) != there.view(np.uint64))[0])
         env = int(self._selected[local[row]])
         name = column_name(self._layout, column)
         raise Found(Difference(step, env, name, float(there[column]), float(here[column])))
 
-    def _measure(self, rows: F64, recorded: F64) -> None:
+    def _measure(self, rows: F64, there: F64) -> None:
         if not len(rows):
             return
-        there = spread(self._header.columns, recorded, self._header.nstate)
         for name in ("qpos", "qvel"):
             cols = self._layout[name]
             error = np.abs(rows[:, cols] - there[:, cols])
@@ -242,8 +261,8 @@ class Resimulation:
         everybody = len(ids) == self._engine.num_envs
         self._engine.step(state.nstep, None if everybody else ids)
         rows = self._engine.rows if everybody else self._engine.rows[ids]
-        narrow = state.rows.shape[1] == _width(self._header)
-        ranges = self._header.columns if narrow else [(0, self._header.nstate)]
+        # Without rows nobody says which columns are in use.
+        ranges = self._ranges if state.rows.size else [(0, self._header.nstate)]
         self._calls[state.call] = (ids, self._hash(rows, ranges))
 
     def on_step(self, data: bytes | memoryview) -> StepOutcome:
@@ -291,7 +310,3 @@ class Resimulation:
         """
         if self._suspect is not None:
             raise Found(self._suspect)
-
-
-def _width(header: Header) -> int:
-    return sum(stop - start for start, stop in header.columns)

@@ -7,7 +7,10 @@ by a hash of the rows it returned. A write belongs before the call whose number 
     result of call c, then the writes of call c + 1 = state of call c + 1
 
 hold for every row, also when a reset event steps physics to let things settle. Normally there is
-one call a control step, and its hash travels in `/sim/step`.
+one call a control step, and its hash travels in `/sim/step`. Where rows follow from those before,
+most states have only the columns that physics writes: controls and other inputs are as in the
+state before, changed by the writes since. A state with inputs comes at least every `INPUTS_EVERY`
+control steps, first in every file, and after whatever is no plain write to the state.
 
 Between keyframes `/sim/state` has no rows, and only says where physics was called: writes and
 calls give every row from the last keyframe on, and the hashes say whether they are right.
@@ -25,8 +28,9 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.observers import EventRecord
 from embodichain.lab.sim.engine.base import F64, EnvIndex, Write, WriteOp
 from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS
-from embodichain.recording.columns import moved_ranges, spread
+from embodichain.recording.columns import INPUTS_EVERY, Ranges
 from embodichain.recording.hashing import RowHash
+from embodichain.recording.known_rows import KnownRows
 from embodichain.recording.mcap_file import Part
 from embodichain.recording.messages import (
     START,
@@ -51,7 +55,6 @@ CHANNELS = {
 }
 
 Emit = Callable[[int, str, tuple[Part, ...]], None]
-Ranges = list[tuple[int, int]]
 
 
 class StateLog:
@@ -75,7 +78,6 @@ class StateLog:
         derives: bool,
         emit: Emit,
     ) -> None:
-        self._derives = derives
         self._model = model
         self._layout = dict(layout)
         self._nstate: int = max(columns.stop for columns in self._layout.values())
@@ -88,11 +90,8 @@ class StateLog:
         self._own: Calls | None = None  # the call whose hash `/sim/step` will carry
         self._after_physics = False
         self._stamp = stamp(0, 0)
-        self._rows: F64 | None = None  # (N, width) as calls and writes have left them, if known
-        self._emitted = False  # whether a message refers to them
-        self._narrow = np.arange(self._nstate)  # column of a row to its column there, or -1
-        self._moved = moved_ranges(layout)  # columns that physics may write, in the narrow rows
-        self._targets: dict[int, tuple[Any, Any]] = {}
+        self._known = KnownRows(layout) if derives else None
+        self._inputs_due = 0  # the control step whose state has inputs again
         self._places: dict[int, Write] = {}
         self._heads: dict[tuple[bool, int], tuple[bytes, bytes]] = {}
 
@@ -102,6 +101,7 @@ class StateLog:
         Constants that MuJoCo derives are written as they are; `set_const` before them sets what
         follows from the fields and is none itself.
         """
+        self._inputs_due = self.step
         for again in range(2 if DERIVED_FIELDS & model_fields.keys() else 1):
             if again:
                 self._write("set_const", "", None)
@@ -130,40 +130,8 @@ class StateLog:
             columns = None if values is None else self._columns(write)
             head = self._heads[key] = write_head(phase, write.op, write.field, columns)
         self._emit(self.step, "/sim/write", encode_write(self._stamp, head, env_ids, values))
-        if self._rows is not None and values is not None:
-            self._apply(place, env_ids, values)
-
-    def _apply(self, place: int, env_ids: EnvIndex | None, values: F64) -> None:
-        """Change the rows as a write did; other kinds than these make them unknown."""
-        write = self._places[place]
-        if write.op != "state" or write.field == "row" or self._rows is None:
-            return
-        if self._emitted:
-            self._rows, self._emitted = self._rows.copy(), False
-        columns, of_values = self._target(place, write)
-        if env_ids is None:
-            self._rows[:, columns] = values[:, of_values]
-        elif isinstance(columns, slice):
-            self._rows[env_ids, columns] = values[:, of_values]
-        else:
-            self._rows[env_ids[:, None], columns] = values[:, of_values]
-
-    def _target(self, place: int, write: Write) -> tuple[Any, Any]:
-        """Columns of the rows that a write changes, and which of its values they get.
-
-        Columns that are left out of rows get nothing but zeros.
-        """
-        found = self._targets.get(place)
-        if found is None:
-            columns = np.arange(self._nstate)[self._layout[write.field]][write.columns]
-            narrow = self._narrow[columns]
-            kept = np.flatnonzero(narrow >= 0)
-            target: Any = narrow[kept]
-            if len(target) and (np.diff(target) == 1).all():
-                target = slice(int(target[0]), int(target[-1]) + 1)
-            which: Any = slice(None) if len(kept) == len(columns) else kept
-            found = self._targets[place] = target, which
-        return found
+        if self._known is not None and values is not None:
+            self._known.write(place, self._places[place], env_ids, values)
 
     def _columns(self, write: Write) -> NDArray[np.int64] | None:
         """Columns as indices; None for all of them."""
@@ -190,8 +158,9 @@ class StateLog:
     def before_physics(self, nstep: int, ids: EnvIndex | None, taken: F64 | None) -> None:
         """A call is about to begin, with these rows (n, width); None between keyframes."""
         self._emit(self.step, "/sim/state", encode_state(self.step, taken, self.call, nstep, ids))
-        if self._derives and taken is not None and ids is None:
-            self._rows, self._emitted = taken, True
+        if self._known is not None and taken is not None and ids is None:
+            self._known.take(taken)
+            self._inputs_due = self.step + INPUTS_EVERY
 
     def stepped(
         self, nstep: int, ids: EnvIndex | None, failed: EnvIndex | None, taken: F64
@@ -208,56 +177,54 @@ class StateLog:
             taken: (n, width) rows; of all environments only the columns that physics may write.
 
         Raises:
-            RuntimeError: If the rows are not known.
+            RuntimeError: If rows are not to be derived, or are not known.
         """
-        if self._rows is None:
-            raise RuntimeError("rows were not told before they are needed")
-        rows = self._rows if ids is None else self._rows[ids]
+        known = self._known
+        if known is None:
+            raise RuntimeError("rows are not derived in this log")
+        if ids is not None:
+            rows = known.whole()[ids]
+        elif self.step < self._inputs_due:
+            rows = known.lend_moved()
+        else:
+            rows, self._inputs_due = known.whole(), self.step + INPUTS_EVERY
         self._emit(self.step, "/sim/state", encode_state(self.step, rows, self.call, nstep, ids))
-        self._emitted = self._emitted or ids is None
         if ids is None:
-            moved = self._rows.copy()
-            at = 0
-            for start, stop in self._moved:
-                moved[:, start:stop] = taken[:, at : at + stop - start]
-                at += stop - start
-            taken = moved
-        self.after_physics(nstep, ids, failed, taken)
+            known.returned(taken)
+            self._returned(nstep, ids, failed, known.hashes(self._hash))
+        else:
+            self.after_physics(nstep, ids, failed, taken)
 
     def settle(self) -> None:
         """Copy what is not this log's own: the memory of arrays that were handed over goes."""
-        if self._rows is not None and not self._rows.flags.owndata:
-            self._rows = self._rows.copy()
-        self._emitted = False
+        if self._known is not None:
+            self._known.settle()
 
     def columns(self, ranges: Ranges) -> None:
-        """From here on these columns of rows are handed over, as half-open ranges."""
-        if self._rows is not None:
-            self._rows = self._widened(self._rows, ranges)
-        self._ranges, self._emitted = ranges, False
-        self._narrow = np.full(self._nstate, -1)
-        kept = np.concatenate([np.arange(start, stop) for start, stop in ranges])
-        self._narrow[kept] = np.arange(len(kept))
-        self._targets.clear()
-        # Those that physics may write are all handed over, so neighbours stay neighbours.
-        moved = moved_ranges(self._layout)
-        self._moved = [(int(self._narrow[a]), int(self._narrow[b - 1]) + 1) for a, b in moved]
-
-    def _widened(self, rows: F64, ranges: Ranges) -> F64:
-        """Rows with more columns, which are zero so far."""
-        whole = spread(self._ranges, rows, self._nstate)
-        return np.concatenate([whole[:, start:stop] for start, stop in ranges], axis=1)
+        """From here on these columns of rows are handed over."""
+        self._ranges = ranges
+        if self._known is not None:
+            self._known.columns(ranges)
+            self._inputs_due = self.step
 
     def after_physics(
         self, nstep: int, ids: EnvIndex | None, failed: EnvIndex | None, taken: F64
     ) -> None:
         """A call has returned these rows (n, width): hash them."""
-        hashes = self._hash.of_columns(taken, self._ranges)
-        if ids is None and self._derives:
-            self._rows, self._emitted = taken, False
-        elif self._rows is not None:
-            self._rows, self._emitted = self._rows.copy(), False
-            self._rows[ids] = taken
+        if self._known is not None:
+            if ids is None:
+                self._known.take(taken)
+            else:
+                self._known.returned_some(ids, taken)
+        self._returned(nstep, ids, failed, self._hash.of_columns(taken, self._ranges))
+
+    def _returned(
+        self,
+        nstep: int,
+        ids: EnvIndex | None,
+        failed: EnvIndex | None,
+        hashes: NDArray[np.uint64],
+    ) -> None:
         done = Calls(self.step, self.call, ids, hashes, failed)
         self.call += 1
         self._stamp = stamp(self.step, self.call)

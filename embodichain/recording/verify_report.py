@@ -16,7 +16,8 @@ class Difference:
         step: Control step, from 0.
         env: The environment.
         field: Component and index, ``qpos[3]``; ``hash`` where the row that physics returned is
-            gone (the environment was reset in that step) and only its hash tells.
+            gone (the environment was reset in that step) and only its hash tells, or where no
+            column of the next state differs: it is the hash, or an input that the state leaves out.
         recorded: The value in the log.
         simulated: The value that physics and the recorded writes give.
     """

@@ -22,19 +22,45 @@ def decoded(path, topic):
         return [message for *_, message in reader.iter_decoded_messages(topics=[topic])]
 
 
-def rows_of_steps(path):
-    """Whole-batch rows of control steps, (T, N, width), by that library."""
-    states = [m for m in decoded(path, "/sim/state") if m.nstep == 4 and not m.env_ids]
-    return np.stack([np.array(m.state).reshape(m.num_envs, m.width) for m in states])
+def rows_of_steps(path, layout, kept, moved):
+    """Whole-batch rows of control steps, (T, N, width), by that library, and the writes between."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        messages = [
+            (channel.topic, message)
+            for _, channel, _, message in reader.iter_decoded_messages(
+                topics=["/sim/state", "/sim/write"], log_time_order=False
+            )
+        ]
+    rows, now = [], None
+    for topic, m in messages:
+        if topic == "/sim/state" and not m.env_ids:
+            state = np.array(m.state).reshape(m.num_envs, m.width)
+            if m.width == len(kept):
+                now = np.zeros((m.num_envs, kept[-1] + 1))
+            assert m.width in (len(kept), len(moved))
+            now[:, kept if m.width == len(kept) else moved] = state
+            if m.nstep == 4:
+                rows.append(now.copy())
+        elif topic == "/sim/write" and m.op == "state" and m.field != "row" and now is not None:
+            a, b = layout[m.field]
+            columns = np.r_[a:b][list(m.columns)] if m.columns else np.r_[a:b]
+            envs = list(m.env_ids) or range(len(now))
+            now[np.ix_(envs, columns)] = np.array(m.values).reshape(len(envs), -1)
+    return np.stack(rows)[..., kept]
 
 
 @pytest.mark.parametrize("compression", ["zstd-fast", "lz4", "zstd", "none"])
 def test_arrays_are_what_another_library_reads(record, compression):
     path = record(steps=25, settle=3, options=RecordOptions(compression=compression))
-    rows, steps = rows_of_steps(path), decoded(path, "/sim/step")
+    steps = decoded(path, "/sim/step")
     with recording.open(path) as log:
         data = log.read()
-        kept = np.concatenate([np.arange(a, b) for a, b in log.header.columns])
+        kept, moved = (
+            np.concatenate([np.arange(a, b) for a, b in ranges])
+            for ranges in (log.header.columns, log.header.moved)
+        )
+        rows = rows_of_steps(path, log.header.layout, kept, moved)
         for name in ("qpos", "qvel", "ctrl", "mocap_pos", "mocap_quat"):
             a, b = log.header.layout[name]
             expected = rows[..., np.searchsorted(kept, a) : np.searchsorted(kept, b)]

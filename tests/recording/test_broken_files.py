@@ -139,7 +139,7 @@ def test_a_later_format_is_refused(record, tmp_path):
     from tests.recording.rewrite import rewrite
 
     path = rewrite(
-        record(), tmp_path / "new.mcap", metadata=lambda name, v: {**v, "format_version": "2"}
+        record(), tmp_path / "new.mcap", metadata=lambda name, v: {**v, "format_version": "3"}
     )
-    with pytest.raises(LogError, match="format version '2'; this reads 1"):
+    with pytest.raises(LogError, match="format version '3'; this reads 1 to 2"):
         inspect(path)

@@ -1,6 +1,7 @@
 import json
 import subprocess
 import sys
+from contextlib import suppress
 
 import mujoco
 import numpy as np
@@ -62,14 +63,22 @@ def test_rows_are_those_that_physics_receives(tmp_path):
         env.step()
     seen.append(env.sim.engine.rows.copy())
     recorder.close()
-    kept = np.ones(seen[0].shape[1], bool)
+    inputs = np.zeros(seen[0].shape[1], bool)
+    for name in ("ctrl", "mocap_pos", "mocap_quat", "eq_active", "userdata"):
+        with suppress(KeyError):
+            inputs[env.sim.engine.component(name)] = True
+    applied = np.zeros_like(inputs)
     for name in ("qfrc_applied", "xfrc_applied"):
-        kept[env.sim.engine.component(name)] = False
+        applied[env.sim.engine.component(name)] = True
     found = [State.decode(data) for _, data in messages(tmp_path / "log.mcap", "/sim/state")]
     assert [s.step for s in found] == list(range(11))
     assert [s.nstep for s in found] == [4] * 10 + [0]
-    for state, rows in zip(found, seen, strict=True):
-        assert state.rows.tobytes() == rows[:, kept].tobytes()
+    kept = [~applied & ~inputs] * 11
+    kept[0] = kept[-1] = ~applied  # the first state and the last
+    for number in (7, 8, 9):  # and those after a reset
+        kept[number] = ~applied
+    for state, rows, columns in zip(found, seen, kept, strict=True):
+        assert state.rows.tobytes() == rows[:, columns].tobytes()
 
 
 def test_steps_hold_what_went_in_and_came_out(tmp_path, record):
@@ -330,9 +339,18 @@ def _assert_received(path, env, received):
     """The log verifies, and its states are these rows, bit for bit."""
     assert verify(path).ok
     with recording.open(path) as log:
-        states = [
-            State.decode(data) for topic, _, data in log.raw_messages() if topic == "/sim/state"
-        ]
+        raw, states = (
+            [State.decode(data) for topic, _, data in messages if topic == "/sim/state"]
+            for messages in (log.raw_messages(), log.full_messages())
+        )
+        for state, full in zip(raw, states, strict=True):
+            places = np.concatenate(
+                [np.r_[a:b] for a, b in log.header.ranges_of(full.rows.shape[1])]
+            )
+            kept = np.concatenate(
+                [np.r_[a:b] for a, b in log.header.ranges_of(state.rows.shape[1])]
+            )
+            assert state.rows.tobytes() == full.rows[:, np.isin(places, kept)].tobytes()
     whole = env.sim.engine.rows.shape[1]
     assert len(states) == len(received)
     for state, rows in zip(states, received, strict=True):

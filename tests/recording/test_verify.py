@@ -158,9 +158,24 @@ def test_a_changed_write_is_found(record, tmp_path):
         return data
 
     report = verify(rewrite(record(), tmp_path / "bad.mcap", message=message))
-    # the sixth write follows the physics of step 5: the row of step 6 shows it
+    # the sixth write follows the physics of step 5: what step 6 was simulated from shows it
     assert (report.difference.step, report.difference.env) == (6, 2)
-    assert report.difference.field == "mocap_pos[5]"
+    assert report.difference.field == "hash"  # a marker, which moves nothing
+
+
+def test_a_changed_write_is_named_by_what_it_moves(record, tmp_path):
+    seen = []
+
+    def message(topic, data):
+        if topic == "/sim/write" and b"ctrl" in data:
+            seen.append(data)
+            if len(seen) == 6:
+                return data[:-1] + bytes([data[-1] ^ 0x40])
+        return data
+
+    report = verify(rewrite(record(), tmp_path / "bad.mcap", message=message))
+    assert report.difference.env == 2
+    assert report.difference.field.startswith(("qpos", "qvel", "qacc"))
 
 
 def test_a_changed_hash_is_found(record, tmp_path):
@@ -277,8 +292,12 @@ def test_whole_rows_begin_at_the_first_applied_force(record):
             if topic == "/sim/state"
         ]
         header = reader.require_header()
-    narrow = RowColumns(header.slices()).width
-    assert widths == [narrow] * 3 + [header.nstate] * 18
+    columns = RowColumns(header.slices())
+    narrow, moved = columns.width, columns.moved_width
+    # Every reset, in steps 3, 6 and so on, is followed by a state with inputs.
+    assert widths[:3] == [narrow, moved, moved]
+    assert set(widths[3:]) == {header.nstate, moved}
+    assert widths[3] == widths[-1] == header.nstate
     assert narrow == header.nstate - MODEL.nv - 6 * MODEL.nbody
 
 

@@ -1,0 +1,161 @@
+"""`KnownRows`: the rows of all environments as physics calls and writes have left them.
+
+Nobody has to copy rows that follow from what was recorded. Columns that physics writes (*moved*)
+are apart from its *inputs* (controls, mocap poses...), which only writes change: a state in the
+file normally has the former alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.engine.base import F64, EnvIndex
+from embodichain.recording.columns import Ranges, moved_ranges
+from embodichain.recording.hashing import RowHash
+
+__all__ = ["KnownRows"]
+
+
+class Place(Protocol):
+    """What a write writes, and where: of a `Write`, or of a `WriteRecord`."""
+
+    @property
+    def op(self) -> str: ...
+    @property
+    def field(self) -> str: ...
+    @property
+    def columns(self) -> NDArray[np.int64] | slice: ...
+
+
+_Target = tuple[bool, Any, Any]
+"""Whether a write changes inputs; columns there, or among the moved ones; which of its values."""
+
+
+class KnownRows:
+    """Rows that are told once and followed from there.
+
+    Args:
+        layout: Component name to its columns within a row.
+    """
+
+    def __init__(self, layout: Mapping[str, slice]) -> None:
+        self._layout = dict(layout)
+        self._nstate: int = max(columns.stop for columns in self._layout.values())
+        self._moved_columns = _indices(moved_ranges(self._layout))
+        self._inputs: F64 = np.zeros((0, 0))  # (N, inputs in use), this object's own
+        self._moved: F64 | None = None  # (N, moved), not to be written to while it is lent
+        self._lent = False
+        self._input_columns: NDArray[np.int64] = np.zeros(0, np.int64)
+        self._sums: NDArray[np.uint64] | None = None  # of the inputs, for hashes
+        self.columns([(0, self._nstate)])
+
+    def columns(self, ranges: Ranges) -> None:
+        """From here on these columns are in use, at least those that were; others are zero."""
+        before = self._input_columns if self._moved is not None else None
+        used = self._used = _indices(ranges)
+        moved = np.isin(used, self._moved_columns)
+        self._moved_at = _places(np.flatnonzero(moved))
+        self._inputs_at = _places(np.flatnonzero(~moved))
+        self._input_columns = used[~moved]
+        self._targets: dict[int, _Target] = {}
+        if before is not None:
+            wider = np.zeros((len(self._inputs), len(self._input_columns)))
+            wider[:, np.isin(self._input_columns, before)] = self._inputs
+            self._inputs, self._sums = wider, None
+
+    def take(self, rows: F64) -> None:
+        """These are the rows, (N, columns in use)."""
+        self._inputs = np.array(rows[:, self._inputs_at], order="C")
+        self._moved, self._lent = np.array(rows[:, self._moved_at], order="C"), False
+        self._sums = None
+
+    def returned(self, moved: F64) -> None:
+        """Physics of all environments has returned these moved columns, which are lent."""
+        self._moved, self._lent = moved, True
+
+    def returned_some(self, ids: EnvIndex, rows: F64) -> None:
+        """Physics of some environments has returned these rows, (n, columns in use)."""
+        if self._moved is not None:
+            self._own()[ids] = rows[:, self._moved_at]
+
+    def settle(self) -> None:
+        """What was lent goes."""
+        if self._lent:
+            self._own()
+
+    def _own(self) -> F64:
+        if self._moved is None:
+            raise RuntimeError("rows were not told before they are needed")
+        if self._lent:
+            self._moved, self._lent = self._moved.copy(), False
+        return self._moved
+
+    def write(self, place: int, write: Place, env_ids: EnvIndex | None, values: F64) -> None:
+        """Change rows as a write to components of states did; others make them unknown.
+
+        Args:
+            place: Number of what is written and where.
+            write: What that is.
+            env_ids: (n,) environments; None is all.
+            values: (n, k).
+        """
+        if write.op != "state" or write.field == "row" or self._moved is None:
+            return
+        target = self._targets.get(place) or self._target(place, write)
+        is_input, columns, which = target
+        rows = self._inputs if is_input else self._own()
+        if is_input:
+            self._sums = None
+        if env_ids is None:
+            rows[:, columns] = values[:, which]
+        elif isinstance(columns, slice):
+            rows[env_ids, columns] = values[:, which]
+        else:
+            rows[env_ids[:, None], columns] = values[:, which]
+
+    def _target(self, place: int, write: Place) -> _Target:
+        """Where a write goes; columns that are not in use get nothing but zeros."""
+        columns = np.arange(self._nstate)[self._layout[write.field]][write.columns]
+        is_input = not np.isin(columns, self._moved_columns).any()
+        there = self._input_columns if is_input else self._moved_columns
+        kept = np.flatnonzero(np.isin(columns, there))
+        at = _places(np.searchsorted(there, columns[kept]))
+        which: Any = slice(None) if len(kept) == len(columns) else kept
+        found = self._targets[place] = is_input, at, which
+        return found
+
+    def lend_moved(self) -> F64:
+        """(N, moved) columns that physics writes; they do not change until `settle`."""
+        found = self._own() if self._moved is None else self._moved
+        self._lent = True
+        return found
+
+    def whole(self) -> F64:
+        """(N, columns in use), a copy."""
+        moved = self._own() if self._moved is None else self._moved
+        rows: F64 = np.empty((len(moved), len(self._used)))
+        rows[:, self._moved_at] = moved
+        rows[:, self._inputs_at] = self._inputs
+        return rows
+
+    def hashes(self, row_hash: RowHash) -> NDArray[np.uint64]:
+        """(N,) hashes of the rows."""
+        moved = self._own() if self._moved is None else self._moved
+        if self._sums is None:
+            self._sums = row_hash.sums(self._inputs, self._input_columns)
+        return row_hash.mixed(row_hash.sums(moved, self._moved_columns) + self._sums)
+
+
+def _indices(ranges: Ranges) -> NDArray[np.int64]:
+    return np.concatenate([np.arange(start, stop) for start, stop in ranges])
+
+
+def _places(indices: NDArray[np.int64]) -> Any:
+    """Ascending indices, as a slice where they are neighbours."""
+    if len(indices) and (np.diff(indices) == 1).all():
+        return slice(int(indices[0]), int(indices[-1]) + 1)
+    return indices
