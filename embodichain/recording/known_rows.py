@@ -142,6 +142,14 @@ class KnownRows:
         rows[:, self._inputs_at] = self._inputs
         return rows
 
+    def of(self, ids: NDArray[np.int64]) -> F64:
+        """(n, nstate) rows of some environments, a copy."""
+        moved = self._own() if self._moved is None else self._moved
+        rows = np.zeros((len(ids), self._nstate))
+        rows[:, self._moved_columns] = moved[ids]
+        rows[:, self._input_columns] = self._inputs[ids]
+        return rows
+
     def hashes(self, row_hash: RowHash) -> NDArray[np.uint64]:
         """(N,) hashes of the rows."""
         moved = self._own() if self._moved is None else self._moved

@@ -72,9 +72,9 @@ class LogBuilder:
             "columns": log.columns,
             "place": log.place,
             "write": log.on_write,
-            "before": log.before_physics,
+            "before": self._before,
             "after": log.after_physics,
-            "stepped": log.stepped,
+            "stepped": self._stepped,
             "event": self._event,
             "step": self._step,
             "unseen_step": self._end_episodes,
@@ -98,6 +98,24 @@ class LogBuilder:
 
     def _write(self, step: int, topic: str, parts: tuple[Part, ...]) -> None:
         self.file.write(topic, self._start_ns + step * self._period_ns, parts)
+
+    def _before(self, nstep: int, ids: EnvIndex | None, taken: F64 | None) -> None:
+        """Physics is called with these rows."""
+        self._log.before_physics(nstep, ids, taken)
+        self._look(ids)
+
+    def _stepped(
+        self, nstep: int, ids: EnvIndex | None, failed: EnvIndex | None, taken: F64
+    ) -> None:
+        """Physics was called with the rows that are known, and returned these."""
+        self._look(ids)
+        self._log.stepped(nstep, ids, failed, taken)
+
+    def _look(self, ids: EnvIndex | None) -> None:
+        step, views = self._log.step, self._views
+        if ids is None and views.is_due(step):
+            time_ns = self._start_ns + step * self._period_ns
+            views.look(step, time_ns, self._log.rows_of(views.env_ids))
 
     def _step(
         self,

@@ -98,7 +98,8 @@ class McapRecorder(StepObserver):
         self._as_written = False  # whether physics is at it, with rows that the writer can tell
         self._told = 0  # width of the rows that the writer knows of
         self._parts = 0  # files that were asked for after the first
-        self._views = Views(env, options, self._push, self._now)
+        known = self._derives and self._keeps_state
+        self._views = Views(env, options, self._push, self._now, rows_known=known)
         make_head = self._head(env, options, config, overrides, task)
         # A slab holds the rows of two steps, and half as much again of the rest.
         step_bytes = 3 * 8 * env.num_envs * self._columns.width
@@ -225,14 +226,14 @@ class McapRecorder(StepObserver):
         if not self._gate.open:
             self._known = False
             return
+        if before and ids is None:  # first: what is shown is shown with these rows
+            self._views.on_rows(self._step, event.rows)
         if self._keeps_state:
             if before:
                 self._before(event)
             else:
                 method, self._as_written = "stepped" if self._as_written else "after", False
                 self._take(method, (event.nstep, ids, event.failed), event)
-        if before and ids is None:
-            self._views.on_rows(self._step, event.rows)
 
     def _before(self, event: PhysicsEvent) -> None:
         """Hand over the rows that physics receives, unless they follow from what was before."""

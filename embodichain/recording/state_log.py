@@ -195,6 +195,16 @@ class StateLog:
         else:
             self.after_physics(nstep, ids, failed, taken)
 
+    def rows_of(self, ids: NDArray[np.int64]) -> F64:
+        """(n, nstate) rows of some environments, as calls and writes so far have left them.
+
+        Raises:
+            RuntimeError: If rows are not to be derived, or are not known.
+        """
+        if self._known is None:
+            raise RuntimeError("rows are not derived in this log")
+        return self._known.of(ids)
+
     def settle(self) -> None:
         """Copy what is not this log's own: the memory of arrays that were handed over goes."""
         if self._known is not None:

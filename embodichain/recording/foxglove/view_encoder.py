@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["PUSHED", "Sink", "ViewEncoder"]
 
-PUSHED = frozenset({"sample", "set_field", "scalars", "numbers", "line", "event"})
+PUSHED = frozenset({"sample", "show", "set_field", "scalars", "numbers", "line", "event"})
 """Methods of `ViewEncoder` that may be called by name; whoever receives names refuses others."""
 
 
@@ -59,12 +59,37 @@ class ViewEncoder:
         self._frames = Frames(model, spec.env_ids, spec.offsets)
         self._markers = Markers(model, spec.env_ids, spec.markers)
         self._metrics: Metrics | None = None
+        self._every, self._sampled = spec.every, -1
+        self._shown: dict[int, bool] = {}
+        self.env_ids: NDArray[np.int64] = np.array(spec.env_ids, np.int64)
+        """(n,) environments that are viewed."""
 
     def set_field(
         self, env_id: int, field: str, columns: NDArray[np.int64] | slice, values: F64
     ) -> None:
         """Give an environment other values, (k,) columns of a flattened model field."""
         self._viewed[env_id].set_field(field, columns, values)
+
+    def show(self, scenes: Mapping[int, bool]) -> None:
+        """Sample in this control step, with these environments' scenes: see `sample`."""
+        self._shown.update(scenes)
+
+    def is_due(self, step: int) -> bool:
+        """Whether a control step is to be sampled, of which nobody pushes the rows."""
+        due = self._every > 0 and (step % self._every == 0 or bool(self._shown))
+        return due and step != self._sampled and len(self.env_ids) > 0
+
+    def look(self, step: int, time_ns: int, rows: F64) -> None:
+        """Sample a control step that is due.
+
+        Args:
+            step: The step.
+            time_ns: Its moment.
+            rows: (n, nstate) rows of the viewed environments, as physics receives them.
+        """
+        self._sampled = step
+        scenes, self._shown = self._shown, {}
+        self.sample(time_ns, rows, {}, scenes)
 
     def sample(self, time_ns: int, rows: F64, commands: Taken, scenes: Mapping[int, bool]) -> None:
         """Compute and write what is seen.

@@ -51,12 +51,15 @@ class ViewSpec:
         offsets: Where each stands in ``world``, metres.
         ground: Metres that an infinite plane is drawn wide.
         markers: Commands that are drawn in each.
+        every: Control steps from one sample to the next, where rows need not be pushed because
+            whoever makes the messages knows those of every step; else 0.
     """
 
     env_ids: tuple[int, ...] = ()
     offsets: tuple[tuple[float, float, float], ...] = ()
     ground: float = PLANE_SIZE
     markers: tuple[MarkerSpec, ...] = ()
+    every: int = 0
 
     @property
     def channels(self) -> dict[str, str]:

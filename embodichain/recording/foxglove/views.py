@@ -51,10 +51,17 @@ class Views:
         options: Which environments, and how often.
         push: Called with what `ViewEncoder` shall do.
         now: Log time in ns.
+        rows_known: Whether whoever makes the messages knows the rows of every step. Samples are not
+            pushed then, unless something is drawn that is not in the rows.
     """
 
     def __init__(
-        self, env: BaseEnv, options: RecordLike, push: Push, now: Callable[[], int]
+        self,
+        env: BaseEnv,
+        options: RecordLike,
+        push: Push,
+        now: Callable[[], int],
+        rows_known: bool = False,
     ) -> None:
         self._ids = np.array(sorted(set(options.view_envs)), np.int64)
         self._is_viewed = np.zeros(env.num_envs, np.bool_)
@@ -73,6 +80,7 @@ class Views:
             offsets=tuple((x, y, z) for x, y, z in places(env, env_ids).tolist()),
             ground=pitch_of(env) if len(env_ids) > 1 else PLANE_SIZE,
             markers=self._commands.markers,
+            every=0 if self._commands.markers or not rows_known else self._every,
         )
         """What `ViewEncoder` is built from."""
 
@@ -121,13 +129,18 @@ class Views:
             rows: (N, nstate) live rows.
             last: Nothing follows: sample in any case.
         """
-        due = step % self._every == 0 or self._reset or self._asked or last
-        if not self.spec.env_ids or step == self._sampled or not due:
+        shown = self._reset or self._asked or last
+        if not shown and (self.spec.every or step % self._every):
+            return
+        if not self.spec.env_ids or step == self._sampled:
             return
         self._sampled = step
         scenes = {**dict.fromkeys(self._reset, False), **dict.fromkeys(self._asked, True)}
         self._reset.clear()
         self._asked.clear()
+        if self.spec.every and not last:
+            self._push("show", scenes)
+            return
         self._push("sample", self._now(), rows[self._ids], self._commands.take(), scenes)
 
     def on_reset(self, env_ids: EnvIndex) -> None:

@@ -12,7 +12,7 @@ from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSe
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from embodichain.recording import McapRecorder, inspect
+from embodichain.recording import McapRecorder, inspect, recorder
 from embodichain.recording.foxglove.glb import glb
 from embodichain.recording.foxglove.layout import foxglove_layout
 from embodichain.recording.options import RecordOptions
@@ -200,6 +200,28 @@ def test_views_are_sampled_at_most_as_often_as_asked(record):
     start = inspect(path).header.start_ns
     steps = [(time - start) // 20_000_000 for _, time, _ in decoded(path, "/tf")]
     assert steps == [0, 4, 8, 12, 16, 20, 21]  # the last state in any case
+
+
+@pytest.mark.parametrize("options", [{}, {"every": 2}, {"view_hz": 1000}], ids=str)
+@pytest.mark.parametrize("case", [{}, {"settle": 3, "push": True}], ids=str)
+def test_samples_that_nobody_pushed_are_those_that_are_pushed(record, monkeypatch, options, case):
+    def seen(path):
+        viewers = [t for t in decoded(path) if not t[0].startswith("/sim/")]
+        start = inspect(path).header.start_ns
+        return [(topic, time - start, _without_time(content)) for topic, time, content in viewers]
+
+    options = RecordOptions(view_envs=(0, 2), **{"view_hz": 20, **options})
+    followed = seen(record("followed.mcap", 40, options, **case))
+    pushing = recorder.Views
+    monkeypatch.setattr(recorder, "Views", lambda *a, rows_known: pushing(*a, rows_known=False))
+    pushed = seen(record("pushed.mcap", 40, options, **case))
+    assert {topic for topic, *_ in pushed} >= {"/tf", "/env_2/scene", "/env_0/joint_states"}
+    assert followed == pushed
+
+
+def _without_time(message):
+    """Text of a message, without the wall clock in it."""
+    return re.sub(r"(timestamp|lifetime) \{[^}]*\}", "", str(message))
 
 
 def test_no_views(record):

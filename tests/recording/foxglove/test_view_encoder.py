@@ -108,9 +108,10 @@ def pushed():
 
 def test_everything_that_may_be_pushed_is_a_method(pushed):
     calls, _ = pushed
-    assert {method for method, *_ in calls} == PUSHED  # this run pushes each of them
+    # this run pushes each of them; with `show` rows are known, and no sample is pushed
+    assert {method for method, *_ in calls} == PUSHED - {"show"}
     own = {name for name in vars(ViewEncoder) if not name.startswith("_")}
-    assert own == PUSHED
+    assert own == PUSHED | {"is_due", "look"}
 
 
 def test_what_is_pushed_is_plain_data(pushed):
