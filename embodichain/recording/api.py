@@ -30,7 +30,6 @@ from embodichain.recording.messages import WriteRecord
 from embodichain.recording.metrics import read_metrics
 from embodichain.recording.model_columns import Column, state_columns
 from embodichain.recording.rebuild import FilledFile
-from embodichain.recording.with_inputs import WithInputs
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -313,16 +312,13 @@ class Log:
         gatherer.run()
         return gatherer
 
-    def _source(
-        self, components: Sequence[str], ids: NDArray[np.int64]
-    ) -> ChunkFile | WithInputs | FilledFile:
-        """What has these components of the state in every message, and has least to do for it."""
-        if components and self._simulate and self.header.keyframe_every:
-            filled = FilledFile(self._file)
-            filled.only = ids
-            return filled
-        every = all(self.header.is_moved(name) for name in components)
-        return self._file if every else WithInputs(self._file)
+    def _source(self, components: Sequence[str], ids: NDArray[np.int64]) -> ChunkFile | FilledFile:
+        """What has states in every control step, if they are asked for."""
+        if not (components and self._simulate and self.header.keyframe_every):
+            return self._file
+        filled = FilledFile(self._file)
+        filled.only = ids
+        return filled
 
     # -- the rest ----------------------------------------------------------------------------------
 

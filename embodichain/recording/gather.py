@@ -7,7 +7,7 @@ number.
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,15 +16,16 @@ from numpy.typing import NDArray
 
 from embodichain.recording import wire
 from embodichain.recording.arrays import LogArrays
-from embodichain.recording.chunks import ChunkFile, Found
+from embodichain.recording.chunks import ChunkFile, ChunkPlace, Found
 from embodichain.recording.columns import width_of
 from embodichain.recording.header import Header, LogError
+from embodichain.recording.known_rows import KnownRows
 from embodichain.recording.mcap_file import CHUNK_LIMIT
 from embodichain.recording.messages import State
 from embodichain.recording.model_columns import Column
 from embodichain.recording.rebuild import FilledFile
 from embodichain.recording.step_block import decode_steps
-from embodichain.recording.with_inputs import WithInputs
+from embodichain.recording.with_inputs import InputFollower, chunks_before
 
 __all__ = ["OUTCOMES", "Gatherer", "Steps"]
 
@@ -58,6 +59,10 @@ class _Row:
     payload: memoryview
     offset: int
     width: int
+    known: KnownRows | None = None
+    """What knows the inputs' columns, where they are not in it."""
+    inputs: NDArray[np.float64] | None = None
+    """(N, k) those inputs."""
 
 
 @dataclass
@@ -76,7 +81,7 @@ class Gatherer:
         span: Steps.
     """
 
-    file: ChunkFile | WithInputs | FilledFile
+    file: ChunkFile | FilledFile
     components: Sequence[str]
     outcomes: Sequence[str]
     env_ids: NDArray[np.int64]
@@ -94,7 +99,12 @@ class Gatherer:
             width: wire.uint(2, n) + wire.uint(3, width) + wire.packed(4, 8 * n * width)
             for width in widths
         }
+        self._ranges = {width: self._header.ranges_of(width) for width in widths}
         self._pending: _Row | None = None
+        self._inputs = [name for name in self.components if not self._header.is_moved(name)]
+        self._follower: InputFollower | None = None
+        if self._inputs and isinstance(self.file, ChunkFile):
+            self._follower = InputFollower(self._header)
 
     def run(self) -> None:
         """Read, and set `steps` and `values`.
@@ -107,7 +117,7 @@ class Gatherer:
         rows, outcomes = 0, 0
         state_steps = np.empty(len(self.steps), np.int64)
         try:
-            for block in self.file.blocks(chunks):
+            for block in self._blocks(chunks):
                 states, steps = self._sort(block)
                 state_steps = _fit(state_steps, rows + len(states))
                 state_steps[rows : rows + len(states)] = [row.step for row in states]
@@ -117,6 +127,31 @@ class Gatherer:
         except (IndexError, ValueError) as error:  # a WireError is one
             raise LogError(f"{self.file.path}: a message is damaged: {error}") from error
         self._trim(state_steps[:rows], self.steps[:outcomes])
+
+    def _blocks(self, chunks: list[ChunkPlace]) -> Iterator[list[Found]]:
+        """Messages of some chunks; what tells the inputs before them was followed."""
+        follower, file = self._follower, self.file
+        before = chunks_before(file, chunks) if follower and isinstance(file, ChunkFile) else []
+        for number, block in enumerate(file.blocks(before + chunks)):
+            if number >= len(before):
+                yield block
+            else:
+                for topic, _, payload in block:
+                    if topic in ("/sim/state", "/sim/write"):
+                        self._follow(topic, _first_uint(payload), payload)
+
+    def _follow(self, topic: str, step: int, payload: memoryview) -> None:
+        """Take in what tells inputs."""
+        if self._follower is None:
+            return
+        if topic == "/sim/write":
+            self._follower.write(payload)
+            return
+        width, offset = self._place(step, payload)
+        if width and self._follower.is_whole(width):
+            n = self._header.num_envs
+            rows = np.frombuffer(payload, "<f8", n * width, offset)
+            self._follower.take(rows.reshape(n, width))
 
     def shape_of(self, name: str) -> int:
         """Columns of a field that was read; 0 if no step was."""
@@ -180,8 +215,11 @@ class Gatherer:
                     steps.append((step, payload))
             elif topic == "/sim/state" and self.components:
                 step = _first_uint(payload)
+                self._follow(topic, step, payload)
                 if first <= step <= last:
                     self._consider(step, payload)
+            elif topic == "/sim/write" and self._follower is not None:
+                self._follower.write(payload)
         return rows, steps
 
     def _consider(self, step: int, payload: memoryview) -> None:
@@ -193,20 +231,32 @@ class Gatherer:
         if row is not None:
             self._pending = row
 
-    def _row(self, step: int, payload: memoryview) -> _Row | None:
-        """Where the rows lie in a message of all environments; None for any other."""
+    def _place(self, step: int, payload: memoryview) -> tuple[int, int]:
+        """Width of the rows in a message of all environments, and where they begin; else 0."""
         begin = 1 + len(wire.varint(step)) if step else 0
         for width, head in self._heads.items():
             offset = begin + len(head)
             if payload[begin:offset] == head:
-                end = offset + 8 * self._header.num_envs * width
-                tail = payload[end:]
-                if len(tail) and tail[0] == 0x28:  # call
-                    at = 1
-                    while at < len(tail) and tail[at] & 0x80:
-                        at += 1
-                    tail = tail[at + 1 :]
-                return _Row(step, payload, offset, width) if tail == self._tail else None
+                return width, offset
+        return 0, 0
+
+    def _row(self, step: int, payload: memoryview) -> _Row | None:
+        """Where the rows lie in a message of all environments; None for any other."""
+        width, offset = self._place(step, payload)
+        if width:
+            tail = payload[offset + 8 * self._header.num_envs * width :]
+            if len(tail) and tail[0] == 0x28:  # call
+                at = 1
+                while at < len(tail) and tail[at] & 0x80:
+                    at += 1
+                tail = tail[at + 1 :]
+            if tail != self._tail:
+                return None
+            row = _Row(step, payload, offset, width)
+            if self._follower is not None and not self._follower.is_whole(width):
+                row.known = self._follower.rows
+                row.inputs = row.known.inputs.copy()
+            return row
         state = State.decode(payload)
         if state.env_ids is None and (state.rows.size or not self._header.keyframe_every):
             n, width = state.rows.shape
@@ -216,10 +266,11 @@ class Gatherer:
     # -- into the result ---------------------------------------------------------------------------
 
     def _put_states(self, rows: list[_Row], at: int) -> None:
-        """Copy rows that follow each other, as many at a time as have one width."""
+        """Copy rows that follow each other, as many at a time as have the same columns."""
         while rows:
-            width = rows[0].width
-            same = next((i for i, row in enumerate(rows) if row.width != width), len(rows))
+            kind = rows[0].width, rows[0].known
+            other = (i for i, row in enumerate(rows) if (row.width, row.known) != kind)
+            same = next(other, len(rows))
             self._put_block(rows[:same], at)
             rows, at = rows[same:], at + same
 
@@ -229,27 +280,25 @@ class Gatherer:
         for target, row in zip(block, rows, strict=True):
             target[:] = np.frombuffer(row.payload, "<f8", n * width, row.offset)
         shaped = block.reshape(count, n, width)
+        known = rows[0].known
+        inputs = shaped[..., :0] if known is None else np.stack([r.inputs for r in rows])  # type: ignore[misc]
         if not self._all:
-            shaped = shaped[:, self.env_ids]
+            shaped, inputs = shaped[:, self.env_ids], inputs[:, self.env_ids]
         for name in self.components:
             target = self.values[name] = _fit(self.values[name], at + count)
-            columns = self._within(name, width)
-            target[at : at + count] = 0.0 if columns is None else shaped[..., columns]
+            source, columns = shaped, self._within(name, width)
+            if known is not None and name in self._inputs:
+                source, columns = inputs, known.input_columns(name)
+            target[at : at + count] = 0.0 if columns is None else source[..., columns]
 
     def _within(self, component: str, width: int) -> slice | None:
-        """Columns of a component in rows of a width; None where they were left out as zero.
-
-        Raises:
-            WireError: If they were left out because writes tell them, and those are lost.
-        """
+        """Columns of a component in rows of a width; None where they were left out."""
         start, stop = self._header.layout[component]
         at = 0
-        for a, b in self._header.ranges_of(width):
+        for a, b in self._ranges[width]:
             if a <= start and stop <= b:
                 return slice(at + start - a, at + stop - a)
             at += b - a
-        if width not in (self._header.width, self._header.nstate):
-            raise wire.WireError(f"what {component} was before is not in the file")
         return None
 
     def _put_outcomes(self, steps: list[tuple[int, memoryview]], at: int) -> int:

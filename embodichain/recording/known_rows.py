@@ -142,6 +142,17 @@ class KnownRows:
         rows[:, self._inputs_at] = self._inputs
         return rows
 
+    def input_columns(self, component: str) -> slice | None:
+        """Where a component lies in `inputs`; None if it is not in use, and zero."""
+        wanted = self._layout[component]
+        first, last = np.searchsorted(self._input_columns, (wanted.start, wanted.stop)).tolist()
+        return slice(first, last) if last - first == wanted.stop - wanted.start else None
+
+    @property
+    def inputs(self) -> F64:
+        """(N, inputs in use), live; do not write or keep."""
+        return self._inputs
+
     def of(self, ids: NDArray[np.int64]) -> F64:
         """(n, nstate) rows of some environments, a copy."""
         moved = self._own() if self._moved is None else self._moved

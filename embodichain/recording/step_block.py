@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from embodichain.recording import wire
 from embodichain.recording.messages import StepOutcome
 
-__all__ = ["decode_steps"]
+__all__ = ["after_stamp", "decode_steps"]
 
 
 def decode_steps(payloads: Sequence[memoryview]) -> dict[str, NDArray[Any]]:
@@ -38,7 +38,7 @@ def _at_once(payloads: Sequence[memoryview], n: int, width: int) -> dict[str, ND
         ("episode_ids", 9, 8 * n, "<i8"),
     )
     size = len(start) + sum(len(wire.packed(f, nbytes)) + nbytes for _, f, nbytes, _ in fields)
-    bodies = [payload[_after_stamp(payload) :][:size] for payload in payloads]
+    bodies = [payload[after_stamp(payload) :][:size] for payload in payloads]
     if any(len(body) != size for body in bodies):
         return None
     table = np.frombuffer(b"".join(bodies), np.uint8).reshape(len(bodies), size)
@@ -55,8 +55,8 @@ def _at_once(payloads: Sequence[memoryview], n: int, width: int) -> dict[str, ND
     return found
 
 
-def _after_stamp(payload: memoryview) -> int:
-    """Where a message goes on after its step and its call, which are left out when 0."""
+def after_stamp(payload: memoryview) -> int:
+    """Where a message goes on after its `messages.stamp`, whose numbers are left out when 0."""
     at = 0
     for key in (0x08, 0x10):
         if at < len(payload) and payload[at] == key:

@@ -7,14 +7,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
+from embodichain.lab.sim.engine.base import F64
 from embodichain.recording.chunks import ChunkFile, ChunkPlace, Found
 from embodichain.recording.columns import INPUTS_EVERY
 from embodichain.recording.header import Header, LogError
 from embodichain.recording.known_rows import KnownRows
 from embodichain.recording.messages import State, WriteRecord, encode_state
+from embodichain.recording.step_block import after_stamp
 from embodichain.recording.wire import WireError
 
-__all__ = ["WithInputs"]
+__all__ = ["InputFollower", "WithInputs", "chunks_before"]
+
+_MOST_ALIKE = 64
+"""Kinds of writes that are recognized by their first bytes."""
 
 
 class WithInputs:
@@ -43,64 +50,78 @@ class WithInputs:
         Raises:
             LogError: If a message is damaged.
         """
-        file, every = self._file, self._file.chunks
-        wanted = every if chunks is None else chunks
-        if not wanted:
-            return
+        file = self._file
         header = file.require_header()
-        start = wanted[0].start_ns - INPUTS_EVERY * header.period_ns
-        earlier = every[: (begins := every.index(wanted[0]))]
-        first = next((i for i, chunk in enumerate(earlier) if chunk.end_ns >= start), begins)
-        follower = _Follower(header)
-        span = every[first : every.index(wanted[-1]) + 1]
-        for number, found in enumerate(file.blocks(span), first):
+        follower = InputFollower(header)
+        wanted = file.chunks if chunks is None else chunks
+        before = chunks_before(file, wanted)
+        for number, found in enumerate(file.blocks(before + wanted)):
             try:
-                full = [(topic, at, follower.full(topic, data)) for topic, at, data in found]
+                filled = [(t, at, full(follower, header, t, data)) for t, at, data in found]
             except (WireError, IndexError, KeyError, ValueError) as error:
                 raise LogError(f"{self.path}: a message is damaged: {error}") from error
-            if number >= begins:
-                yield full
+            if number >= len(before):
+                yield filled
 
 
-class _Follower:
-    """Follows states and writes, in file order."""
+def chunks_before(file: ChunkFile, wanted: list[ChunkPlace]) -> list[ChunkPlace]:
+    """Chunks that tell the inputs with which some others begin."""
+    if not wanted:
+        return []
+    earlier = file.chunks[: file.chunks.index(wanted[0])]
+    start = wanted[0].start_ns - INPUTS_EVERY * file.require_header().period_ns
+    return earlier[next((i for i, c in enumerate(earlier) if c.end_ns >= start), len(earlier)) :]
+
+
+class InputFollower:
+    """Follows states and writes, in file order.
+
+    Args:
+        header: The log's metadata.
+
+    Attributes:
+        known: Whether a state with inputs was met.
+    """
 
     def __init__(self, header: Header) -> None:
         self._header = header
         self._rows = KnownRows(header.slices())
-        self._width = -1  # of the last state with inputs; before the first there is none
+        self._width = -1  # of the last state with inputs
         self._places: dict[tuple[str, bytes], int] = {}
+        self._alike: list[tuple[bytes, int, WriteRecord]] = []
+        self.known = False
 
-    def full(self, topic: str, data: memoryview) -> memoryview:
-        """The same message, a state of all environments with its inputs."""
-        if topic == "/sim/state":
-            return self._state(data)
-        if topic == "/sim/write" and self._width >= 0:
-            self._write(WriteRecord.decode(data))
-        return data
+    def is_whole(self, width: int) -> bool:
+        """Whether a state of so many columns has inputs."""
+        return width in (self._header.nstate, self._header.width)
 
-    def _state(self, data: memoryview) -> memoryview:
-        state, header = State.decode(data), self._header
-        if state.env_ids is not None or not state.rows.size:
-            return data
-        if len(state.rows) != header.num_envs:
-            raise WireError(f"step {state.step}: {len(state.rows)} rows")
-        width = state.rows.shape[1]
-        ranges = header.ranges_of(width)
-        if width in (header.nstate, header.width):
-            if width != self._width:
-                self._rows, self._width = KnownRows(header.slices()), width
-                self._rows.columns(ranges)
-                self._places.clear()
-            self._rows.take(state.rows)
-            return data
-        if self._width < 0:
-            raise WireError(f"step {state.step}: what its inputs were before is not in the file")
-        self._rows.returned(state.rows)
-        parts = encode_state(state.step, self._rows.whole(), state.call, state.nstep, None)
-        return memoryview(b"".join(parts))  # type: ignore[arg-type]  # arrays are buffers
+    def take(self, rows: F64) -> None:
+        """A state of all environments with inputs, (N, width)."""
+        width = rows.shape[1]
+        if width != self._width:
+            self._rows, self._width = KnownRows(self._header.slices()), width
+            self._rows.columns(self._header.ranges_of(width))
+            self._places.clear()
+            self._alike.clear()
+        self._rows.take(rows)
+        self.known = True
 
-    def _write(self, write: WriteRecord) -> None:
+    def write(self, data: memoryview) -> None:
+        """A write.
+
+        Raises:
+            WireError: If it is damaged.
+            ValueError: If it does not fit; so do `IndexError` and `KeyError`.
+        """
+        if not self.known:
+            return
+        body = data[after_stamp(data) :]
+        for head, place, write in self._alike:  # most are like one before, but for the values
+            if body[: len(head)] == head:
+                values = np.frombuffer(body, "<f8", offset=len(head))
+                self._rows.write(place, write, None, values.reshape(self._header.num_envs, -1))
+                return
+        write = WriteRecord.decode(data)
         if write.op != "state" or write.field == "row":
             return  # the next state has inputs
         columns = write.columns
@@ -108,3 +129,51 @@ class _Follower:
         place = self._places.setdefault((write.field, span), len(self._places))
         n = self._header.num_envs if write.env_ids is None else len(write.env_ids)
         self._rows.write(place, write, write.env_ids, write.values.reshape(n, -1))
+        size = write.values.nbytes
+        if write.env_ids is None and size and len(self._alike) < _MOST_ALIKE:
+            self._alike.append((bytes(body[: len(body) - size]), place, write))
+
+    @property
+    def rows(self) -> KnownRows:
+        """What is known; of the rows only the inputs are kept current.
+
+        Raises:
+            WireError: If no state has told them.
+        """
+        if not self.known:
+            raise WireError("what inputs were before is not in the file")
+        return self._rows
+
+    def filled(self, state: State) -> F64:
+        """(N, width) rows of a state without inputs.
+
+        Raises:
+            WireError: If no state has told them.
+        """
+        self.rows.returned(state.rows)
+        return self._rows.whole()
+
+
+def full(follower: InputFollower, header: Header, topic: str, data: memoryview) -> memoryview:
+    """The same message, a state of all environments with its inputs.
+
+    Raises:
+        WireError: If it is damaged.
+        ValueError: If it does not fit; so do `IndexError` and `KeyError`.
+    """
+    if topic == "/sim/write":
+        follower.write(data)
+    if topic != "/sim/state":
+        return data
+    state = State.decode(data)
+    if state.env_ids is not None or not state.rows.size:
+        return data
+    width = state.rows.shape[1]
+    header.ranges_of(width)  # complains
+    if len(state.rows) != header.num_envs:
+        raise WireError(f"step {state.step}: {len(state.rows)} rows")
+    if follower.is_whole(width):
+        follower.take(state.rows)
+        return data
+    parts = encode_state(state.step, follower.filled(state), state.call, state.nstep, None)
+    return memoryview(b"".join(parts))  # type: ignore[arg-type]  # arrays are buffers
