@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
 import torch
 from tensordict import TensorDict
+
+from embodichain.lab.sim.objects._arrays import all_finite
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.base import F64
@@ -89,8 +90,7 @@ class ActionCheck:
 
     @staticmethod
     def _finite(values: F64) -> F64:
-        # The sum is the cheap question; it may overflow, so the exact one follows.
-        if not math.isfinite(np.add.reduce(values, None)) and not np.isfinite(values).all():
+        if not all_finite(values):
             rows = np.flatnonzero(~np.isfinite(values).all(axis=1))
             raise ValueError(f"action is not finite in environments {rows[:8].tolist()}")
         return values

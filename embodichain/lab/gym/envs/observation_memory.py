@@ -7,7 +7,6 @@ remembered: others cannot be non-finite and are taken as they are.
 from __future__ import annotations
 
 import logging
-import math
 import operator
 from typing import Any
 
@@ -17,8 +16,9 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 
 from embodichain.lab.gym.utils.tensordicts import branches_copied, entries, replace
+from embodichain.lab.sim.objects._arrays import all_finite
 
-__all__ = ["Known", "ObservationMemory", "as_float32", "is_finite", "leaves_of"]
+__all__ = ["Known", "ObservationMemory", "as_float32", "leaves_of"]
 
 logger = logging.getLogger(__name__)
 
@@ -45,14 +45,6 @@ def as_float32(obs: TensorDict) -> TensorDict:
         if leaf.is_floating_point() and leaf.dtype is not torch.float32:
             obs.set(path, leaf.to(torch.float32))
     return obs
-
-
-def is_finite(values: NDArray[np.floating[Any]]) -> bool:
-    """Whether all numbers are finite."""
-    # The sum is the cheap question; it may overflow, so the exact one follows.
-    with np.errstate(over="ignore", invalid="ignore"):  # inf - inf is no news
-        total = np.add.reduce(values, None)
-    return math.isfinite(total) or bool(np.isfinite(values).all())
 
 
 class ObservationMemory:
@@ -110,7 +102,7 @@ class ObservationMemory:
         Args:
             flat: (N W,) from `flatten`.
         """
-        if is_finite(flat):
+        if all_finite(flat):
             return None
         bad = np.zeros(self._num_envs, np.bool_)
         for place in self._places:

@@ -14,9 +14,10 @@ from embodichain.lab.gym.envs.assembly import EnvAssembly
 from embodichain.lab.gym.envs.autoreset import blanked
 from embodichain.lab.gym.envs.flags import Flags, Mask, mask_of
 from embodichain.lab.gym.envs.managers.dry_run import check_shapes
-from embodichain.lab.gym.envs.observation_memory import Known, as_float32, is_finite
+from embodichain.lab.gym.envs.observation_memory import Known, as_float32
 from embodichain.lab.gym.utils.tensordicts import alike
 from embodichain.lab.sim.engine.base import F64, EnvIndex
+from embodichain.lab.sim.objects._arrays import all_finite
 from embodichain.lab.sim.types import EnvAction, EnvObs
 
 __all__ = ["EnvOutcome"]
@@ -153,7 +154,7 @@ class EnvOutcome(EnvAssembly):
             mask = bad if mask is None else mask | bad
         if self._pays or self._repays or self._has_rewards:
             paid = reward.numpy()
-            if not is_finite(paid):
+            if not all_finite(paid):
                 mask = ~np.isfinite(paid) if mask is None else mask | ~np.isfinite(paid)
         if mask is not None and self._pending is not None:
             mask = mask & ~self._pending  # they are being reset anyway
