@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import logging
 import operator
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -47,6 +48,30 @@ def as_float32(obs: TensorDict) -> TensorDict:
     return obs
 
 
+Tree = dict[str, "Tree | None"]
+
+
+def _tree(paths: Sequence[tuple[str, ...]]) -> Tree:
+    """Paths as nested maps, in their order; None stands for an entry."""
+    tree: Tree = {}
+    for *groups, name in paths:
+        branch = tree
+        for group in groups:
+            branch = branch.setdefault(group, {})  # type: ignore[assignment]
+        branch[name] = None
+    return tree
+
+
+def _collect(source: TensorDict, tree: Tree, found: list[torch.Tensor]) -> None:
+    """Append the entries of a tree; a KeyError names one that is missing."""
+    own = entries(source)
+    for key, below in tree.items():
+        if below is None:
+            found.append(own[key])
+        else:
+            _collect(own[key], below, found)
+
+
 class ObservationMemory:
     """Knows the structure of an environment's observations.
 
@@ -66,6 +91,7 @@ class ObservationMemory:
         self._num_envs = num_envs
         leaves = {path: leaf for path, leaf in leaves_of(obs).items() if leaf.is_floating_point()}
         self.paths = list(leaves)
+        self._tree = _tree(self.paths)
         self._shapes = [tuple(leaf.shape) for leaf in leaves.values()]
         ends = np.cumsum([leaf.numel() for leaf in leaves.values()]).tolist()
         self._places = [slice(a, b) for a, b in zip([0, *ends], ends, strict=False)]
@@ -82,19 +108,16 @@ class ObservationMemory:
             KeyError: If an entry of the first observation is missing.
         """
         leaves: list[torch.Tensor] = []
-        for path in self.paths:
-            leaf: Any = obs
-            for key in path:
-                leaf = entries(leaf)[key]
-            leaves.append(leaf)
+        _collect(obs, self._tree, leaves)
         parts: list[F32] = []
         if known is not None:
             count = len(known[0])
             if len(leaves) >= count and all(map(operator.is_, leaves, known[0])):
-                parts.append(known[1].reshape(-1))
+                parts.append(known[1])
                 del leaves[:count]
-        parts += [leaf.numpy().reshape(-1) for leaf in leaves]
-        return np.concatenate(parts) if parts else np.zeros(0, np.float32)
+        for leaf in leaves:
+            parts.append(leaf.numpy())
+        return np.concatenate(parts, axis=None) if parts else np.zeros(0, np.float32)
 
     def bad_rows(self, flat: F32) -> Mask | None:
         """Return which rows (N,) hold a number that is not finite; None if all are finite.

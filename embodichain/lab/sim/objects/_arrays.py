@@ -16,7 +16,16 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
-__all__ = ["Columns", "all_finite", "as_env_ids", "as_rows", "bool_rows", "columns_of", "to_tensor"]
+__all__ = [
+    "Columns",
+    "all_finite",
+    "as_env_ids",
+    "as_rows",
+    "bool_rows",
+    "columns_of",
+    "stacked_view",
+    "to_tensor",
+]
 
 Columns = slice | NDArray[np.int64]
 
@@ -30,6 +39,16 @@ def all_finite(values: NDArray[np.floating[Any]]) -> bool:
 def to_tensor(array: NDArray[Any]) -> torch.Tensor:
     """Return a float32 tensor that shares nothing with ``array``."""
     return torch.from_numpy(array.astype(np.float32))
+
+
+def stacked_view(first: F64, second: F64) -> F64 | None:
+    """(2, ...) view of two views of one array that are laid out alike; None if they are not."""
+    if first.base is None or first.base is not second.base or first.strides != second.strides:
+        return None
+    if first.shape != second.shape:
+        return None
+    apart = second.__array_interface__["data"][0] - first.__array_interface__["data"][0]
+    return np.lib.stride_tricks.as_strided(first, (2, *first.shape), (apart, *first.strides))
 
 
 def columns_of(ids: Sequence[int] | NDArray[Any]) -> Columns:
