@@ -92,9 +92,11 @@ class EnvOutcome(EnvAssembly):
             info = dict(info.items())
         success = mask_of(info.get("success"), count, "success")
         fail = mask_of(info.get("fail"), count, "fail")
+        judged = "success" in info or "fail" in info
         time_out: Mask | None = None
         masks = self.termination_manager.compute(obs, action, info)
         if masks:
+            judged = True
             if "success" in masks:
                 success |= masks["success"].numpy()
             if "fail" in masks:
@@ -109,7 +111,7 @@ class EnvOutcome(EnvAssembly):
         if self._has_curriculum:
             info["curriculum"] = dict(self.curriculum_manager.values)
         self._success = success.copy() if reached is None else reached.numpy().copy()
-        return info, Flags(success, fail, time_out)
+        return info, Flags(success, fail, time_out, judged)
 
     def _check_terms(self, obs: EnvObs) -> None:
         """Refuse terms of the wrong shape, unless they may rely on a subclass's own ``info``."""
@@ -208,7 +210,7 @@ class EnvOutcome(EnvAssembly):
         if self._truncates:
             count = self.cfg.num_envs
             truncated |= mask_of(self.check_truncated(obs, info), count, "check_truncated")
-        if self.cfg.ignore_terminations:
+        if self.cfg.ignore_terminations or not flags.judged:
             terminated = np.zeros(len(truncated), np.bool_)
         else:
             terminated = flags.success | flags.fail

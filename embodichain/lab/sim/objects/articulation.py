@@ -53,7 +53,7 @@ class Articulation(NamedJoints):
         super().bind(engine, index)
         self._qpos, self.dofs = columns_of(index.qpos_adr), columns_of(index.dof_adr)
         actuators = np.asarray(index.actuator_ids, np.int64)
-        self._driven = np.flatnonzero(actuators >= 0)
+        self._driven = self._all if (actuators >= 0).all() else np.flatnonzero(actuators >= 0)
         self._ctrl = columns_of(actuators[self._driven])
         # qf is a sum of acceleration-stage fields: ask for them before the first step. Whoever asks
         # first has them computed, which may move what was read before.
@@ -191,7 +191,7 @@ class Articulation(NamedJoints):
             self._sim.compile()
         if joints is None:
             joints, columns = self._driven, self._ctrl
-            if len(joints) != self.dof:
+            if joints is not self._all:
                 if not len(joints):
                     self.drives._actuators(self._all)
                 values = values[:, joints]

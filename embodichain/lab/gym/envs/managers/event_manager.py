@@ -118,7 +118,7 @@ class EventManager(Manager[EventCfg]):
         Returns:
             (n, *shape) float64. Do not write into it.
         """
-        values = self._recorded(what, shape, env_ids)
+        values = self._recorded(what, shape, env_ids) if self._given else None
         if values is None:
             values = self.env.streams.uniform(self._stream, shape, low, high, env_ids)
         self._drawn[what] = values
