@@ -41,6 +41,9 @@ __all__ = ["BaseEnv", "EmbodiedEnv"]
 Step = tuple[EnvObs, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 
 
+_ONE = np.ones((), np.int32)  # an array: a Python number is converted anew in every step
+
+
 class BaseEnv(EnvOutcome):
     """N environments of one task: declared in an `EnvCfg`, or built by overriding hooks, or both.
 
@@ -226,7 +229,7 @@ class BaseEnv(EnvOutcome):
         reward = self._reward(obs, seen, info)
         seen = self._postprocess_action(seen)
         obs, reward, info = self._contain(obs, reward, info, flags, given)
-        self._elapsed += 1
+        self._elapsed += _ONE
         self.control_step += 1
         info["elapsed_steps"] = torch.from_numpy(self._elapsed.copy())
         terminated, truncated = self._ends(obs, info, flags)

@@ -30,6 +30,7 @@ class EnvOutcome(EnvAssembly):
 
     _cut: Mask | None = None
     _proprioception: Known | None = None
+    _shows_info: bool | None = None
 
     # -- observation ---------------------------------------------------------------------------
 
@@ -84,15 +85,26 @@ class EnvOutcome(EnvAssembly):
         info.update(self.evaluate(**kwargs))
         return info
 
+    def _is_info_seen(self) -> bool:
+        """Whether a hook or a term gets to see ``info`` before the step is counted."""
+        own = type(self).get_info is not EnvOutcome.get_info or self._pays or self._repays
+        managers = self.termination_manager, self.metric_manager, self.reward_manager
+        return own or any(map(len, managers))
+
     def _judge(self, obs: EnvObs, action: EnvAction, kwargs: dict[str, Any]) -> tuple[Info, Flags]:
         """Info: `evaluate`, then terminations, then metrics."""
         count = self.cfg.num_envs
-        info = self.get_info(**kwargs)
-        if type(info) is not dict:  # EmbodiChain's is a TensorDict
-            info = dict(info.items())
+        if self._shows_info is None:
+            self._shows_info = self._is_info_seen()
+        if self._shows_info:
+            info = self.get_info(**kwargs)
+            if type(info) is not dict:  # EmbodiChain's is a TensorDict
+                info = dict(info.items())
+        else:  # nobody looks before `step` counts
+            info = {"elapsed_steps": None, **self.evaluate(**kwargs)}
+        judged = "success" in info or "fail" in info
         success = mask_of(info.get("success"), count, "success")
         fail = mask_of(info.get("fail"), count, "fail")
-        judged = "success" in info or "fail" in info
         time_out: Mask | None = None
         masks = self.termination_manager.compute(obs, action, info)
         if masks:

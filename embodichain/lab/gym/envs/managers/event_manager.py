@@ -96,7 +96,8 @@ class EventManager(Manager[EventCfg]):
         self._stream = f"events.{term.name}"
         self._drawn = {}
         term.call(self.env, env_ids)
-        self.env.log_event(term.name, mode, env_ids, self._drawn)
+        if self.env.observers:
+            self.env.log_event(term.name, mode, env_ids, self._drawn)
 
     def draw(
         self,
