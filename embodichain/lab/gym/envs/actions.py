@@ -49,11 +49,12 @@ class ActionCheck:
             ValueError: If its shape or device is wrong or a number is not finite.
         """
         # The usual case first, asking torch nothing but for the numbers.
-        if type(action) is torch.Tensor and self._on_cpu and not action.requires_grad:
-            numbers = action.numpy() if action.is_cpu else None
-            if numbers is not None and numbers.shape == self._shape and numbers.ndim == 2:
-                if numbers.dtype.kind == "f":
-                    return action, self._finite(numbers.astype(np.float64))
+        plain = type(action) is torch.Tensor and self._on_cpu and action.is_cpu
+        if plain and not action.requires_grad:
+            numbers = action.numpy()
+            fits = numbers.ndim == 2 and numbers.shape == self._shape
+            if fits and numbers.dtype.kind == "f":
+                return action, self._finite(numbers.astype(np.float64))
         if not isinstance(action, torch.Tensor):
             if isinstance(action, TensorDict):
                 return action, self._finite(self._flatten(action))

@@ -170,7 +170,7 @@ class BaseEnv(EnvOutcome):
         if saved is not None:
             seeding.rewind(self.streams, saved, stay)
             obs = memory.with_rows(obs, memory.flat, stay)
-        return memory.made_finite(obs)
+        return memory.made_finite(obs, self._proprioception)
 
     # -- step ----------------------------------------------------------------------------------
 

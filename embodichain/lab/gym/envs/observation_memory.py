@@ -48,28 +48,14 @@ def as_float32(obs: TensorDict) -> TensorDict:
     return obs
 
 
-Tree = dict[str, "Tree | None"]
-
-
-def _tree(paths: Sequence[tuple[str, ...]]) -> Tree:
-    """Paths as nested maps, in their order; None stands for an entry."""
-    tree: Tree = {}
-    for *groups, name in paths:
-        branch = tree
-        for group in groups:
-            branch = branch.setdefault(group, {})  # type: ignore[assignment]
-        branch[name] = None
-    return tree
-
-
-def _collect(source: TensorDict, tree: Tree, found: list[torch.Tensor]) -> None:
-    """Append the entries of a tree; a KeyError names one that is missing."""
-    own = entries(source)
-    for key, below in tree.items():
-        if below is None:
-            found.append(own[key])
-        else:
-            _collect(own[key], below, found)
+def _branches(paths: Sequence[tuple[str, ...]]) -> list[tuple[tuple[str, ...], list[str]]]:
+    """Paths as branches and the names of their entries, in the same order."""
+    found: list[tuple[tuple[str, ...], list[str]]] = []
+    for *branch, name in paths:
+        if not found or found[-1][0] != tuple(branch):
+            found.append((tuple(branch), []))
+        found[-1][1].append(name)
+    return found
 
 
 class ObservationMemory:
@@ -91,7 +77,7 @@ class ObservationMemory:
         self._num_envs = num_envs
         leaves = {path: leaf for path, leaf in leaves_of(obs).items() if leaf.is_floating_point()}
         self.paths = list(leaves)
-        self._tree = _tree(self.paths)
+        self._branches = _branches(self.paths)
         self._shapes = [tuple(leaf.shape) for leaf in leaves.values()]
         ends = np.cumsum([leaf.numel() for leaf in leaves.values()]).tolist()
         self._places = [slice(a, b) for a, b in zip([0, *ends], ends, strict=False)]
@@ -108,7 +94,13 @@ class ObservationMemory:
             KeyError: If an entry of the first observation is missing.
         """
         leaves: list[torch.Tensor] = []
-        _collect(obs, self._tree, leaves)
+        root = entries(obs)
+        for branch, names in self._branches:
+            own = root
+            for key in branch:
+                own = entries(own[key])
+            for name in names:
+                leaves.append(own[name])
         parts: list[F32] = []
         if known is not None:
             count = len(known[0])
@@ -132,13 +124,17 @@ class ObservationMemory:
             bad |= ~np.isfinite(flat[place].reshape(self._num_envs, -1)).all(axis=1)
         return bad
 
-    def made_finite(self, obs: TensorDict) -> TensorDict:
+    def made_finite(self, obs: TensorDict, known: Known | None = None) -> TensorDict:
         """Remember an observation right after a reset; zero its rows that are not finite, and log.
 
         There is no earlier observation of that episode to fall back on. The environment is found
         diverged in its next step.
+
+        Args:
+            obs: The observation.
+            known: As for `flatten`.
         """
-        self.flat = self.flatten(obs)
+        self.flat = self.flatten(obs, known)
         bad = self.bad_rows(self.flat)
         if bad is None:
             return obs

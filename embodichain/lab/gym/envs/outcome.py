@@ -89,7 +89,7 @@ class EnvOutcome(EnvAssembly):
         """Whether a hook or a term gets to see ``info`` before the step is counted."""
         own = type(self).get_info is not EnvOutcome.get_info or self._pays or self._repays
         managers = self.termination_manager, self.metric_manager, self.reward_manager
-        return own or any(map(len, managers))
+        return own or any(len(manager) for manager in managers)
 
     def _judge(self, obs: EnvObs, action: EnvAction, kwargs: dict[str, Any]) -> tuple[Info, Flags]:
         """Info: `evaluate`, then terminations, then metrics."""
@@ -213,7 +213,7 @@ class EnvOutcome(EnvAssembly):
 
     def _ends(self, obs: EnvObs, info: Info, flags: Flags) -> tuple[Mask, Mask]:
         """(N,) terminated and truncated."""
-        truncated = self._elapsed >= self._limit
+        truncated: Mask = self._elapsed >= self._limits
         if flags.time_out is not None:
             truncated |= flags.time_out
         if self._cut is not None:

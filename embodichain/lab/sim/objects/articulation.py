@@ -9,7 +9,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.objects._arrays import Columns, as_rows, columns_of, stacked_view, to_tensor
+from embodichain.lab.sim.objects._arrays import (
+    Columns,
+    as_rows,
+    columns_of,
+    stacked_view,
+    to_tensor,
+)
 from embodichain.lab.sim.objects.articulation_data import ArticulationData
 from embodichain.lab.sim.objects.drives import Drives
 from embodichain.lab.sim.objects.entity import not_available
