@@ -39,8 +39,6 @@ from embodichain.utils.random import RandomStreams
 __all__ = ["BaseEnv", "EmbodiedEnv"]
 
 Step = tuple[EnvObs, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
-
-
 _ONE = np.ones((), np.int32)  # an array: a Python number is converted anew in every step
 
 

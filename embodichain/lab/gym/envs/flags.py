@@ -25,7 +25,7 @@ class Flags:
     fail: Mask
     time_out: Mask | None
     judged: bool = True
-    """Whether anything of the task says who succeeds or fails; else nobody does."""
+    """Whether anything of the task may say who succeeds or fails; else nobody does."""
     diverged: Mask | None = None
 
 

@@ -5,6 +5,7 @@ The order in which this is asked for is in `BaseEnv.step`.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,6 @@ class EnvOutcome(EnvAssembly):
 
     _cut: Mask | None = None
     _proprioception: Known | None = None
-    _shows_info: bool | None = None
 
     # -- observation ---------------------------------------------------------------------------
 
@@ -85,30 +85,30 @@ class EnvOutcome(EnvAssembly):
         info.update(self.evaluate(**kwargs))
         return info
 
-    def _is_info_seen(self) -> bool:
-        """Whether a hook or a term gets to see ``info`` before the step is counted."""
-        own = type(self).get_info is not EnvOutcome.get_info or self._pays or self._repays
+    @cached_property
+    def _shows_info(self) -> bool:
+        """Whether a hook or a term gets to see ``info`` before a step is over."""
+        if getattr(self.get_info, "__func__", None) is not EnvOutcome.get_info:
+            return True
         managers = self.termination_manager, self.metric_manager, self.reward_manager
-        return own or any(len(manager) for manager in managers)
+        hooks = self._pays or self._repays or self._truncates
+        return hooks or any(len(manager) for manager in managers)
 
     def _judge(self, obs: EnvObs, action: EnvAction, kwargs: dict[str, Any]) -> tuple[Info, Flags]:
         """Info: `evaluate`, then terminations, then metrics."""
         count = self.cfg.num_envs
-        if self._shows_info is None:
-            self._shows_info = self._is_info_seen()
         if self._shows_info:
             info = self.get_info(**kwargs)
             if type(info) is not dict:  # EmbodiChain's is a TensorDict
                 info = dict(info.items())
-        else:  # nobody looks before `step` counts
+        else:  # `step` puts the count of steps there
             info = {"elapsed_steps": None, **self.evaluate(**kwargs)}
-        judged = "success" in info or "fail" in info
+        judged = self._shows_info or "success" in info or "fail" in info
         success = mask_of(info.get("success"), count, "success")
         fail = mask_of(info.get("fail"), count, "fail")
         time_out: Mask | None = None
         masks = self.termination_manager.compute(obs, action, info)
         if masks:
-            judged = True
             if "success" in masks:
                 success |= masks["success"].numpy()
             if "fail" in masks:

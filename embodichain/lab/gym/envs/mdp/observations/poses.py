@@ -119,8 +119,9 @@ class LinkPose(Term):
         """Poses, a tensor of their own."""
         if self._one is not None:  # the usual case, without a dimension for links
             engine, body = self._engine, self._one
-            poses = np.empty((env.num_envs, 7), np.float32)
-            poses[:, :3] = engine.derived("xpos")[:, body]
+            position = engine.derived("xpos")[:, body]
+            poses = np.empty((len(position), 7), np.float32)
+            poses[:, :3] = position
             poses[:, 3:] = engine.derived("xquat")[:, body]
             return torch.from_numpy(poses)
         pos, quat = self._links.pose()
