@@ -104,17 +104,19 @@ class EnvOutcome(EnvAssembly):
         else:  # `step` puts the count of steps there
             info = {"elapsed_steps": None, **self.evaluate(**kwargs)}
         judged = self._shows_info or "success" in info or "fail" in info
-        success = mask_of(info.get("success"), count, "success")
-        fail = mask_of(info.get("fail"), count, "fail")
         time_out: Mask | None = None
-        masks = self.termination_manager.compute(obs, action, info)
-        if masks:
+        if judged:
+            success = mask_of(info.get("success"), count, "success")
+            fail = mask_of(info.get("fail"), count, "fail")
+            masks = self.termination_manager.compute(obs, action, info)
             if "success" in masks:
                 success |= masks["success"].numpy()
             if "fail" in masks:
                 fail |= masks["fail"].numpy()
             if "time_out" in masks:
                 time_out = masks["time_out"].numpy()
+        else:
+            success, fail = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
         info["success"] = torch.from_numpy(success)
         info["fail"] = torch.from_numpy(fail)
         reached = self.metric_manager.compute(obs, action, info)
