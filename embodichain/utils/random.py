@@ -151,11 +151,14 @@ class RandomStreams:
         Returns:
             (n, *shape) float64; do not write into it.
         """
+        if env_ids is None and len(shape) == 1:
+            block = self._blocks.get(name)
+            if block is None or block.width != shape[0] or block.used == len(block.unit):
+                block = self._block(name, shape[0])
+            return block.take_within(low, high)
         width = 1
         for size in shape:
             width *= size
-        if env_ids is None and len(shape) == 1:
-            return self._block(name, width).take_within(low, high)
         if env_ids is None:
             unit = self._block(name, width).take()
         else:

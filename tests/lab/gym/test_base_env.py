@@ -730,3 +730,39 @@ def test_default_config_has_default_values():
     env.reset()
     env.step(torch.zeros(1, 0))
     env.close()
+
+
+@pytest.mark.parametrize("looks", ["nobody", "get_info", "get_reward", "check_truncated", "a term"])
+def test_steps_are_counted_after_whoever_looks_at_info(make_env, looks):
+    seen = []
+
+    class Looking(BaseEnv):
+        pass
+
+    def get_info(self, **kwargs):
+        info = BaseEnv.get_info(self, **kwargs)
+        seen.append(info["elapsed_steps"].tolist())
+        return info
+
+    def get_reward(self, obs, action, info):
+        seen.append(info["elapsed_steps"].tolist())
+        return torch.zeros(self.num_envs)
+
+    def check_truncated(self, obs, info):
+        seen.append((info["elapsed_steps"] - 1).tolist())  # asked after the step was counted
+        return torch.zeros(self.num_envs, dtype=torch.bool)
+
+    def term(env, obs, action, info):
+        seen.append(info["elapsed_steps"].tolist())
+        return torch.zeros(env.num_envs)
+
+    hooks = {f.__name__: f for f in (get_info, get_reward, check_truncated)}
+    if looks in hooks:
+        setattr(Looking, looks, hooks[looks])
+    env = make_env(cls=Looking, rewards={"r": RewardCfg(func=term)} if looks == "a term" else {})
+    env.reset()
+    seen.clear()
+    found = [env.step(home(env))[4] for _ in range(2)]
+    assert [info["elapsed_steps"].tolist() for info in found] == [[1] * 3, [2] * 3]
+    assert next(iter(found[0])) == "elapsed_steps"
+    assert seen == ([] if looks == "nobody" else [[0] * 3, [1] * 3])

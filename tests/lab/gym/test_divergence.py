@@ -4,7 +4,7 @@ import torch
 
 from embodichain.lab.gym.envs import BaseEnv
 from embodichain.lab.gym.envs.cfg import MetricCfg, ObservationCfg, RewardCfg, TerminationCfg
-from embodichain.lab.gym.envs.observation_memory import is_finite
+from embodichain.lab.sim.objects._arrays import all_finite
 from tests.lab.gym.conftest import flat, home, jumping, marker, targets
 
 BAD = 1
@@ -181,5 +181,5 @@ def test_an_observation_that_is_never_finite_is_kept_from_learners(make_env, cap
 
 
 def test_infinities_of_both_signs_are_found_without_a_warning() -> None:
-    assert not is_finite(np.array([[1.0, np.inf], [-np.inf, 0.0]], np.float32))
-    assert is_finite(np.full(4, 3e38, np.float32))
+    assert not all_finite(np.array([[1.0, np.inf], [-np.inf, 0.0]], np.float32))
+    assert all_finite(np.full(4, 3e38, np.float32))

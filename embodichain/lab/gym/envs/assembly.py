@@ -97,6 +97,7 @@ class EnvAssembly(EnvBasics):
         self._success = np.zeros(count, np.bool_)
         self._task_success = torch.zeros(count, dtype=torch.bool)
         self._pending: NDArray[np.bool_] | None = None
+        self._begun = False
         self._closed = False
         hooks = overrides(self, _OPTIONAL)
         self._steps_actions = hooks["_step_action"]

@@ -26,7 +26,7 @@ from embodichain.lab.gym.envs.autoreset import (
 )
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.declared import explained, frozen_cfg
-from embodichain.lab.gym.envs.flags import Mask, reset_ids
+from embodichain.lab.gym.envs.flags import Mask, nobody, reset_ids
 from embodichain.lab.gym.envs.observers import StepRecord
 from embodichain.lab.gym.envs.outcome import EnvOutcome
 from embodichain.lab.gym.envs.snapshot import Snapshot, SnapshotSource
@@ -39,6 +39,7 @@ from embodichain.utils.random import RandomStreams
 __all__ = ["BaseEnv", "EmbodiedEnv"]
 
 Step = tuple[EnvObs, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
+_ONE = np.ones((), np.int32)  # an array: a Python number is converted anew in every step
 
 
 class BaseEnv(EnvOutcome):
@@ -167,7 +168,7 @@ class BaseEnv(EnvOutcome):
         if saved is not None:
             seeding.rewind(self.streams, saved, stay)
             obs = memory.with_rows(obs, memory.flat, stay)
-        return memory.made_finite(obs)
+        return memory.made_finite(obs, self._proprioception)
 
     # -- step ----------------------------------------------------------------------------------
 
@@ -226,7 +227,7 @@ class BaseEnv(EnvOutcome):
         reward = self._reward(obs, seen, info)
         seen = self._postprocess_action(seen)
         obs, reward, info = self._contain(obs, reward, info, flags, given)
-        self._elapsed += 1
+        self._elapsed += _ONE
         self.control_step += 1
         info["elapsed_steps"] = torch.from_numpy(self._elapsed.copy())
         terminated, truncated = self._ends(obs, info, flags)
@@ -235,7 +236,7 @@ class BaseEnv(EnvOutcome):
         if self._hooks_steps:
             self._after_step(obs, seen, reward, terminated, truncated, info, kwargs)
         episodes = self._episode_ids.copy() if self.observers else self._episode_ids
-        obs = self._autoreset(obs, info, terminated | truncated)
+        obs = self._autoreset(obs, info, terminated, truncated)
         if self.observers:
             flat = given, reward.numpy(), terminated, truncated, info, obs, episodes
             record = StepRecord(self.control_step, *flat)
@@ -244,8 +245,10 @@ class BaseEnv(EnvOutcome):
         return obs, reward, torch.from_numpy(terminated), torch.from_numpy(truncated), info
 
     def _receive(self, action: EnvAction) -> tuple[EnvAction, F64]:
-        if self._episode_ids[0] < 0:
-            raise gym.error.ResetNeeded("call reset() before the first step()")
+        if not self._begun:
+            if self._episode_ids[0] < 0:
+                raise gym.error.ResetNeeded("call reset() before the first step()")
+            self._begun = True
         action, given = self._check_action(action)
         self._last_action = given
         return action, given
@@ -296,17 +299,20 @@ class BaseEnv(EnvOutcome):
         truncated &= ~pending
         return torch.where(rows, torch.zeros(()), reward), blanked(info, rows)
 
-    def _autoreset(self, obs: EnvObs, info: dict[str, Any], done: Mask) -> EnvObs:
+    def _autoreset(
+        self, obs: EnvObs, info: dict[str, Any], terminated: Mask, truncated: Mask
+    ) -> EnvObs:
         """Reset what the mode says; returns the observation with its rows replaced."""
         mode = self.metadata["autoreset_mode"]
+        done = None if nobody(terminated) and nobody(truncated) else terminated | truncated
         if mode is AutoresetMode.SAME_STEP:
-            if not done.any():
+            if done is None:
                 return obs
             add_finals(info, obs, done)
             ids = np.flatnonzero(done)
         elif mode is AutoresetMode.NEXT_STEP:
-            before, self._pending = self._pending, done if done.any() else None
-            if before is None or not before.any():
+            before, self._pending = self._pending, done
+            if before is None or nobody(before):
                 return obs
             ids = np.flatnonzero(before)
         else:

@@ -75,6 +75,7 @@ class EnvBasics(EnvHooks, gym.Env[EnvObs, EnvAction]):
     _episode_ids: NDArray[np.int64]
     _last_action: NDArray[np.float64]
     _limit: int
+    _limits: NDArray[np.int32]
     _senses: bool = False
     _detached_uids_for_reset: list[str]
     _camera_group_ids: list[int]
@@ -134,6 +135,7 @@ class EnvBasics(EnvHooks, gym.Env[EnvObs, EnvAction]):
         if steps < 1 and steps != -1:
             raise ValueError(f"max_episode_steps must be at least 1, or -1 for never, got {steps}")
         self._limit = self.cfg.max_episode_steps = 2**31 - 1 if steps == -1 else int(steps)
+        self._limits = np.asarray(min(self._limit, 2**31 - 1), np.int32)  # compared in every step
 
     @property
     def elapsed_steps(self) -> torch.Tensor:

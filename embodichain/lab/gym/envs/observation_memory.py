@@ -7,8 +7,8 @@ remembered: others cannot be non-finite and are taken as they are.
 from __future__ import annotations
 
 import logging
-import math
 import operator
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,9 @@ from numpy.typing import NDArray
 from tensordict import TensorDict
 
 from embodichain.lab.gym.utils.tensordicts import branches_copied, entries, replace
+from embodichain.lab.sim.objects._arrays import all_finite
 
-__all__ = ["Known", "ObservationMemory", "as_float32", "is_finite", "leaves_of"]
+__all__ = ["Known", "ObservationMemory", "as_float32", "leaves_of"]
 
 logger = logging.getLogger(__name__)
 
@@ -47,12 +48,14 @@ def as_float32(obs: TensorDict) -> TensorDict:
     return obs
 
 
-def is_finite(values: NDArray[np.floating[Any]]) -> bool:
-    """Whether all numbers are finite."""
-    # The sum is the cheap question; it may overflow, so the exact one follows.
-    with np.errstate(over="ignore", invalid="ignore"):  # inf - inf is no news
-        total = np.add.reduce(values, None)
-    return math.isfinite(total) or bool(np.isfinite(values).all())
+def _branches(paths: Sequence[tuple[str, ...]]) -> list[tuple[tuple[str, ...], list[str]]]:
+    """Paths as branches and the names of their entries, in the same order."""
+    found: list[tuple[tuple[str, ...], list[str]]] = []
+    for *branch, name in paths:
+        if not found or found[-1][0] != tuple(branch):
+            found.append((tuple(branch), []))
+        found[-1][1].append(name)
+    return found
 
 
 class ObservationMemory:
@@ -74,6 +77,7 @@ class ObservationMemory:
         self._num_envs = num_envs
         leaves = {path: leaf for path, leaf in leaves_of(obs).items() if leaf.is_floating_point()}
         self.paths = list(leaves)
+        self._branches = _branches(self.paths)
         self._shapes = [tuple(leaf.shape) for leaf in leaves.values()]
         ends = np.cumsum([leaf.numel() for leaf in leaves.values()]).tolist()
         self._places = [slice(a, b) for a, b in zip([0, *ends], ends, strict=False)]
@@ -90,19 +94,22 @@ class ObservationMemory:
             KeyError: If an entry of the first observation is missing.
         """
         leaves: list[torch.Tensor] = []
-        for path in self.paths:
-            leaf: Any = obs
-            for key in path:
-                leaf = entries(leaf)[key]
-            leaves.append(leaf)
+        root = entries(obs)
+        for branch, names in self._branches:
+            own = root
+            for key in branch:
+                own = entries(own[key])
+            for name in names:
+                leaves.append(own[name])
         parts: list[F32] = []
         if known is not None:
             count = len(known[0])
             if len(leaves) >= count and all(map(operator.is_, leaves, known[0])):
-                parts.append(known[1].reshape(-1))
+                parts.append(known[1])
                 del leaves[:count]
-        parts += [leaf.numpy().reshape(-1) for leaf in leaves]
-        return np.concatenate(parts) if parts else np.zeros(0, np.float32)
+        for leaf in leaves:
+            parts.append(leaf.numpy())
+        return np.concatenate(parts, axis=None) if parts else np.zeros(0, np.float32)
 
     def bad_rows(self, flat: F32) -> Mask | None:
         """Return which rows (N,) hold a number that is not finite; None if all are finite.
@@ -110,20 +117,24 @@ class ObservationMemory:
         Args:
             flat: (N W,) from `flatten`.
         """
-        if is_finite(flat):
+        if all_finite(flat):
             return None
         bad = np.zeros(self._num_envs, np.bool_)
         for place in self._places:
             bad |= ~np.isfinite(flat[place].reshape(self._num_envs, -1)).all(axis=1)
         return bad
 
-    def made_finite(self, obs: TensorDict) -> TensorDict:
+    def made_finite(self, obs: TensorDict, known: Known | None = None) -> TensorDict:
         """Remember an observation right after a reset; zero its rows that are not finite, and log.
 
         There is no earlier observation of that episode to fall back on. The environment is found
         diverged in its next step.
+
+        Args:
+            obs: The observation.
+            known: As for `flatten`.
         """
-        self.flat = self.flatten(obs)
+        self.flat = self.flatten(obs, known)
         bad = self.bad_rows(self.flat)
         if bad is None:
             return obs

@@ -5,6 +5,7 @@ The order in which this is asked for is in `BaseEnv.step`.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,9 +15,10 @@ from embodichain.lab.gym.envs.assembly import EnvAssembly
 from embodichain.lab.gym.envs.autoreset import blanked
 from embodichain.lab.gym.envs.flags import Flags, Mask, mask_of
 from embodichain.lab.gym.envs.managers.dry_run import check_shapes
-from embodichain.lab.gym.envs.observation_memory import Known, as_float32, is_finite
+from embodichain.lab.gym.envs.observation_memory import Known, as_float32
 from embodichain.lab.gym.utils.tensordicts import alike
 from embodichain.lab.sim.engine.base import F64, EnvIndex
+from embodichain.lab.sim.objects._arrays import all_finite
 from embodichain.lab.sim.types import EnvAction, EnvObs
 
 __all__ = ["EnvOutcome"]
@@ -83,23 +85,38 @@ class EnvOutcome(EnvAssembly):
         info.update(self.evaluate(**kwargs))
         return info
 
+    @cached_property
+    def _shows_info(self) -> bool:
+        """Whether a hook or a term gets to see ``info`` before a step is over."""
+        if getattr(self.get_info, "__func__", None) is not EnvOutcome.get_info:
+            return True
+        managers = self.termination_manager, self.metric_manager, self.reward_manager
+        hooks = self._pays or self._repays or self._truncates
+        return hooks or any(len(manager) for manager in managers)
+
     def _judge(self, obs: EnvObs, action: EnvAction, kwargs: dict[str, Any]) -> tuple[Info, Flags]:
         """Info: `evaluate`, then terminations, then metrics."""
         count = self.cfg.num_envs
-        info = self.get_info(**kwargs)
-        if type(info) is not dict:  # EmbodiChain's is a TensorDict
-            info = dict(info.items())
-        success = mask_of(info.get("success"), count, "success")
-        fail = mask_of(info.get("fail"), count, "fail")
+        if self._shows_info:
+            info = self.get_info(**kwargs)
+            if type(info) is not dict:  # EmbodiChain's is a TensorDict
+                info = dict(info.items())
+        else:  # `step` puts the count of steps there
+            info = {"elapsed_steps": None, **self.evaluate(**kwargs)}
+        judged = self._shows_info or "success" in info or "fail" in info
         time_out: Mask | None = None
-        masks = self.termination_manager.compute(obs, action, info)
-        if masks:
+        if judged:
+            success = mask_of(info.get("success"), count, "success")
+            fail = mask_of(info.get("fail"), count, "fail")
+            masks = self.termination_manager.compute(obs, action, info)
             if "success" in masks:
                 success |= masks["success"].numpy()
             if "fail" in masks:
                 fail |= masks["fail"].numpy()
             if "time_out" in masks:
                 time_out = masks["time_out"].numpy()
+        else:
+            success, fail = np.zeros(count, np.bool_), np.zeros(count, np.bool_)
         info["success"] = torch.from_numpy(success)
         info["fail"] = torch.from_numpy(fail)
         reached = self.metric_manager.compute(obs, action, info)
@@ -108,7 +125,7 @@ class EnvOutcome(EnvAssembly):
         if self._has_curriculum:
             info["curriculum"] = dict(self.curriculum_manager.values)
         self._success = success.copy() if reached is None else reached.numpy().copy()
-        return info, Flags(success, fail, time_out)
+        return info, Flags(success, fail, time_out, judged)
 
     def _check_terms(self, obs: EnvObs) -> None:
         """Refuse terms of the wrong shape, unless they may rely on a subclass's own ``info``."""
@@ -153,7 +170,7 @@ class EnvOutcome(EnvAssembly):
             mask = bad if mask is None else mask | bad
         if self._pays or self._repays or self._has_rewards:
             paid = reward.numpy()
-            if not is_finite(paid):
+            if not all_finite(paid):
                 mask = ~np.isfinite(paid) if mask is None else mask | ~np.isfinite(paid)
         if mask is not None and self._pending is not None:
             mask = mask & ~self._pending  # they are being reset anyway
@@ -198,7 +215,7 @@ class EnvOutcome(EnvAssembly):
 
     def _ends(self, obs: EnvObs, info: Info, flags: Flags) -> tuple[Mask, Mask]:
         """(N,) terminated and truncated."""
-        truncated = self._elapsed >= self._limit
+        truncated: Mask = self._elapsed >= self._limits
         if flags.time_out is not None:
             truncated |= flags.time_out
         if self._cut is not None:
@@ -207,7 +224,7 @@ class EnvOutcome(EnvAssembly):
         if self._truncates:
             count = self.cfg.num_envs
             truncated |= mask_of(self.check_truncated(obs, info), count, "check_truncated")
-        if self.cfg.ignore_terminations:
+        if self.cfg.ignore_terminations or not flags.judged:
             terminated = np.zeros(len(truncated), np.bool_)
         else:
             terminated = flags.success | flags.fail

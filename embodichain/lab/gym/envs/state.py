@@ -50,6 +50,7 @@ def load(env: BaseEnv, saved: dict[str, Any]) -> None:
     env.control_step = saved["control_step"]
     env._elapsed = saved["elapsed"].copy()
     env._episode_ids = saved["episode_ids"].copy()
+    env._begun = False  # unless those numbers say so
     env._last_action = saved["last_action"].copy()
     env._success = saved["success"].copy()
     env._pending = None if saved["pending"] is None else saved["pending"].copy()

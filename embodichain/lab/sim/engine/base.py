@@ -97,6 +97,9 @@ class Engine(Protocol):
     def acceleration(self, name: str) -> F64:
         """(N, ...) acceleration-stage field as of the last physics step (``qfrc_actuator``)."""
 
+    def acceleration_now(self, name: str) -> F64:
+        """The same, good only until the engine is asked for anything else."""
+
     def step(self, nstep: int, env_ids: EnvIndex | None = None) -> None:
         """Advance physics; afterwards `take_diverged` knows who failed."""
 

@@ -14,7 +14,9 @@ import numpy as np
 from mujoco import batch as mjbatch
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.engine.acceleration import AccelerationFields
 from embodichain.lab.sim.engine.base import F64, EngineListener, EnvIndex, PhysicsEvent, Write
+from embodichain.lab.sim.engine.divergence import Divergence
 from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS, ModelFields
 from embodichain.lab.sim.engine.mujoco_log import install_log_handler
@@ -34,11 +36,6 @@ _STAGE_ACC = int(mujoco.mjtStage.mjSTAGE_ACC)
 
 # They change no position- or velocity-stage field.
 _INPUTS = frozenset({"ctrl", "qfrc_applied", "xfrc_applied"})
-# Counters that mean the state is no longer physics.
-_DIVERGED = [
-    int(getattr(mujoco.mjtWarning, f"mjWARN_{name}"))
-    for name in ("BADQPOS", "BADQVEL", "BADQACC", "BADCTRL", "CONTACTFULL", "CNSTRFULL")
-]
 # Models whose bookkeeping lives in the MjData need one each (MuJoCo's manual, "batch").
 _HIDDEN_STATE = int(mujoco.mjtEnableBit.mjENBL_SLEEP) | int(mujoco.mjtEnableBit.mjENBL_IPC)
 
@@ -80,17 +77,11 @@ class CpuEngine:
         self._fields = ModelFields(self._batch, num_envs)
         self._default_row: F64 = self._rows[0].copy()
         self._derived: dict[str, F64] = {}
-        self._acc: dict[str, tuple[F64, F64]] = {}
+        self._acc = AccelerationFields()
         self._dirty = np.ones(num_envs, np.bool_)
         self._any_dirty = True
         self._all_dirty = True
-        self._counted()
-
-    def _counted(self) -> None:
-        """Take the warnings so far as the baseline: only new ones count as divergence."""
-        self._counts: NDArray[np.int32] = self._warnings[:, _DIVERGED].copy()
-        self._warned = self._batch.warning.tobytes()
-        self._failed: NDArray[np.bool_] | None = None
+        self._divergence = Divergence(self._batch)
 
     def _make_batch(self) -> mjbatch.Batch:
         batch = mjbatch.Batch(
@@ -105,7 +96,6 @@ class CpuEngine:
         self._views: dict[str, F64] = {
             name: self._rows[:, cols] for name, cols in self._layout.items()
         }
-        self._warnings: NDArray[np.int32] = batch.warning[:, :, 1]
 
     def _make_persistent(self) -> None:
         """Give every environment an MjData of its own, and everything it was before."""
@@ -117,7 +107,8 @@ class CpuEngine:
         new.warning[...] = old.warning
         self._adopt(new)
         self._derived = {name: new.bind(name) for name in self._derived}
-        self._acc = {name: (new.bind(name), kept) for name, (_, kept) in self._acc.items()}
+        self._acc.adopt(new)
+        self._divergence.adopt(new)
         self._any_dirty = self._all_dirty = True
 
     # -- reads ---------------------------------------------------------------------------------
@@ -159,6 +150,7 @@ class CpuEngine:
             if self._looks > LOOKS_UNTIL_PERSISTENT:
                 self._make_persistent()
         ids = None if self._all_dirty else np.flatnonzero(self._dirty)
+        self._acc.keep()
         self._call(self._batch.forward, ids, stage=_STAGE_VEL)
         self._dirty[:] = False
         self._any_dirty = self._all_dirty = False
@@ -168,21 +160,22 @@ class CpuEngine:
 
         The first request for a field computes it at the current state.
         """
-        pair = self._acc.get(name)
-        if pair is None:
-            if self._fields.stale:
-                self._set_const_now()
-            source = self._batch.bind(name)
-            self._call(self._batch.forward, None, stage=_STAGE_ACC)
-            pair = self._acc[name] = (source, source.copy())
-        return pair[1]
+        found = self._acc.get(name)
+        return self._first_acceleration(name) if found is None else found
 
-    def _copy_acceleration(self, ids: EnvIndex | None) -> None:
-        for source, kept in self._acc.values():
-            if ids is None:
-                np.copyto(kept, source)
-            else:
-                kept[ids] = source[ids]
+    def acceleration_now(self, name: str) -> F64:
+        """The same, good only until the engine is asked for anything else: saves a copy."""
+        found = self._acc.now.get(name)
+        return self._first_acceleration(name) if found is None else found
+
+    def _first_acceleration(self, name: str) -> F64:
+        if self._fields.stale:
+            self._set_const_now()
+        self._acc.keep()
+        output = self._batch.bind(name)
+        self._call(self._batch.forward, None, stage=_STAGE_ACC)
+        self._acc.add(name, output)
+        return self._acc.now[name]
 
     # -- physics -------------------------------------------------------------------------------
 
@@ -195,6 +188,8 @@ class CpuEngine:
             event = PhysicsEvent("before", nstep, env_ids, self._rows)
             for listener in listeners:
                 listener.on_physics(event)
+        if env_ids is not None:
+            self._acc.keep()
         failed = self._call(self._batch.step, env_ids, nstep=nstep, stage=_STAGE_NONE)
         self._looks = 0 if self._stepped else self._looks  # nobody looked since the step before
         self._stepped = True
@@ -202,20 +197,20 @@ class CpuEngine:
             self._any_dirty = self._all_dirty = True
         else:
             self._mark(env_ids)
-        if self._acc:
-            self._copy_acceleration(env_ids)
+        self._acc.took(env_ids)
         if listeners:
             event = PhysicsEvent("after", nstep, env_ids, self._rows, failed)
             for listener in listeners:
                 listener.on_physics(event)
 
     def forward(self, env_ids: EnvIndex | None = None) -> None:
-        """Compute every stage without stepping; acceleration fields are copied too."""
+        """Compute every stage without stepping, the acceleration fields' too."""
         if self._fields.stale:
             self._set_const_now()
+        if env_ids is not None:
+            self._acc.keep()
         self._call(self._batch.forward, env_ids, stage=_STAGE_ACC)
-        if self._acc:
-            self._copy_acceleration(env_ids)
+        self._acc.took(env_ids)
         if env_ids is None:
             self._dirty[:] = False
             self._any_dirty = self._all_dirty = False
@@ -230,9 +225,7 @@ class CpuEngine:
             function(ids, **kwargs)
         except mjbatch.SimulationError as error:
             failed = np.asarray(error.ids, np.int64)
-            if self._failed is None:
-                self._failed = np.zeros(self.num_envs, np.bool_)
-            self._failed[failed] = True
+            self._divergence.failed(failed)
             return failed
         return None
 
@@ -245,27 +238,15 @@ class CpuEngine:
             self._rows[rows] = self._default_row
             self._batch.warning[rows] = 0
         else:
+            self._acc.keep()
             self._batch.reset(env_ids, stage=_STAGE_NONE)
         self._mark(env_ids)
-        self._counts[rows] = self._warnings[:, _DIVERGED][rows]
-        self._warned = self._batch.warning.tobytes()
-        if self._failed is not None:
-            self._failed[rows] = False
+        self._divergence.forget(rows)
         self._notify(Write("reset", "row", env_ids, slice(None), None))
 
     def take_diverged(self) -> NDArray[np.bool_] | None:
         """(N,) mask of environments that diverged since the last call, or None for nobody."""
-        warned = self._batch.warning.tobytes()  # compared as a whole: a tenth of a sum's time
-        if warned == self._warned and self._failed is None:
-            return None
-        counts = self._warnings[:, _DIVERGED]
-        mask: NDArray[np.bool_] = np.asarray((counts > self._counts).any(axis=1))
-        self._counts[:] = counts
-        self._warned = warned
-        if self._failed is not None:
-            mask |= self._failed
-            self._failed = None
-        return mask if mask.any() else None
+        return self._divergence.take()
 
     # -- writes --------------------------------------------------------------------------------
 
@@ -285,8 +266,11 @@ class CpuEngine:
             columns: (k,) columns within the component, or a slice of them.
         """
         view = self._rows if field == "row" else self._views[field]
-        view[where(env_ids, columns)] = values
-        if field not in _INPUTS:
+        if env_ids is None:
+            view[:, columns] = values
+        else:
+            view[where(env_ids, columns)] = values
+        if not self._all_dirty and field not in _INPUTS:
             self._mark(env_ids)
         if self.listeners:
             self._notify(Write("state", field, env_ids, columns, picked(view, env_ids, columns)))
@@ -327,6 +311,7 @@ class CpuEngine:
 
     def set_const(self, env_ids: EnvIndex | None = None) -> None:
         """Recompute the constants MuJoCo derives from model fields, at once."""
+        self._acc.keep()
         self._call(self._batch.set_const, env_ids)
         self._mark(env_ids)
         self._notify(Write("set_const", "", env_ids, slice(None), None))
@@ -378,7 +363,7 @@ class CpuEngine:
             "rows": self._rows.copy(),
             "model": self.model_fields(),
             "warning": self._batch.warning.copy(),
-            "acceleration": {k: kept.copy() for k, (_, kept) in self._acc.items()},
+            "acceleration": self._acc.copies(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -395,6 +380,6 @@ class CpuEngine:
         self.write("row", state["rows"])
         for field, values in state["acceleration"].items():
             self.acceleration(field)
-            self._acc[field][1][...] = values
+            self._acc.restore(field, values)
         # Counters are restored as a baseline: only new warnings count as divergence.
-        self._counted()
+        self._divergence.begin()

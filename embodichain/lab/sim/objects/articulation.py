@@ -9,7 +9,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.objects._arrays import Columns, as_rows, columns_of, to_tensor
+from embodichain.lab.sim.objects._arrays import (
+    Columns,
+    as_rows,
+    columns_of,
+    stacked_view,
+    to_tensor,
+)
 from embodichain.lab.sim.objects.articulation_data import ArticulationData
 from embodichain.lab.sim.objects.drives import Drives
 from embodichain.lab.sim.objects.entity import not_available
@@ -45,16 +51,25 @@ class Articulation(NamedJoints):
         self._all = np.arange(len(parsed.joint_names))
         self._driven: NDArray[np.int64] = self._all
         self._ctrl: Columns = slice(0)
+        self._rows: F64 | None = None
+        self._moving: F64 | None = None
 
     def bind(self, engine: Engine, index: EntityIndex) -> None:
         """Learn where the compiled model keeps this articulation."""
         super().bind(engine, index)
         self._qpos, self.dofs = columns_of(index.qpos_adr), columns_of(index.dof_adr)
         actuators = np.asarray(index.actuator_ids, np.int64)
-        self._driven = np.flatnonzero(actuators >= 0)
+        self._driven = self._all if (actuators >= 0).all() else np.flatnonzero(actuators >= 0)
         self._ctrl = columns_of(actuators[self._driven])
-        # qf is a sum of acceleration-stage fields: ask for them before the first step.
-        self.read_qf()
+        # qf is a sum of acceleration-stage fields: ask for them before the first step. Whoever asks
+        # first has them computed, which may move what was read before.
+        for name in ("qfrc_actuator", "qfrc_damper"):
+            engine.acceleration(name)
+
+    def destroy(self) -> None:
+        """Drop the handle's hold on the engine, and on its rows."""
+        super().destroy()
+        self._rows = self._moving = None
 
     @property
     def body_data(self) -> ArticulationData:
@@ -76,20 +91,30 @@ class Articulation(NamedJoints):
     def read_qf(self) -> F64:
         """(N, D) total drive effort of the last physics step: actuator plus joint damping."""
         engine = self.engine
-        spring = engine.acceleration("qfrc_actuator")
-        damper = engine.acceleration("qfrc_damper")
+        spring = engine.acceleration_now("qfrc_actuator")
+        damper = engine.acceleration_now("qfrc_damper")
         return spring[:, self.dofs] + damper[:, self.dofs]
 
     def proprioception(
         self, joint_ids: Columns | None = None
     ) -> tuple[tuple[torch.Tensor, ...], NDArray[np.float32]]:
         """(qpos, qvel, qf), each (N, k) float32, and (3, N, k) that they are views of."""
-        arrays = (self.read_qpos(), self.read_qvel(), self.read_qf())
+        motion, qf = self._motion(), self.read_qf()
         if joint_ids is not None:
-            arrays = tuple(a[:, joint_ids] for a in arrays)  # type: ignore[assignment]
-        out = np.empty((3, *arrays[0].shape), np.float32)
-        out[0], out[1], out[2] = arrays
+            motion, qf = motion[:, :, joint_ids], qf[:, joint_ids]
+        out = np.empty((3, *qf.shape), np.float32)
+        out[:2], out[2] = motion, qf
         return tuple(map(torch.from_numpy, out)), out
+
+    def _motion(self) -> F64:
+        """(2, N, D) joint positions and velocities: a live view or a copy; do not write or keep."""
+        rows = self.engine.rows
+        if rows is not self._rows:  # an engine that changes its batch has other ones
+            self._rows = rows
+            self._moving = stacked_view(self.read_qpos(), self.read_qvel())
+        if self._moving is None:
+            return np.stack([self.read_qpos(), self.read_qvel()])
+        return self._moving
 
     def link_velocity(self, body: int) -> torch.Tensor:
         """(N, 6) linear velocity of a body's origin, then angular velocity, world axes.
@@ -172,7 +197,7 @@ class Articulation(NamedJoints):
             self._sim.compile()
         if joints is None:
             joints, columns = self._driven, self._ctrl
-            if len(joints) != self.dof:
+            if joints is not self._all:
                 if not len(joints):
                     self.drives._actuators(self._all)
                 values = values[:, joints]

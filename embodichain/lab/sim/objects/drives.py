@@ -81,9 +81,9 @@ class Drives:
             columns: Their columns in ``ctrl``.
             ids: (n,) environments, or None for all.
         """
-        low, high = self.limits.of(joints, ids)
-        # np.minimum/maximum, not np.clip: half the cost on small arrays.
-        clamped = np.maximum(target, low)
+        low, high = self.limits.of_all(joints) if ids is None else self.limits.of(joints, ids)
+        # np.minimum/maximum, not np.clip: half the cost on small arrays; so are arrays of one type.
+        clamped = np.maximum(np.asarray(target, np.float64), low)
         np.minimum(clamped, high, out=clamped)
         if self.has_velocity_target:
             clamped = clamped + self._lead((slice(None) if ids is None else ids[:, None], joints))

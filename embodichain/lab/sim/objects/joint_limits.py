@@ -26,6 +26,7 @@ class JointLimits:
         self._count = count
         self._own: F64 | None = None
         self._shared: dict[bytes, tuple[F64, F64]] = {}
+        self._tiled: dict[bytes, tuple[F64, F64]] = {}
 
     @property
     def values(self) -> F64:
@@ -44,6 +45,16 @@ class JointLimits:
         if bounds is None:
             low, high = self.compiled[joints].T.copy()
             bounds = self._shared[key] = (low, high)
+        return bounds
+
+    def of_all(self, joints: NDArray[np.int64]) -> tuple[F64, F64]:
+        """Lower and upper limits of joints (k,) in all environments, (N, k) each; do not write."""
+        if self._own is not None:
+            return self.of(joints, None)
+        bounds = self._tiled.get(key := joints.tobytes())
+        if bounds is None:  # whole arrays: numpy goes through rows of few joints one by one
+            low, high = (np.tile(row, (self._count, 1)) for row in self.of(joints, None))
+            bounds = self._tiled[key] = (low, high)
         return bounds
 
     def set(

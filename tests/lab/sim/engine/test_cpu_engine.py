@@ -298,3 +298,47 @@ def test_a_batch_nobody_looks_at_stays_shared(model):
     for _ in range(20):
         engine.step(1)
     assert engine.persistent is False
+
+
+EFFORTS = ("qfrc_actuator", "qfrc_damper", "qacc")
+ONE = np.array([1])
+BETWEEN = {
+    "nothing": lambda e: None,
+    "a look at poses": lambda e: e.derived("xpos"),
+    "a step of one": lambda e: e.step(2, ONE),
+    "a look after a step of one": lambda e: (e.step(2, ONE), e.derived("xpos")),
+    "a forward of one": lambda e: (e.write("qvel", 0.4, ONE), e.forward(ONE)),
+    "a forward of all": lambda e: (e.write("qvel", 0.4), e.forward()),
+    "a reset of one": lambda e: (e.reset(ONE), e.derived("xpos")),
+    "a reset of all": lambda e: (e.reset(), e.derived("cvel")),
+    "other masses": lambda e: (e.write_model("body_mass", 3.0, ONE), e.set_const()),
+    "a reset with other poses": lambda e: (e.model_field("qpos0"), e.reset(ONE)),
+    "one more field": lambda e: (e.write("ctrl", 0.7), e.acceleration_now("qfrc_bias")),
+    "an MjData each": lambda e: e._make_persistent(),
+    "going back": lambda e: e.load_state_dict(e.state_dict()),
+}
+
+
+@pytest.mark.parametrize("persistent", [True, False, None])
+@pytest.mark.parametrize("between", BETWEEN)
+def test_efforts_stay_whatever_else_is_computed(model, persistent, between):
+    lazy, eager = (CpuEngine(model, 3, 2, persistent=persistent) for _ in range(2))
+    for name in EFFORTS:
+        lazy.acceleration(name)
+        eager.acceleration(name)
+    for _ in range(2):  # what happens between is repeated on what it left behind
+        kept = []
+        for engine in (lazy, eager):
+            drive(engine, 2)  # ends without a look
+            if engine is eager:  # read at once: nothing can have come between
+                kept = [engine.acceleration(name).copy() for name in EFFORTS]
+            BETWEEN[between](engine)
+        untouched = [0, 2] if "one" in between else [0, 1, 2]
+        for name, at_once in zip(EFFORTS, kept, strict=True):
+            np.testing.assert_array_equal(lazy.acceleration_now(name), eager.acceleration(name))
+            np.testing.assert_array_equal(lazy.acceleration(name), eager.acceleration(name))
+            if between != "a forward of all":
+                np.testing.assert_array_equal(
+                    lazy.acceleration(name)[untouched], at_once[untouched]
+                )
+    assert any(np.any(values) for values in kept)

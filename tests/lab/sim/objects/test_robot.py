@@ -188,3 +188,19 @@ def test_the_simulation_continues_from_its_state(persistent):
     other = build(persistent=not persistent)
     other.load_state_dict(saved)
     assert go(other) == expected
+
+
+def test_proprioception_follows_an_engine_that_changes_its_batch(sim, robot):
+    engine = sim.engine
+    for persistent in (False, True):
+        if persistent:
+            engine._make_persistent()
+        robot.set_qpos(torch.tensor(HOME) + 0.1 * (1 + persistent))
+        sim.update(step=3)
+        (qpos, qvel, qf), together = robot.proprioception()
+        for found, wanted in ((qpos, robot.get_qpos()), (qvel, robot.get_qvel())):
+            assert torch.equal(found, wanted) and found.any()
+        assert torch.equal(qf, robot.get_qf()) and qf.any()
+        assert together.tobytes() == torch.stack([qpos, qvel, qf]).numpy().tobytes()
+        some, _ = robot.proprioception(np.array([4, 1]))
+        assert torch.equal(some[1], robot.get_qvel()[:, [4, 1]])

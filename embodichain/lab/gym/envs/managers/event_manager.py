@@ -96,7 +96,8 @@ class EventManager(Manager[EventCfg]):
         self._stream = f"events.{term.name}"
         self._drawn = {}
         term.call(self.env, env_ids)
-        self.env.log_event(term.name, mode, env_ids, self._drawn)
+        if self.env.observers:
+            self.env.log_event(term.name, mode, env_ids, self._drawn)
 
     def draw(
         self,
@@ -118,7 +119,7 @@ class EventManager(Manager[EventCfg]):
         Returns:
             (n, *shape) float64. Do not write into it.
         """
-        values = self._recorded(what, shape, env_ids)
+        values = self._recorded(what, shape, env_ids) if self._given else None
         if values is None:
             values = self.env.streams.uniform(self._stream, shape, low, high, env_ids)
         self._drawn[what] = values

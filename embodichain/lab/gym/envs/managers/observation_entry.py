@@ -70,6 +70,7 @@ class ObservationEntry:
         self._old = self._delay is not None or self._past is not None
         self.remembers = self._old or self._noise_cfg is not None
         self._checked = False
+        self._fits = False
 
     def compute(self, obs: EnvObs, rows: Rows) -> None:
         """Set the entry in ``obs``.
@@ -89,14 +90,15 @@ class ObservationEntry:
             value = value.clamp(self._clip[0], self._clip[1])
         if self._scale is not None:
             value = value * self._scale
-        if value.dtype == torch.float64:
+        if value.dtype is torch.float64:
             value = value.to(torch.float32)
         if self._old:
             value = self._of_the_past(value, rows)
         if not self._checked:
             self.width = math.prod(value.shape[1:])
+            self._fits = value.device == obs.device
             self._checked = True
-        if value.device == obs.device:
+        if self._fits:
             put(obs, self.path, value)
         else:
             obs.set(self.path, value)

@@ -37,7 +37,7 @@ class _Targets(AffineJointTerm):
 
     def apply(self, action: torch.Tensor) -> None:
         """Write the targets of (N, A) actions, rad or m."""
-        self._write_targets(self._value(action))
+        self._asset.write_target(self._value(action), self._joints)
 
     def home(self) -> F64:
         """(A,) the action that goes to the initial position, within the bounds."""

@@ -96,10 +96,12 @@ class RandomizeRigidObjectPose(Term):
 
     def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
         """Draw and write the poses of these environments."""
-        count = env.num_envs if env_ids is None else len(env_ids)
-        pos, quat = self._pos0[:count], self._orientation(count, env_ids)
+        quat0 = self._quat0 if env_ids is None else self._quat0[: len(env_ids)]
+        quat = self._orientation(quat0, env_ids)
         if self._box is not None:
             pos = env.event_manager.draw("position", (3,), *self._box, env_ids)
+        else:
+            pos = self._pos0[: len(quat0)]
         if self._near is not None:
             origin = _spatial.position(self._near)
             pos = (origin if env_ids is None else origin[env_ids]) + (
@@ -108,16 +110,15 @@ class RandomizeRigidObjectPose(Term):
         if self._turn is not None:
             angles = env.event_manager.draw("rotation", (3,), *self._turn, env_ids)
             turn = euler_xyz_to_quat(angles)
-            quat = quat_multiply(self._quat0[:count], turn) if self._relative_rotation else turn
+            quat = quat_multiply(quat0, turn) if self._relative_rotation else turn
         self._asset.write_pose(pos, quat, env_ids)
         if self._stop is not None:
             self._stop(env_ids)
         if self._steps > 0:
             self._asset.engine.step(self._steps, env_ids)
 
-    def _orientation(self, count: int, env_ids: EnvIndex | None) -> F64 | None:
+    def _orientation(self, wanted: F64, env_ids: EnvIndex | None) -> F64 | None:
         """The initial orientations; None if they stand already and a write would be recorded."""
-        wanted = self._quat0[:count]
         if self._stop is None and self._asset.engine.listeners:
             now = self._asset.read_pose()[1]
             if ((now if env_ids is None else now[env_ids]) == wanted).all():

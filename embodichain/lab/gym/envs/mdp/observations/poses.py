@@ -111,9 +111,19 @@ class LinkPose(Term):
     ) -> None:
         self._links = Links(entity_cfg, in_root_frame)
         self._to_matrix = to_matrix
+        self._engine = entity_cfg.asset.engine
+        plain = len(entity_cfg.link_names) == 1 and not (to_matrix or in_root_frame)
+        self._one = entity_cfg.asset.body_of(entity_cfg.link_names[0]) if plain else None
 
     def __call__(self, env: BaseEnv, obs: Any) -> torch.Tensor:
         """Poses, a tensor of their own."""
+        if self._one is not None:  # the usual case, without a dimension for links
+            engine, body = self._engine, self._one
+            position = engine.derived("xpos")[:, body]
+            poses = np.empty((len(position), 7), np.float32)
+            poses[:, :3] = position
+            poses[:, 3:] = engine.derived("xquat")[:, body]
+            return torch.from_numpy(poses)
         pos, quat = self._links.pose()
         if self._to_matrix:
             found = pose_matrix(pos, quat).astype(np.float32)
