@@ -31,8 +31,9 @@ _FILE = "embodichain/log.proto"
 
 MESSAGES: Mapping[str, Sequence[str]] = {
     # Rows of the integration state as physics receives them, environments in order. `width` is the
-    # number of columns: the ones that the metadata names, or all. `call` counts physics calls;
-    # `nstep` physics steps follow, none after the last row. No `env_ids` means all environments.
+    # number of columns: the ones that the metadata names, or all, or those that physics writes; its
+    # inputs follow from the state before and the writes since. `call` counts physics calls; `nstep`
+    # physics steps follow, none after the last row. No `env_ids` means all environments.
     "BatchedState": (
         "uint64 step = 1",
         "uint32 num_envs = 2",
