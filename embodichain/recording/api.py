@@ -308,17 +308,12 @@ class Log:
         components = [name for name in names if name in self.header.layout]
         outcomes = [name for name in names if name in OUTCOMES]
         ids = self._envs(env)
-        gatherer = Gatherer(self._source(components, ids), components, outcomes, ids, span)
+        file: ChunkFile | FilledFile = self._file
+        if components and self._simulate:
+            file = FilledFile(self._file, ids)
+        gatherer = Gatherer(file, components, outcomes, ids, span)
         gatherer.run()
         return gatherer
-
-    def _source(self, components: Sequence[str], ids: NDArray[np.int64]) -> ChunkFile | FilledFile:
-        """What has states in every control step, if they are asked for."""
-        if not (components and self._simulate and self.header.keyframe_every):
-            return self._file
-        filled = FilledFile(self._file)
-        filled.only = ids
-        return filled
 
     # -- the rest ----------------------------------------------------------------------------------
 
@@ -391,9 +386,7 @@ class Log:
         Raises:
             LogError: If the log does not simulate to what it says, or this is another MuJoCo.
         """
-        full = FilledFile(self._file)
-        full.only = None if env is None else self._envs(env)
-        return full.messages()
+        return FilledFile(self._file, None if env is None else self._envs(env)).messages()
 
     def _decoded(self, topic: str, decode: Callable[[Any], T]) -> Iterator[T]:
         for found, _, payload in self._file.messages():

@@ -32,15 +32,15 @@ class FilledFile:
 
     Args:
         file: The log; it knows of damage that is met.
+        only: (n,) environments to simulate; the rows of others are NaN. None is all.
 
     Attributes:
         path: Where the log begins.
-        only: (n,) environments to simulate; the rows of others are NaN. None is all.
     """
 
-    def __init__(self, file: ChunkFile) -> None:
+    def __init__(self, file: ChunkFile, only: EnvIndex | None = None) -> None:
         self.path = file.path
-        self.only: EnvIndex | None = None
+        self._only = only
         self._file = file
         self.require_header, self.between = file.require_header, file.between
 
@@ -61,7 +61,7 @@ class FilledFile:
             yield from WithInputs(file).blocks(chunks)
             return
         begins = every.index(wanted[0])
-        filler = _Filler(file, self.only, wanted[0].start_ns)
+        filler = _Filler(file, self._only, wanted[0].start_ns)
         for number, found in enumerate(file.blocks(every[: every.index(wanted[-1]) + 1])):
             try:
                 filled = filler.fill(found)
