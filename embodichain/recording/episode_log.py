@@ -89,6 +89,7 @@ class EpisodeLog:
 
     def __init__(self, num_envs: int) -> None:
         self._episodes = np.full(num_envs, -1, np.int64)
+        self._known = self._episodes.tobytes()
         self._sums = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, np.int64)
 
@@ -96,8 +97,9 @@ class EpisodeLog:
         self, step: int, reward: NDArray[Any], episode_ids: NDArray[np.int64], ends: Ends | None
     ) -> tuple[Part, ...] | None:
         """Take a step in; the message, if an episode ends in it."""
-        new = self._episodes != episode_ids
-        if new.any():
+        if episode_ids.tobytes() != self._known:  # a comparison of bytes is cheap to start
+            self._known = episode_ids.tobytes()
+            new = self._episodes != episode_ids
             self._sums[new] = self._lengths[new] = 0
             self._episodes = episode_ids.copy()
         self._sums += reward

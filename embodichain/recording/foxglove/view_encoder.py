@@ -61,6 +61,8 @@ class ViewEncoder:
         self._metrics: Metrics | None = None
         self._every, self._sampled = spec.every, -1
         self._shown: dict[int, bool] = {}
+        self._period_ns = spec.period_ns
+        self._next_line: dict[str, int] = {}  # term: when it may have a line again
         self.env_ids: NDArray[np.int64] = np.array(spec.env_ids, np.int64)
         """(n,) environments that are viewed."""
 
@@ -147,6 +149,9 @@ class ViewEncoder:
     ) -> None:
         """Write a line for each viewed environment in which a term fired, with what it drew.
 
+        What fires at intervals has lines no more often than anything else is sampled: nobody can
+        read a line a step, and `/sim/event` has them all.
+
         Args:
             time_ns: The moment.
             term: The term.
@@ -155,6 +160,10 @@ class ViewEncoder:
             names: Of what it drew.
             drawn: What it drew, (n, ...) each.
         """
+        if mode == "interval":
+            if time_ns < self._next_line.get(term, 0):
+                return
+            self._next_line[term] = time_ns + self._period_ns
         for env_id in self._viewed:
             row = env_id
             if env_ids is not None:

@@ -53,6 +53,7 @@ class ViewSpec:
         markers: Commands that are drawn in each.
         every: Control steps from one sample to the next, where rows need not be pushed because
             whoever makes the messages knows those of every step; else 0.
+        period_ns: Simulated time from one sample to the next.
     """
 
     env_ids: tuple[int, ...] = ()
@@ -60,6 +61,7 @@ class ViewSpec:
     ground: float = PLANE_SIZE
     markers: tuple[MarkerSpec, ...] = ()
     every: int = 0
+    period_ns: int = 0
 
     @property
     def channels(self) -> dict[str, str]:

@@ -81,6 +81,7 @@ class Views:
             ground=pitch_of(env) if len(env_ids) > 1 else PLANE_SIZE,
             markers=self._commands.markers,
             every=0 if self._commands.markers or not rows_known else self._every,
+            period_ns=self._every * round(float(env.step_dt) * 1e9),
         )
         """What `ViewEncoder` is built from."""
 

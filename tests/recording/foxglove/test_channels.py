@@ -184,7 +184,7 @@ def test_the_log_tells_of_resets_and_divergence(record, poison):
 
 
 def test_the_log_tells_what_events_drew(record):
-    path = record(steps=3, num_envs=3, options=RecordOptions(view_envs=[2]))
+    path = record(steps=3, num_envs=3, options=RecordOptions(view_envs=[2], view_hz=1000))
     drawn = [c for _, _, c in decoded(path, "/sim/event") if c.term == "move_goal"]
     lines = [c.message for _, _, c in decoded(path, "/log") if "move_goal" in c.message]
     rows = [np.reshape(event.drawn[0].values, (3, 3))[2] for event in drawn]
@@ -192,6 +192,14 @@ def test_the_log_tells_what_events_drew(record):
         "environment 2: move_goal (interval): position " + " ".join(f"{x:.4g}" for x in row)
         for row in rows
     ]
+
+
+def test_events_at_intervals_have_lines_as_often_as_views_are_sampled(record):
+    path = record(steps=21, options=RecordOptions(view_hz=15), num_envs=1, length=100)
+    start = inspect(path).header.start_ns
+    lines = [t for _, t, c in decoded(path, "/log") if "(interval)" in c.message]
+    assert [(time - start) // 20_000_000 for time in lines] == [0, 4, 8, 12, 16, 20]
+    assert len([c for *_, c in decoded(path, "/sim/event") if c.mode == "interval"]) == 21
 
 
 def test_views_are_sampled_at_most_as_often_as_asked(record):
