@@ -8,11 +8,13 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 import embodichain.recording as recording
-from embodichain.recording import RecordOptions
+from embodichain.recording import McapRecorder, RecordOptions, diff, state_log, verify
 from embodichain.recording.header import LogError
+from embodichain.recording.messages import State
 from embodichain.utils.errors import ConfigError
+from tests.helpers.writing_here import write_here
 from tests.recording.rewrite import rewrite
-from tests.recording.scene import MODEL
+from tests.recording.scene import MODEL, SmallEnv
 
 
 def decoded(path, topic):
@@ -74,6 +76,50 @@ def test_arrays_are_what_another_library_reads(record, compression):
     assert data["episodes"].tolist() == [list(s.episode_id) for s in steps]
     assert data.steps.tolist() == list(range(25))
     assert data.time[-1] == pytest.approx(24 * 0.02)
+
+
+@pytest.mark.parametrize("case", [{}, {"settle": 3, "push": True}], ids=str)
+def test_logs_with_inputs_in_every_state_are_read_as_well(record, tmp_path, monkeypatch, case):
+    # Format version 1: what this version writes where inputs are always due.
+    new = record("new.mcap", 70, length=30, **case)
+    write_here(monkeypatch.setattr)
+    monkeypatch.setattr(state_log, "INPUTS_EVERY", 0)
+    old = rewrite(
+        record("old.mcap", 70, length=30, **case),
+        tmp_path / "1.mcap",
+        metadata=lambda name, v: {**v, "format_version": "1"} if name == "embodichain" else v,
+    )
+    with recording.open(old) as log:
+        states = [State.decode(d) for topic, _, d in log.raw_messages() if topic == "/sim/state"]
+        header = log.header
+        assert {s.rows.shape[1] for s in states} <= {header.width, header.nstate}
+        with recording.open(new) as other:
+            for part in ({}, {"start": 20, "stop": 60}, {"env": [1], "start": 25}):
+                fields = ["qpos", "ctrl", "mocap_pos", "xfrc_applied", "rewards"]
+                a, b = log.read(fields, **part), other.read(fields, **part)
+                assert all(np.array_equal(a[name], b[name]) for name in fields)
+    assert verify(old).ok
+    assert diff(old, new).same
+
+
+def test_a_part_begins_with_the_inputs_of_the_chunks_before_it(tmp_path):
+    env = SmallEnv(length=1000)
+    recorder = McapRecorder(tmp_path / "log.mcap", env)
+    env.add_observer(recorder)
+    env.reset()
+    for step in range(120):
+        env.sim.engine.write("ctrl", 0.01 * step, None, np.array([step % 2]))
+        env.step()
+        if step % 7 == 0:
+            recorder.flush()  # the end of a chunk
+    env.close()
+    with recording.open(tmp_path / "log.mcap") as log:
+        whole = log.read(["ctrl", "mocap_pos"])
+        for start in (0, 30, 49, 50, 51, 99, 119):
+            part = log.read(["ctrl", "mocap_pos"], start=start, stop=start + 4)
+            for name in ("ctrl", "mocap_pos"):
+                assert np.array_equal(part[name], whole[name][start : start + 4]), (name, start)
+    assert not np.array_equal(whole["mocap_pos"][30], whole["mocap_pos"][29])
 
 
 def test_columns_have_names_and_units(record):
