@@ -67,7 +67,7 @@ def measure(task: str, num_envs: int, steps: int, rounds: int) -> dict[str, floa
     act, number = _actions(env), count()
 
     def turn(folder: Path, view_envs: list[int]) -> tuple[float, float, float]:
-        options = RecordOptions(state="none", view_envs=view_envs, view_hz=EVERY_STEP)
+        options = RecordOptions(view_envs=view_envs, view_hz=EVERY_STEP)
         recorder = McapRecorder(folder / f"{next(number)}.mcap", env, options=options)
         env.add_observer(recorder)
         for _ in range(2):
