@@ -148,7 +148,7 @@ class Gatherer:
             self._follower.write(payload)
             return
         width, offset = self._place(step, payload)
-        if width and self._follower.is_whole(width):
+        if width and self._header.has_inputs(width):
             n = self._header.num_envs
             rows = np.frombuffer(payload, "<f8", n * width, offset)
             self._follower.take(rows.reshape(n, width))
@@ -253,7 +253,7 @@ class Gatherer:
             if tail != self._tail:
                 return None
             row = _Row(step, payload, offset, width)
-            if self._follower is not None and not self._follower.is_whole(width):
+            if self._follower is not None and not self._header.has_inputs(width):
                 row.known = self._follower.rows
                 row.inputs = row.known.inputs.copy()
             return row

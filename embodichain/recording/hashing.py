@@ -37,6 +37,12 @@ def _mix(z: U64) -> U64:
     return z
 
 
+def _sums(taken: F64, coefficients: U64) -> U64:
+    words = taken.view(np.uint64)
+    found: U64 = (words ^ (words >> _HALF)) @ coefficients
+    return found
+
+
 class RowHash:
     """Hashes rows of a fixed width; keeps its scratch memory.
 
@@ -78,8 +84,7 @@ class RowHash:
             taken: (n, width) those columns, contiguous.
             ranges: Which columns they are.
         """
-        words = taken.view(np.uint64)
-        return _mix((words ^ (words >> _HALF)) @ self._coefficients_of(ranges))
+        return _mix(_sums(taken, self._coefficients_of(ranges)))
 
     def sums(self, taken: F64, columns: NDArray[np.int64]) -> U64:
         """Return (n,) what some columns add to the hash before it is `mixed`.
@@ -88,9 +93,7 @@ class RowHash:
             taken: (n, k) those columns, contiguous.
             columns: (k,) which they are.
         """
-        words = taken.view(np.uint64)
-        found: U64 = (words ^ (words >> _HALF)) @ self._coefficients[columns]
-        return found
+        return _sums(taken, self._coefficients[columns])
 
     @staticmethod
     def mixed(sums: U64) -> U64:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
+from functools import lru_cache
 from typing import Any
 
 import mujoco
@@ -188,7 +189,7 @@ class Header:
     @property
     def moved(self) -> Ranges:
         """Columns that physics writes."""
-        return moved_ranges(self.slices())
+        return _moved(tuple(self.layout.items()))
 
     @property
     def width(self) -> int:
@@ -199,6 +200,10 @@ class Header:
         """Whether physics writes a component, so that every state has it."""
         start, stop = self.layout[component]
         return any(a <= start and stop <= b for a, b in self.moved)
+
+    def has_inputs(self, width: int) -> bool:
+        """Whether a state of so many columns has more than physics writes."""
+        return width in (self.nstate, self.width)
 
     def ranges_of(self, width: int) -> Ranges:
         """Which columns a state of so many has: all, those in use, or those that physics writes.
@@ -252,3 +257,8 @@ def check_keyframes(options: RecordLike, model: mujoco.MjModel) -> None:
     if why:
         message = f"keyframes cannot be replayed: {why}; use record.state=all"
         raise ConfigError([Problem("record.state", message)])
+
+
+@lru_cache(maxsize=8)  # asked for with every state
+def _moved(layout: tuple[tuple[str, tuple[int, int]], ...]) -> Ranges:
+    return moved_ranges({name: slice(*columns) for name, columns in layout})

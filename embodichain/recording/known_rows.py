@@ -87,12 +87,17 @@ class KnownRows:
         if self._lent:
             self._own()
 
-    def _own(self) -> F64:
+    def _there(self) -> F64:
         if self._moved is None:
             raise RuntimeError("rows were not told before they are needed")
-        if self._lent:
-            self._moved, self._lent = self._moved.copy(), False
         return self._moved
+
+    def _own(self) -> F64:
+        moved = self._there()
+        if self._lent:
+            moved, self._lent = moved.copy(), False
+            self._moved = moved
+        return moved
 
     def write(self, place: int, write: Place, env_ids: EnvIndex | None, values: F64) -> None:
         """Change rows as a write to components of states did; others make them unknown.
@@ -130,13 +135,13 @@ class KnownRows:
 
     def lend_moved(self) -> F64:
         """(N, moved) columns that physics writes; they do not change until `settle`."""
-        found = self._own() if self._moved is None else self._moved
+        found = self._there()
         self._lent = True
         return found
 
     def whole(self) -> F64:
         """(N, columns in use), a copy."""
-        moved = self._own() if self._moved is None else self._moved
+        moved = self._there()
         rows: F64 = np.empty((len(moved), len(self._used)))
         rows[:, self._moved_at] = moved
         rows[:, self._inputs_at] = self._inputs
@@ -155,7 +160,7 @@ class KnownRows:
 
     def of(self, ids: NDArray[np.int64]) -> F64:
         """(n, nstate) rows of some environments, a copy."""
-        moved = self._own() if self._moved is None else self._moved
+        moved = self._there()
         rows = np.zeros((len(ids), self._nstate))
         rows[:, self._moved_columns] = moved[ids]
         rows[:, self._input_columns] = self._inputs[ids]
@@ -163,7 +168,7 @@ class KnownRows:
 
     def hashes(self, row_hash: RowHash) -> NDArray[np.uint64]:
         """(N,) hashes of the rows."""
-        moved = self._own() if self._moved is None else self._moved
+        moved = self._there()
         if self._sums is None:
             self._sums = row_hash.sums(self._inputs, self._input_columns)
         return row_hash.mixed(row_hash.sums(moved, self._moved_columns) + self._sums)

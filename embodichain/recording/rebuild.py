@@ -20,7 +20,7 @@ from embodichain.recording.messages import State, WriteRecord, encode_state
 from embodichain.recording.resimulate import Found as Difference
 from embodichain.recording.resimulate import Resimulation
 from embodichain.recording.wire import WireError
-from embodichain.recording.with_inputs import WithInputs
+from embodichain.recording.with_inputs import blocks_with_inputs
 
 __all__ = ["FilledFile"]
 
@@ -58,7 +58,7 @@ class FilledFile:
         file, every = self._file, self._file.chunks
         wanted = every if chunks is None else chunks
         if not wanted or not file.require_header().keyframe_every:
-            yield from WithInputs(file).blocks(chunks)
+            yield from blocks_with_inputs(file, chunks)
             return
         begins = every.index(wanted[0])
         filler = _Filler(file, self._only, wanted[0].start_ns)

@@ -157,7 +157,7 @@ class Resimulation:
             ranges = self._header.ranges_of(state.rows.shape[1])
         except WireError as error:
             raise LogError(f"step {state.step}: {error}") from error
-        if state.rows.shape[1] in (self._header.nstate, self._header.width):
+        if self._header.has_inputs(state.rows.shape[1]):
             self._ranges = ranges
         count = self._header.num_envs if state.env_ids is None else len(state.env_ids)
         if len(state.rows) != count:
@@ -186,12 +186,12 @@ class Resimulation:
     def _whole(self, recorded: F64, local: EnvIndex) -> F64:
         """Whole rows; inputs that were left out are those of the writes that were followed."""
         header, width = self._header, recorded.shape[1]
-        rows = spread(header.ranges_of(width), recorded, header.nstate)
-        if width not in (header.nstate, header.width):
-            rows, at = self._engine.rows[local], 0
-            for start, stop in header.moved:
-                rows[:, start:stop] = recorded[:, at : at + stop - start]
-                at += stop - start
+        if header.has_inputs(width):
+            return spread(header.ranges_of(width), recorded, header.nstate)
+        rows, at = self._engine.rows[local], 0
+        for start, stop in header.moved:
+            rows[:, start:stop] = recorded[:, at : at + stop - start]
+            at += stop - start
         return rows
 
     def _compare(

@@ -18,50 +18,31 @@ from embodichain.recording.messages import State, WriteRecord, encode_state
 from embodichain.recording.step_block import after_stamp
 from embodichain.recording.wire import WireError
 
-__all__ = ["InputFollower", "WithInputs", "chunks_before"]
+__all__ = ["InputFollower", "blocks_with_inputs", "chunks_before"]
 
 _MOST_ALIKE = 64
 """Kinds of writes that are recognized by their first bytes."""
 
 
-class WithInputs:
-    """A log whose `/sim/state` has inputs in every message of all environments.
+def blocks_with_inputs(
+    file: ChunkFile, chunks: list[ChunkPlace] | None = None
+) -> Iterator[list[Found]]:
+    """Messages of some chunks, or of all, a list for each; states of all environments with inputs.
 
-    Args:
-        file: The log; it knows of damage that is met.
-
-    Attributes:
-        path: Where the log begins.
+    Raises:
+        LogError: If a message is damaged.
     """
-
-    def __init__(self, file: ChunkFile) -> None:
-        self.path = file.path
-        self._file = file
-        self.require_header, self.between = file.require_header, file.between
-
-    def messages(self) -> Iterator[Found]:
-        """All messages, in file order."""
-        for found in self.blocks():
-            yield from found
-
-    def blocks(self, chunks: list[ChunkPlace] | None = None) -> Iterator[list[Found]]:
-        """Messages of some chunks, or of all, a list for each.
-
-        Raises:
-            LogError: If a message is damaged.
-        """
-        file = self._file
-        header = file.require_header()
-        follower = InputFollower(header)
-        wanted = file.chunks if chunks is None else chunks
-        before = chunks_before(file, wanted)
-        for number, found in enumerate(file.blocks(before + wanted)):
-            try:
-                filled = [(t, at, full(follower, header, t, data)) for t, at, data in found]
-            except (WireError, IndexError, KeyError, ValueError) as error:
-                raise LogError(f"{self.path}: a message is damaged: {error}") from error
-            if number >= len(before):
-                yield filled
+    header = file.require_header()
+    follower = InputFollower(header)
+    wanted = file.chunks if chunks is None else chunks
+    before = chunks_before(file, wanted)
+    for number, found in enumerate(file.blocks(before + wanted)):
+        try:
+            filled = [(t, at, full(follower, header, t, data)) for t, at, data in found]
+        except (WireError, IndexError, KeyError, ValueError) as error:
+            raise LogError(f"{file.path}: a message is damaged: {error}") from error
+        if number >= len(before):
+            yield filled
 
 
 def chunks_before(file: ChunkFile, wanted: list[ChunkPlace]) -> list[ChunkPlace]:
@@ -90,10 +71,6 @@ class InputFollower:
         self._places: dict[tuple[str, bytes], int] = {}
         self._alike: list[tuple[bytes, int, WriteRecord]] = []
         self.known = False
-
-    def is_whole(self, width: int) -> bool:
-        """Whether a state of so many columns has inputs."""
-        return width in (self._header.nstate, self._header.width)
 
     def take(self, rows: F64) -> None:
         """A state of all environments with inputs, (N, width)."""
@@ -172,7 +149,7 @@ def full(follower: InputFollower, header: Header, topic: str, data: memoryview) 
     header.ranges_of(width)  # complains
     if len(state.rows) != header.num_envs:
         raise WireError(f"step {state.step}: {len(state.rows)} rows")
-    if follower.is_whole(width):
+    if header.has_inputs(width):
         follower.take(state.rows)
         return data
     parts = encode_state(state.step, follower.filled(state), state.call, state.nstep, None)
