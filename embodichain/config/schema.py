@@ -52,7 +52,8 @@ class SimCfg:
     num_threads: Annotated[int, Field(ge=0)] = 0
     """Physics threads; 0 is every core the process may use."""
     persistent: bool | None = None
-    """One MjData an environment (True) or a thread (False); None chooses by `num_envs`."""
+    """One MjData an environment (True) or a thread (False); None is the former only for a model
+    that needs it (sleep, IPC, plugins)."""
 
 
 @configclass

@@ -137,7 +137,8 @@ class SimulationManagerCfg:
     num_threads: int = dataclasses.field(default=0, kw_only=True)
     """Physics threads; 0 uses every core the process may use."""
     persistent: bool | None = dataclasses.field(default=None, kw_only=True)
-    """One MjData per environment (200 kB each) or per thread; None chooses by use."""
+    """One MjData per environment (200 kB each) or per thread; None is the former only for a model
+    that needs it (sleep, IPC, plugins)."""
     window_env: int = dataclasses.field(default=0, kw_only=True)
     """The environment that the window shows."""
     ground_plane: bool = dataclasses.field(default=True, kw_only=True)

@@ -7,7 +7,6 @@ leaves nothing of the step's. Copying them after every step would cost more than
 from __future__ import annotations
 
 import numpy as np
-from mujoco import batch as mjbatch
 
 from embodichain.lab.sim.engine.base import F64, EnvIndex
 
@@ -33,11 +32,6 @@ class AccelerationFields:
         """Look after one more output from now on; what was there before it must be kept."""
         self._outputs[name] = output
         self._kept[name] = output.copy()
-
-    def adopt(self, batch: mjbatch.Batch) -> None:
-        """Go on with another batch, which has computed nothing yet."""
-        self.keep()
-        self._outputs = {name: batch.bind(name) for name in self._outputs}
 
     def keep(self) -> None:
         """Copy what the next call of the batch would overwrite."""

@@ -17,18 +17,14 @@ from numpy.typing import NDArray
 from embodichain.lab.sim.engine.acceleration import AccelerationFields
 from embodichain.lab.sim.engine.base import F64, EngineListener, EnvIndex, PhysicsEvent, Write
 from embodichain.lab.sim.engine.divergence import Divergence
+from embodichain.lab.sim.engine.kinematics import Kinematics
 from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS, ModelFields
 from embodichain.lab.sim.engine.mujoco_log import install_log_handler
 from embodichain.lab.sim.engine.rows import picked, where
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["PERSISTENT_LIMIT", "CpuEngine"]
-
-PERSISTENT_LIMIT = 4096
-"""Above this many environments one MjData a thread is used: 200 kB each would be 3 GB at 16,384."""
-LOOKS_UNTIL_PERSISTENT = 4
-"""Steps in a row after which a pose was looked at, before each environment gets its own MjData."""
+__all__ = ["CpuEngine"]
 
 _STAGE_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
 _STAGE_VEL = int(mujoco.mjtStage.mjSTAGE_VEL)
@@ -48,9 +44,9 @@ class CpuEngine:
         num_envs: N.
         num_threads: Physics threads; 0 is every core this process may run on.
         persistent: One MjData per environment (True) or per thread (False). A thread's stays in
-            its cache, which makes steps up to 15 % faster; an environment's own continues from the
-            stages that a look at poses has computed. None begins with the former and changes to
-            the latter when poses are looked at after every step. No byte depends on it.
+            its cache, which makes steps up to 15 % faster, and a look at poses computes those
+            alone; an environment's own continues from the stages that a look has computed. None is
+            False, unless the model needs the former. No byte of a step depends on it.
     """
 
     def __init__(
@@ -68,48 +64,25 @@ class CpuEngine:
         self.num_threads = min(threads, num_envs)
         self.persistent = hidden if persistent is None else persistent
         self.listeners: list[EngineListener] = []
-        self._may_change = persistent is None and not hidden and num_envs <= PERSISTENT_LIMIT
-        self._looks = 0
-        self._stepped = False
         self._layout = row_layout(model)
         self._plain_reset = not hidden
-        self._adopt(self._make_batch())
+        self._batch = mjbatch.Batch(
+            model, num_envs, nthread=self.num_threads, persistent=self.persistent
+        )
+        self._batch.reset(stage=_STAGE_NONE)
+        self._rows: F64 = self._batch.state
+        self._views: dict[str, F64] = {
+            name: self._rows[:, cols] for name, cols in self._layout.items()
+        }
         self._fields = ModelFields(self._batch, num_envs)
         self._default_row: F64 = self._rows[0].copy()
         self._derived: dict[str, F64] = {}
+        self._kinematics = Kinematics()
         self._acc = AccelerationFields()
         self._dirty = np.ones(num_envs, np.bool_)
         self._any_dirty = True
         self._all_dirty = True
         self._divergence = Divergence(self._batch)
-
-    def _make_batch(self) -> mjbatch.Batch:
-        batch = mjbatch.Batch(
-            self.model, self.num_envs, nthread=self.num_threads, persistent=self.persistent
-        )
-        batch.reset(stage=_STAGE_NONE)
-        return batch
-
-    def _adopt(self, batch: mjbatch.Batch) -> None:
-        self._batch = batch
-        self._rows: F64 = batch.state
-        self._views: dict[str, F64] = {
-            name: self._rows[:, cols] for name, cols in self._layout.items()
-        }
-
-    def _make_persistent(self) -> None:
-        """Give every environment an MjData of its own, and everything it was before."""
-        old = self._batch
-        self.persistent, self._may_change = True, False
-        new = self._make_batch()
-        self._fields.adopt(new)
-        new.state[...] = old.state
-        new.warning[...] = old.warning
-        self._adopt(new)
-        self._derived = {name: new.bind(name) for name in self._derived}
-        self._acc.adopt(new)
-        self._divergence.adopt(new)
-        self._any_dirty = self._all_dirty = True
 
     # -- reads ---------------------------------------------------------------------------------
 
@@ -136,6 +109,7 @@ class CpuEngine:
         """(N, ...) position- or velocity-stage field, fresh for every environment."""
         if name not in self._derived:
             self._derived[name] = self._batch.bind(name)
+            self._kinematics.need(name)
             self._any_dirty = self._all_dirty = True
         if self._any_dirty:
             self._refresh()
@@ -144,14 +118,13 @@ class CpuEngine:
     def _refresh(self) -> None:
         if self._fields.stale:
             self._set_const_now()
-        if self._may_change and self._stepped:
-            self._stepped = False
-            self._looks += 1
-            if self._looks > LOOKS_UNTIL_PERSISTENT:
-                self._make_persistent()
         ids = None if self._all_dirty else np.flatnonzero(self._dirty)
         self._acc.keep()
-        self._call(self._batch.forward, ids, stage=_STAGE_VEL)
+        if self._kinematics.enough and not self.persistent:
+            flags = self._fields.own("opt.disableflags")
+            self._call(self._kinematics.forward, self._batch, flags, ids)
+        else:
+            self._call(self._batch.forward, ids, stage=_STAGE_VEL)
         self._dirty[:] = False
         self._any_dirty = self._all_dirty = False
 
@@ -191,8 +164,6 @@ class CpuEngine:
         if env_ids is not None:
             self._acc.keep()
         failed = self._call(self._batch.step, env_ids, nstep=nstep, stage=_STAGE_NONE)
-        self._looks = 0 if self._stepped else self._looks  # nobody looked since the step before
-        self._stepped = True
         if env_ids is None:
             self._any_dirty = self._all_dirty = True
         else:
@@ -219,10 +190,10 @@ class CpuEngine:
             self._any_dirty = bool(self._dirty.any())
         self._notify(Write("forward", "", env_ids, slice(None), None))
 
-    def _call(self, function: Any, ids: EnvIndex | None, **kwargs: int) -> EnvIndex | None:
+    def _call(self, function: Any, *args: Any, **kwargs: int) -> EnvIndex | None:
         """Run a batch call; remember and return the environments in which MuJoCo raised."""
         try:
-            function(ids, **kwargs)
+            function(*args, **kwargs)
         except mjbatch.SimulationError as error:
             failed = np.asarray(error.ids, np.int64)
             self._divergence.failed(failed)

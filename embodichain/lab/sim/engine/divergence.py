@@ -28,13 +28,9 @@ class Divergence:
     """
 
     def __init__(self, batch: mjbatch.Batch) -> None:
-        self.adopt(batch)
-        self.begin()
-
-    def adopt(self, batch: mjbatch.Batch) -> None:
-        """Go on with another batch that has the same counters."""
         self._warning: NDArray[np.int32] = batch.warning
         self._numbers: NDArray[np.int32] = batch.warning[:, :, 1]
+        self.begin()
 
     def begin(self) -> None:
         """Take the warnings so far as the baseline: only new ones count."""

@@ -58,6 +58,7 @@ class ModelFields:
         self._batch = batch
         self._num_envs = num_envs
         self._views: dict[str, NDArray[Any]] = {}
+        self._own: dict[str, NDArray[Any]] = {}
         self._stale: NDArray[np.bool_] = np.zeros(num_envs, np.bool_)
         self.stale = False
         self.resets_alike = True
@@ -66,13 +67,6 @@ class ModelFields:
     def any(self) -> bool:
         """Whether environments may have models of their own."""
         return bool(self._views)
-
-    def adopt(self, batch: mjbatch.Batch) -> None:
-        """Move to a new batch, and take all values along."""
-        for name, values in self.expanded().items():
-            batch.expand(name)[...] = values
-        self._batch = batch
-        self._views = {name: self._expand(name) for name in self._views}
 
     def _expand(self, name: str) -> NDArray[Any]:
         view: NDArray[Any] = self._batch.expand(name).reshape(self._num_envs, -1)
@@ -96,9 +90,20 @@ class ModelFields:
                 self.resets_alike = False
         return view
 
+    def own(self, name: str) -> NDArray[Any]:
+        """(N, size) live values of a field that the engine changes for one call of the batch.
+
+        Nobody is told that it was expanded.
+        """
+        found = self._own.get(name)
+        if found is None:
+            found = self._own[name] = self._expand(name)
+        return found
+
     def expanded(self) -> dict[str, NDArray[Any]]:
         """Name -> (N, ...) values of all expanded fields, those included that MuJoCo derived."""
-        found = {name: self._batch.expanded(name) for name in sorted(mjbatch.MODEL_FIELDS)}
+        names = mjbatch.MODEL_FIELDS - (self._own.keys() - self._views.keys())
+        found = {name: self._batch.expanded(name) for name in sorted(names)}
         return {name: values for name, values in found.items() if values is not None}
 
     def default(self, name: str) -> NDArray[Any]:

@@ -51,7 +51,6 @@ class Articulation(NamedJoints):
         self._all = np.arange(len(parsed.joint_names))
         self._driven: NDArray[np.int64] = self._all
         self._ctrl: Columns = slice(0)
-        self._rows: F64 | None = None
         self._moving: F64 | None = None
 
     def bind(self, engine: Engine, index: EntityIndex) -> None:
@@ -65,11 +64,12 @@ class Articulation(NamedJoints):
         # first has them computed, which may move what was read before.
         for name in ("qfrc_actuator", "qfrc_damper"):
             engine.acceleration(name)
+        self._moving = stacked_view(self.read_qpos(), self.read_qvel())
 
     def destroy(self) -> None:
         """Drop the handle's hold on the engine, and on its rows."""
         super().destroy()
-        self._rows = self._moving = None
+        self._moving = None
 
     @property
     def body_data(self) -> ArticulationData:
@@ -108,10 +108,6 @@ class Articulation(NamedJoints):
 
     def _motion(self) -> F64:
         """(2, N, D) joint positions and velocities: a live view or a copy; do not write or keep."""
-        rows = self.engine.rows
-        if rows is not self._rows:  # an engine that changes its batch has other ones
-            self._rows = rows
-            self._moving = stacked_view(self.read_qpos(), self.read_qvel())
         if self._moving is None:
             return np.stack([self.read_qpos(), self.read_qvel()])
         return self._moving

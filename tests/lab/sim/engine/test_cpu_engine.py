@@ -6,6 +6,7 @@ import pytest
 
 from embodichain.lab.sim.engine.base import PhysicsEvent, Write
 from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.lab.sim.engine.kinematics import STAGES
 from embodichain.lab.sim.engine.layout import row_layout
 
 XML = """
@@ -266,38 +267,60 @@ def test_layout_covers_the_row_and_names_are_checked(model):
         engine.write_model("body_mas", 1.0)
 
 
-def test_changing_to_an_mjdata_each_changes_no_byte(model):
-    """Looking at poses after steps makes the batch persistent; nothing else shows it."""
+SENSED = """
+<mujoco>
+  <option timestep="0.005" integrator="implicitfast"/>
+  <worldbody>
+    <geom type="plane" size="5 5 .1"/>
+    <body name="a" pos="0 0 .3"><joint name="a" axis="0 1 0" range="-.2 .2" limited="true"/>
+      <geom type="capsule" size=".05" fromto="0 0 0 .4 0 0" mass="2"/><site name="s" pos=".3 0 0"/>
+      <body name="b" pos=".4 0 0"><joint name="b" axis="0 1 0" damping="1"/>
+        <geom name="b" type="capsule" size=".05" fromto="0 0 0 .4 0 0" mass="1"/></body></body>
+    <body name="box" pos=".6 0 .12"><freejoint/><geom name="box" type="box" size=".1 .1 .1"/></body>
+  </worldbody>
+  <actuator><position joint="a" kp="200"/><position joint="b" kp="100"/></actuator>
+  <sensor>
+    <framepos objtype="site" objname="s"/><velocimeter site="s"/><gyro site="s"/>
+    <rangefinder site="s"/><jointlimitpos joint="a"/><jointlimitvel joint="a"/>
+    <distance geom1="b" geom2="box" cutoff="9"/><subtreelinvel body="a"/><jointvel joint="b"/>
+  </sensor>
+</mujoco>
+"""
+
+
+@pytest.mark.parametrize("names", [*([name] for name in STAGES), list(STAGES)])
+def test_a_look_computes_what_all_of_mujocos_stages_do(names):
+    """With one MjData a thread collisions are left out, with one an environment nothing is."""
+    model = mujoco.MjModel.from_xml_string(SENSED)
 
     def run(persistent):
         engine = CpuEngine(model, 5, 2, persistent=persistent)
-        engine.acceleration("qfrc_actuator")
         engine.write_model("body_mass", [[2.5], [3.5], [4.5], [2.0], [3.0]], None, slice(2, 3))
         engine.set_const()
-        engine.write("qpos", np.nan, np.array([3]))
-        out, modes = [], []
+        out = []
         for k in range(12):
-            engine.write("ctrl", np.sin(0.3 * k + np.arange(10)).reshape(5, 2))
+            engine.write("ctrl", 2 * np.sin(0.3 * k + np.arange(10)).reshape(5, 2))
             engine.step(4)
-            out += [engine.acceleration("qfrc_actuator").copy(), engine.derived("xpos").copy()]
-            out += [engine.derived("cvel").copy(), engine.rows.copy()]
-            mask = engine.take_diverged()
-            out.append(np.zeros(5, bool) if mask is None else mask)
-            modes.append(engine.persistent)
-        return b"".join(a.tobytes() for a in out), modes
+            out += [engine.derived(name).copy() for name in names]
+            engine.write("qpos", 0.3, np.array([1, 3]), slice(0, 1))
+            out += [engine.derived(name).copy() for name in names] + [engine.rows.copy()]
+        return out
 
-    expected, _ = run(True)
-    got, modes = run(None)
-    assert got == expected
-    assert modes[0] is False and modes[-1] is True
+    for all_of_it, alone in zip(run(True), run(False), strict=True):
+        np.testing.assert_array_equal(alone, all_of_it)
+        assert alone.any()
 
 
-def test_a_batch_nobody_looks_at_stays_shared(model):
+def test_looks_leave_no_trace_in_the_model(model):
     engine = CpuEngine(model, 4, 2)
     drive(engine)
-    for _ in range(20):
-        engine.step(1)
-    assert engine.persistent is False
+    assert engine.derived("xpos").any() and not engine.model_fields()
+    assert engine.model_of(2).opt.disableflags == model.opt.disableflags
+    flags = np.array([[0], [1], [2], [3]]) + int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    engine.write_model("opt.disableflags", flags)
+    engine.write("qpos", 0.2)
+    assert engine.derived("xpos").any()
+    np.testing.assert_array_equal(engine.model_fields()["opt.disableflags"].reshape(4, 1), flags)
 
 
 EFFORTS = ("qfrc_actuator", "qfrc_damper", "qacc")
@@ -314,7 +337,6 @@ BETWEEN = {
     "other masses": lambda e: (e.write_model("body_mass", 3.0, ONE), e.set_const()),
     "a reset with other poses": lambda e: (e.model_field("qpos0"), e.reset(ONE)),
     "one more field": lambda e: (e.write("ctrl", 0.7), e.acceleration_now("qfrc_bias")),
-    "an MjData each": lambda e: e._make_persistent(),
     "going back": lambda e: e.load_state_dict(e.state_dict()),
 }
 
