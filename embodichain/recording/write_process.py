@@ -92,7 +92,7 @@ class _Writing:
         self._forms: dict[int, tuple[Callable[..., None], FormFields]] = {}
         self._waiting: list[Order] = []
         self._last = 0
-        self._due = 0.0
+        self._begun = self._due = 0.0
         self._dirty = False
         self.pause = False
         """Whether somebody else shall carry on."""
@@ -176,6 +176,7 @@ class _Writing:
             return
         self._builder = LogBuilder(self._file, _unpickled(self._content(order)))
         self._free(order)
+        self._due, self._begun = 0.0, time.monotonic()
         waiting, self._waiting = self._waiting, []
         for batch in waiting:
             self._batch(self._builder, batch)
@@ -216,7 +217,9 @@ class _Writing:
     def _flush(self) -> None:
         if self._file is not None:
             self._file.flush()
-        self._due, self._dirty = time.monotonic() + FLUSH_SECONDS, False
+        # A log that has just begun has waited for this process to start: it does not wait again.
+        now = time.monotonic()
+        self._due, self._dirty = now + min(FLUSH_SECONDS, now - self._begun), False
 
     def _close(self) -> None:
         file, self._file, self._builder = self._file, None, None

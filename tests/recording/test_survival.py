@@ -20,9 +20,10 @@ import pytest
 
 from benchmarks.log_survival import children_of
 from embodichain.cli import main
-from embodichain.recording import McapRecorder, inspect, verify
+from embodichain.recording import McapRecorder, inspect, verify, write_process
 from embodichain.recording.recover import recover
 from embodichain.utils.errors import ConfigError
+from tests.helpers.writing_here import write_here
 from tests.recording.scene import SmallEnv
 
 ROOT = Path(__file__).parents[2]
@@ -162,6 +163,22 @@ def test_what_no_step_hands_over_is_written_within_a_while(tmp_path):
     assert inspect(tmp_path / "log.mcap").steps == 3
     env.close()
     assert verify(tmp_path / "log.mcap").ok
+
+
+def test_the_first_steps_are_written_as_soon_as_the_writer_can(tmp_path, monkeypatch):
+    """They have waited for its process to start: they do not wait for the next flush as well."""
+    write_here(monkeypatch.setattr)
+    monkeypatch.setattr(write_process, "FLUSH_SECONDS", 1e9)
+    env = SmallEnv()
+    env.add_observer(McapRecorder(tmp_path / "log.mcap", env))
+    env.reset()
+    deadline = time.monotonic() + 20
+    for _ in range(3):
+        env.step()
+    while time.monotonic() < deadline and not steps_in(tmp_path / "log.mcap"):
+        time.sleep(0.05)
+    assert inspect(tmp_path / "log.mcap").steps
+    env.close()
 
 
 def test_a_growing_log_is_read_by_others(tmp_path):
