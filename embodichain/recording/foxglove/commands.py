@@ -43,8 +43,6 @@ class Commands:
             for column, label in enumerate(command.names or map(str, range(len(command.values.T))))
         }
 
-    def take(self) -> dict[str, F64]:
-        """The drawn commands in force, (n, K) each, copied."""
-        return {
-            marker.name: self._commands[marker.name].values[self._ids] for marker in self.markers
-        }
+    def take(self) -> list[F64]:
+        """The drawn commands in force in the order of `markers`, (n, K) each, copied."""
+        return [self._commands[marker.name].values[self._ids] for marker in self.markers]

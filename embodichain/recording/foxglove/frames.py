@@ -36,10 +36,15 @@ class Frames:
         model: The model; only names are read.
         env_ids: The environments.
         offsets: Where each stands in ``world``, metres.
+        datas: Each one's data, where `mj_kinematics` leaves poses.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, env_ids: Sequence[int], offsets: Sequence[Sequence[float]]
+        self,
+        model: mujoco.MjModel,
+        env_ids: Sequence[int],
+        offsets: Sequence[Sequence[float]],
+        datas: Sequence[mujoco.MjData],
     ) -> None:
         message = FrameTransforms()
         self._poses: F64 = np.zeros((len(env_ids), model.nbody - 1, 7))
@@ -54,19 +59,21 @@ class Frames:
                 for field, axes in ((frame.translation, "xyz"), (frame.rotation, "xyzw")):
                     for axis in axes:
                         setattr(field, axis, mark(next(numbers)))
-        self._template = Template(message.SerializeToString(), self._poses.size)
-
-    def place(self, index: int, data: mujoco.MjData) -> None:
-        """Take over the poses of the index-th environment, after `mj_kinematics`."""
-        poses = self._poses[index]
-        poses[:, :3], poses[:, 3:6], poses[:, 6] = (
-            data.xpos[1:],
-            data.xquat[1:, 1:],
-            data.xquat[1:, 0],
+        self._sources = [
+            pair
+            for poses, data in zip(self._poses, datas, strict=True)
+            for pair in ((poses[:, :3], data.xpos[1:]), (poses[:, 3:], data.xquat[1:]))
+        ]
+        bodies = np.arange(self._poses.size).reshape(-1, 7)
+        as_mujoco_has_them = bodies[:, [0, 1, 2, 6, 3, 4, 5]].reshape(-1)  # w first
+        self._template = Template(
+            message.SerializeToString(), self._poses.size, order=as_mujoco_has_them
         )
 
     def encode(self, time_ns: int) -> bytes:
-        """`FrameTransforms` of all environments, as bytes."""
+        """`FrameTransforms` of all environments where they are now, as bytes."""
+        for poses, source in self._sources:
+            poses[...] = source
         return self._template.fill(self._poses, time_ns)
 
 

@@ -6,8 +6,8 @@ Goals that are bodies need nothing here: they are in the scene.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from itertools import count
 
 import mujoco
 import numpy as np
@@ -19,17 +19,13 @@ from embodichain.recording.foxglove.messages import (
     Color,
     Pose,
     Quaternion,
-    SceneEntity,
     SceneUpdate,
     Vector3,
-    timestamp,
 )
+from embodichain.recording.foxglove.template import STAMP, Template, mark
 from embodichain.recording.foxglove.view_spec import MarkerSpec
 
-__all__ = ["Markers", "Taken"]
-
-Taken = Mapping[str, F64]
-"""Values of commands, (n, K) each, of the viewed environments."""
+__all__ = ["Markers"]
 
 AXIS_LENGTH = 0.15
 METRES_PER_SPEED = 0.5
@@ -38,8 +34,20 @@ ABOVE = 0.25
 """Metres that a velocity's arrow stands above the body's origin, to be seen."""
 _RED, _GREEN, _BLUE = (0.9, 0.2, 0.2), (0.2, 0.8, 0.2), (0.2, 0.4, 1.0)
 _S = math.sqrt(0.5)
-_ALONG = {"x": (1.0, 0.0, 0.0, 0.0), "y": (_S, 0.0, 0.0, _S), "z": (_S, 0.0, -_S, 0.0)}
-"""Turns of the x axis, along which arrows point, to each axis; wxyz."""
+_TO_AXES = np.array(
+    [
+        [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]],
+        [[_S, 0, 0, -_S], [0, _S, _S, 0], [0, -_S, _S, 0], [_S, 0, 0, _S]],
+        [[_S, 0, _S, 0], [0, _S, 0, _S], [-_S, 0, _S, 0], [0, -_S, 0, _S]],
+    ]
+)
+"""(3, 4, 4) products of a quaternion (wxyz) with the turns of the x axis, along which arrows point,
+to each axis: none, a quarter about z, a quarter back about y."""
+
+
+Color3 = tuple[float, float, float]
+Arrow = tuple[Color3, list[float]]
+"""A colour, and x y z, the turn of the x axis as x y z w, the shaft's and the head's length."""
 
 
 class Markers:
@@ -56,74 +64,100 @@ class Markers:
     ) -> None:
         self._specs = specs
         self._frames = [frame_names(model, i) for i in env_ids]
+        self._templates: dict[tuple[int, tuple[tuple[Color3, ...], ...]], Template] = {}
 
     def __bool__(self) -> bool:
         """Whether there is anything to draw."""
         return bool(self._specs)
 
-    def encode(self, time_ns: int, index: int, data: mujoco.MjData, taken: Taken) -> bytes:
-        """`SceneUpdate` of the index-th viewed environment, as bytes; after `mj_kinematics`."""
-        frames = self._frames[index]
-        update = SceneUpdate()
-        for marker in self._specs:
-            entity = update.entities.add(id=f"{frames[0]}/commands/{marker.name}")
-            entity.timestamp.CopyFrom(timestamp(time_ns))
-            values = taken[marker.name][index].tolist()
+    def encode(
+        self, time_ns: int, index: int, data: mujoco.MjData, commands: Sequence[F64]
+    ) -> bytes:
+        """`SceneUpdate` of the index-th viewed environment, as bytes; after `mj_kinematics`.
+
+        Args:
+            time_ns: The moment.
+            index: Which of the viewed environments.
+            data: Its data.
+            commands: Values of the drawn commands, (n, K) each, of all viewed environments.
+        """
+        drawn = []
+        for marker, values_of_all in zip(self._specs, commands, strict=True):
+            values = values_of_all[index]
             if marker.kind == "pose":
-                entity.frame_id, entity.frame_locked = frames[marker.body], True
-                _axes(entity, values)
+                drawn.append(_axes(values))
             else:
-                entity.frame_id = frames[0]
-                _velocity(entity, values, data.xpos[marker.body], data.xquat[marker.body])
-        encoded: bytes = update.SerializeToString()
-        return encoded
+                drawn.append(_velocity(values, data.xpos[marker.body], data.xquat[marker.body]))
+        colors = tuple(tuple(color for color, _ in arrows) for arrows in drawn)
+        template = self._templates.get((index, colors))
+        if template is None:
+            template = self._templates[index, colors] = self._template(index, colors)
+        numbers = [number for arrows in drawn for _, arrow in arrows for number in arrow]
+        return template.fill(np.array(numbers), time_ns)
+
+    def _template(self, index: int, colors: Sequence[Sequence[Color3]]) -> Template:
+        """The message of an environment with arrows of these colours."""
+        frames, update, numbers = self._frames[index], SceneUpdate(), count()
+        for marker, shown in zip(self._specs, colors, strict=True):
+            entity = update.entities.add(id=f"{frames[0]}/commands/{marker.name}")
+            entity.timestamp.CopyFrom(STAMP)
+            entity.frame_locked = marker.kind == "pose"
+            entity.frame_id = frames[marker.body if marker.kind == "pose" else 0]
+            entity.arrows.extend(_arrow(color, numbers) for color in shown)
+        marks = sum(len(shown) for shown in colors) * _NUMBERS
+        return Template(update.SerializeToString(), marks)
 
 
-def _axes(entity: SceneEntity, pose: Sequence[float]) -> None:
+_NUMBERS = 9
+"""Of an arrow, which change."""
+
+
+def _arrow(color: Color3, numbers: Iterator[int]) -> ArrowPrimitive:
+    """An arrow with marks for its numbers, in the order of `Arrow`."""
+    x, y, z, qx, qy, qz, qw, shaft, head = (mark(next(numbers)) for _ in range(_NUMBERS))
+    r, g, b = color
+    return ArrowPrimitive(
+        pose=Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw)),
+        shaft_length=shaft,
+        shaft_diameter=0.015,
+        head_length=head,
+        head_diameter=0.035,
+        color=Color(r=r, g=g, b=b, a=1.0),
+    )
+
+
+def _axes(pose: F64) -> list[Arrow]:
     """The axes of a frame: red, green, blue."""
-    quat = np.array(pose[3:])
-    for turn, color in zip(_ALONG.values(), (_RED, _GREEN, _BLUE), strict=True):
-        turned = np.empty(4)
-        mujoco.mju_mulQuat(turned, quat, np.array(turn))
-        _arrow(entity, pose[:3], turned.tolist(), AXIS_LENGTH, color)
+    start = pose[:3].tolist()
+    turned = (_TO_AXES @ pose[3:]).tolist()
+    lengths = _lengths(AXIS_LENGTH)
+    return [
+        (color, [*start, x, y, z, w, *lengths])
+        for (w, x, y, z), color in zip(turned, (_RED, _GREEN, _BLUE), strict=True)
+    ]
 
 
-def _velocity(entity: SceneEntity, command: Sequence[float], pos: F64, quat: F64) -> None:
+def _velocity(command: F64, pos: F64, quat: F64) -> list[Arrow]:
     """An arrow where it should go, in the plane, and one along z as it should turn."""
     w, x, y, z = quat.tolist()
-    forward, left, turn = command
+    forward, left, turn = command.tolist()
     heading = math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
-    start = (*pos[:2].tolist(), float(pos[2]) + ABOVE)
+    start_x, start_y, height = pos.tolist()
+    start = start_x, start_y, height + ABOVE
     speed = math.hypot(forward, left)
+    arrows: list[Arrow] = []
     if speed:
         half = (heading + math.atan2(left, forward)) / 2
-        length = METRES_PER_SPEED * speed
-        _arrow(entity, start, (math.cos(half), 0.0, 0.0, math.sin(half)), length, _GREEN)
+        lengths = _lengths(METRES_PER_SPEED * speed)
+        arrows.append((_GREEN, [*start, 0.0, 0.0, math.sin(half), math.cos(half), *lengths]))
     if turn:
-        up = _ALONG["z"] if turn > 0 else (_S, 0.0, _S, 0.0)
-        _arrow(entity, start, up, METRES_PER_SPEED * abs(turn), _BLUE)
+        up = -_S if turn > 0 else _S
+        lengths = _lengths(METRES_PER_SPEED * abs(turn))
+        arrows.append((_BLUE, [*start, 0.0, up, 0.0, _S, *lengths]))
+    return arrows
 
 
-def _arrow(
-    entity: Any,
-    start: Sequence[float],
-    quat: Sequence[float],
-    length: float,
-    color: tuple[float, float, float],
-) -> None:
-    qw, qx, qy, qz = quat
-    x, y, z = start
-    r, g, b = color
+def _lengths(length: float) -> tuple[float, float]:
+    """Of an arrow's shaft and head."""
     head = min(0.3 * length, 0.06)
-    entity.arrows.append(
-        ArrowPrimitive(
-            pose=Pose(
-                position=Vector3(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw)
-            ),
-            shaft_length=length - head,
-            shaft_diameter=0.015,
-            head_length=head,
-            head_diameter=0.035,
-            color=Color(r=r, g=g, b=b, a=1.0),
-        )
-    )
+    return length - head, head

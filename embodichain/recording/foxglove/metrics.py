@@ -21,18 +21,19 @@ class Metrics:
 
     Args:
         names: Its fields, all float64.
+        count: Of how many environments messages are made together.
     """
 
     SCHEMA = "embodichain.Metrics"
 
-    def __init__(self, names: Sequence[str]) -> None:
+    def __init__(self, names: Sequence[str], count: int) -> None:
         self.descriptor_set = scalars_descriptor_set("Metrics", names)
         fields = [
             wire.varint(number << 3 | 1) + struct.pack("<d", mark(number - 1))
             for number in range(1, len(names) + 1)
         ]
-        self._template = Template(b"".join(fields), len(fields))
+        self._template = Template(b"".join(fields), len(fields), count)
 
     def encode(self, taken: F64) -> list[bytes]:
         """One message for each environment of `taken`, (S, n)."""
-        return [self._template.fill(values) for values in taken.T]
+        return self._template.fill_all(taken.T)

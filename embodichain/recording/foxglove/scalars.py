@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64
@@ -32,7 +33,7 @@ class Scalars:
         self.names: list[str] = []
         self._commands = commands or {}
         self._keys = [key for key in _FACTS if key in step.info]
-        self._terms = {key: sorted(step.info.get(key, {})) for key, _ in _GROUPS}
+        self._terms = {key: list(step.info.get(key, {})) for key, _ in _GROUPS}
         for name in map(identifier, self._titles()):
             taken = sum(n == name or n.startswith(f"{name}__") for n in self.names)
             self.names.append(f"{name}__{taken + 1}" if taken else name)
@@ -62,37 +63,54 @@ class Scalars:
         Raises:
             ValueError: If the step has other scalars than the first one.
         """
-        found = self._found(step)
-        taken: F64 = np.empty((len(found), len(env_ids)))
         first, last = int(env_ids[0]), int(env_ids[-1])
         side_by_side = last - first + 1 == len(env_ids)  # slices cost half of what indices do
         which: Any = slice(first, last + 1) if side_by_side else env_ids
-        for row, values in enumerate(found):
-            taken[row] = (values.numpy() if hasattr(values, "numpy") else values)[which]
-        terms = self._terms["rewards"]
-        if weights and terms:
-            at = 3 + len(self._keys)
-            factors = [weights.get(name, 1.0) for name in terms]
-            taken[at : at + len(terms)] *= np.array(factors)[:, None]
-        return taken
-
-    def _found(self, step: StepRecord) -> list[Any]:
-        """(N,) values of everything worth a plot, in the order of the names."""
-        info = step.info
-        found: list[Any] = [step.reward, step.terminated, step.truncated]
+        taken: F64 = np.empty((len(self.names), len(env_ids)))
+        taken[0], taken[1] = step.reward[which], step.terminated[which]
+        taken[2], at = step.truncated[which], 3
         try:
-            found += [info[key] for key in self._keys]
-            for key, names in self._terms.items():
-                group = info.get(key, {})
-                if len(group) != len(names):
-                    raise KeyError(key)
-                found += [group[name] for name in names]
+            for key in self._keys:
+                taken[at], at = _array(step.info[key])[which], at + 1
+            terms = [value for key in self._terms for value in self._group(step.info, key)]
         except KeyError as error:
             raise ValueError(
                 f"a step's scalars are not those of the first one: {self.names}"
             ) from error
-        found += self._commands.values()
-        return found
+        if terms:
+            _together(terms, which, taken[at : at + len(terms)])
+            rewards = self._terms["rewards"]
+            if weights and rewards:
+                factors = np.array([weights.get(name, 1.0) for name in rewards])
+                taken[at : at + len(rewards)] *= factors[:, None]
+            at += len(terms)
+        for row, values in zip(taken[at:], self._commands.values(), strict=True):
+            row[:] = values[which]
+        return taken
+
+    def _group(self, info: Mapping[str, Any], key: str) -> Iterable[Any]:
+        """(N,) values of a group's terms; KeyError if they are not those of the first step."""
+        names = self._terms[key]
+        group: Mapping[str, Any] = info.get(key, {})
+        if list(group) == names:
+            return group.values()
+        if len(group) != len(names):
+            raise KeyError(key)
+        return [group[name] for name in names]
+
+
+def _array(values: Any) -> NDArray[Any]:
+    found: NDArray[Any] = values.numpy() if isinstance(values, torch.Tensor) else values
+    return found
+
+
+def _together(values: list[Any], which: Any, out: F64) -> None:
+    """Environments of (N,) values of T terms into (T, n)."""
+    if {getattr(v, "dtype", None) for v in values} == {torch.float32}:
+        out[:] = torch.stack(values).numpy()[:, which]  # a third of what they cost one by one
+    else:
+        for row, one in zip(out, values, strict=True):
+            row[:] = _array(one)[which]
 
 
 def identifier(name: str) -> str:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ __all__ = ["STAMP", "Template", "mark"]
 STAMP = Timestamp(seconds=2**34 + 0x1234567, nanos=2**30 + 0x1234567)
 """Stands for the time; both numbers are as long as any on the wire."""
 _STAMP = STAMP.SerializeToString()
+_STAMP_TYPE = f"V{len(_STAMP)}"
 _MARK = struct.Struct("<IHH")
 
 
@@ -36,38 +38,59 @@ class Template:
         data: The message, with `mark(0)` to `mark(count - 1)` as doubles, in ascending order, and
             `STAMP` wherever its time stands.
         count: How many marks there are.
+        copies: How many messages like this are filled together.
+        order: (count,) which mark each value is for; None is mark by mark.
 
     Raises:
         ValueError: If a mark is missing.
     """
 
-    def __init__(self, data: bytes, count: int) -> None:
-        self._bytes = np.frombuffer(data, np.uint8)
+    def __init__(
+        self, data: bytes, count: int, copies: int = 1, order: NDArray[np.int64] | None = None
+    ) -> None:
+        self._size = len(data)
+        self._bytes = bytearray(data * copies)  # filled in place: every mark is, every time
         found, at = [], 0
         for number in range(count):
             at = data.index(_MARK.pack(number, 0xBEEF, 0x3FF5), at)
             found.append(at)
             at += 8
-        self._values = np.array(found, np.int64)[:, None] + np.arange(8)
+        places = np.array(found, np.int64)
+        self._at = self._in_copies(places if order is None else places[order], copies)
+        self._numbers = self._anywhere("<f8")
         found, at = [], data.find(_STAMP)
         while at >= 0:
             found.append(at)
             at = data.find(_STAMP, at + len(_STAMP))
-        self._stamps = np.array(found, np.int64)[:, None] + np.arange(len(_STAMP))
+        self._stamps_at = self._in_copies(np.array(found, np.int64), copies)
+        self._stamps = self._anywhere(_STAMP_TYPE)
+
+    def _in_copies(self, places: NDArray[np.int64], copies: int) -> NDArray[np.int64]:
+        """Where (k,) places of a message are in all copies."""
+        return (self._size * np.arange(copies)[:, None] + places).reshape(-1)
+
+    def _anywhere(self, kind: str) -> NDArray[Any]:
+        """The bytes as overlapping values: the k-th begins at byte k."""
+        last = len(self._bytes) - np.dtype(kind).itemsize
+        return np.ndarray((max(0, last + 1),), kind, self._bytes, 0, (1,))
+
+    def fill_all(self, values: F64, time_ns: int = 0) -> list[bytes]:
+        """The messages with these numbers, (copies, count) of them, and this time."""
+        filled, size = self.fill(values, time_ns), self._size
+        return [filled[at : at + size] for at in range(0, len(filled), size)]
 
     def fill(self, values: F64, time_ns: int = 0) -> bytes:
-        """The message with these numbers, as many as there are marks, and this time."""
-        filled = self._bytes.copy()
-        filled[self._values] = values.astype("<f8").reshape(-1, 1).view(np.uint8)
-        filled[self._stamps] = _stamp(time_ns)
-        return filled.tobytes()
+        """The messages one after another, with these numbers and this time."""
+        self._numbers[self._at] = values.reshape(-1)
+        self._stamps[self._stamps_at] = _stamp(time_ns)
+        return bytes(self._bytes)
 
 
 @lru_cache(maxsize=2)  # messages of one moment share it
-def _stamp(time_ns: int) -> NDArray[np.uint8]:
+def _stamp(time_ns: int) -> NDArray[np.void]:
     """A `Timestamp` of `_STAMP`'s length: numbers with leading zeros, which every decoder reads."""
     seconds, nanos = divmod(time_ns, 1_000_000_000)
-    return np.array([8, *_long(seconds), 16, *_long(nanos)], np.uint8)
+    return np.array([8, *_long(seconds), 16, *_long(nanos)], np.uint8).view(_STAMP_TYPE)
 
 
 def _long(value: int) -> list[int]:

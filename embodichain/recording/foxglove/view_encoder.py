@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64
 from embodichain.recording.foxglove.frames import Frames
+from embodichain.recording.foxglove.joints import Joints
 from embodichain.recording.foxglove.log_lines import event_text, log_line
-from embodichain.recording.foxglove.markers import Markers, Taken
+from embodichain.recording.foxglove.markers import Markers
 from embodichain.recording.foxglove.metrics import Metrics
 from embodichain.recording.foxglove.scene import Props
 from embodichain.recording.foxglove.view_spec import Topics, ViewSpec
@@ -56,11 +57,14 @@ class ViewEncoder:
         props = Props(spec.ground)
         self._viewed = {i: Viewed(model, i, props) for i in spec.env_ids}
         self._topics = [Topics.of(i) for i in spec.env_ids]
-        self._frames = Frames(model, spec.env_ids, spec.offsets)
+        datas = [viewed.data for viewed in self._viewed.values()]
+        self._frames = Frames(model, spec.env_ids, spec.offsets, datas)
+        self._joints = Joints(model, len(spec.env_ids))
         self._markers = Markers(model, spec.env_ids, spec.markers)
         self._metrics: Metrics | None = None
         self._every, self._sampled = spec.every, -1
         self._shown: dict[int, bool] = {}
+        self._commands: tuple[F64, ...] = ()
         self._period_ns = spec.period_ns
         self._next_line: dict[str, int] = {}  # term: when it may have a line again
         self.env_ids: NDArray[np.int64] = np.array(spec.env_ids, np.int64)
@@ -72,9 +76,13 @@ class ViewEncoder:
         """Give an environment other values, (k,) columns of a flattened model field."""
         self._viewed[env_id].set_field(field, columns, values)
 
-    def show(self, scenes: Mapping[int, bool]) -> None:
-        """Sample in this control step, with these environments' scenes: see `sample`."""
+    def show(self, scenes: Mapping[int, bool], *commands: F64) -> None:
+        """Sample in this control step with these environments' scenes and commands: see `sample`.
+
+        Without scenes, the step is sampled only if it is due.
+        """
         self._shown.update(scenes)
+        self._commands = commands
 
     def is_due(self, step: int) -> bool:
         """Whether a control step is to be sampled, of which nobody pushes the rows."""
@@ -91,27 +99,27 @@ class ViewEncoder:
         """
         self._sampled = step
         scenes, self._shown = self._shown, {}
-        self.sample(time_ns, rows, {}, scenes)
+        self.sample(time_ns, rows, scenes, *self._commands)
 
-    def sample(self, time_ns: int, rows: F64, commands: Taken, scenes: Mapping[int, bool]) -> None:
+    def sample(self, time_ns: int, rows: F64, scenes: Mapping[int, bool], *commands: F64) -> None:
         """Compute and write what is seen.
 
         Args:
             time_ns: The moment.
             rows: (n, nstate) rows of the viewed environments.
-            commands: Values of the drawn commands.
             scenes: Environments whose scene is due; whether somebody sees it for the first time.
+            commands: Values of the drawn commands, (n, K) each.
         """
         write = self._sink.write
-        every = zip(self._viewed.values(), self._topics, rows, strict=True)
-        for index, (viewed, topics, row) in enumerate(every):
+        joints = self._joints.encode(time_ns, rows)
+        every = zip(self._viewed.values(), self._topics, rows, joints, strict=True)
+        for index, (viewed, topics, row, states) in enumerate(every):
             viewed.place(row)
-            self._frames.place(index, viewed.data)
             if viewed.env_id in scenes:
                 scene = viewed.scene(time_ns, anyway=scenes[viewed.env_id])
                 if scene is not None:
                     write(topics.scene, time_ns, (scene,))
-            write(topics.joints, time_ns, (viewed.joints.encode(time_ns, viewed.data),))
+            write(topics.joints, time_ns, (states,))
             if self._markers:
                 drawn = self._markers.encode(time_ns, index, viewed.data, commands)
                 write(topics.markers, time_ns, (drawn,))
@@ -119,7 +127,7 @@ class ViewEncoder:
 
     def scalars(self, names: Sequence[str]) -> None:
         """Declare the metrics' channels; these are the fields of `numbers` from here on."""
-        metrics = self._metrics = Metrics(names)
+        metrics = self._metrics = Metrics(names, len(self._topics))
         for topics in self._topics:
             self._sink.channel(topics.metrics, metrics.SCHEMA, metrics.descriptor_set)
 

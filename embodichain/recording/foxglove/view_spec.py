@@ -51,8 +51,8 @@ class ViewSpec:
         offsets: Where each stands in ``world``, metres.
         ground: Metres that an infinite plane is drawn wide.
         markers: Commands that are drawn in each.
-        every: Control steps from one sample to the next, where rows need not be pushed because
-            whoever makes the messages knows those of every step; else 0.
+        every: Control steps from one sample to the next, where rows are not pushed because whoever
+            makes the messages knows those of every step; else 0.
         period_ns: Simulated time from one sample to the next.
     """
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64
 from embodichain.lab.sim.engine.layout import row_layout
-from embodichain.recording.foxglove.joints import Joints
 from embodichain.recording.foxglove.scene import Props, Scene
 from embodichain.recording.shapes import LOOKS
 
@@ -34,10 +33,9 @@ class Viewed:
         self._model, self._props = model, props
         self._owned = False
         self.data = mujoco.MjData(model)
-        self.joints = Joints(model)
-        layout, data = row_layout(model), self.data
-        fields = ("qpos", "qvel", "mocap_pos", "mocap_quat")
-        self._inputs = [(getattr(data, name), layout[name]) for name in fields]
+        layout = row_layout(model)
+        inputs = {name: getattr(self.data, name) for name in ("qpos", "mocap_pos", "mocap_quat")}
+        self._inputs = [(a.reshape(-1), layout[name]) for name, a in inputs.items() if a.size]
         self._scene: Scene | None = None
         self._big = False
 
@@ -52,7 +50,7 @@ class Viewed:
     def place(self, row: F64) -> None:
         """Compute where every body is."""
         for target, columns in self._inputs:
-            target[...] = row[columns].reshape(target.shape)
+            target[:] = row[columns]
         mujoco.mj_kinematics(self._model, self.data)
 
     def scene(self, time_ns: int, anyway: bool = False) -> bytes | None:

@@ -51,8 +51,8 @@ class Views:
         options: Which environments, and how often.
         push: Called with what `ViewEncoder` shall do.
         now: Log time in ns.
-        rows_known: Whether whoever makes the messages knows the rows of every step. Samples are not
-            pushed then, unless something is drawn that is not in the rows.
+        rows_known: Whether whoever makes the messages knows the rows of every step. They are not
+            pushed then.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class Views:
             offsets=tuple((x, y, z) for x, y, z in places(env, env_ids).tolist()),
             ground=pitch_of(env) if len(env_ids) > 1 else PLANE_SIZE,
             markers=self._commands.markers,
-            every=0 if self._commands.markers or not rows_known else self._every,
+            every=self._every if rows_known else 0,
             period_ns=self._every * round(float(env.step_dt) * 1e9),
         )
         """What `ViewEncoder` is built from."""
@@ -131,7 +131,8 @@ class Views:
             last: Nothing follows: sample in any case.
         """
         shown = self._reset or self._asked or last
-        if not shown and (self.spec.every or step % self._every):
+        known = self.spec.every and not self.spec.markers  # and when it is due, everything is
+        if not shown and (known or step % self._every):
             return
         if not self.spec.env_ids or step == self._sampled:
             return
@@ -140,9 +141,9 @@ class Views:
         self._reset.clear()
         self._asked.clear()
         if self.spec.every and not last:
-            self._push("show", scenes)
+            self._push("show", scenes, *self._commands.take())
             return
-        self._push("sample", self._now(), rows[self._ids], self._commands.take(), scenes)
+        self._push("sample", self._now(), rows[self._ids], scenes, *self._commands.take())
 
     def on_reset(self, env_ids: EnvIndex) -> None:
         """Viewed environments that were reset show their scene anew."""

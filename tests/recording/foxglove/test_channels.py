@@ -160,7 +160,7 @@ def test_metrics_are_flat_and_those_of_the_environment(watched):
     found = [content for _, _, content in decoded(path, "/env_2/metrics")]
     assert [f.name for f in found[0].DESCRIPTOR.fields] == [
         "reward", "terminated", "truncated", "elapsed_steps",
-        "reward_effort", "reward_near_goal", "metric_success",
+        "reward_near_goal", "reward_effort", "metric_success",
     ]  # fmt: skip
     assert [m.elapsed_steps for m in found] == list(range(1, 10))
     steps = [content for _, _, content in decoded(path, "/sim/step")]

@@ -32,3 +32,13 @@ def test_a_filled_template_is_the_message_with_its_numbers(time_ns):
 def test_a_missing_mark_is_refused():
     with pytest.raises(ValueError, match="not found"):
         Template(message([(mark(0), mark(1)), (0, 0)], STAMP).SerializeToString(), 3)
+
+
+def test_messages_are_filled_together_with_values_in_another_order():
+    data = message([(mark(0), mark(1)), (mark(2), mark(3))], STAMP).SerializeToString()
+    template = Template(data, 4, copies=3, order=np.array([3, 0, 2, 1]))
+    values = np.arange(12.0).reshape(3, 4)
+    filled = template.fill_all(values, 7)
+    assert len(filled) == 3
+    for one, (d, a, c, b) in zip(filled, values.tolist(), strict=True):
+        assert FrameTransforms.FromString(one) == message([(a, b), (c, d)], timestamp(7))
