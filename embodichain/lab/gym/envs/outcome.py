@@ -141,7 +141,6 @@ class EnvOutcome(EnvAssembly):
         reward = torch.from_numpy(np.zeros(count, np.float32))
         if self._pays:
             reward = self._checked_reward(self.get_reward(obs, action, info), "get_reward")
-        self._sums = self.reward_manager.episode_sums
         reward = self.reward_manager.compute(reward, obs, action, info)
         if self._repays:
             extended = self._extend_reward(reward, obs, action, info)
@@ -189,10 +188,8 @@ class EnvOutcome(EnvAssembly):
     def _quarantine(self, info: Info, flags: Flags, mask: Mask, rows: torch.Tensor) -> Info:
         """Zero what diverged environments put into ``info``; episode sums go back by one step."""
         info = blanked(info, rows)
-        sums = self.reward_manager.episode_sums
-        for name, total in sums.items():
-            sums[name] = torch.where(rows, self._sums[name], total)
-        info["episode_sums"] = {name: total.clone() for name, total in sums.items()}
+        self.reward_manager.take_back(mask)
+        info["episode_sums"] = self.reward_manager.episode_sums
         flags.success &= ~mask
         flags.fail &= ~mask
         if flags.time_out is not None:

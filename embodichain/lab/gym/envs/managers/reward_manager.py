@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader
+import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import RewardCfg
 from embodichain.lab.gym.envs.managers.base import Manager, checked_rows
@@ -33,22 +35,28 @@ class RewardManager(Manager[RewardCfg]):
 
     Attributes:
         weights: Name -> weight in force.
-        episode_sums: Name -> (N,) float32 sum of value x weight since the episode began.
     """
 
     def __init__(self, env: BaseEnv, cfgs: Mapping[str, RewardCfg]) -> None:
         self.weights = {name: float(cfg.weight) for name, cfg in cfgs.items()}
         super().__init__(env, "rewards", "reward", cfgs)
-        self.episode_sums: dict[str, torch.Tensor] = {}
-        if self.terms:
-            self.episode_sums = {n: torch.zeros(self.num_envs) for n in self.terms}
+        # Numbers of all terms together, (T, N): one operation instead of one a term.
+        self._sums = self._sums_before = np.zeros((len(self.terms), self.num_envs), np.float32)
         self._checked = False
 
     def _bind(self) -> None:
-        self._calls = [
-            (name, t.call, self.weights[name], t.cfg.mode == "replace")
-            for name, t in self.terms.items()
-        ]
+        self._calls = [(name, t.call, t.cfg.mode == "replace") for name, t in self.terms.items()]
+        weights = [self.weights[name] for name in self.terms]
+        self._factors = np.array(weights, np.float32)[:, None]
+
+    def _named(self, rows: NDArray[np.float32]) -> dict[str, torch.Tensor]:
+        """Name -> (N,) of (T, N)."""
+        return dict(zip(self.terms, torch.from_numpy(rows).unbind(), strict=True))
+
+    @property
+    def episode_sums(self) -> dict[str, torch.Tensor]:
+        """Name -> (N,) float32 sum of value x weight since the episode began (copies)."""
+        return self._named(self._sums.copy())
 
     def set_weight(self, name: str, weight: float) -> None:
         """Give a term another weight from the next step on."""
@@ -78,39 +86,39 @@ class RewardManager(Manager[RewardCfg]):
         if not self._calls:
             info["rewards"], info["episode_sums"] = {}, {}
             return rewards
-        values: dict[str, torch.Tensor] = {}
-        sums: dict[str, torch.Tensor] = {}
-        for name, call, weight, replace in self._calls:
-            value = call(self.env, obs, action, info)
-            if not self._checked:
-                checked_rows(value, self.num_envs, "reward", name)
-            if value.dtype != torch.float32:
-                value = value.to(torch.float32)
-            values[name] = value
-            weighted = value if weight == 1.0 else value * weight
-            rewards = weighted if replace else rewards + weighted
-            sums[name] = self.episode_sums[name] + weighted
+        values = np.empty(self._sums.shape, np.float32)
+        total: NDArray[np.float32] = rewards.numpy()
+        # What does not fit, or is no number, is found later: its environment has diverged.
+        with np.errstate(over="ignore", invalid="ignore"):
+            for row, (name, call, _) in enumerate(self._calls):
+                value = call(self.env, obs, action, info)
+                if not self._checked:
+                    checked_rows(value, self.num_envs, "reward", name)
+                values[row] = value.numpy()
+            weighted = values * self._factors
+            for row, (_, _, replaces) in zip(weighted, self._calls, strict=True):
+                total = row if replaces else total + row
+            self._sums_before, self._sums = self._sums, self._sums + weighted
         self._checked = True
-        self.episode_sums = sums
-        info["rewards"] = values
-        info["episode_sums"] = {name: total.clone() for name, total in sums.items()}
-        return rewards
+        info["rewards"] = self._named(values)
+        info["episode_sums"] = self.episode_sums
+        return torch.from_numpy(total)
+
+    def take_back(self, rows: NDArray[np.bool_]) -> None:
+        """Make the last step not count in the sums of environments, (N,) bool."""
+        self._sums = np.where(rows, self._sums_before, self._sums)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Start the sums of these environments anew; what `info` holds is left alone."""
         super().reset(env_ids)
-        where: Any = slice(None) if env_ids is None else env_ids
-        for name, total in self.episode_sums.items():
-            total = total.clone()
-            total[where] = 0.0
-            self.episode_sums[name] = total
+        self._sums[:, slice(None) if env_ids is None else env_ids] = 0.0
 
     def state_dict(self) -> dict[str, Any]:
         """Sums and weights, and the state of terms that are classes (copies)."""
         return {
             **super().state_dict(),
             "weights": dict(self.weights),
-            "episode_sums": {name: total.clone() for name, total in self.episode_sums.items()},
+            "episode_sums": self.episode_sums,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -118,4 +126,5 @@ class RewardManager(Manager[RewardCfg]):
         super().load_state_dict(state)
         self.weights = dict(state["weights"])
         self._bind()
-        self.episode_sums = {name: total.clone() for name, total in state["episode_sums"].items()}
+        for row, name in zip(self._sums, self.terms, strict=True):
+            row[:] = state["episode_sums"][name].numpy()
