@@ -120,6 +120,7 @@ _SIGNS = np.array(
 _TAKEN = np.ascontiguousarray(np.moveaxis(_PLACES, -1, 0).reshape(-1))
 _SIGNED = np.ascontiguousarray(np.moveaxis(_SIGNS, -1, 0).reshape(3, 16))
 _UNIT = np.eye(4).reshape(16)
+_UNTURNED = np.eye(3).tobytes()
 
 
 def matrix_to_quat(m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -130,6 +131,10 @@ def matrix_to_quat(m: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     flat = np.asarray(m, np.float64).reshape(-1, 9)
     count = len(flat)
+    if flat.tobytes() == _UNTURNED * count:  # as most poses written from Python are: a tenth
+        q = np.zeros((count, 4))
+        q[:, 0] = 1.0
+        return q.reshape(*m.shape[:-2], 4)
     terms = flat[:, _TAKEN].reshape(count, 3, 16)
     terms *= _SIGNED
     products = (_UNIT + terms[:, 0] + terms[:, 1] + terms[:, 2]).reshape(count, 16)

@@ -58,3 +58,13 @@ def test_torch_and_numpy_agree(rotations):
 def test_no_direction_is_refused(bad):
     with pytest.raises(ValueError, match="quaternion"):
         m.normalize_quat(np.array([[1.0, 0, 0, 0], bad]))
+
+
+def test_what_is_not_turned_is_the_same_alone_and_beside_others():
+    unturned = np.tile(np.eye(3), (4, 1, 1))
+    beside = np.concatenate([unturned, np.diag([-1.0, -1.0, 1.0])[None]])
+    alone, mixed = m.matrix_to_quat(unturned), m.matrix_to_quat(beside)
+    assert alone.tobytes() == mixed[:4].tobytes()
+    np.testing.assert_array_equal(alone, np.tile([1.0, 0, 0, 0], (4, 1)))
+    np.testing.assert_allclose(np.abs(mixed[4]), [0, 0, 0, 1], atol=1e-15)
+    assert m.matrix_to_quat(unturned.reshape(2, 2, 3, 3)).shape == (2, 2, 4)
