@@ -34,6 +34,8 @@ _NO_SENSOR = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 class Kinematics:
     """Forward kinematics of a batch: less than half of its position and velocity stages.
 
+    Nobody collides meanwhile: that contacts have no room in memory is found by the next step.
+
     Attributes:
         enough: Whether it computes all fields that were asked for.
     """

@@ -87,17 +87,17 @@ class RewardManager(Manager[RewardCfg]):
             info["rewards"], info["episode_sums"] = {}, {}
             return rewards
         values = np.empty(self._sums.shape, np.float32)
+        for row, (name, call, _) in enumerate(self._calls):
+            value = call(self.env, obs, action, info)
+            if not self._checked:
+                checked_rows(value, self.num_envs, "reward", name)
+            values[row] = value.numpy()
         total: NDArray[np.float32] = rewards.numpy()
         # What does not fit, or is no number, is found later: its environment has diverged.
         with np.errstate(over="ignore", invalid="ignore"):
-            for row, (name, call, _) in enumerate(self._calls):
-                value = call(self.env, obs, action, info)
-                if not self._checked:
-                    checked_rows(value, self.num_envs, "reward", name)
-                values[row] = value.numpy()
             weighted = values * self._factors
-            for row, (_, _, replaces) in zip(weighted, self._calls, strict=True):
-                total = row if replaces else total + row
+            for paid, (_, _, replaces) in zip(weighted, self._calls, strict=True):
+                total = paid if replaces else total + paid
             self._sums_before, self._sums = self._sums, self._sums + weighted
         self._checked = True
         info["rewards"] = self._named(values)
