@@ -25,11 +25,14 @@ from embodichain.recording.foxglove.messages import (
     SceneUpdate,
     SpherePrimitive,
     Vector3,
-    timestamp,
 )
+from embodichain.recording.foxglove.template import STAMP, Template
 from embodichain.recording.shapes import PLANE_SIZE, Shape, mesh_of, shapes
 
 __all__ = ["Props", "Scene"]
+
+
+_NO_NUMBERS = np.empty(0)
 
 
 class Props:
@@ -62,22 +65,19 @@ class Scene:
 
     def __init__(self, model: mujoco.MjModel, env_id: int, props: Props) -> None:
         names = frame_names(model, env_id)
-        self._entities: dict[int, Any] = {}
+        entities: dict[int, Any] = {}
         for shape in shapes(model):
-            entity = self._entities.get(shape.body)
+            entity = entities.get(shape.body)
             if entity is None:
                 name = names[shape.body]
-                entity = SceneEntity(frame_id=name, id=name, frame_locked=True)
-                self._entities[shape.body] = entity
+                entity = SceneEntity(timestamp=STAMP, frame_id=name, id=name, frame_locked=True)
+                entities[shape.body] = entity
             _DRAW[shape.kind](entity, model, shape, props)
+        self._template = Template(SceneUpdate(entities=entities.values()).SerializeToString(), 0)
 
     def update(self, time_ns: int) -> bytes:
         """`SceneUpdate` that replaces all entities, as bytes."""
-        stamp = timestamp(time_ns)
-        for entity in self._entities.values():
-            entity.timestamp.CopyFrom(stamp)
-        update: bytes = SceneUpdate(entities=self._entities.values()).SerializeToString()
-        return update
+        return self._template.fill(_NO_NUMBERS, time_ns)
 
 
 def _color(shape: Shape) -> Any:
