@@ -363,16 +363,20 @@ class LogWriter:
 
     def _send_head(self, make: Callable[[], object]) -> None:
         """Make what the log begins with, and send it."""
+        told: bool | None = None
         try:
             content = pickle.dumps(make(), 5)
             with self._lock:
+                told = self._told
                 slab = self._slabs.make(len(content))
                 self._tell(slab)
                 put(slab, content)
                 self._send(self._order(handover.HEAD, slab, slab, 0, len(content)))
                 self._slabs.away += slab.at
         except BaseException as error:  # noqa: BLE001  (the next call raises it)
-            self._error, self._told = self._error or error, False
+            self._error = self._error or error
+            if told is not None:  # what was raised here told nobody
+                self._told = told
 
     def _watch(self) -> None:
         """Hand over what nobody adds to: a killed process must not lose it.

@@ -14,7 +14,7 @@ import pytest
 from embodichain import recording
 from embodichain.lab.gym.envs.observers import EventRecord
 from embodichain.recording import McapRecorder, inspect, verify, worker, writer
-from embodichain.recording.writer import LogWriteError
+from embodichain.recording.writer import LogWriteError, LogWriter
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import SmallEnv
 
@@ -267,6 +267,19 @@ def test_a_program_that_was_told_is_not_told_again_when_it_ends(tmp_path):
     assert done.returncode == 0
     assert done.stderr.count("could not be written") == 1
     assert "atexit" not in done.stderr
+
+
+def test_who_was_told_before_the_beginning_was_sent_is_not_told_again(tmp_path):
+    going_on = threading.Event()
+    log = LogWriter(tmp_path / "log.mcap", "none", going_on.wait)
+    os.kill(log.worker_pid, signal.SIGKILL)
+    os.waitid(os.P_PID, log.worker_pid, os.WEXITED | os.WNOWAIT)
+    try:
+        with pytest.raises(LogWriteError, match="signal 9"):
+            log.call_alike("method", "kind", (), np.zeros(3))
+    finally:
+        going_on.set()
+    log.close()
 
 
 def test_a_busy_machine_does_not_keep_a_log_from_being_written(tmp_path):
