@@ -279,6 +279,9 @@ def test_who_was_told_before_the_beginning_was_sent_is_not_told_again(tmp_path):
             log.call_alike("method", "kind", (), np.zeros(3))
     finally:
         going_on.set()
+    for thread in threading.enumerate():
+        if thread.name == "log-head":
+            thread.join()
     log.close()
 
 
