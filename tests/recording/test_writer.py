@@ -269,7 +269,10 @@ def test_a_program_that_was_told_is_not_told_again_when_it_ends(tmp_path):
     assert "atexit" not in done.stderr
 
 
-def test_who_was_told_before_the_beginning_was_sent_is_not_told_again(tmp_path):
+def test_who_was_told_before_the_beginning_was_sent_is_not_told_again(tmp_path, monkeypatch):
+    process = worker.Worker()
+    os.kill(process.pid, signal.SIGSTOP)  # so that it answers nothing before it ends
+    monkeypatch.setattr(worker, "acquire", lambda: process)
     going_on = threading.Event()
     log = LogWriter(tmp_path / "log.mcap", "none", going_on.wait)
     os.kill(log.worker_pid, signal.SIGKILL)
