@@ -24,6 +24,7 @@ from embodichain.recording.foxglove.messages import (
 )
 from embodichain.recording.foxglove.template import STAMP, Template, mark
 from embodichain.recording.foxglove.view_spec import MarkerSpec
+from embodichain.utils.math import quat_multiply
 
 __all__ = ["Markers"]
 
@@ -34,16 +35,10 @@ ABOVE = 0.25
 """Metres that a velocity's arrow stands above the body's origin, to be seen."""
 _RED, _GREEN, _BLUE = (0.9, 0.2, 0.2), (0.2, 0.8, 0.2), (0.2, 0.4, 1.0)
 _S = math.sqrt(0.5)
-_TO_AXES = np.array(
-    [
-        [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]],
-        [[_S, 0, 0, -_S], [0, _S, _S, 0], [0, -_S, _S, 0], [_S, 0, 0, _S]],
-        [[_S, 0, _S, 0], [0, _S, 0, _S], [-_S, 0, _S, 0], [0, -_S, 0, _S]],
-    ]
-)
-"""(3, 4, 4) products of a quaternion (wxyz) with the turns of the x axis, along which arrows point,
-to each axis: none, a quarter about z, a quarter back about y."""
-
+_ALONG = np.array([[1.0, 0.0, 0.0, 0.0], [_S, 0.0, 0.0, _S], [_S, 0.0, -_S, 0.0]])
+"""Turns of the x axis, along which arrows point, to each axis; wxyz."""
+_TO_AXES = quat_multiply(np.eye(4)[:, None], _ALONG).reshape(4, 12)
+"""A quaternion times this is its product with each of them: the product is linear."""
 
 Color3 = tuple[float, float, float]
 Arrow = tuple[Color3, list[float]]
@@ -129,7 +124,7 @@ def _arrow(color: Color3, numbers: Iterator[int]) -> ArrowPrimitive:
 def _axes(pose: F64) -> list[Arrow]:
     """The axes of a frame: red, green, blue."""
     start = pose[:3].tolist()
-    turned = (_TO_AXES @ pose[3:]).tolist()
+    turned = (pose[3:] @ _TO_AXES).reshape(3, 4).tolist()
     lengths = _lengths(AXIS_LENGTH)
     return [
         (color, [*start, x, y, z, w, *lengths])

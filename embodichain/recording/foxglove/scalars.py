@@ -66,26 +66,23 @@ class Scalars:
         first, last = int(env_ids[0]), int(env_ids[-1])
         side_by_side = last - first + 1 == len(env_ids)  # slices cost half of what indices do
         which: Any = slice(first, last + 1) if side_by_side else env_ids
-        taken: F64 = np.empty((len(self.names), len(env_ids)))
-        taken[0], taken[1] = step.reward[which], step.terminated[which]
-        taken[2], at = step.truncated[which], 3
+        facts: list[Any] = [step.reward, step.terminated, step.truncated]
         try:
-            for key in self._keys:
-                taken[at], at = _array(step.info[key])[which], at + 1
+            facts += [step.info[key] for key in self._keys]
             terms = [value for key in self._terms for value in self._group(step.info, key)]
         except KeyError as error:
             raise ValueError(
                 f"a step's scalars are not those of the first one: {self.names}"
             ) from error
-        if terms:
-            _together(terms, which, taken[at : at + len(terms)])
-            rewards = self._terms["rewards"]
-            if weights and rewards:
-                factors = np.array([weights.get(name, 1.0) for name in rewards])
-                taken[at : at + len(rewards)] *= factors[:, None]
-            at += len(terms)
-        for row, values in zip(taken[at:], self._commands.values(), strict=True):
-            row[:] = values[which]
+        taken: F64 = np.empty((len(self.names), len(env_ids)))
+        ends = len(facts), len(facts) + len(terms)
+        rewards = self._terms["rewards"]
+        _one_by_one(facts, which, taken[: ends[0]])
+        _together(terms, which, taken[ends[0] : ends[1]])
+        _one_by_one(self._commands.values(), which, taken[ends[1] :])
+        if weights and rewards:
+            factors = np.array([weights.get(name, 1.0) for name in rewards])
+            taken[ends[0] : ends[0] + len(rewards)] *= factors[:, None]
         return taken
 
     def _group(self, info: Mapping[str, Any], key: str) -> Iterable[Any]:
@@ -99,18 +96,17 @@ class Scalars:
         return [group[name] for name in names]
 
 
-def _array(values: Any) -> NDArray[Any]:
-    found: NDArray[Any] = values.numpy() if isinstance(values, torch.Tensor) else values
-    return found
-
-
 def _together(values: list[Any], which: Any, out: F64) -> None:
     """Environments of (N,) values of T terms into (T, n)."""
     if {getattr(v, "dtype", None) for v in values} == {torch.float32}:
         out[:] = torch.stack(values).numpy()[:, which]  # a third of what they cost one by one
     else:
-        for row, one in zip(out, values, strict=True):
-            row[:] = _array(one)[which]
+        _one_by_one(values, which, out)
+
+
+def _one_by_one(values: Iterable[Any], which: Any, out: F64) -> None:
+    for row, one in zip(out, values, strict=True):
+        row[:] = (one.numpy() if isinstance(one, torch.Tensor) else one)[which]
 
 
 def identifier(name: str) -> str:
