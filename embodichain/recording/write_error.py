@@ -1,4 +1,7 @@
-"""`LogWriteError`: a log could not be written, and what the process that writes said of it."""
+"""`LogWriteError`: a log could not be written; `Loss`: what is known of that, and who was told.
+
+What the process that writes says of it is read here.
+"""
 
 from __future__ import annotations
 
@@ -6,33 +9,56 @@ import json
 from pathlib import Path
 from typing import Any
 
-__all__ = ["LogWriteError", "cause_of", "write_error"]
+__all__ = ["LogWriteError", "Loss"]
 
 
 class LogWriteError(OSError):
     """The log could not be written; the text says why, and where it ends."""
 
 
-def cause_of(report: bytes) -> tuple[BaseException, str]:
-    """What went wrong, and where the log ends, as the other process reports it."""
-    found: dict[str, Any] = json.loads(report)
-    if found["errno"] is not None:
-        return OSError(found["errno"], found["why"]), found["where"]
-    return RuntimeError(found["traceback"]), found["where"]
+class Loss:
+    """What went wrong with a log: nothing, as long as `cause` is None.
 
-
-def write_error(path: Path, cause: BaseException | None, where: str) -> LogWriteError:
-    """The error to raise.
-
-    Args:
-        path: The log.
-        cause: What went wrong.
-        where: Where the log ends, in words; empty if that is not known.
+    Attributes:
+        cause: What went wrong first.
+        told: Whether somebody was told.
     """
-    why = str(cause)
-    if isinstance(cause, OSError) and cause.strerror:
-        why = cause.strerror + (f": {cause.filename}" if cause.filename else "")
-    end = f"; {where}" if where else ""
-    error = LogWriteError(f"the log {path} could not be written: {why}{end}")
-    error.__cause__ = cause
-    return error
+
+    def __init__(self, path: Path) -> None:
+        self.cause: BaseException | None = None
+        self.told = False
+        self._path = path
+        self._where = ""  # the log ends
+
+    def found(self, cause: BaseException) -> None:
+        """Something went wrong on this side."""
+        self.cause = self.cause or cause
+
+    def reported(self, report: bytes) -> None:
+        """The other process says what went wrong, and where the log ends."""
+        said: dict[str, Any] = json.loads(report)
+        if said["errno"] is not None:
+            self.cause = OSError(said["errno"], said["why"])
+        else:
+            self.cause = RuntimeError(said["traceback"])
+        self._where = said["where"]
+
+    def check(self) -> None:
+        """Raise if something went wrong.
+
+        Raises:
+            LogWriteError: If so.
+        """
+        if self.cause is not None:
+            raise self.error()
+
+    def error(self) -> LogWriteError:
+        """The error to raise; whoever asks for it is told."""
+        self.told = True
+        cause, why = self.cause, str(self.cause)
+        if isinstance(cause, OSError) and cause.strerror:
+            why = cause.strerror + (f": {cause.filename}" if cause.filename else "")
+        end = f"; {self._where}" if self._where else ""
+        error = LogWriteError(f"the log {self._path} could not be written: {why}{end}")
+        error.__cause__ = cause
+        return error

@@ -26,7 +26,7 @@ from embodichain.recording import handover, worker
 from embodichain.recording.handover import Counters, Order, ReplyReader, Slab
 from embodichain.recording.placing import WaitingCalls, put
 from embodichain.recording.slab_pool import SlabPool
-from embodichain.recording.write_error import LogWriteError, cause_of, write_error
+from embodichain.recording.write_error import LogWriteError, Loss
 
 __all__ = ["LogWriteError", "LogWriter"]
 
@@ -75,9 +75,8 @@ class LogWriter:
         self._unsent: Order | None = None
         self._flushed = False
         self._ended = False
-        self._closed = self._told = False
-        self._error: BaseException | None = None
-        self._where = ""
+        self._closed = False
+        self._loss = Loss(path)
         self._pid = os.getpid()
         self._lock = threading.Lock()  # whoever holds it may hand over
         self._handed_over = time.monotonic()
@@ -120,8 +119,7 @@ class LogWriter:
             OSError: If the log could not be written; it ends there.
         """
         with self._lock:
-            if self._error is not None:
-                raise self._told_error()
+            self._loss.check()
             self._calls.add(method, args)
 
     def call_alike(
@@ -140,8 +138,7 @@ class LogWriter:
             OSError: If the log could not be written.
         """
         with self._lock:
-            if self._error is not None:
-                raise self._told_error()
+            self._loss.check()
             form = self._calls.form(method, kind, arrays)
             slab = self._room(form.nbytes)
             at = slab.at
@@ -164,8 +161,7 @@ class LogWriter:
         """
         nbytes = 8 * shape[0] * shape[1]
         with self._lock:
-            if self._error is not None:
-                raise self._told_error()
+            self._loss.check()
             slab = self._room(nbytes)
             at = slab.at
             fill(np.ndarray(shape, np.float64, slab.memory, at))
@@ -218,7 +214,7 @@ class LogWriter:
         """
         if self._closed or os.getpid() != self._pid:  # a forked process: the log is the other's
             return
-        self._closed, told = True, self._told
+        self._closed, told = True, self._loss.told
         atexit.unregister(self.close)
         self._stop.set()
         self._head.join()
@@ -241,7 +237,7 @@ class LogWriter:
     @property
     def lost(self) -> bool:
         """Whether the file could not be written, and somebody was told."""
-        return self._told
+        return self._loss.told
 
     @property
     def worker_pid(self) -> int:
@@ -276,8 +272,7 @@ class LogWriter:
             slab.forget_descriptor()
 
     def _hand_over(self) -> None:
-        if self._error is not None:
-            raise self._told_error()
+        self._loss.check()
         self._handed_over = time.monotonic()
         if self._unsent is not None:  # an interrupt came while it was sent: twice does no harm
             self._send(self._unsent)
@@ -350,14 +345,10 @@ class LogWriter:
         if report is None:
             how = self._worker.how_it_ended()
             why = f"the process that writes it has ended ({how})"
-            self._error = ChildProcessError(errno.EPIPE, why)
+            self._loss.found(ChildProcessError(errno.EPIPE, why))
         else:
-            self._error, self._where = cause_of(report)
-        raise self._told_error()
-
-    def _told_error(self) -> LogWriteError:
-        self._told = True
-        return write_error(self.path, self._error, self._where)
+            self._loss.reported(report)
+        raise self._loss.error()
 
     # -- other threads -----------------------------------------------------------------------------
 
@@ -367,16 +358,16 @@ class LogWriter:
         try:
             content = pickle.dumps(make(), 5)
             with self._lock:
-                told = self._told
+                told = self._loss.told
                 slab = self._slabs.make(len(content))
                 self._tell(slab)
                 put(slab, content)
                 self._send(self._order(handover.HEAD, slab, slab, 0, len(content)))
                 self._slabs.away += slab.at
         except BaseException as error:  # noqa: BLE001  (the next call raises it)
-            self._error = self._error or error
+            self._loss.found(error)
             if told is not None:  # what was raised here told nobody
-                self._told = told
+                self._loss.told = told
 
     def _watch(self) -> None:
         """Hand over what nobody adds to: a killed process must not lose it.
@@ -387,10 +378,11 @@ class LogWriter:
             if self._head.is_alive() or not self._lock.acquire(blocking=False):
                 continue
             try:
-                if self._error is None:
+                if self._loss.cause is None:
                     self._look_after(time.monotonic())
             except OSError as error:
-                self._error, self._told = self._error or error, False
+                self._loss.found(error)
+                self._loss.told = False
                 return  # the next call says it
             finally:
                 self._lock.release()
