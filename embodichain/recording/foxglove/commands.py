@@ -35,13 +35,14 @@ class Commands:
             if term.marker is not None
         )
 
-    def scalars(self) -> dict[str, F64]:
-        """Every column of every command by name, (N,) each: live views."""
-        return {
-            f"{name}_{label}": command.values[:, column]
-            for name, command in self._commands.items()
-            for column, label in enumerate(command.names or map(str, range(len(command.values.T))))
-        }
+    def scalars(self) -> list[tuple[list[str], F64]]:
+        """Of every command the names of its columns, and its values, (N, columns): live."""
+        found = []
+        for name, command in self._commands.items():
+            values = command.values
+            labels = command.names or map(str, range(values.shape[1]))
+            found.append(([f"{name}_{label}" for label in labels], values))
+        return found
 
     def take(self) -> list[F64]:
         """The drawn commands in force in the order of `markers`, (n, K) each, copied."""

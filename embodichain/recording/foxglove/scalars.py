@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from embodichain.lab.gym.envs.managers.term_rows import TermRows
 from embodichain.lab.sim.engine.base import F64
 
 if TYPE_CHECKING:
@@ -26,12 +27,18 @@ class Scalars:
 
     Args:
         step: Any step of the run.
-        commands: Columns of commands by name, (N,) each: live views.
+        commands: Names of commands' columns, and their values, (N, columns): live.
     """
 
-    def __init__(self, step: StepRecord, commands: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, step: StepRecord, commands: Iterable[tuple[Sequence[str], F64]] = ()
+    ) -> None:
         self.names: list[str] = []
-        self._commands = commands or {}
+        self._labels: list[str] = []
+        self._commands: list[F64] = []
+        for labels, values in commands:
+            self._labels += labels
+            self._commands.append(values)
         self._keys = [key for key in _FACTS if key in step.info]
         self._terms = {key: list(step.info.get(key, {})) for key, _ in _GROUPS}
         for name in map(identifier, self._titles()):
@@ -44,8 +51,8 @@ class Scalars:
         for key, prefix in _GROUPS:
             for name in self._terms[key]:
                 yield f"{prefix}_{name}"
-        for name in self._commands:
-            yield f"command_{name}"
+        for label in self._labels:
+            yield f"command_{label}"
 
     def take(
         self,
@@ -66,47 +73,47 @@ class Scalars:
         first, last = int(env_ids[0]), int(env_ids[-1])
         side_by_side = last - first + 1 == len(env_ids)  # slices cost half of what indices do
         which: Any = slice(first, last + 1) if side_by_side else env_ids
-        facts: list[Any] = [step.reward, step.terminated, step.truncated]
+        info = step.info
+        taken: F64 = np.empty((len(self.names), len(env_ids)))
+        taken[0], taken[1] = step.reward[which], step.terminated[which]
+        taken[2] = step.truncated[which]
+        at = 3
         try:
-            facts += [step.info[key] for key in self._keys]
-            terms = [value for key in self._terms for value in self._group(step.info, key)]
+            for key in self._keys:
+                taken[at] = _array(info[key])[which]
+                at += 1
+            for key, names in self._terms.items():
+                if names:
+                    end = at + len(names)
+                    _take_group(info.get(key, {}), names, which, taken[at:end])
+                    if key == "rewards" and weights:
+                        factors = [weights.get(name, 1.0) for name in names]
+                        taken[at:end] *= np.array(factors)[:, None]
+                    at = end
         except KeyError as error:
             raise ValueError(
                 f"a step's scalars are not those of the first one: {self.names}"
             ) from error
-        taken: F64 = np.empty((len(self.names), len(env_ids)))
-        ends = len(facts), len(facts) + len(terms)
-        rewards = self._terms["rewards"]
-        _one_by_one(facts, which, taken[: ends[0]])
-        _together(terms, which, taken[ends[0] : ends[1]])
-        _one_by_one(self._commands.values(), which, taken[ends[1] :])
-        if weights and rewards:
-            factors = np.array([weights.get(name, 1.0) for name in rewards])
-            taken[ends[0] : ends[0] + len(rewards)] *= factors[:, None]
+        for command in self._commands:
+            end = at + command.shape[1]
+            taken[at:end] = command[which].T
+            at = end
         return taken
 
-    def _group(self, info: Mapping[str, Any], key: str) -> Iterable[Any]:
-        """(N,) values of a group's terms; KeyError if they are not those of the first step."""
-        names = self._terms[key]
-        group: Mapping[str, Any] = info.get(key, {})
-        if list(group) == names:
-            return group.values()
-        if len(group) != len(names):
-            raise KeyError(key)
-        return [group[name] for name in names]
 
-
-def _together(values: list[Any], which: Any, out: F64) -> None:
-    """Environments of (N,) values of T terms into (T, n)."""
-    if {getattr(v, "dtype", None) for v in values} == {torch.float32}:
-        out[:] = torch.stack(values).numpy()[:, which]  # a third of what they cost one by one
+def _take_group(group: Mapping[str, Any], names: list[str], which: Any, out: F64) -> None:
+    """Environments of (N,) values of T terms into (T, n); KeyError if the terms are others."""
+    if len(group) != len(names):
+        raise KeyError(names)
+    if isinstance(group, TermRows) and list(group) == names:
+        out[:] = group.rows[:, which]
     else:
-        _one_by_one(values, which, out)
+        for row, name in zip(out, names, strict=True):
+            row[:] = _array(group[name])[which]
 
 
-def _one_by_one(values: Iterable[Any], which: Any, out: F64) -> None:
-    for row, one in zip(out, values, strict=True):
-        row[:] = (one.numpy() if isinstance(one, torch.Tensor) else one)[which]
+def _array(value: Any) -> Any:
+    return value.numpy() if isinstance(value, torch.Tensor) else value
 
 
 def identifier(name: str) -> str:

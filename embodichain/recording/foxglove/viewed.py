@@ -15,9 +15,6 @@ from embodichain.recording.shapes import LOOKS
 
 __all__ = ["Viewed"]
 
-BIG_SCENE = 1 << 20
-"""A scene of more bytes than this is repeated at a reset only if it has changed."""
-
 
 class Viewed:
     """Where the bodies of one environment are, and what they look like.
@@ -37,7 +34,6 @@ class Viewed:
         inputs = {name: getattr(self.data, name) for name in ("qpos", "mocap_pos", "mocap_quat")}
         self._inputs = [(a.reshape(-1), layout[name]) for name, a in inputs.items() if a.size]
         self._scene: Scene | None = None
-        self._big = False
 
     def set_field(self, field: str, columns: NDArray[np.int64] | slice, values: F64) -> None:
         """Give this environment's own model other values, (k,) columns of a flattened field."""
@@ -54,17 +50,14 @@ class Viewed:
         mujoco.mj_kinematics(self._model, self.data)
 
     def scene(self, time_ns: int, anyway: bool = False) -> bytes | None:
-        """What it looks like now; None if it is big, was written already and need not come again.
+        """What it looks like now; None if that has not changed: viewers keep what they were shown.
 
         Args:
             time_ns: The moment.
             anyway: Whether somebody sees it for the first time.
         """
-        changed = self._scene is None
         if self._scene is None:
             self._scene = Scene(self._model, self.env_id, self._props)
-        if self._big and not changed and not anyway:
+        elif not anyway:
             return None
-        data = self._scene.update(time_ns)
-        self._big = len(data) > BIG_SCENE
-        return data
+        return self._scene.update(time_ns)

@@ -146,7 +146,7 @@ class Views:
         self._push("sample", self._now(), rows[self._ids], scenes, *self._commands.take())
 
     def on_reset(self, env_ids: EnvIndex) -> None:
-        """Viewed environments that were reset show their scene anew."""
+        """Sample viewed environments that were reset, with their scene if it has changed."""
         seen = env_ids[self._is_viewed[env_ids]]
         if len(seen):
             self._reset.update(seen.tolist())

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import RewardCfg
 from embodichain.lab.gym.envs.managers.base import Manager, checked_rows
+from embodichain.lab.gym.envs.managers.term_rows import TermRows
 
 if TYPE_CHECKING:
     import torch
@@ -49,14 +50,10 @@ class RewardManager(Manager[RewardCfg]):
         weights = [self.weights[name] for name in self.terms]
         self._factors = np.array(weights, np.float32)[:, None]
 
-    def _named(self, rows: NDArray[np.float32]) -> dict[str, torch.Tensor]:
-        """Name -> (N,) of (T, N)."""
-        return dict(zip(self.terms, torch.from_numpy(rows).unbind(), strict=True))
-
     @property
-    def episode_sums(self) -> dict[str, torch.Tensor]:
+    def episode_sums(self) -> TermRows:
         """Name -> (N,) float32 sum of value x weight since the episode began (copies)."""
-        return self._named(self._sums.copy())
+        return TermRows(self.terms, self._sums.copy())
 
     def set_weight(self, name: str, weight: float) -> None:
         """Give a term another weight from the next step on."""
@@ -100,7 +97,7 @@ class RewardManager(Manager[RewardCfg]):
                 total = paid if replaces else total + paid
             self._sums_before, self._sums = self._sums, self._sums + weighted
         self._checked = True
-        info["rewards"] = self._named(values)
+        info["rewards"] = TermRows(self.terms, values)
         info["episode_sums"] = self.episode_sums
         return torch.from_numpy(total)
 
