@@ -39,6 +39,7 @@ class Arm:
         prepare: Runs before the clock starts.
         finish: Runs before the clock stops: work that a step left for later.
         close: Frees it.
+        timers: Whether MuJoCo's own timers run: as its Python package comes, they do.
     """
 
     name: str
@@ -48,6 +49,7 @@ class Arm:
     prepare: Callable[[], object] = lambda: None
     finish: Callable[[], object] = lambda: None
     close: Callable[[], object] = lambda: None
+    timers: bool = True
 
 
 def actions_for(env: BaseEnv) -> list[NDArray[np.float32]]:
@@ -82,6 +84,7 @@ def environment(
         lambda step: env.step(actions[step % CYCLE]),
         finish=finish,
         close=env.close,
+        timers=False,
     )
 
 
@@ -97,7 +100,9 @@ def recorded(env: BaseEnv, name: str, floor: str, folder: Path) -> Arm:
     return environment(env, name, floor, recorder.flush)
 
 
-def bare(name: str, env: BaseEnv, nthread: int, floor: str | None = None) -> Arm:
+def bare(
+    name: str, env: BaseEnv, nthread: int, floor: str | None = None, timers: bool = True
+) -> Arm:
     """`mujoco.batch.Batch.step` of an environment's model, with nothing bound.
 
     One MjData per environment (persistent). Every round starts from states that the environment
@@ -108,6 +113,7 @@ def bare(name: str, env: BaseEnv, nthread: int, floor: str | None = None) -> Arm
         env: Whose model, states and number of physics steps to take.
         nthread: Threads; never more than environments.
         floor: What it is compared with; None is itself.
+        timers: Whether MuJoCo's own timers run.
     """
     from mujoco import batch as mjbatch
 
@@ -120,7 +126,14 @@ def bare(name: str, env: BaseEnv, nthread: int, floor: str | None = None) -> Arm
     def prepare() -> None:
         batch.state[:] = engine.rows
 
-    return Arm(name, env.num_envs, floor or name, lambda step: batch.step(nstep=nstep), prepare)
+    return Arm(
+        name,
+        env.num_envs,
+        floor or name,
+        lambda step: batch.step(nstep=nstep),
+        prepare,
+        timers=timers,
+    )
 
 
 def make(task: str, num_envs: int, *overrides: str, **kwargs: Any) -> BaseEnv:

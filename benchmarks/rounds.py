@@ -8,7 +8,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from statistics import median
 
+import mujoco
+
 from benchmarks.arms import Arm
+from embodichain.lab.sim.engine.timers import stop_timers
 
 EPISODE = 100
 """Every timed stretch is whole episodes of this many steps, so that resets are in it."""
@@ -62,6 +65,9 @@ def steps_for(arm: Arm, seconds: float, episode: int) -> int:
 
 def timed(arm: Arm, steps: int) -> float:
     """Seconds for so many control steps."""
+    mujoco.set_mjcb_time(None)
+    if not arm.timers:
+        stop_timers()
     arm.prepare()
     start = time.perf_counter()
     for step in range(steps):

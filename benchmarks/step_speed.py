@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING, Any
 
 from benchmarks import arms
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 SIZES = (1, 8, 64, 1024)
 LOG_SIZES = (4, 64, 1024)  # 4 is the everyday number of environments
 FLOOR, FLOOR_1 = "floor, 2 threads", "floor, 1 thread"
+UNTIMED = "floor, no timers"
 YAML, LINK, LOG = "random_reach", "random_reach + link pose", "random_reach + MCAP"
 TUTORIAL, PUSH = "tutorial's class", "push_cube"
 PUSH_FLOOR = "push_cube's floor, 2 threads"
@@ -106,6 +108,7 @@ def further_arms(env: BaseEnv, folder: Path, peers: bool) -> list[Arm]:
     push = arms.make("push_cube", size)
     built = [
         arms.bare(FLOOR_1, env, 1, FLOOR),
+        arms.bare(UNTIMED, env, 2, FLOOR, timers=False),
         arms.environment(linked, LINK, FLOOR),
         arms.environment(make_tutorial(size), TUTORIAL, FLOOR),
         arms.environment(push, PUSH, PUSH_FLOOR),
@@ -126,12 +129,16 @@ def report(facts: dict[str, Any]) -> str:
     by = {(result.name, result.num_envs): result for result in results}
     rows = []
     for name in dict.fromkeys(result.name for result in results):
-        rows.append([name, *(_cell(by.get((name, size))) for size in sizes)])
-    heading = "Control steps/s, **ratio** to the 2-thread floor [lowest to highest], > its target:"
+        cells = (_cell(by.get((name, size)), by.get((UNTIMED, size))) for size in sizes)
+        rows.append([name, *cells])
+    heading = (
+        "Control steps/s, **ratio** to the 2-thread floor [lowest to highest] "
+        "(to the one without timers), > its target:"
+    )
     return heading + "\n\n" + table(["arm", *(f"N={size}" for size in sizes)], rows)
 
 
-def _cell(result: Result | None) -> str:
+def _cell(result: Result | None, untimed: Result | None) -> str:
     if result is None:
         return ""
     speed = f"{result.speed / 1000:.1f}k"
@@ -140,7 +147,11 @@ def _cell(result: Result | None) -> str:
     low, high = min(result.ratios), max(result.ratios)
     target = TARGETS.get(result.name, {}).get(result.num_envs)
     aim = f" > {target:.2f}" if target else ""
-    return f"{speed} **{result.ratio:.2f}** [{low:.2f} to {high:.2f}]{aim}"
+    strict = ""
+    if untimed is not None and result.floor == untimed.floor and result is not untimed:
+        ratios = (a / b for a, b in zip(result.speeds, untimed.speeds, strict=True))
+        strict = f" ({median(ratios):.2f})"
+    return f"{speed} **{result.ratio:.2f}** [{low:.2f} to {high:.2f}]{strict}{aim}"
 
 
 if __name__ == "__main__":

@@ -22,6 +22,7 @@ from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS, ModelFields
 from embodichain.lab.sim.engine.mujoco_log import install_log_handler
 from embodichain.lab.sim.engine.rows import picked, where
+from embodichain.lab.sim.engine.timers import stop_timers
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["CpuEngine"]
@@ -57,6 +58,7 @@ class CpuEngine:
         persistent: bool | None = None,
     ) -> None:
         install_log_handler()
+        stop_timers()
         threads = num_threads or len(os.sched_getaffinity(0))
         hidden = bool(model.opt.enableflags & _HIDDEN_STATE) or model.nplugin > 0
         self.model = model
