@@ -60,8 +60,10 @@ class Form:
             alike = type(array) is np.ndarray and array.dtype is dtype and array.shape == shape
             if not alike:
                 return False
-            buffer: Any = array if array.flags.c_contiguous else np.ascontiguousarray(array)
-            memory[at + start : at + end] = buffer
+            if array.flags.c_contiguous:
+                memory[at + start : at + end] = array  # type: ignore[call-overload]  # a buffer
+            else:
+                np.ndarray(shape, dtype, memory, at + start)[...] = array
         slab.at = at + self.nbytes
         return True
 

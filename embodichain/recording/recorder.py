@@ -302,7 +302,7 @@ class McapRecorder(StepObserver):
         if self._keeps_state and skip:
             self._file.call("skip")
         if held is not None:
-            self.on_write(env, Write("state", "row", None, slice(None), self._engine.rows.copy()))
+            self.on_write(env, Write("state", "row", None, slice(None), self._engine.rows))
             self._keyframe_due = True
             self._views.show(self._view_envs)
 

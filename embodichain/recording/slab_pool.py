@@ -34,6 +34,11 @@ class SlabPool:
         self._made: dict[int, Slab] = {}
         self._free: list[Slab] = []
 
+    @property
+    def any_free(self) -> bool:
+        """Whether there is one of the usual size that nobody uses."""
+        return bool(self._free)
+
     def take(self, nbytes: int, held: bool) -> Slab | None:
         """A slab that nobody uses; None if there are too many on their way.
 

@@ -77,7 +77,7 @@ class StepObserver:
         """
 
     def on_write(self, env: BaseEnv, write: Write) -> None:
-        """Something outside physics was written to the simulation."""
+        """Something outside physics was written. ``write.values`` may be live: copy it."""
 
     def on_physics(self, env: BaseEnv, event: PhysicsEvent) -> None:
         """Physics is about to step, or has just stepped. ``event.rows`` is live: copy it."""

@@ -31,7 +31,7 @@ class Write(NamedTuple):
             rows...) or a model field (``body_mass``, ``opt.gravity``); empty for other ops.
         env_ids: (n,) int64, or None for all N.
         columns: Columns within the flattened field, (k,) int64; or a slice.
-        values: (n, k) float64, never aliasing the engine, or None.
+        values: (n, k) float64, or None. It may be a live view of the engine: copy what you keep.
     """
 
     op: WriteOp

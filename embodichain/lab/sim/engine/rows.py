@@ -20,7 +20,6 @@ def where(env_ids: EnvIndex | None, columns: NDArray[np.int64] | slice) -> tuple
 
 
 def picked(view: NDArray[Any], env_ids: EnvIndex | None, columns: NDArray[np.int64] | slice) -> F64:
-    """Float64 copy of what a write left in the rows: listeners may keep it."""
-    sliced = env_ids is None and isinstance(columns, slice)  # indices copy, slices do not
-    found: F64 = view[where(env_ids, columns)].astype(np.float64, copy=sliced)
+    """What a write left in the rows, as float64: a live view if it means all environments."""
+    found: F64 = view[where(env_ids, columns)].astype(np.float64, copy=False)
     return found
