@@ -1,8 +1,8 @@
 """What an update for viewers costs: `python -m benchmarks.view_cost`.
 
 An update is everything of one moment and one viewed environment: poses, joints, numbers, and its
-share of scenes and lines. Counted is CPU time, of the thread that steps and of the process that
-writes, beside a log that nobody looks at.
+share of scenes and lines. Counted is CPU time, of the process that steps (all of its threads: they
+share physics as they find time) and of the one that writes, beside a log that nobody looks at.
 """
 
 from __future__ import annotations
@@ -75,11 +75,11 @@ def measure(task: str, num_envs: int, steps: int, rounds: int) -> dict[str, floa
             env.step(action)
         recorder.flush()
         clock = ~recorder.writer_pid << 3 | 2  # as clock_getcpuclockid(3) makes it on Linux
-        begun = time.thread_time(), time.clock_gettime(clock), time.perf_counter()
+        begun = time.process_time(), time.clock_gettime(clock), time.perf_counter()
         for action in islice(actions, BEFORE, None):
             env.step(action)
         recorder.flush()
-        ended = time.thread_time(), time.clock_gettime(clock), time.perf_counter()
+        ended = time.process_time(), time.clock_gettime(clock), time.perf_counter()
         env.remove_observer(recorder)
         recorder.close()
         stepping, writing, wall = (b - a for a, b in zip(begun, ended, strict=True))

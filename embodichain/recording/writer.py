@@ -73,9 +73,7 @@ class LogWriter:
         self._slab: Slab | None = None
         self._calls = WaitingCalls()
         self._unsent: Order | None = None
-        self._flushed = False
-        self._ended = False
-        self._closed = False
+        self._flushed = self._ended = self._closed = False
         self._loss = Loss(path)
         self._pid = os.getpid()
         self._lock = threading.Lock()  # whoever holds it may hand over
@@ -138,9 +136,12 @@ class LogWriter:
             OSError: If the log could not be written.
         """
         with self._lock:
-            self._loss.check()
+            if self._loss.cause is not None:
+                raise self._loss.error()
             form = self._calls.form(method, kind, arrays)
-            slab = self._room(form.nbytes)
+            slab = self._slab
+            if slab is None or slab.at + form.nbytes > self._filled:
+                slab = self._next_slab(form.nbytes)
             at = slab.at
             if form.fill(slab, arrays):
                 self._calls.waiting.append((form.number, at, *args))
@@ -161,8 +162,11 @@ class LogWriter:
         """
         nbytes = 8 * shape[0] * shape[1]
         with self._lock:
-            self._loss.check()
-            slab = self._room(nbytes)
+            if self._loss.cause is not None:
+                raise self._loss.error()
+            slab = self._slab
+            if slab is None or slab.at + nbytes > self._filled:
+                slab = self._next_slab(nbytes)
             at = slab.at
             fill(np.ndarray(shape, np.float64, slab.memory, at))
             slab.at = at + nbytes
@@ -255,14 +259,12 @@ class LogWriter:
         self._tell(slab)
         return slab
 
-    def _room(self, nbytes: int) -> Slab:
-        """The slab that is being filled, or the next one if it has not so much room."""
-        slab = self._slab
-        if slab is None or slab.at + nbytes > self._filled:
-            self._hand_over()
-            if self._slab is not None:  # nothing waited
-                self._slabs.put_back(self._slab)
-            slab = self._slab = self._take(nbytes + _CONTENT_BYTES)
+    def _next_slab(self, nbytes: int) -> Slab:
+        """Another slab to fill, which has so much room: the one in use has not."""
+        self._hand_over()
+        if self._slab is not None:  # nothing waited
+            self._slabs.put_back(self._slab)
+        slab = self._slab = self._take(nbytes + _CONTENT_BYTES)
         return slab
 
     def _tell(self, slab: Slab) -> None:
