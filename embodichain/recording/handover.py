@@ -57,11 +57,11 @@ rest are numbers and texts, so that a batch of calls is packed by `marshal`, in 
 that pickle takes."""
 FormFields = tuple[tuple[str, tuple[int, ...], int], ...]
 """Type, shape and offset of each array of calls that are alike."""
-FormTold = tuple[int, str, FormFields]
-"""Number of a form, its method and its arrays.
+FormTold = tuple[int, str, tuple[object, ...], FormFields]
+"""Number of a form, its method, the arguments before the arrays, and the arrays.
 
-A batch is a list of forms that are new, and a list of calls; a call that has a form is its number,
-where the arrays lie in the slab, and the arguments that precede them."""
+A batch is a list of forms that are new, and a list of calls; a call that has a form is its number
+and where the arrays lie in the slab."""
 PICKLED = "pickled"
 
 

@@ -24,6 +24,8 @@ U64 = NDArray[np.uint64]
 _HALF = np.uint64(32)
 _GAMMA = np.uint64(0x9E3779B97F4A7C15)
 _SHIFTS = np.uint64(30), np.uint64(27), np.uint64(31)
+_CACHED = 2**14
+"""Numbers that are hashed at once; more would leave the cache before they are used again."""
 _FACTORS = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 
 
@@ -87,13 +89,20 @@ class RowHash:
         return _mix(_sums(taken, self._coefficients_of(ranges)))
 
     def sums(self, taken: F64, columns: NDArray[np.int64]) -> U64:
-        """Return (n,) what some columns add to the hash before it is `mixed`.
+        """Return (n,) or (K, n) what some columns add to the hash before it is `mixed`.
 
         Args:
-            taken: (n, k) those columns, contiguous.
+            taken: (n, k) or (K, n, k) those columns, contiguous within a row.
             columns: (k,) which they are.
         """
-        return _sums(taken, self._coefficients[columns])
+        coefficients = self._coefficients[columns]
+        if taken.ndim == 2:
+            return _sums(taken, coefficients)
+        found = np.empty(taken.shape[:-1], np.uint64)
+        each = max(1, _CACHED // max(1, taken[0].size))
+        for at in range(0, len(taken), each):
+            found[at : at + each] = _sums(taken[at : at + each], coefficients)
+        return found
 
     @staticmethod
     def mixed(sums: U64) -> U64:

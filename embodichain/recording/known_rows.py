@@ -7,7 +7,7 @@ file normally has the former alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Protocol
 
 import numpy as np
@@ -45,7 +45,7 @@ class KnownRows:
     def __init__(self, layout: Mapping[str, slice]) -> None:
         self._layout = dict(layout)
         self._nstate: int = max(columns.stop for columns in self._layout.values())
-        self._moved_columns = _indices(moved_ranges(self._layout))
+        self.moved_columns = _indices(moved_ranges(self._layout))
         self._inputs: F64 = np.zeros((0, 0))  # (N, inputs in use), this object's own
         self._moved: F64 | None = None  # (N, moved), not to be written to while it is lent
         self._lent = False
@@ -57,7 +57,7 @@ class KnownRows:
         """From here on these columns are in use, at least those that were; others are zero."""
         before = self._input_columns if self._moved is not None else None
         used = self._used = _indices(ranges)
-        moved = np.isin(used, self._moved_columns)
+        moved = np.isin(used, self.moved_columns)
         self._moved_at = _places(np.flatnonzero(moved))
         self._inputs_at = _places(np.flatnonzero(~moved))
         self._input_columns = used[~moved]
@@ -125,19 +125,21 @@ class KnownRows:
     def _target(self, place: int, write: Place) -> _Target:
         """Where a write goes; columns that are not in use get nothing but zeros."""
         columns = np.arange(self._nstate)[self._layout[write.field]][write.columns]
-        is_input = not np.isin(columns, self._moved_columns).any()
-        there = self._input_columns if is_input else self._moved_columns
+        is_input = not np.isin(columns, self.moved_columns).any()
+        there = self._input_columns if is_input else self.moved_columns
         kept = np.flatnonzero(np.isin(columns, there))
         at = _places(np.searchsorted(there, columns[kept]))
         which: Any = slice(None) if len(kept) == len(columns) else kept
         found = self._targets[place] = is_input, at, which
         return found
 
-    def lend_moved(self) -> F64:
-        """(N, moved) columns that physics writes; they do not change until `settle`."""
-        found = self._there()
-        self._lent = True
-        return found
+    def written_inputs(self, place: int, write: Place) -> NDArray[np.int64] | None:
+        """(k,) columns of a row that the k values of a write go to; None unless all are inputs."""
+        if write.op != "state" or write.field == "row":
+            return None
+        is_input, at, which = self._targets.get(place) or self._target(place, write)
+        whole = isinstance(which, slice)
+        return self._input_columns[at] if is_input and whole else None
 
     def whole(self) -> F64:
         """(N, columns in use), a copy."""
@@ -154,6 +156,16 @@ class KnownRows:
         return slice(first, last) if last - first == wanted.stop - wanted.start else None
 
     @property
+    def told(self) -> bool:
+        """Whether rows are known."""
+        return self._moved is not None
+
+    @property
+    def moved(self) -> F64:
+        """(N, moved) columns that physics writes, live; do not write or keep."""
+        return self._there()
+
+    @property
     def inputs(self) -> F64:
         """(N, inputs in use), live; do not write or keep."""
         return self._inputs
@@ -162,7 +174,7 @@ class KnownRows:
         """(n, nstate) rows of some environments, a copy."""
         moved = self._there()
         rows = np.zeros((len(ids), self._nstate))
-        rows[:, self._moved_columns] = moved[ids]
+        rows[:, self.moved_columns] = moved[ids]
         rows[:, self._input_columns] = self._inputs[ids]
         return rows
 
@@ -171,7 +183,35 @@ class KnownRows:
         moved = self._there()
         if self._sums is None:
             self._sums = row_hash.sums(self._inputs, self._input_columns)
-        return row_hash.mixed(row_hash.sums(moved, self._moved_columns) + self._sums)
+        return row_hash.mixed(row_hash.sums(moved, self.moved_columns) + self._sums)
+
+    def hashes_together(
+        self,
+        row_hash: RowHash,
+        moved: F64,
+        written: Iterable[tuple[NDArray[np.int64], F64, bool]],
+    ) -> NDArray[np.uint64]:
+        """(K, N) hashes of the rows that physics returns in each of the next K steps.
+
+        Args:
+            row_hash: Makes them.
+            moved: (K, N, moved) what it returns.
+            written: What is written in each step: (k,) columns of a row, all of them inputs and no
+                two the same; (K, N, k) values; whether that happens before physics.
+        """
+        sums = row_hash.sums(moved, self.moved_columns)
+        stays = np.ones(len(self._input_columns), np.bool_)
+        for columns, values, before in written:
+            at = np.searchsorted(self._input_columns, columns)
+            added = row_hash.sums(values, columns)
+            stays[at] = False
+            if before:
+                sums += added
+            else:  # physics of the step after finds it
+                sums[0] += row_hash.sums(self._inputs[:, at], columns)
+                sums[1:] += added[:-1]
+        sums += row_hash.sums(self._inputs[:, stays], self._input_columns[stays])
+        return row_hash.mixed(sums)
 
 
 def _indices(ranges: Ranges) -> NDArray[np.int64]:

@@ -7,7 +7,8 @@ look at (`view_encoder`) and the file (`log_file`).
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from embodichain.lab.sim.engine.base import F64, EnvIndex
 from embodichain.recording import state_log
 from embodichain.recording.attachments import load_mjb
+from embodichain.recording.batches import AlikeSteps, Batches
 from embodichain.recording.episode_log import TOPIC as EPISODE_TOPIC
 from embodichain.recording.episode_log import Ends, EpisodeLog
 from embodichain.recording.foxglove.view_encoder import PUSHED, ViewEncoder
@@ -25,7 +27,7 @@ from embodichain.recording.log_file import LogFile
 from embodichain.recording.log_head import LogHead
 from embodichain.recording.mcap_file import Part
 from embodichain.recording.parts import Manifest, part_name
-from embodichain.recording.state_log import StateLog
+from embodichain.recording.steady_log import SteadyLog
 
 __all__ = ["LAYOUT_FILE", "VIEW", "LogBuilder"]
 
@@ -42,7 +44,7 @@ class LogBuilder:
         head: What it begins with.
 
     Attributes:
-        methods: What may be called, by name.
+        batches: Takes the recorder's calls.
     """
 
     def __init__(self, file: LogFile, head: LogHead) -> None:
@@ -53,7 +55,7 @@ class LogBuilder:
         self._start_ns, self._period_ns = header.start_ns, header.period_ns
         layout = {name: slice(*columns) for name, columns in header.layout.items()}
         derives = header.state == "all"
-        self._log = StateLog(model, layout, header.substeps, derives, self._write)
+        self._log = SteadyLog(model, layout, header.substeps, derives, self._write)
         self._episodes = EpisodeLog(header.num_envs)
         self._views = ViewEncoder(model, head.views, file)
         self._manifest = Manifest(file.folder, file.name, header.log_id, header.period_ns * 1e-9)
@@ -66,7 +68,7 @@ class LogBuilder:
             file.channel(topic, schema)
         _write_layout(file.folder, head.layout)
         log = self._log
-        self.methods: Mapping[str, Callable[..., None]] = {
+        methods: dict[str, Callable[..., None]] = {
             "start": log.start,
             "began": file.began,
             "columns": log.columns,
@@ -77,18 +79,19 @@ class LogBuilder:
             "stepped": self._stepped,
             "event": self._event,
             "step": self._step,
-            "unseen_step": self._end_episodes,
+            "unseen_step": self._unseen_step,
             "skip": log.skip,
             "end": log.close,
             "roll": self._roll,
             "finish": self._finish,
             **{VIEW + name: getattr(self._views, name) for name in PUSHED},
         }
+        self.batches = Batches(methods, "step", VIEW, self._together)
 
     def settle(self) -> None:
-        """Let go of arrays that were handed over."""
+        """A batch is carried out: let go of arrays that were handed over, and count."""
         self._log.settle()
-        self.file.settle()
+        self.file.count()
 
     def _write_head(self, part: int, first_step: int) -> None:
         for name, media_type, data in self._attachments:
@@ -97,7 +100,11 @@ class LogBuilder:
         self.file.metadata(METADATA, header.to_metadata())
 
     def _write(self, step: int, topic: str, parts: tuple[Part, ...]) -> None:
-        self.file.write(topic, self._start_ns + step * self._period_ns, parts)
+        self.file.write(topic, self._time_of(step), parts)
+
+    def _time_of(self, step: int) -> int:
+        """Log time of a control step, ns."""
+        return self._start_ns + step * self._period_ns
 
     def _before(self, nstep: int, ids: EnvIndex | None, taken: F64 | None) -> None:
         """Physics is called with these rows."""
@@ -114,12 +121,42 @@ class LogBuilder:
     def _look(self, ids: EnvIndex | None) -> None:
         step, views = self._log.step, self._views
         if ids is None and views.is_due(step):
-            time_ns = self._start_ns + step * self._period_ns
-            views.look(step, time_ns, self._log.rows_of(views.env_ids))
+            views.look(step, self._time_of(step), self._log.rows_of(views.env_ids))
+
+    def _together(self, steps: AlikeSteps) -> int | None:
+        """Control steps that are alike; how many of them the log takes together."""
+        log, views = self._log, self._views
+        kind = log.kind_of(steps.calls)
+        if kind is None:
+            return None
+        found = log.together(steps, kind)
+        if found is None:
+            return 0
+        times = [self._time_of(log.step + k) for k in range(found.count)]
+        self.file.write_rows(found.messages, times)
+        events = [
+            (call.args, arrays)
+            for call, arrays in zip(kind.calls, found.arrays, strict=True)
+            if call.name == "event"
+        ]
+        _, rewards, _, _, episode_ids = found.arrays[-1]
+        asides = deque(steps.asides)
+        for k, time_ns in enumerate(times):
+            step = log.step + k
+            while asides and asides[0].step == k and asides[0].after <= kind.physics:
+                asides.popleft().carry_out()
+            if views.is_due(step):
+                views.look(step, time_ns, found.rows_at(k, views.env_ids))
+            for args, drawn in events:
+                views.event(time_ns, *args, *[values[k] for values in drawn])
+            while asides and asides[0].step == k:
+                asides.popleft().carry_out()
+            self._take_in(step, None, rewards[k], episode_ids[k])
+        found.finish()
+        return found.count
 
     def _step(
         self,
-        step: int,
         ends: Ends | None,
         action: F64,
         reward: NDArray[Any],
@@ -128,13 +165,15 @@ class LogBuilder:
         episode_ids: NDArray[np.int64],
     ) -> None:
         """A control step ended."""
+        step = self._log.step
         if self._header.state != "none":
             self._log.on_step(action, reward, terminated, truncated, episode_ids)
-        self._end_episodes(step, ends, reward, episode_ids)
+        else:
+            self._log.skip()
+        self._take_in(step, ends, reward, episode_ids)
 
     def _event(
         self,
-        time_ns: int,
         term: str,
         mode: str,
         env_ids: EnvIndex | None,
@@ -142,14 +181,21 @@ class LogBuilder:
         *drawn: NDArray[Any],
     ) -> None:
         """A term of the event manager fired, and drew these values."""
+        log = self._log
         if self._header.state != "none":
-            self._log.on_event(term, mode, env_ids, dict(zip(names, drawn, strict=True)))
-        self._views.event(time_ns, term, mode, env_ids, names, *drawn)
+            log.on_event(term, mode, env_ids, dict(zip(names, drawn, strict=True)))
+        self._views.event(self._time_of(log.step), term, mode, env_ids, names, *drawn)
 
-    def _end_episodes(
+    def _unseen_step(
+        self, ends: Ends | None, reward: NDArray[Any], episode_ids: NDArray[np.int64]
+    ) -> None:
+        """A control step ended that is not recorded: it says that at least."""
+        self._take_in(self._log.step, ends, reward, episode_ids)
+
+    def _take_in(
         self, step: int, ends: Ends | None, reward: NDArray[Any], episode_ids: NDArray[np.int64]
     ) -> None:
-        """A control step ended; those that are not recorded say that at least."""
+        """Write how episodes ended in a control step, if some did."""
         parts = self._episodes.add(step, reward, episode_ids, ends)
         if parts is not None:
             self._write(step, EPISODE_TOPIC, parts)

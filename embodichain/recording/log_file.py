@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from io import FileIO
 
 from embodichain.recording.handover import Counters
-from embodichain.recording.mcap_file import McapFile, Part
+from embodichain.recording.mcap_file import McapFile, Part, Piece
 from embodichain.recording.schemas import descriptor_set
 
 __all__ = ["LogFile"]
@@ -49,7 +49,7 @@ class LogFile:
         self._channels: dict[str, int] = {}
         self._declared: dict[str, tuple[str, bytes | None]] = {}
         self._schemas: dict[str, int] = {}
-        self._count()
+        self.count()
 
     def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
         """Declare a channel once.
@@ -77,18 +77,20 @@ class LogFile:
         self._writer.metadata(name, values)
 
     def write(self, topic: str, time_ns: int, parts: Sequence[Part]) -> None:
-        """Add a message to a declared channel; arrays must not change until `settle`."""
+        """Add a message to a declared channel."""
         self._writer.message(self._channels[topic], time_ns, parts)
 
-    def settle(self) -> None:
-        """Write or copy what messages were made of."""
-        self._writer.settle()
-        self._count()
+    def write_rows(
+        self, messages: Sequence[tuple[str, Sequence[Piece]]], times: Sequence[int]
+    ) -> None:
+        """Write the same messages for each of some moments: see `McapFile.rows`."""
+        channels = self._channels
+        self._writer.rows([(channels[topic], pieces) for topic, pieces in messages], times)
 
     def began(self) -> None:
         """The start of this file is written."""
         self._head_bytes = self._writer.size
-        self._count()
+        self.count()
 
     def written(self, topic: str) -> int:
         """How many messages of a channel are in the files, readable there."""
@@ -109,7 +111,7 @@ class LogFile:
         """
         self._writer.flush()
         self._check_place()
-        self._count()
+        self.count()
 
     def roll(self, name: str, last: Callable[[LogFile], None]) -> int:
         """Finish the file, and go on in another one, with the same channels under the same ids.
@@ -146,7 +148,7 @@ class LogFile:
         for topic, (schema, data) in list(self._declared.items()):
             self.channel(topic, schema, data)
         self.part += 1
-        self._count()
+        self.count()
         return nbytes
 
     def finish(self) -> None:
@@ -159,7 +161,7 @@ class LogFile:
         self._check_place()
         if self.finished is not None:
             self.finished(self._writer.nbytes)
-        self._count()
+        self.count()
         self.close()
 
     def close(self) -> None:
@@ -172,7 +174,8 @@ class LogFile:
         if not os.fstat(self._stream.fileno()).st_nlink:
             raise FileNotFoundError(errno.ENOENT, "the file was removed while it was written")
 
-    def _count(self) -> None:
+    def count(self) -> None:
+        """Say how large the files are."""
         if self._counters is not None:
             nbytes = self._bytes_before + self._writer.nbytes
             self._counters.set(nbytes, self._writer.size, self.part, self._head_bytes)

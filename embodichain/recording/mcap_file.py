@@ -7,6 +7,7 @@ is copied once, and every other record is still the library's. What messages mea
 
 from __future__ import annotations
 
+import mmap
 import os
 import struct
 from collections import defaultdict
@@ -24,10 +25,12 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-__all__ = ["CHUNK_LIMIT", "COMPRESSORS", "MAGIC", "McapFile", "Part"]
+__all__ = ["CHUNK_LIMIT", "COMPRESSORS", "MAGIC", "McapFile", "Part", "Piece"]
 
 Part = bytes | NDArray[Any]
-"""A piece of a payload; arrays are contiguous."""
+"""A piece of a payload; arrays are contiguous. It is copied at once."""
+Piece = bytes | Sequence[NDArray[np.uint8]]
+"""A piece of many payloads of one size: the same in each, or rows of bytes, one below the other."""
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 2**20
@@ -37,7 +40,7 @@ CHUNK_LIMIT = 2**27
 """Bytes of the largest chunk that is written or believed: a million numbers of state for each of
 16 environments, or 123 for each of 136,000."""
 
-COMPRESSORS: Mapping[str, Callable[[bytes], bytes]] = {
+COMPRESSORS: Mapping[str, Callable[[memoryview], bytes]] = {
     "none": bytes,
     # Files as large as lz4's below, in half the time.
     "zstd-fast": zstandard.ZstdCompressor(level=-30).compress,
@@ -54,6 +57,11 @@ _MESSAGE = struct.Struct("<BQHIQQ")
 _RECORD_HEAD = 1 + 8
 _MESSAGE_FIXED = 2 + 4 + 8 + 8
 _FOOTER = struct.Struct("<BQQQ")
+
+
+def _width(piece: Piece) -> int:
+    """Bytes of a payload that a piece takes."""
+    return len(piece) if isinstance(piece, bytes) else piece[0].shape[1]
 
 
 def _record(record: Any) -> bytes:
@@ -78,7 +86,7 @@ class McapFile:
         self._name = _NAMES.get(compression, compression)
         self._compress = COMPRESSORS[compression]
         self._offset = 0
-        self._chunk: list[Part] = []
+        self._chunk = mmap.mmap(-1, 2 * CHUNK_BYTES)
         self._chunk_size = 0
         self._messages = 0
         self._first = self._last = 0
@@ -145,28 +153,82 @@ class McapFile:
         return int(channel.id)
 
     def _add(self, data: bytes) -> None:
-        self._chunk.append(data)
+        at = self._reserve(len(data))
+        self._chunk[at : at + len(data)] = data
         self._chunk_size += len(data)
 
+    def _reserve(self, nbytes: int) -> int:
+        """Where so many bytes of the chunk in progress may be written."""
+        size = self._chunk_size
+        if size + nbytes > len(self._chunk):
+            longer = mmap.mmap(-1, size + nbytes + CHUNK_BYTES)
+            longer[:size] = self._chunk[:size]
+            self._chunk = longer
+        return size
+
     def message(self, channel_id: int, time_ns: int, parts: Sequence[Part]) -> None:
-        """Add a message; arrays must not change until `settle`."""
+        """Add a message."""
         size = _MESSAGE_FIXED
         for part in parts:
             size += len(part) if type(part) is bytes else part.nbytes  # type: ignore[union-attr]
         if self._chunk_size + size > CHUNK_LIMIT - 2**20:
             self._make_room(size)
+        at = self._reserve(_RECORD_HEAD + size)
+        self._index[channel_id] += (time_ns, at)
         chunk = self._chunk
-        chunk.append(_MESSAGE.pack(Opcode.MESSAGE, size, channel_id, 0, time_ns, time_ns))
-        chunk.extend(parts)
-        self._index[channel_id] += (time_ns, self._chunk_size)
+        _MESSAGE.pack_into(chunk, at, Opcode.MESSAGE, size, channel_id, 0, time_ns, time_ns)
+        at += _MESSAGE.size
+        for part in parts:
+            end = at + (len(part) if type(part) is bytes else part.nbytes)  # type: ignore[union-attr]
+            chunk[at:end] = part  # type: ignore[assignment]  # arrays are buffers
+            at = end
+        self._count_in(1, time_ns, time_ns, _RECORD_HEAD + size)
+
+    def rows(self, messages: Sequence[tuple[int, Sequence[Piece]]], times: Sequence[int]) -> None:
+        """Add the same messages for each of some moments, all of one size.
+
+        Args:
+            messages: Channel and pieces of each.
+            times: The moments in ns, ascending.
+        """
+        count = len(times)
+        sizes = [_MESSAGE_FIXED + sum(map(_width, pieces)) for _, pieces in messages]
+        width = sum(sizes) + _RECORD_HEAD * len(sizes)
+        if self._chunk_size + count * width > CHUNK_BYTES:
+            self._make_room(count * width)
+        begin = self._reserve(count * width)
+        table = np.ndarray((count, width), np.uint8, self._chunk, begin)
+        stamps = np.repeat(np.array(times, "<u8"), 2).reshape(count, 2).view(np.uint8)
+        at = 0
+        for (channel, pieces), size in zip(messages, sizes, strict=True):
+            places = np.arange(count) * width + (begin + at)
+            entries = np.stack([np.array(times, np.int64), places], 1)
+            self._index[channel] += entries.reshape(-1).tolist()
+            head = _MESSAGE.pack(Opcode.MESSAGE, size, channel, 0, 0, 0)
+            end = at + len(head)
+            table[:, at:end] = np.frombuffer(head, np.uint8)
+            table[:, end - stamps.shape[1] : end] = stamps
+            for piece in pieces:
+                at, end = end, end + _width(piece)
+                if isinstance(piece, bytes):
+                    table[:, at:end] = np.frombuffer(piece, np.uint8)
+                else:
+                    row = 0
+                    for block in piece:
+                        table[row : row + len(block), at:end] = block
+                        row += len(block)
+            at = end
+        self._count_in(count * len(messages), times[0], times[-1], table.nbytes)
+
+    def _count_in(self, messages: int, first_ns: int, last_ns: int, nbytes: int) -> None:
+        """The chunk has grown by messages of these moments."""
         if not self._messages:
-            self._first = self._last = time_ns
-        elif time_ns > self._last:
-            self._last = time_ns
-        elif time_ns < self._first:
-            self._first = time_ns
-        self._messages += 1
-        self._chunk_size += _RECORD_HEAD + size
+            self._first, self._last = first_ns, last_ns
+        else:
+            self._first = min(self._first, first_ns)
+            self._last = max(self._last, last_ns)
+        self._messages += messages
+        self._chunk_size += nbytes
         if self._chunk_size > CHUNK_BYTES:
             self._close_chunk()
 
@@ -211,17 +273,10 @@ class McapFile:
         """Close the chunk in progress and hand everything to the operating system."""
         self._close_chunk()
 
-    def settle(self) -> None:
-        """Let go of arrays: what they held is written, or copied where it is little."""
-        if self._chunk_size > CHUNK_BYTES // 2:
-            self._close_chunk()
-        else:
-            self._chunk = [b"".join(self._chunk)]  # type: ignore[arg-type]  # arrays are buffers
-
     def _close_chunk(self) -> None:
         if not self._messages:
             return
-        data = b"".join(self._chunk)  # type: ignore[arg-type]
+        data = memoryview(self._chunk)[: self._chunk_size]
         packed = self._compress(data)
         start, end = self._first, self._last
         # The record's fields by hand: the library would copy the data twice more.
@@ -252,7 +307,6 @@ class McapFile:
         )
         self._start = min(start, self._start) if len(self._chunk_index) > 1 else start
         self._end = max(end, self._end)
-        self._chunk.clear()
         self._messages = 0
         self._index.clear()
         self._chunk_size = 0

@@ -1,7 +1,7 @@
 """Bytes of our own messages, and back.
 
-Encoders return parts (bytes and arrays) that are joined when a chunk is full: nothing is copied
-twice. `schemas` declares the fields; tests hold both together.
+Encoders return parts (bytes and arrays) that are copied into a chunk: nothing is copied twice
+before. `schemas` declares the fields; tests hold both together.
 """
 
 from __future__ import annotations
@@ -25,13 +25,17 @@ __all__ = [
     "State",
     "StepOutcome",
     "WriteRecord",
+    "drawn_head",
     "encode_call",
     "encode_event",
     "encode_state",
     "encode_step",
     "encode_write",
+    "event_head",
     "is_start",
+    "shape_head",
     "stamp",
+    "step_heads",
     "write_head",
 ]
 
@@ -188,25 +192,26 @@ def stamp(step: int, call: int) -> bytes:
 
 
 @lru_cache(maxsize=64)
-def _shape(n: int, width: int) -> bytes:
+def shape_head(n: int, width: int) -> bytes:
+    """What precedes the (n, width) rows of a `BatchedState`, after its step."""
     return wire.uint(2, n) + wire.uint(3, width) + wire.packed(4, 8 * n * width)
 
 
 def encode_state(
     step: int, rows: F64 | None, call: int, nstep: int, env_ids: EnvIndex | None
 ) -> tuple[Part, ...]:
-    """`BatchedState` of contiguous (n, width) rows, which are kept, not copied.
+    """`BatchedState` of contiguous (n, width) rows, which are not copied.
 
     Without rows it only says that physics is called here: see keyframes in `state_log`.
     """
     tail = wire.uint(5, call) + wire.uint(6, nstep) + _env_ids(7, env_ids)
     if rows is None:
         return (wire.uint(1, step) + tail,)
-    return wire.uint(1, step) + _shape(*rows.shape), rows, tail
+    return wire.uint(1, step) + shape_head(*rows.shape), rows, tail
 
 
 @lru_cache(maxsize=64)
-def _step_heads(n: int, width: int) -> tuple[bytes, ...]:
+def step_heads(n: int, width: int) -> tuple[bytes, ...]:
     """What precedes each array of a `Step`."""
     first = wire.uint(3, n) + wire.uint(4, width) + wire.packed(5, 8 * n * width)
     sizes = ((6, 8 * n), (7, n), (8, n), (9, 8 * n), (10, 8 * n))
@@ -224,7 +229,7 @@ def encode_step(
 ) -> tuple[Part, ...]:
     """`Step`: what went in and came out of one control step."""
     n = len(reward)
-    actions, rewards, terms, truncs, ids, hashes = _step_heads(n, action.size // n)
+    actions, rewards, terms, truncs, ids, hashes = step_heads(n, action.size // n)
     parts: list[Part] = [
         stamp(step, physics.call if physics else 0) + actions,
         np.ascontiguousarray(action, _F8),
@@ -279,7 +284,7 @@ def is_start(data: bytes | memoryview) -> bool:
 def encode_write(
     when: bytes, head: tuple[bytes, bytes], env_ids: EnvIndex | None, values: F64 | None
 ) -> tuple[Part, ...]:
-    """`Write`, with its `stamp` and `write_head`. Contiguous values are kept, not copied."""
+    """`Write`, with its `stamp` and `write_head`. Contiguous values are not copied."""
     start = when + head[0] + _env_ids(6, env_ids) + head[1]
     if values is None:
         return (start,)
@@ -289,21 +294,22 @@ def encode_write(
 
 def encode_event(when: bytes, event: EventRecord) -> tuple[Part, ...]:
     """`Event`, with its `stamp`: a term, where it fired, and what it drew."""
-    start = when + _event_head(event.term, event.mode) + _env_ids(5, event.env_ids)
+    start = when + event_head(event.term, event.mode) + _env_ids(5, event.env_ids)
     parts: list[Part] = [start]
     for name, drawn in event.drawn.items():
         values = np.ascontiguousarray(drawn, _F8)
-        parts += [_drawn_head(name, values.shape), values]
+        parts += [drawn_head(name, values.shape), values]
     return tuple(parts)
 
 
 @lru_cache(maxsize=256)
-def _event_head(term: str, mode: str) -> bytes:
+def event_head(term: str, mode: str) -> bytes:
+    """What follows the `stamp` of an `Event`."""
     return wire.text(3, term) + wire.text(4, mode)
 
 
 @lru_cache(maxsize=256)
-def _drawn_head(name: str, shape: tuple[int, ...]) -> bytes:
+def drawn_head(name: str, shape: tuple[int, ...]) -> bytes:
     """What precedes the numbers of a drawn value: its submessage up to them, with the length."""
     nbytes = 8 * math.prod(shape)
     dimensions = b"".join(map(wire.varint, shape))

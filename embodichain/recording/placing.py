@@ -18,19 +18,21 @@ _PLAIN = frozenset({int, float, bool, str, type(None)})
 _NUMBERS = frozenset("?bBhHiIlLqQefd")
 """Kinds of arrays whose bytes are all there is to them."""
 
+CallKey = tuple[str, tuple[Hashable, ...]] | tuple[str, tuple[Hashable, ...], Hashable]
+
 
 class Form:
-    """What the arrays of calls of a kind are, and how they lie in a slab.
+    """What calls have in common that differ in nothing but numbers in arrays, and how those lie.
 
     Arguments of which bytes are not all there is to them have no form: nothing fits it.
 
     Args:
         number: Its name in batches.
-        arrays: Those of any call of the kind.
+        arrays: Those of any such call.
 
     Attributes:
         nbytes: What they take in a slab.
-        fields: What the other process is told.
+        fields: What the other process is told of them.
     """
 
     __slots__ = ("_spans", "fields", "nbytes", "number")
@@ -79,15 +81,21 @@ class WaitingCalls:
     def __init__(self) -> None:
         self.waiting: list[Any] = []
         self.new_forms: list[FormTold] = []
-        self._forms: dict[Hashable, Form] = {}
+        self._forms: dict[CallKey, Form] = {}
 
-    def form(self, method: str, kind: Hashable, arrays: tuple[NDArray[Any], ...]) -> Form:
-        """The form of a method's calls of a kind; that of these arrays if it is the first."""
-        form = self._forms.get((method, kind))
+    def form(self, key: CallKey, arrays: tuple[NDArray[Any], ...]) -> Form:
+        """The form of calls of a method with these arguments before the arrays.
+
+        Args:
+            key: The method, the arguments, and whatever else tells such calls apart.
+            arrays: Those of one of them: what the form is made for if it is the first.
+        """
+        form = self._forms.get(key)
         if form is None:
             form = Form(len(self._forms), arrays)
-            self.new_forms.append((form.number, method, form.fields))  # twice does no harm
-            self._forms[method, kind] = form
+            told = form.number, key[0], key[1], form.fields
+            self.new_forms.append(told)  # twice does no harm
+            self._forms[key] = form
         return form
 
     def add(self, method: str, args: tuple[object, ...], places: tuple[object, ...] = ()) -> None:

@@ -191,7 +191,7 @@ class McapRecorder(StepObserver):
             if self._gate.open or write.op in ("model", "set_const"):
                 place = self._place(write)
                 if ids is None and values is not None:
-                    self._file.call_alike(place, "write", (place, None), values)
+                    self._file.call_alike("write", (place, None), values)
                 else:
                     self._file.call("write", place, ids, values)
         if write.op == "model":
@@ -255,7 +255,8 @@ class McapRecorder(StepObserver):
             rows = rows[event.env_ids]
         elif method == "stepped":
             width, take = columns.moved_width, columns.take_moved
-        self._file.call_with(method, args, (len(rows), width), partial(take, rows))
+        alike = event.env_ids is None and event.failed is None
+        self._file.call_with(method, args, (len(rows), width), partial(take, rows), alike)
 
     def _is_keyframe(self, event: PhysicsEvent) -> bool:
         """Whether this call's rows are written: the first of a step's own physics, when due.
@@ -277,11 +278,11 @@ class McapRecorder(StepObserver):
             self._gate.hold(event)
             return
         ids, drawn = event.env_ids, event.drawn.values()
-        what = self._now(), event.term, event.mode, ids, tuple(event.drawn)
         if ids is None:
-            self._file.call_alike(event.term, "event", what, *drawn)
+            what = event.term, event.mode, None, tuple(event.drawn)
+            self._file.call_alike("event", what, *drawn)
         else:
-            self._file.call("event", *what, *drawn)
+            self._file.call("event", event.term, event.mode, ids, tuple(event.drawn), *drawn)
 
     def on_reset(self, env: BaseEnv, env_ids: EnvIndex) -> None:
         """Environments were reset."""
@@ -299,7 +300,7 @@ class McapRecorder(StepObserver):
         """
         for event in held or ():
             self.on_event(env, event)
-        if self._keeps_state and skip:
+        if skip:
             self._file.call("skip")
         if held is not None:
             self.on_write(env, Write("state", "row", None, slice(None), self._engine.rows))
@@ -313,13 +314,13 @@ class McapRecorder(StepObserver):
         # Copies: the caller of `step` may write into what it was handed.
         if not recorded:
             reward, ids = step.reward.copy(), step.episode_ids.copy()
-            self._file.call("unseen_step", self._step, ends, reward, ids)
+            self._file.call("unseen_step", ends, reward, ids)
         else:
             what = step.action, step.reward, step.terminated, step.truncated, step.episode_ids
             if ends is None:
-                self._file.call_alike("step", "step", (self._step, None), *what)
+                self._file.call_alike("step", (None,), *what)
             else:
-                self._file.call("step", self._step, ends, *(array.copy() for array in what))
+                self._file.call("step", ends, *(array.copy() for array in what))
             self._views.on_step(self._step, step, ended=ends is not None)
         held = self._gate.switch()
         if held is not None or not recorded:

@@ -120,18 +120,27 @@ class StateLog:
         kept = columns if isinstance(columns, slice) else columns.copy()
         self._places[number] = Write(op, field, None, kept, None)
 
+    def place_of(self, number: int) -> Write:
+        """What writes with this number write, and where."""
+        return self._places[number]
+
     def on_write(self, place: int, env_ids: EnvIndex | None, values: F64 | None) -> None:
         """A write outside physics, to a place that was told."""
-        key = self._after_physics, place
-        head = self._heads.get(key)
-        if head is None:
-            phase = "after_physics" if self._after_physics else "before_physics"
-            write = self._places[place]
-            columns = None if values is None else self._columns(write)
-            head = self._heads[key] = write_head(phase, write.op, write.field, columns)
+        head = self._head(self._after_physics, place, values is not None)
         self._emit(self.step, "/sim/write", encode_write(self._stamp, head, env_ids, values))
         if self._known is not None and values is not None:
             self._known.write(place, self._places[place], env_ids, values)
+
+    def _head(self, after_physics: bool, place: int, values: bool) -> tuple[bytes, bytes]:
+        """The `write_head` of writes to a place."""
+        key = after_physics, place
+        head = self._heads.get(key)
+        if head is None:
+            phase = "after_physics" if after_physics else "before_physics"
+            write = self._places[place]
+            columns = self._columns(write) if values else None
+            head = self._heads[key] = write_head(phase, write.op, write.field, columns)
+        return head
 
     def _columns(self, write: Write) -> NDArray[np.int64] | None:
         """Columns as indices; None for all of them."""
@@ -185,7 +194,7 @@ class StateLog:
         if ids is not None:
             rows = known.whole()[ids]
         elif self.step < self._inputs_due:
-            rows = known.lend_moved()
+            rows = known.moved
         else:
             rows, self._inputs_due = known.whole(), self.step + INPUTS_EVERY
         self._emit(self.step, "/sim/state", encode_state(self.step, rows, self.call, nstep, ids))

@@ -6,24 +6,18 @@ What it is told to write means nothing here; `LogBuilder` knows.
 from __future__ import annotations
 
 import json
-import marshal
-import mmap
 import os
-import pickle
 import select
 import socket
 import threading
 import time
 import traceback
-from collections.abc import Callable
 from contextlib import suppress
 from io import FileIO
-from typing import Any
-
-import numpy as np
 
 from embodichain.recording import handover
-from embodichain.recording.handover import PICKLED, Counters, FormFields, Order, Reply, Slab
+from embodichain.recording.batches import unpickled
+from embodichain.recording.handover import Counters, Order, Reply, Slab
 from embodichain.recording.log_builder import LogBuilder
 from embodichain.recording.log_file import LogFile
 
@@ -89,7 +83,6 @@ class _Writing:
         self._slabs: dict[int, Slab] = {}
         self._file: LogFile | None = None
         self._builder: LogBuilder | None = None
-        self._forms: dict[int, tuple[Callable[..., None], FormFields]] = {}
         self._waiting: list[Order] = []
         self._last = 0
         self._begun = self._due = 0.0
@@ -164,7 +157,7 @@ class _Writing:
             self._close()
 
     def _open(self, order: Order, file: int, folder: int, page: int) -> None:
-        name, compression = _unpickled(self._content(order))
+        name, compression = unpickled(self._content(order))
         slab = Slab(0, Counters.SIZE, page)
         slab.forget_descriptor()
         self._file = LogFile(file, folder, name, compression, Counters(slab))
@@ -174,7 +167,7 @@ class _Writing:
     def _begin(self, order: Order) -> None:
         if self._file is None:
             return
-        self._builder = LogBuilder(self._file, _unpickled(self._content(order)))
+        self._builder = LogBuilder(self._file, unpickled(self._content(order)))
         self._free(order)
         self._due, self._begun = 0.0, time.monotonic()
         waiting, self._waiting = self._waiting, []
@@ -183,19 +176,7 @@ class _Writing:
 
     def _batch(self, builder: LogBuilder, order: Order) -> None:
         """Carry out calls, whose arrays lie in the slab until they are written or copied."""
-        memory = self._slabs[order.slab].memory
-        table = builder.methods
-        forms, calls = marshal.loads(self._content(order))
-        for number, method, fields in forms:
-            self._forms[number] = table[method], fields
-        for call in calls:
-            if type(call[0]) is int:
-                method, fields = self._forms[call[0]]
-                at = call[1]
-                method(*call[2:], *[np.ndarray(s, kind, memory, at + a) for kind, s, a in fields])
-            else:
-                name, args, places = call
-                table[name](*(_found(memory, args, places) if places else args))
+        builder.batches.carry_out(self._content(order), self._slabs[order.slab].memory)
         builder.settle()
         self._free(order)
         self._dirty = True
@@ -226,7 +207,6 @@ class _Writing:
         if file is not None:
             file.finish()
         self._slabs.clear()
-        self._forms.clear()
         self._reply(handover.CLOSED)
 
     def _abandon(self) -> None:
@@ -248,20 +228,3 @@ class _Writing:
         self._reply(handover.FAILED, len(data))
         with suppress(BrokenPipeError, ConnectionResetError):
             self._connection.sendall(data)
-
-
-def _found(memory: mmap.mmap, args: tuple[object, ...], places: tuple[Any, ...]) -> list[object]:
-    """Arguments of a call with those that lie in memory, or are pickled."""
-    values = list(args)
-    for k in range(0, len(places), 4):
-        index, at, kind, shape = places[k : k + 4]
-        if kind == PICKLED:
-            values[index] = _unpickled(shape)
-        else:
-            values[index] = np.ndarray(shape, kind, memory, at)
-    return values
-
-
-def _unpickled(data: bytes) -> Any:
-    """Content of an order: it comes from the process that started this one, from nowhere else."""
-    return pickle.loads(data)  # noqa: S301

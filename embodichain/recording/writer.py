@@ -100,8 +100,7 @@ class LogWriter:
             self.counters = Counters(page)
             content = pickle.dumps((path.name, compression), 5)
             slab = self._take(len(content))
-            at = put(slab, content)
-            order = self._order(handover.OPEN, slab, slab, at, len(content))
+            order = self._order(handover.OPEN, slab, slab, put(slab, content), len(content))
             self._send(order, (file, folder, page.descriptor))
             self._slabs.away += slab.at
             page.forget_descriptor()
@@ -120,17 +119,14 @@ class LogWriter:
             self._loss.check()
             self._calls.add(method, args)
 
-    def call_alike(
-        self, kind: Hashable, method: str, args: tuple[object, ...], *arrays: NDArray[Any]
-    ) -> None:
+    def call_alike(self, method: str, args: tuple[Hashable, ...], *arrays: NDArray[Any]) -> None:
         """The same for calls of which many are alike; arrays are copied at once.
 
         Args:
-            kind: What calls of this method have in common whose arrays have the same types and
-                shapes. Should they not, nothing is wrong, only slower.
             method: The method.
-            args: Its first arguments: numbers, texts and None.
-            arrays: The arguments that follow.
+            args: Its first arguments, of which there are few: numbers, texts, None, tuples of them.
+            arrays: Those that follow. With the same `args` they should have the same types and
+                shapes; should they not, nothing is wrong, only slower.
 
         Raises:
             OSError: If the log could not be written.
@@ -138,13 +134,12 @@ class LogWriter:
         with self._lock:
             if self._loss.cause is not None:
                 raise self._loss.error()
-            form = self._calls.form(method, kind, arrays)
-            slab = self._slab
+            form, slab = self._calls.form((method, args), arrays), self._slab
             if slab is None or slab.at + form.nbytes > self._filled:
                 slab = self._next_slab(form.nbytes)
             at = slab.at
             if form.fill(slab, arrays):
-                self._calls.waiting.append((form.number, at, *args))
+                self._calls.waiting.append((form.number, at))
             else:
                 self._calls.add(method, (*args, *map(np.array, arrays)))
 
@@ -154,8 +149,11 @@ class LogWriter:
         args: tuple[object, ...],
         shape: tuple[int, int],
         fill: Callable[[NDArray[np.float64]], object],
+        alike: bool = False,
     ) -> None:
         """The same with a last argument that `fill` writes at once, where it is handed over from.
+
+        `alike` says that many calls have these first arguments, which are hashable then.
 
         Raises:
             OSError: If the log could not be written.
@@ -167,10 +165,14 @@ class LogWriter:
             slab = self._slab
             if slab is None or slab.at + nbytes > self._filled:
                 slab = self._next_slab(nbytes)
-            at = slab.at
-            fill(np.ndarray(shape, np.float64, slab.memory, at))
+            array = np.ndarray(shape, np.float64, slab.memory, at := slab.at)
+            fill(array)
             slab.at = at + nbytes
-            self._calls.add(method, (*args, None), (len(args), at, "d", shape))
+            if alike:
+                form = self._calls.form((method, args, shape), (array,))
+                self._calls.waiting.append((form.number, at))
+            else:
+                self._calls.add(method, (*args, None), (len(args), at, "d", shape))
 
     def hand_over_when_due(self) -> None:
         """Hand over if calls have waited long enough; called after every step."""
@@ -373,10 +375,7 @@ class LogWriter:
                 self._loss.told = told
 
     def _watch(self) -> None:
-        """Hand over what nobody adds to: a killed process must not lose it.
-
-        Never waits for the simulation, which hands over itself when it is at it.
-        """
+        """Hand over what nobody adds to; never waits for the simulation, which does it itself."""
         while not self._stop.wait(IDLE_SECONDS):
             if self._head.is_alive() or not self._lock.acquire(blocking=False):
                 continue

@@ -41,17 +41,59 @@ def test_chunks_of_every_compression(tmp_path, compression):
     assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (0, 5)
 
 
-@pytest.mark.parametrize("size", [10, 40_000, 100_000])  # copied, and written at once
-def test_arrays_may_change_once_they_are_settled(tmp_path, size):
+@pytest.mark.parametrize("size", [10, 40_000, 100_000, 300_000])  # more than a chunk
+def test_arrays_may_change_once_they_are_handed_over(tmp_path, size):
     log = start(tmp_path / "log.mcap")
     array, expected = np.zeros(size), []
     for i in range(5):
         array[:] = i
         expected.append(array.tobytes())
         log.write(TOPIC, i, (array,))
-        log.settle()
     log.finish()
     assert read(tmp_path / "log.mcap") == expected
+
+
+def test_rows_are_the_messages_that_they_stand_for(tmp_path):
+    """Found by time and by topic as well, in chunks of any size."""
+    generator = np.random.default_rng(0)
+    expected = []
+
+    def table(count, width):
+        return generator.integers(0, 256, (count, width), np.uint8)
+
+    log = start(tmp_path / "log.mcap")
+    log.channel("/sim/step", "embodichain.Step")
+    now = 0
+    for count, width in ((2, 5), (40, 1000), (3, 400_000), (7, 0), (100, 33)):
+        times = list(range(now, now + count))
+        now += count
+        first, second, third = table(1, width), table(count - 1, width), table(count, 9)
+        log.write_rows([
+            (TOPIC, [b"head", [first, second], b""]),
+            ("/sim/step", [[third], b"tail"]),
+            (TOPIC, [b"again"]),
+        ], times)  # fmt: skip
+        for time, a, b in zip(times, np.concatenate([first, second]), third, strict=True):
+            expected += [
+                (TOPIC, time, b"head" + a.tobytes()),
+                ("/sim/step", time, b.tobytes() + b"tail"),
+                (TOPIC, time, b"again"),
+            ]
+        log.write("/sim/step", now, (b"between",))
+        expected.append(("/sim/step", now, b"between"))
+    log.finish()
+    with (tmp_path / "log.mcap").open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        found = [(c.topic, m.log_time, m.data) for _, c, m in reader.iter_messages()]
+        assert sorted(found) == sorted(expected)
+        some = reader.iter_messages(topics=["/sim/step"], starting_at=30, ending_before=60)
+        assert sorted((c.topic, m.log_time, m.data) for _, c, m in some) == sorted(
+            message for message in expected if message[0] == "/sim/step" and 30 <= message[1] < 60
+        )
+        statistics = reader.get_summary().statistics
+    assert statistics.message_count == len(expected)
+    assert (statistics.message_start_time, statistics.message_end_time) == (0, now)
+    assert statistics.chunk_count > 2
 
 
 def test_a_file_without_messages_is_whole(tmp_path):

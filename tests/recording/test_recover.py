@@ -14,7 +14,7 @@ from embodichain.utils.errors import ConfigError
 @pytest.fixture
 def broken(record, tmp_path):
     """A log that lacks its last third, and the whole one."""
-    whole = record(steps=60, options=RecordOptions(compression="none"), num_envs=100)
+    whole = record(steps=60, options=RecordOptions(compression="none"), num_envs=300)
     path = tmp_path / "broken.mcap"
     data = whole.read_bytes()
     path.write_bytes(data[: len(data) * 2 // 3])

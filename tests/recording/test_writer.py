@@ -279,7 +279,7 @@ def test_who_was_told_before_the_beginning_was_sent_is_not_told_again(tmp_path, 
     os.waitid(os.P_PID, log.worker_pid, os.WEXITED | os.WNOWAIT)
     try:
         with pytest.raises(LogWriteError, match="signal 9"):
-            log.call_alike("method", "kind", (), np.zeros(3))
+            log.call_alike("method", (), np.zeros(3))
     finally:
         going_on.set()
     for thread in threading.enumerate():

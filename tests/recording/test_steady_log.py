@@ -1,0 +1,120 @@
+"""Control steps that are written together are those that are written one by one."""
+
+from collections import defaultdict
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+import embodichain
+from embodichain import recording
+from embodichain.config import list_options
+from embodichain.recording import McapRecorder, batches, recorder, steady_log
+from embodichain.recording.options import RecordOptions
+from embodichain.recording.replay import verify
+from tests.helpers.writing_here import write_here
+
+STEPS = 150  # numbers of steps become longer after 127
+
+
+def messages(path):
+    """Topic to times and contents, in the order of the file."""
+    found = defaultdict(list)
+    with recording.open(path) as log:
+        for topic, time_ns, data in log.raw_messages():
+            found[topic].append((time_ns, bytes(data)))
+    return found
+
+
+@pytest.fixture
+def written(tmp_path, monkeypatch):
+    """Records a task with the writer in this process; messages, and steps written together."""
+    write_here(monkeypatch.setattr)
+    monkeypatch.setattr(recorder, "time", SimpleNamespace(time_ns=lambda: 10**18))
+    steps = []
+    finish = steady_log.SteadySteps.finish
+
+    def counted(self):
+        steps.append(self.count)
+        finish(self)
+
+    monkeypatch.setattr(steady_log.SteadySteps, "finish", counted)
+
+    def run(name, task, *overrides, num_envs=4, act=None, **options):
+        steps.clear()
+        env = embodichain.make(task, num_envs, overrides)
+        env.reset(seed=0)
+        path = tmp_path / name
+        log = McapRecorder(path, env, options=RecordOptions(view_envs=[0, 2], **options))
+        env.add_observer(log)
+        space, generator = env.single_action_space, np.random.default_rng(0)
+        for step in range(STEPS):
+            part = generator.uniform(0.4, 0.6, (num_envs, *space.shape))
+            action = space.low + part * (space.high - space.low)
+            env.step(torch.from_numpy(action.astype(np.float32)))
+            if act is not None:
+                act(env, step)
+        env.close()
+        return messages(path), sum(steps), path
+
+    return run
+
+
+@pytest.mark.parametrize("task", list_options("task"))
+def test_steps_of_every_task_are_the_same_together(written, monkeypatch, task):
+    together, count, path = written("together.mcap", task, view_hz=12.5)
+    assert count > STEPS / 2
+    assert verify(path).ok
+    monkeypatch.setattr(batches, "_MOST_BYTES", 0)
+    alone, none, _ = written("alone.mcap", task, view_hz=12.5)
+    assert none == 0
+    assert together.keys() == alone.keys()
+    for topic, expected in alone.items():
+        assert together[topic] == expected, topic
+
+
+def velocities(env, step):
+    env.sim.engine.write("qvel", np.full((env.num_envs, 1), 0.01 * step), None, np.array([0]))
+
+
+def colours(env, step):
+    env.sim.engine.write_model("geom_rgba", 0.001 * step, None, np.arange(3))
+
+
+def forces(env, step):
+    """An input that was not in use, written now and then, to some or to all."""
+    if step % 20 == 7:
+        env.sim.engine.write("xfrc_applied", 0.1 * step, np.array([1, 3]), np.array([6]))
+    elif step > 90:
+        env.sim.engine.write("xfrc_applied", 0.01 * step, None, np.array([8, 6]))
+
+
+def both(env, step):
+    """Two writes of one input in a step: the last one counts."""
+    env.sim.engine.write("ctrl", 0.1, None, np.array([0]))
+    env.sim.engine.write("ctrl", 0.01 * step, None, np.array([0, 2]))
+
+
+@pytest.mark.parametrize(
+    ("act", "options", "some"),
+    [
+        (velocities, {}, False),  # physics' own columns: those steps are taken one by one
+        (both, {}, False),
+        (colours, {}, False),
+        (forces, {}, True),
+        (None, {"max_mb": 0.05}, True),
+        (None, {"every": 2}, True),
+        (None, {"state": "none"}, False),
+        (None, {"state": "keyframes"}, False),
+    ],
+    ids=lambda value: getattr(value, "__name__", str(value)),
+)
+def test_whatever_comes_between_is_the_same_together(written, monkeypatch, act, options, some):
+    episode = "task.max_episode_steps=30"
+    together, count, path = written("together.mcap", "random_reach", episode, act=act, **options)
+    assert bool(count) == some
+    if options.get("state") != "none":
+        assert verify(path).ok
+    monkeypatch.setattr(batches, "_MOST_BYTES", 0)
+    assert written("alone.mcap", "random_reach", episode, act=act, **options)[0] == together
