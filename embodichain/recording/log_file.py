@@ -80,6 +80,11 @@ class LogFile:
         """Add a message to a declared channel."""
         self._writer.message(self._channels[topic], time_ns, parts)
 
+    def send(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> None:
+        """Write messages of one moment, each with its topic."""
+        channels = self._channels
+        self._writer.messages(time_ns, [(channels[topic], data) for topic, data in messages])
+
     def write_rows(
         self, messages: Sequence[tuple[str, Sequence[Piece]]], times: Sequence[int]
     ) -> None:

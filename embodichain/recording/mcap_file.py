@@ -158,7 +158,17 @@ class McapFile:
         self._chunk_size += len(data)
 
     def _reserve(self, nbytes: int) -> int:
-        """Where so many bytes of the chunk in progress may be written."""
+        """Where so many bytes may be written, in the chunk in progress or in another one.
+
+        Raises:
+            ValueError: If they would make any chunk larger than readers believe.
+        """
+        if self._chunk_size + nbytes > CHUNK_LIMIT - 2**20:
+            if nbytes > CHUNK_LIMIT - 2**20:
+                raise ValueError(
+                    f"a message of {nbytes} bytes is more than a log's readers believe"
+                )
+            self._close_chunk()
         size = self._chunk_size
         if size + nbytes > len(self._chunk):
             longer = mmap.mmap(-1, size + nbytes + CHUNK_BYTES)
@@ -171,9 +181,9 @@ class McapFile:
         size = _MESSAGE_FIXED
         for part in parts:
             size += len(part) if type(part) is bytes else part.nbytes  # type: ignore[union-attr]
-        if self._chunk_size + size > CHUNK_LIMIT - 2**20:
-            self._make_room(size)
-        at = self._reserve(_RECORD_HEAD + size)
+        at = self._chunk_size
+        if at + _RECORD_HEAD + size > len(self._chunk):
+            at = self._reserve(_RECORD_HEAD + size)
         self._index[channel_id] += (time_ns, at)
         chunk = self._chunk
         _MESSAGE.pack_into(chunk, at, Opcode.MESSAGE, size, channel_id, 0, time_ns, time_ns)
@@ -182,7 +192,32 @@ class McapFile:
             end = at + (len(part) if type(part) is bytes else part.nbytes)  # type: ignore[union-attr]
             chunk[at:end] = part  # type: ignore[assignment]  # arrays are buffers
             at = end
-        self._count_in(1, time_ns, time_ns, _RECORD_HEAD + size)
+        self._added(1, time_ns, time_ns, at)
+
+    def messages(self, time_ns: int, messages: Sequence[tuple[int, bytes]]) -> None:
+        """Add messages of one moment: the channel and the payload of each."""
+        begin = self._reserve(sum([_MESSAGE.size + len(data) for _, data in messages]))
+        parts, at, index = list[bytes](), begin, self._index
+        for channel, data in messages:
+            index[channel] += (time_ns, at)
+            size = _MESSAGE_FIXED + len(data)
+            parts += (_MESSAGE.pack(Opcode.MESSAGE, size, channel, 0, time_ns, time_ns), data)
+            at += _RECORD_HEAD + size
+        self._chunk[begin:at] = b"".join(parts)
+        self._added(len(messages), time_ns, time_ns, at)
+
+    def _added(self, messages: int, first_ns: int, last_ns: int, size: int) -> None:
+        """Messages of these moments have made the chunk so large."""
+        if not self._messages:
+            self._first, self._last = first_ns, last_ns
+        elif last_ns > self._last:
+            self._last = last_ns
+        if first_ns < self._first:
+            self._first = first_ns
+        self._messages += messages
+        self._chunk_size = size
+        if size > CHUNK_BYTES:
+            self._close_chunk()
 
     def rows(self, messages: Sequence[tuple[int, Sequence[Piece]]], times: Sequence[int]) -> None:
         """Add the same messages for each of some moments, all of one size.
@@ -195,7 +230,7 @@ class McapFile:
         sizes = [_MESSAGE_FIXED + sum(map(_width, pieces)) for _, pieces in messages]
         width = sum(sizes) + _RECORD_HEAD * len(sizes)
         if self._chunk_size + count * width > CHUNK_BYTES:
-            self._make_room(count * width)
+            self._close_chunk()
         begin = self._reserve(count * width)
         table = np.ndarray((count, width), np.uint8, self._chunk, begin)
         stamps = np.repeat(np.array(times, "<u8"), 2).reshape(count, 2).view(np.uint8)
@@ -218,29 +253,7 @@ class McapFile:
                         table[row : row + len(block), at:end] = block
                         row += len(block)
             at = end
-        self._count_in(count * len(messages), times[0], times[-1], table.nbytes)
-
-    def _count_in(self, messages: int, first_ns: int, last_ns: int, nbytes: int) -> None:
-        """The chunk has grown by messages of these moments."""
-        if not self._messages:
-            self._first, self._last = first_ns, last_ns
-        else:
-            self._first = min(self._first, first_ns)
-            self._last = max(self._last, last_ns)
-        self._messages += messages
-        self._chunk_size += nbytes
-        if self._chunk_size > CHUNK_BYTES:
-            self._close_chunk()
-
-    def _make_room(self, size: int) -> None:
-        """Close the chunk before a message that would make it larger than readers believe.
-
-        Raises:
-            ValueError: If the message alone would.
-        """
-        if size > CHUNK_LIMIT - 2**20:
-            raise ValueError(f"a message of {size} bytes is more than a log's readers believe")
-        self._close_chunk()
+        self._added(count * len(messages), times[0], times[-1], begin + table.nbytes)
 
     def attachment(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Add a file."""

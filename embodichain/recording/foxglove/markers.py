@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from itertools import count
+from itertools import accumulate, count, pairwise
 
 import mujoco
 import numpy as np
@@ -52,59 +52,78 @@ class Markers:
         model: The model; only names are read.
         env_ids: (n,) environments that are viewed.
         specs: The commands that are drawn.
+        datas: Each environment's data, where `mj_kinematics` leaves poses.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, env_ids: Sequence[int], specs: Sequence[MarkerSpec]
+        self,
+        model: mujoco.MjModel,
+        env_ids: Sequence[int],
+        specs: Sequence[MarkerSpec],
+        datas: Sequence[mujoco.MjData],
     ) -> None:
-        self._specs = specs
+        self._specs, self._datas = specs, datas
         self._frames = [frame_names(model, i) for i in env_ids]
-        self._templates: dict[tuple[int, tuple[tuple[Color3, ...], ...]], Template] = {}
+        self._templates: dict[_Colors, tuple[Template, list[slice]]] = {}
 
     def __bool__(self) -> bool:
         """Whether there is anything to draw."""
         return bool(self._specs)
 
-    def encode(
-        self, time_ns: int, index: int, data: mujoco.MjData, commands: Sequence[F64]
-    ) -> bytes:
-        """`SceneUpdate` of the index-th viewed environment, as bytes; after `mj_kinematics`.
+    def encode(self, time_ns: int, commands: Sequence[F64]) -> list[bytes]:
+        """`SceneUpdate` of each viewed environment, as bytes; after `mj_kinematics`.
 
         Args:
             time_ns: The moment.
-            index: Which of the viewed environments.
-            data: Its data.
-            commands: Values of the drawn commands, (n, K) each, of all viewed environments.
+            commands: Values of the drawn commands, (n, K) each.
         """
-        drawn = []
-        for marker, values_of_all in zip(self._specs, commands, strict=True):
-            values = values_of_all[index]
-            if marker.kind == "pose":
-                drawn.append(_axes(values))
-            else:
-                drawn.append(_velocity(values, data.xpos[marker.body], data.xquat[marker.body]))
-        colors = tuple(tuple(color for color, _ in arrows) for arrows in drawn)
-        template = self._templates.get((index, colors))
-        if template is None:
-            template = self._templates[index, colors] = self._template(index, colors)
-        numbers = [number for arrows in drawn for _, arrow in arrows for number in arrow]
-        return template.fill(np.array(numbers), time_ns)
+        numbers: list[float] = []
+        colors: list[tuple[Color3, ...]] = []
+        values = [command.tolist() for command in commands]
+        for index, data in enumerate(self._datas):
+            for marker, of_all in zip(self._specs, values, strict=True):
+                if marker.kind == "pose":
+                    arrows = _axes(of_all[index])
+                else:
+                    arrows = _velocity(
+                        of_all[index], data.xpos[marker.body], data.xquat[marker.body]
+                    )
+                colors.append(tuple([color for color, _ in arrows]))
+                for _, arrow in arrows:
+                    numbers += arrow
+        key = tuple(colors)
+        found = self._templates.get(key)
+        if found is None:
+            if len(self._templates) > _MOST_TEMPLATES:
+                self._templates.clear()
+            found = self._templates[key] = self._template(key)
+        template, places = found
+        filled = template.fill(np.array(numbers), time_ns)
+        return [filled[place] for place in places]
 
-    def _template(self, index: int, colors: Sequence[Sequence[Color3]]) -> Template:
-        """The message of an environment with arrows of these colours."""
-        frames, update, numbers = self._frames[index], SceneUpdate(), count()
-        for marker, shown in zip(self._specs, colors, strict=True):
-            entity = update.entities.add(id=f"{frames[0]}/commands/{marker.name}")
-            entity.timestamp.CopyFrom(STAMP)
-            entity.frame_locked = marker.kind == "pose"
-            entity.frame_id = frames[marker.body if marker.kind == "pose" else 0]
-            entity.arrows.extend(_arrow(color, numbers) for color in shown)
-        marks = sum(len(shown) for shown in colors) * _NUMBERS
-        return Template(update.SerializeToString(), marks)
+    def _template(self, colors: _Colors) -> tuple[Template, list[slice]]:
+        """The messages of all environments with arrows of these colours, and where each is."""
+        numbers, shown, messages = count(), iter(colors), list[bytes]()
+        for frames in self._frames:
+            update = SceneUpdate()
+            for marker in self._specs:
+                entity = update.entities.add(id=f"{frames[0]}/commands/{marker.name}")
+                entity.timestamp.CopyFrom(STAMP)
+                entity.frame_locked = marker.kind == "pose"
+                entity.frame_id = frames[marker.body if marker.kind == "pose" else 0]
+                entity.arrows.extend(_arrow(color, numbers) for color in next(shown))
+            messages.append(update.SerializeToString())
+        ends = [0, *accumulate(map(len, messages))]
+        places = [slice(begin, end) for begin, end in pairwise(ends)]
+        return Template(b"".join(messages), next(numbers)), places
 
 
 _NUMBERS = 9
 """Of an arrow, which change."""
+_Colors = tuple[tuple[Color3, ...], ...]
+"""Of the arrows of each marker, of each environment: those of no length are left out."""
+_MOST_TEMPLATES = 64
+"""That are kept: environments whose commands are zero now and then have many."""
 
 
 def _arrow(color: Color3, numbers: Iterator[int]) -> ArrowPrimitive:
@@ -121,10 +140,10 @@ def _arrow(color: Color3, numbers: Iterator[int]) -> ArrowPrimitive:
     )
 
 
-def _axes(pose: F64) -> list[Arrow]:
+def _axes(pose: Sequence[float]) -> list[Arrow]:
     """The axes of a frame: red, green, blue."""
-    start = pose[:3].tolist()
-    turned = (pose[3:] @ _TO_AXES).reshape(3, 4).tolist()
+    start = pose[:3]
+    turned = (np.array(pose[3:]) @ _TO_AXES).reshape(3, 4).tolist()
     lengths = _lengths(AXIS_LENGTH)
     return [
         (color, [*start, x, y, z, w, *lengths])
@@ -132,10 +151,10 @@ def _axes(pose: F64) -> list[Arrow]:
     ]
 
 
-def _velocity(command: F64, pos: F64, quat: F64) -> list[Arrow]:
+def _velocity(command: Sequence[float], pos: F64, quat: F64) -> list[Arrow]:
     """An arrow where it should go, in the plane, and one along z as it should turn."""
     w, x, y, z = quat.tolist()
-    forward, left, turn = command.tolist()
+    forward, left, turn = command
     heading = math.atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (y * y + z * z))
     start_x, start_y, height = pos.tolist()
     start = start_x, start_y, height + ABOVE

@@ -64,6 +64,7 @@ class Template:
             at = data.find(_STAMP, at + len(_STAMP))
         self._stamps_at = self._in_copies(np.array(found, np.int64), copies)
         self._stamps = self._anywhere(_STAMP_TYPE)
+        self._stamped = len(self._stamps_at) > 0
 
     def _in_copies(self, places: NDArray[np.int64], copies: int) -> NDArray[np.int64]:
         """Where (k,) places of a message are in all copies."""
@@ -82,7 +83,8 @@ class Template:
     def fill(self, values: F64, time_ns: int = 0) -> bytes:
         """The messages one after another, with these numbers and this time."""
         self._numbers[self._at] = values.reshape(-1)
-        self._stamps[self._stamps_at] = _stamp(time_ns)
+        if self._stamped:
+            self._stamps[self._stamps_at] = _stamp(time_ns)
         return bytes(self._bytes)
 
 

@@ -8,7 +8,7 @@ Gymnasium and nothing of a task is imported here, and what is pushed is plain da
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import mujoco
 import numpy as np
@@ -24,9 +24,6 @@ from embodichain.recording.foxglove.scene import Props
 from embodichain.recording.foxglove.view_spec import Topics, ViewSpec
 from embodichain.recording.foxglove.viewed import Viewed
 
-if TYPE_CHECKING:
-    from embodichain.recording.mcap_file import Part
-
 __all__ = ["PUSHED", "Sink", "ViewEncoder"]
 
 PUSHED = frozenset({"sample", "show", "set_field", "scalars", "numbers", "line", "event"})
@@ -39,8 +36,8 @@ class Sink(Protocol):
     def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
         """Declare a channel; `data` is the schema where it is this run's own."""
 
-    def write(self, topic: str, time_ns: int, parts: Sequence[Part]) -> None:
-        """Write or send a message."""
+    def send(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> None:
+        """Write or send messages of one moment, each with its topic."""
 
 
 class ViewEncoder:
@@ -60,7 +57,7 @@ class ViewEncoder:
         datas = [viewed.data for viewed in self._viewed.values()]
         self._frames = Frames(model, spec.env_ids, spec.offsets, datas)
         self._joints = Joints(model, len(spec.env_ids))
-        self._markers = Markers(model, spec.env_ids, spec.markers)
+        self._markers = Markers(model, spec.env_ids, spec.markers, datas)
         self._metrics: Metrics | None = None
         self._every, self._sampled = spec.every, -1
         self._shown: dict[int, bool] = {}
@@ -110,20 +107,21 @@ class ViewEncoder:
             scenes: Environments whose scene is due; whether somebody sees it for the first time.
             commands: Values of the drawn commands, (n, K) each.
         """
-        write = self._sink.write
+        found: list[tuple[str, bytes]] = []
         joints = self._joints.encode(time_ns, rows)
         every = zip(self._viewed.values(), self._topics, rows, joints, strict=True)
-        for index, (viewed, topics, row, states) in enumerate(every):
+        for viewed, topics, row, states in every:
             viewed.place(row)
             if viewed.env_id in scenes:
                 scene = viewed.scene(time_ns, anyway=scenes[viewed.env_id])
                 if scene is not None:
-                    write(topics.scene, time_ns, (scene,))
-            write(topics.joints, time_ns, (states,))
-            if self._markers:
-                drawn = self._markers.encode(time_ns, index, viewed.data, commands)
-                write(topics.markers, time_ns, (drawn,))
-        write("/tf", time_ns, (self._frames.encode(time_ns),))
+                    found.append((topics.scene, scene))
+            found.append((topics.joints, states))
+        if self._markers:
+            drawn = self._markers.encode(time_ns, commands)
+            found += [(t.markers, data) for t, data in zip(self._topics, drawn, strict=True)]
+        found.append(("/tf", self._frames.encode(time_ns)))
+        self._sink.send(time_ns, found)
 
     def scalars(self, names: Sequence[str]) -> None:
         """Declare the metrics' channels; these are the fields of `numbers` from here on."""
@@ -139,12 +137,12 @@ class ViewEncoder:
         """
         if self._metrics is None:
             raise RuntimeError("numbers came before the names of the scalars")
-        for topics, data in zip(self._topics, self._metrics.encode(taken), strict=True):
-            self._sink.write(topics.metrics, time_ns, (data,))
+        every = zip(self._topics, self._metrics.encode(taken), strict=True)
+        self._sink.send(time_ns, [(topics.metrics, data) for topics, data in every])
 
     def line(self, time_ns: int, message: str, level: str) -> None:
         """Write a line to `/log`."""
-        self._sink.write("/log", time_ns, (log_line(time_ns, message, level),))
+        self._sink.send(time_ns, [("/log", log_line(time_ns, message, level))])
 
     def event(
         self,

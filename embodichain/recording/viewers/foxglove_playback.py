@@ -68,10 +68,10 @@ def play_log(
                 return
             for new in server.newcomers() & still.keys():
                 time_ns, data = still[new]
-                server.write(new, time_ns, (data,))
+                server.send(time_ns, [(new, data)])
             if topic.endswith("/scene"):
                 still[topic] = message.log_time, message.data
-            server.write(topic, message.log_time, (message.data,))
+            server.send(message.log_time, [(topic, bytes(message.data))])
         if not again:
             return
         server.begin_anew()

@@ -9,7 +9,6 @@ import threading
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from embodichain.recording.mcap_file import Part
 from embodichain.recording.schemas import descriptor_set
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -101,15 +100,16 @@ class FoxgloveServer:
         """Whether somebody has subscribed to a channel."""
         return bool(self._channels[topic].has_sinks())
 
-    def write(self, topic: str, time_ns: int, parts: Sequence[Part]) -> None:
-        """Send a message to those who have subscribed.
+    def send(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> None:
+        """Send messages to those who have subscribed.
 
         Raises:
-            KeyError: If the channel was not declared.
+            KeyError: If a channel was not declared.
         """
-        channel = self._channels[topic]
-        if channel.has_sinks():
-            channel.log(b"".join(map(bytes, parts)), log_time=time_ns)
+        for topic, data in messages:
+            channel = self._channels[topic]
+            if channel.has_sinks():
+                channel.log(data, log_time=time_ns)
 
     def begin_anew(self) -> None:
         """Tell clients that time begins again: they forget what they have, and stay subscribed."""

@@ -34,8 +34,8 @@ class Sink:
     def channel(self, topic, schema, data=None):
         self.found.append((topic, schema, data))
 
-    def write(self, topic, time_ns, parts):
-        self.found.append((topic, time_ns, b"".join(map(bytes, parts))))
+    def send(self, time_ns, messages):
+        self.found += [(topic, time_ns, data) for topic, data in messages]
 
 
 class Watcher(StepObserver):
