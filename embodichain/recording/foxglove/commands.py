@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,7 +25,9 @@ class Commands:
     """
 
     def __init__(self, env: BaseEnv, env_ids: Sequence[int]) -> None:
-        self._ids = np.array(env_ids, np.int64)
+        ids = np.array(env_ids, np.int64)
+        side_by_side = len(ids) > 0 and (np.diff(ids) == 1).all()  # slices cost half
+        self._which: Any = slice(int(ids[0]), int(ids[-1]) + 1) if side_by_side else ids
         manager = getattr(env, "command_manager", None)  # environments of others may have none
         terms = {} if manager is None else dict(manager.terms)
         self._commands = {name: term.instance for name, term in terms.items()}
@@ -46,4 +48,5 @@ class Commands:
 
     def take(self) -> list[F64]:
         """The drawn commands in force in the order of `markers`, (n, K) each, copied."""
-        return [self._commands[marker.name].values[self._ids] for marker in self.markers]
+        which = self._which
+        return [self._commands[marker.name].values[which].copy() for marker in self.markers]

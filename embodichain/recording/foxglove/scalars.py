@@ -39,6 +39,8 @@ class Scalars:
         for labels, values in commands:
             self._labels += labels
             self._commands.append(values)
+        self._weights: Mapping[str, float] | None = None
+        self._factors: F64 = np.zeros((0, 1))
         self._keys = [key for key in _FACTS if key in step.info]
         self._terms = {key: list(step.info.get(key, {})) for key, _ in _GROUPS}
         for name in map(identifier, self._titles()):
@@ -87,8 +89,7 @@ class Scalars:
                     end = at + len(names)
                     _take_group(info.get(key, {}), names, which, taken[at:end])
                     if key == "rewards" and weights:
-                        factors = [weights.get(name, 1.0) for name in names]
-                        taken[at:end] *= np.array(factors)[:, None]
+                        taken[at:end] *= self._factors_of(weights)
                     at = end
         except KeyError as error:
             raise ValueError(
@@ -99,6 +100,14 @@ class Scalars:
             taken[at:end] = command[which].T
             at = end
         return taken
+
+    def _factors_of(self, weights: Mapping[str, float]) -> F64:
+        """(T, 1) weights of the reward's terms."""
+        if self._weights != weights:
+            self._weights = dict(weights)
+            factors = [weights.get(name, 1.0) for name in self._terms["rewards"]]
+            self._factors = np.array(factors)[:, None]
+        return self._factors
 
 
 def _take_group(group: Mapping[str, Any], names: list[str], which: Any, out: F64) -> None:

@@ -71,6 +71,7 @@ class Views:
         self._reset: set[int] = set()
         self._asked: set[int] = set(self._ids.tolist())
         self._sampled = -1
+        self._drawn: list[bytes] | None = None  # commands, as they were shown last
         self._scalars: Scalars | None = None
         self._rewards = getattr(env, "reward_manager", None)  # environments of others may have none
         env_ids = self._ids.tolist()
@@ -140,10 +141,14 @@ class Views:
         scenes = {**dict.fromkeys(self._reset, False), **dict.fromkeys(self._asked, True)}
         self._reset.clear()
         self._asked.clear()
+        commands = self._commands.take()
         if self.spec.every and not last:
-            self._push("show", scenes, *self._commands.take())
+            drawn = [values.tobytes() for values in commands]
+            if scenes or drawn != self._drawn:  # commands stay for seconds
+                self._drawn = drawn
+                self._push("show", scenes, *commands)
             return
-        self._push("sample", self._now(), rows[self._ids], scenes, *self._commands.take())
+        self._push("sample", self._now(), rows[self._ids], scenes, *commands)
 
     def on_reset(self, env_ids: EnvIndex) -> None:
         """Sample viewed environments that were reset, with their scene if it has changed."""
