@@ -76,10 +76,10 @@ class ViewEncoder:
     def show(self, scenes: Mapping[int, bool], *commands: F64) -> None:
         """Sample in this control step with these environments' scenes and commands: see `sample`.
 
-        Without scenes, the step is sampled only if it is due.
+        Without scenes, the step is sampled only if it is due. Commands stay until others come.
         """
         self._shown.update(scenes)
-        self._commands = commands
+        self._commands = tuple(command.copy() for command in commands)  # their memory is lent
 
     def is_due(self, step: int) -> bool:
         """Whether a control step is to be sampled, of which nobody pushes the rows."""

@@ -139,6 +139,31 @@ def test_from_another_process_the_messages_are_the_same(pushed):
     assert len(near.found) > 50
 
 
+def test_memory_of_what_was_handed_over_is_used_again(pushed):
+    """Arrays lie in memory that is lent: nothing may be kept of them, commands the least."""
+    calls, spec = pushed
+    near, far = Sink(), Sink()
+    here, there = ViewEncoder(MODEL, spec, near), ViewEncoder(MODEL, spec, far)
+
+    def lent(method, *args):
+        args = pickle.loads(pickle.dumps(args))
+        getattr(there, method)(*args)
+        for arg in args:
+            if isinstance(arg, np.ndarray):
+                arg[...] = 77
+
+    for step, (method, args, _) in enumerate(calls):
+        getattr(here, method)(*args)
+        if method == "sample":  # as if the rows were known there
+            time_ns, rows, scenes, *commands = args
+            lent("show", scenes, *commands)
+            lent("look", step, time_ns, rows)
+        else:
+            lent(method, *args)
+    assert {"/env_2/markers", "/tf"} <= {topic for topic, *_ in far.found}
+    assert near.found == far.found
+
+
 def test_it_writes_to_declared_channels_only(pushed):
     calls, spec = pushed
     sink = Sink()
