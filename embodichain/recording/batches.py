@@ -11,7 +11,6 @@ import mmap
 import pickle
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -53,14 +52,22 @@ class Aside:
     """A call among those of a step that other calls do not depend on.
 
     Attributes:
+        name: The method's name.
         step: Number of the step, among those that are alike.
         after: How many of the step's own calls come before it.
-        carry_out: Does it.
+        method: The method.
+        args: Its arguments.
     """
 
+    name: str
     step: int
     after: int
-    carry_out: Callable[[], None]
+    method: Callable[..., None]
+    args: Sequence[Any]
+
+    def carry_out(self) -> None:
+        """Do it."""
+        self.method(*self.args)
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,11 +201,12 @@ class Batches:
                 and steps[count].at[0] == first.at[0] + count * stride
             ):
                 count += 1
-        asides = [
-            Aside(k, after, partial(self._carry_out, calls[index], memory))
-            for k, step in enumerate(steps[:count])
-            for after, index in step.asides
-        ]
+        asides = []
+        for k, step in enumerate(steps[:count] if count > 1 else ()):
+            for after, index in step.asides:
+                name, args, places = calls[index]
+                found = _found(memory, args, places) if places else args
+                asides.append(Aside(name, k, after, self._methods[name], found))
         forms = tuple(self._forms[number] for number, _ in first.calls or ())
         return AlikeSteps(forms, count, tuple(first.at), stride, memory, asides)
 

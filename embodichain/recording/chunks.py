@@ -8,10 +8,13 @@ repeats what the simulation was.
 
 from __future__ import annotations
 
+import math
 import os
 import struct
-from collections.abc import Iterator
+from bisect import bisect_left
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -37,6 +40,9 @@ __all__ = ["ChunkFile", "ChunkPlace", "Found"]
 
 _KEPT_LIMIT = 2**29
 """Bytes of the largest attachment or metadata record that is believed."""
+
+_WAITING = 50_000
+"""Messages that wait for earlier ones at most: what a chunk says of its times may be wrong."""
 
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQ")  # first and last log time, size
@@ -269,6 +275,23 @@ class ChunkFile:
         """Messages of some chunks, or of all, in file order; what is damaged ends iteration."""
         for found in self.blocks(chunks):
             yield from found
+
+    def messages_in_time(self, wanted: Callable[[str], bool]) -> Iterator[Found]:
+        """Messages of the topics that are wanted, by log time: a file may hold them otherwise.
+
+        Those of one time come as they lie in the file. What is damaged ends iteration.
+        """
+        later = [*accumulate((c.start_ns for c in reversed(self.chunks)), min)][::-1]
+        waiting: list[Found] = []
+        for number, found in enumerate(self.blocks()):
+            waiting += [message for message in found if wanted(message[0])]
+            waiting.sort(key=lambda message: message[1])
+            more = number + 1 < len(later) and len(waiting) < _WAITING
+            until = later[number + 1] if more else math.inf
+            count = bisect_left(waiting, until, key=lambda message: message[1])
+            yield from waiting[:count]
+            del waiting[:count]
+        yield from waiting
 
     def blocks(self, chunks: list[ChunkPlace] | None = None) -> Iterator[list[Found]]:
         """The same, a list for each chunk. Channels are declared in the first chunks."""

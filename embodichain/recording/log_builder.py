@@ -27,13 +27,12 @@ from embodichain.recording.log_file import LogFile
 from embodichain.recording.log_head import LogHead
 from embodichain.recording.mcap_file import Part
 from embodichain.recording.parts import Manifest, part_name
+from embodichain.recording.seen_together import VIEW, SeenTogether
 from embodichain.recording.steady_log import SteadyLog
 
-__all__ = ["LAYOUT_FILE", "VIEW", "LogBuilder"]
+__all__ = ["LAYOUT_FILE", "LogBuilder"]
 
 LAYOUT_FILE = "foxglove_layout.json"
-VIEW = "view."
-"""What names of `ViewEncoder`'s methods begin with."""
 
 
 class LogBuilder:
@@ -141,17 +140,17 @@ class LogBuilder:
         ]
         _, rewards, _, _, episode_ids = found.arrays[-1]
         asides = deque(steps.asides)
+        seen = SeenTogether(views, self.file, found, log.step, times)
         for k, time_ns in enumerate(times):
-            step = log.step + k
             while asides and asides[0].step == k and asides[0].after <= kind.physics:
-                asides.popleft().carry_out()
-            if views.is_due(step):
-                views.look(step, time_ns, found.rows_at(k, views.env_ids))
+                seen.aside(asides.popleft())
+            seen.step(k)
             for args, drawn in events:
                 views.event(time_ns, *args, *[values[k] for values in drawn])
             while asides and asides[0].step == k:
-                asides.popleft().carry_out()
-            self._take_in(step, None, rewards[k], episode_ids[k])
+                seen.aside(asides.popleft())
+            self._take_in(log.step + k, None, rewards[k], episode_ids[k])
+        seen.finish()
         found.finish()
         return found.count
 

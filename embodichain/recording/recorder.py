@@ -29,13 +29,13 @@ from embodichain.recording.episode_log import Ends
 from embodichain.recording.foxglove.layout import foxglove_layout
 from embodichain.recording.foxglove.views import Views
 from embodichain.recording.header import check_keyframes
-from embodichain.recording.log_builder import VIEW
 from embodichain.recording.log_head import LogHead, RecordStats, header_of
 from embodichain.recording.options import (
     RecordLike,
     RecordOptions,
     check_options,
 )
+from embodichain.recording.seen_together import VIEW
 from embodichain.recording.writer import LogWriter
 
 if TYPE_CHECKING:

@@ -192,17 +192,26 @@ class SteadySteps:
         ]
         return self._known.hashes_together(row_hash, self.arrays[physics][0], written)
 
-    def rows_at(self, k: int, ids: NDArray[np.int64]) -> F64:
-        """(n, nstate) rows of some environments as physics received them in the k-th step."""
+    def rows_at(self, steps: Sequence[int], ids: NDArray[np.int64]) -> F64:
+        """(L, n, nstate) rows of some environments as physics received them in L of the steps.
+
+        Args:
+            steps: Which of the K steps, ascending.
+            ids: (n,) the environments.
+        """
         kind, known = self._kind, self._known
-        rows = known.of(ids)
-        if k:
-            rows[:, known.moved_columns] = self.arrays[kind.physics][0][k - 1, ids]
+        first, later = np.repeat(known.of(ids)[None], len(steps), 0), np.array(steps)
+        begun = int(later[0] == 0)  # what is left in the step before is not there in the first
+
+        def put(columns: NDArray[np.int64], values: F64, at: int, step: NDArray[np.int64]) -> None:
+            first[at:, :, columns] = values[step[at:, None], ids]
+
+        put(known.moved_columns, self.arrays[kind.physics][0], begun, later - 1)
         for index, columns in kind.inputs.items():
-            last = k if index < kind.physics else k - 1
-            if last >= 0:
-                rows[:, columns] = self.arrays[index][0][last, ids]
-        return rows
+            before = index < kind.physics
+            at, step = (0, later) if before else (begun, later - 1)
+            put(columns, self.arrays[index][0], at, step)
+        return first
 
     def finish(self) -> None:
         """The steps are over."""

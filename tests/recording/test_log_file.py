@@ -1,5 +1,6 @@
 import os
 import struct
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ from mcap.reader import make_reader
 from mcap.records import Message
 from mcap.stream_reader import StreamReader
 
+from embodichain.recording import chunks
 from embodichain.recording.log_file import LogFile
 
 TOPIC, SCHEMA = "/sim/state", "embodichain.BatchedState"
@@ -141,3 +143,27 @@ def test_a_disk_that_fills_within_a_chunk_leaves_what_is_said(tmp_path, monkeypa
             for record in StreamReader(stream).records:
                 found += [record] if isinstance(record, Message) else []
     assert len(found) == log.written(TOPIC)
+
+
+def test_messages_of_a_file_that_is_not_in_order_of_time(tmp_path, monkeypatch):
+    generator = np.random.default_rng(0)
+    log = start(tmp_path / "log.mcap")
+    log.channel("/sim/step", "embodichain.Step")
+    written = []
+    for block in range(12):  # each lies in several chunks, and begins before the last one ends
+        for topic, ahead in ((TOPIC, 0), ("/sim/step", -5)):
+            for time in range(10 * block, 10 * block + 10):
+                data = generator.bytes(200_000)
+                log.write(topic, max(0, time + ahead), (data,))
+                written.append((topic, max(0, time + ahead), data))
+    log.finish()
+    expected = sorted(written, key=lambda message: message[1])
+    for most in (chunks._WAITING, 3):
+        monkeypatch.setattr(chunks, "_WAITING", most)
+        with closing(chunks.ChunkFile(tmp_path / "log.mcap")) as file:
+            assert len(file.chunks) > 20
+            found = [(t, time, bytes(d)) for t, time, d in file.messages_in_time(lambda t: True)]
+            steps = list(file.messages_in_time(lambda topic: topic == "/sim/step"))
+        assert sorted(found) == sorted(written)
+        assert (found == expected) == (most > 3)
+        assert [time for _, time, _ in steps] == [m[1] for m in written if m[0] == "/sim/step"]

@@ -11,6 +11,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64
 from embodichain.recording.foxglove.messages import FrameTransforms
@@ -72,9 +73,17 @@ class Frames:
 
     def encode(self, time_ns: int) -> bytes:
         """`FrameTransforms` of all environments where they are now, as bytes."""
+        return self._template.fill(self.poses(), time_ns)
+
+    def poses(self) -> F64:
+        """(n, bodies, 7) position, quaternion wxyz of every body now; the next call changes it."""
         for poses, source in self._sources:
             poses[...] = source
-        return self._template.fill(self._poses, time_ns)
+        return self._poses
+
+    def table(self, times: Sequence[int], poses: F64) -> NDArray[np.uint8]:
+        """(L, bytes) `FrameTransforms` of (L, n, bodies, 7) `poses` at (L,) moments in ns."""
+        return self._template.table(poses.reshape(len(poses), -1), times)
 
 
 def _add(message: Any, parent: str, child: str) -> Any:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64
 from embodichain.lab.sim.engine.layout import row_layout
@@ -40,3 +43,11 @@ class Joints:
     def encode(self, time_ns: int, rows: F64) -> list[bytes]:
         """`JointStates` of each row, as bytes: positions (rad or m), velocities (rad/s or m/s)."""
         return self._template.fill_all(rows[:, self._columns], time_ns)
+
+    def table(self, times: Sequence[int], rows: F64) -> NDArray[np.uint8]:
+        """(L, n, bytes) messages of (L, n, nstate) rows at (L,) moments in ns."""
+        values = rows[:, :, self._columns]
+        found = self._template.table(
+            values.reshape(-1, len(self._columns)), np.repeat(times, rows.shape[1]).tolist()
+        )
+        return found.reshape(*rows.shape[:2], -1)

@@ -11,6 +11,7 @@ from itertools import accumulate, count, pairwise
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64
 from embodichain.recording.foxglove.frames import frame_names
@@ -26,7 +27,7 @@ from embodichain.recording.foxglove.template import STAMP, Template, mark
 from embodichain.recording.foxglove.view_spec import MarkerSpec
 from embodichain.utils.math import quat_multiply
 
-__all__ = ["Markers"]
+__all__ = ["Colors", "Markers"]
 
 AXIS_LENGTH = 0.15
 METRES_PER_SPEED = 0.5
@@ -43,6 +44,9 @@ _TO_AXES = quat_multiply(np.eye(4)[:, None], _ALONG).reshape(4, 12)
 Color3 = tuple[float, float, float]
 Arrow = tuple[Color3, list[float]]
 """A colour, and x y z, the turn of the x axis as x y z w, the shaft's and the head's length."""
+
+Colors = tuple[tuple[Color3, ...], ...]
+"""Of the arrows of each marker, of each environment: those of no length are left out."""
 
 
 class Markers:
@@ -64,7 +68,7 @@ class Markers:
     ) -> None:
         self._specs, self._datas = specs, datas
         self._frames = [frame_names(model, i) for i in env_ids]
-        self._templates: dict[_Colors, tuple[Template, list[slice]]] = {}
+        self._templates: dict[Colors, tuple[Template, list[slice]]] = {}
 
     def __bool__(self) -> bool:
         """Whether there is anything to draw."""
@@ -77,6 +81,27 @@ class Markers:
             time_ns: The moment.
             commands: Values of the drawn commands, (n, K) each.
         """
+        colors, numbers = self.drawn(commands)
+        template, places = self._template_of(colors)
+        filled = template.fill(np.array(numbers), time_ns)
+        return [filled[place] for place in places]
+
+    def table(
+        self, times: Sequence[int], colors: Colors, numbers: Sequence[Sequence[float]]
+    ) -> list[NDArray[np.uint8]]:
+        """(L, bytes) messages of each environment at (L,) moments in ns.
+
+        Args:
+            times: The moments.
+            colors: What is `drawn`, the same at all of them.
+            numbers: Of what is drawn at each moment.
+        """
+        template, places = self._template_of(colors)
+        filled = template.table(np.array(numbers), times)
+        return [filled[:, place] for place in places]
+
+    def drawn(self, commands: Sequence[F64]) -> tuple[Colors, list[float]]:
+        """The colours of what is drawn where bodies are now, and its numbers."""
         numbers: list[float] = []
         colors: list[tuple[Color3, ...]] = []
         values = [command.tolist() for command in commands]
@@ -91,17 +116,17 @@ class Markers:
                 colors.append(tuple([color for color, _ in arrows]))
                 for _, arrow in arrows:
                     numbers += arrow
-        key = tuple(colors)
-        found = self._templates.get(key)
+        return tuple(colors), numbers
+
+    def _template_of(self, colors: Colors) -> tuple[Template, list[slice]]:
+        found = self._templates.get(colors)
         if found is None:
             if len(self._templates) > _MOST_TEMPLATES:
                 self._templates.clear()
-            found = self._templates[key] = self._template(key)
-        template, places = found
-        filled = template.fill(np.array(numbers), time_ns)
-        return [filled[place] for place in places]
+            found = self._templates[colors] = self._template(colors)
+        return found
 
-    def _template(self, colors: _Colors) -> tuple[Template, list[slice]]:
+    def _template(self, colors: Colors) -> tuple[Template, list[slice]]:
         """The messages of all environments with arrows of these colours, and where each is."""
         numbers, shown, messages = count(), iter(colors), list[bytes]()
         for frames in self._frames:
@@ -120,8 +145,6 @@ class Markers:
 
 _NUMBERS = 9
 """Of an arrow, which change."""
-_Colors = tuple[tuple[Color3, ...], ...]
-"""Of the arrows of each marker, of each environment: those of no length are left out."""
 _MOST_TEMPLATES = 64
 """That are kept: environments whose commands are zero now and then have many."""
 

@@ -8,6 +8,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from embodichain.lab.sim.engine.base import F64
 from embodichain.recording import wire
 from embodichain.recording.foxglove.template import Template, mark
@@ -37,3 +40,9 @@ class Metrics:
     def encode(self, taken: F64) -> list[bytes]:
         """One message for each environment of `taken`, (S, n)."""
         return self._template.fill_all(taken.T)
+
+    def table(self, taken: F64) -> NDArray[np.uint8]:
+        """(L, n, bytes) messages of (L, S, n) numbers."""
+        moments, scalars, count = taken.shape
+        values = taken.transpose(0, 2, 1).reshape(-1, scalars)
+        return self._template.table(values, ()).reshape(moments, count, -1)

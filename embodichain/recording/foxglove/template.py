@@ -7,6 +7,7 @@ much.
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -56,29 +57,38 @@ class Template:
             found.append(at)
             at += 8
         places = np.array(found, np.int64)
-        self._at = self._in_copies(places if order is None else places[order], copies)
-        self._numbers = self._anywhere("<f8")
+        self._places = places if order is None else places[order]
+        self._at = self._in_copies(self._places, copies)
+        self._numbers = _anywhere(self._bytes, len(self._bytes), "<f8")
         found, at = [], data.find(_STAMP)
         while at >= 0:
             found.append(at)
             at = data.find(_STAMP, at + len(_STAMP))
-        self._stamps_at = self._in_copies(np.array(found, np.int64), copies)
-        self._stamps = self._anywhere(_STAMP_TYPE)
+        self._stamp_places = np.array(found, np.int64)
+        self._stamps_at = self._in_copies(self._stamp_places, copies)
+        self._stamps = _anywhere(self._bytes, len(self._bytes), _STAMP_TYPE)
         self._stamped = len(self._stamps_at) > 0
 
     def _in_copies(self, places: NDArray[np.int64], copies: int) -> NDArray[np.int64]:
         """Where (k,) places of a message are in all copies."""
         return (self._size * np.arange(copies)[:, None] + places).reshape(-1)
 
-    def _anywhere(self, kind: str) -> NDArray[Any]:
-        """The bytes as overlapping values: the k-th begins at byte k."""
-        last = len(self._bytes) - np.dtype(kind).itemsize
-        return np.ndarray((max(0, last + 1),), kind, self._bytes, 0, (1,))
-
     def fill_all(self, values: F64, time_ns: int = 0) -> list[bytes]:
         """The messages with these numbers, (copies, count) of them, and this time."""
         filled, size = self.fill(values, time_ns), self._size
         return [filled[at : at + size] for at in range(0, len(filled), size)]
+
+    def table(self, values: F64, times: Sequence[int]) -> NDArray[np.uint8]:
+        """(m, bytes) messages with (m, count) numbers, of these (m,) moments in ns."""
+        size = self._size
+        table = np.empty((len(values), size), np.uint8)
+        table[:] = np.frombuffer(self._bytes, np.uint8, size)
+        rows = size * np.arange(len(values))[:, None]
+        _anywhere(table, table.size, "<f8")[rows + self._places] = values
+        if self._stamped:
+            stamps = np.array([_stamp(time_ns) for time_ns in times])
+            _anywhere(table, table.size, _STAMP_TYPE)[rows + self._stamp_places] = stamps
+        return table
 
     def fill(self, values: F64, time_ns: int = 0) -> bytes:
         """The messages one after another, with these numbers and this time."""
@@ -88,7 +98,13 @@ class Template:
         return bytes(self._bytes)
 
 
-@lru_cache(maxsize=2)  # messages of one moment share it
+def _anywhere(memory: Any, nbytes: int, kind: str) -> NDArray[Any]:
+    """Bytes as overlapping values: the k-th begins at byte k."""
+    last = nbytes - np.dtype(kind).itemsize
+    return np.ndarray((max(0, last + 1),), kind, memory, 0, (1,))
+
+
+@lru_cache(maxsize=128)  # messages of one moment share it
 def _stamp(time_ns: int) -> NDArray[np.void]:
     """A `Timestamp` of `_STAMP`'s length: numbers with leading zeros, which every decoder reads."""
     seconds, nanos = divmod(time_ns, 1_000_000_000)

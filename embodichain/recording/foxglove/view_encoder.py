@@ -18,11 +18,12 @@ from embodichain.lab.sim.engine.base import F64
 from embodichain.recording.foxglove.frames import Frames
 from embodichain.recording.foxglove.joints import Joints
 from embodichain.recording.foxglove.log_lines import event_text, log_line
-from embodichain.recording.foxglove.markers import Markers
+from embodichain.recording.foxglove.markers import Colors, Markers
 from embodichain.recording.foxglove.metrics import Metrics
 from embodichain.recording.foxglove.scene import Props
 from embodichain.recording.foxglove.view_spec import Topics, ViewSpec
 from embodichain.recording.foxglove.viewed import Viewed
+from embodichain.recording.mcap_file import Piece
 
 __all__ = ["PUSHED", "Sink", "ViewEncoder"]
 
@@ -86,6 +87,45 @@ class ViewEncoder:
         due = self._every > 0 and (step % self._every == 0 or bool(self._shown))
         return due and step != self._sampled and len(self.env_ids) > 0
 
+    def looks(self, step: int) -> str:
+        """Whether a control step is ``due``, is due with ``scenes``, or ``not``."""
+        return ("scenes" if self._shown else "due") if self.is_due(step) else "not"
+
+    def look_often(
+        self, last: int, times: Sequence[int], rows: F64
+    ) -> list[tuple[str, list[Piece]]]:
+        """Sample control steps that are due without scenes, all with the same commands.
+
+        Args:
+            last: The last of the steps.
+            times: The moment of each, L of them.
+            rows: (L, n, nstate) rows of the viewed environments.
+
+        Returns:
+            Topic and pieces of what is to be written at each moment.
+        """
+        self._sampled = last
+        poses: list[F64] = []
+        numbers: list[list[float]] = []
+        colors: Colors = ()
+        for one in rows:
+            for viewed, row in zip(self._viewed.values(), one, strict=True):
+                viewed.place(row)
+            poses.append(self._frames.poses().copy())
+            if self._markers:
+                colors, drawn = self._markers.drawn(self._commands)
+                numbers.append(drawn)
+        joints = self._joints.table(times, rows)
+        found: list[tuple[str, list[Piece]]] = []
+        for index, topics in enumerate(self._topics):
+            found.append((topics.joints, [[joints[:, index]]]))
+        if self._markers:
+            tables = self._markers.table(times, colors, numbers)
+            for topics, table in zip(self._topics, tables, strict=True):
+                found.append((topics.markers, [[table]]))
+        found.append(("/tf", [[self._frames.table(times, np.array(poses))]]))
+        return found
+
     def look(self, step: int, time_ns: int, rows: F64) -> None:
         """Sample a control step that is due.
 
@@ -135,10 +175,18 @@ class ViewEncoder:
         Raises:
             RuntimeError: If nobody said which scalars they are.
         """
+        every = zip(self._topics, self._declared().encode(taken), strict=True)
+        self._sink.send(time_ns, [(topics.metrics, data) for topics, data in every])
+
+    def _declared(self) -> Metrics:
         if self._metrics is None:
             raise RuntimeError("numbers came before the names of the scalars")
-        every = zip(self._topics, self._metrics.encode(taken), strict=True)
-        self._sink.send(time_ns, [(topics.metrics, data) for topics, data in every])
+        return self._metrics
+
+    def numbers_often(self, taken: F64) -> list[tuple[str, list[Piece]]]:
+        """Topic and pieces of the metrics of several moments, (L, S, n)."""
+        tables = self._declared().table(taken)
+        return [(t.metrics, [[tables[:, i]]]) for i, t in enumerate(self._topics)]
 
     def line(self, time_ns: int, message: str, level: str) -> None:
         """Write a line to `/log`."""

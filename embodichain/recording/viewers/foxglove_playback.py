@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
-from mcap.records import Message
-
+from embodichain.recording.chunks import ChunkFile
 from embodichain.recording.reader import LogReader
 from embodichain.recording.viewers.foxglove_server import FoxgloveServer
 
@@ -33,7 +33,7 @@ def declare_channels(path: Path, server: FoxgloveServer) -> list[str]:
             pass
         for channel in reader.channels.values():
             schema = reader.schemas.get(channel.schema_id)
-            if schema is not None and not channel.topic.startswith(_NOT_FOR_PEOPLE):
+            if schema is not None and _is_for_people(channel.topic):
                 server.channel(channel.topic, schema.name, schema.data)
                 topics.append(channel.topic)
     return topics
@@ -59,29 +59,32 @@ def play_log(
     while not stopped():
         clock = _Clock(speed)
         still: dict[str, tuple[int, bytes]] = {}  # the newest scenes: they come seldom
-        for topic, message in _for_people(path):
-            while not stopped() and not (server.wanted and clock.due(message.log_time)):
+        for topic, log_time, data in _for_people(path):
+            while not stopped() and not (server.wanted and clock.due(log_time)):
                 if not server.wanted:
                     clock.stop()
                 time.sleep(_PAUSE)
             if stopped():
                 return
             for new in server.newcomers() & still.keys():
-                time_ns, data = still[new]
-                server.send(time_ns, [(new, data)])
+                time_ns, scene = still[new]
+                server.send(time_ns, [(new, scene)])
             if topic.endswith("/scene"):
-                still[topic] = message.log_time, message.data
-            server.send(message.log_time, [(topic, bytes(message.data))])
+                still[topic] = log_time, data
+            server.send(log_time, [(topic, data)])
         if not again:
             return
         server.begin_anew()
 
 
-def _for_people(path: Path) -> Iterator[tuple[str, Message]]:
-    with LogReader(path) as reader:
-        for topic, message in reader.messages():
-            if not topic.startswith(_NOT_FOR_PEOPLE):
-                yield topic, message
+def _for_people(path: Path) -> Iterator[tuple[str, int, bytes]]:
+    with closing(ChunkFile(path)) as file:
+        for topic, log_time, data in file.messages_in_time(_is_for_people):
+            yield topic, log_time, bytes(data)
+
+
+def _is_for_people(topic: str) -> bool:
+    return not topic.startswith(_NOT_FOR_PEOPLE)
 
 
 class _Clock:

@@ -215,7 +215,8 @@ def test_samples_that_nobody_pushed_are_those_that_are_pushed(record, monkeypatc
     def seen(path):
         viewers = [t for t in decoded(path) if not t[0].startswith("/sim/")]
         start = inspect(path).header.start_ns
-        return [(topic, time - start, _without_time(content)) for topic, time, content in viewers]
+        found = [(topic, time - start, _without_time(content)) for topic, time, content in viewers]
+        return sorted(found, key=lambda message: message[:2])
 
     options = RecordOptions(view_envs=(0, 2), **{"view_hz": 20, **options})
     followed = seen(record("followed.mcap", 40, options, **case))
