@@ -58,10 +58,11 @@ class SeenTogether:
 
     def step(self, k: int) -> None:
         """Sample the k-th step, if it is due."""
-        looks = self._views.looks(self._first + k)
-        if looks == "due":
+        if not self._views.is_due(self._first + k):
+            return
+        if not self._views.scenes_due:
             self._due.append(k)
-        elif looks == "scenes":
+        else:
             self._look()
             (rows,) = self._steps.rows_at([k], self._views.env_ids)
             self._views.look(self._first + k, self._times[k], rows)

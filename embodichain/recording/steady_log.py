@@ -18,6 +18,7 @@ from embodichain.lab.sim.engine.base import F64
 from embodichain.recording import wire
 from embodichain.recording.batches import AlikeCalls, AlikeSteps
 from embodichain.recording.columns import Ranges
+from embodichain.recording.hashing import RowHash
 from embodichain.recording.known_rows import KnownRows
 from embodichain.recording.mcap_file import Piece
 from embodichain.recording.messages import (
@@ -183,7 +184,7 @@ class SteadySteps:
         self.arrays, self.count = arrays, count
         self.messages: list[tuple[str, list[Piece]]] = []
 
-    def hashes(self, row_hash: Any) -> NDArray[np.uint64]:
+    def hashes(self, row_hash: RowHash) -> NDArray[np.uint64]:
         """(K, N) hashes of what physics returned."""
         physics = self._kind.physics
         written = [
@@ -200,18 +201,18 @@ class SteadySteps:
             ids: (n,) the environments.
         """
         kind, known = self._kind, self._known
-        first, later = np.repeat(known.of(ids)[None], len(steps), 0), np.array(steps)
+        rows, later = np.repeat(known.of(ids)[None], len(steps), 0), np.array(steps)
         begun = int(later[0] == 0)  # what is left in the step before is not there in the first
 
         def put(columns: NDArray[np.int64], values: F64, at: int, step: NDArray[np.int64]) -> None:
-            first[at:, :, columns] = values[step[at:, None], ids]
+            rows[at:, :, columns] = values[step[at:, None], ids]
 
         put(known.moved_columns, self.arrays[kind.physics][0], begun, later - 1)
         for index, columns in kind.inputs.items():
             before = index < kind.physics
             at, step = (0, later) if before else (begun, later - 1)
             put(columns, self.arrays[index][0], at, step)
-        return first
+        return rows
 
     def finish(self) -> None:
         """The steps are over."""

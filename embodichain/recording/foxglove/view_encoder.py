@@ -87,9 +87,10 @@ class ViewEncoder:
         due = self._every > 0 and (step % self._every == 0 or bool(self._shown))
         return due and step != self._sampled and len(self.env_ids) > 0
 
-    def looks(self, step: int) -> str:
-        """Whether a control step is ``due``, is due with ``scenes``, or ``not``."""
-        return ("scenes" if self._shown else "due") if self.is_due(step) else "not"
+    @property
+    def scenes_due(self) -> bool:
+        """Whether the next sample shows scenes."""
+        return bool(self._shown)
 
     def look_often(
         self, last: int, times: Sequence[int], rows: F64
