@@ -103,7 +103,6 @@ def both(env, step):
         (both, {}, False),
         (colours, {}, False),
         (forces, {}, True),
-        (None, {"max_mb": 0.05}, True),
         (None, {"every": 2}, True),
         (None, {"state": "none"}, False),
         (None, {"state": "keyframes"}, False),
@@ -118,3 +117,10 @@ def test_whatever_comes_between_is_the_same_together(written, monkeypatch, act, 
         assert verify(path).ok
     monkeypatch.setattr(batches, "_MOST_BYTES", 0)
     assert written("alone.mcap", "random_reach", episode, act=act, **options)[0] == together
+
+
+def test_a_log_of_several_files_verifies(written):
+    _, count, path = written("log.mcap", "random_reach", num_envs=256, max_mb=0.5)
+    assert len(list(path.parent.glob("*.mcap"))) > 1
+    assert count
+    assert verify(path).ok
