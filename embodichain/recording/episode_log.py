@@ -119,6 +119,16 @@ class EpisodeLog:
         self._sums[ids] = self._lengths[ids] = 0
         return message
 
+    def add_steps(self, rewards: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
+        """Take steps in that end no episode, (K, N) of each."""
+        if episode_ids.tobytes() != self._known * len(rewards):
+            for reward, ids in zip(rewards, episode_ids, strict=True):
+                self.add(0, reward, ids, None)
+            return
+        # Sums one after another, as `add` makes them: `np.sum` may go about it in another order.
+        self._sums = np.add.accumulate(np.vstack([self._sums, rewards]))[-1]
+        self._lengths += len(rewards)
+
 
 def _encode_table(number: int, table: Table) -> bytes:
     names, values = table

@@ -41,7 +41,9 @@ def _mix(z: U64) -> U64:
 
 def _sums(taken: F64, coefficients: U64) -> U64:
     words = taken.view(np.uint64)
-    found: U64 = (words ^ (words >> _HALF)) @ coefficients
+    mixed = words >> _HALF
+    mixed ^= words
+    found: U64 = np.vecdot(mixed, coefficients)  # `@` is half as fast with integers
     return found
 
 
@@ -77,7 +79,7 @@ class RowHash:
             np.right_shift(source, _HALF, out=part)
             np.bitwise_xor(part, source, out=part)
             at += stop - start
-        return _mix(scratch @ coefficients)
+        return _mix(np.vecdot(scratch, coefficients))
 
     def of_columns(self, taken: F64, ranges: list[tuple[int, int]]) -> U64:
         """Return (n,) hashes of rows whose columns in use were copied side by side.

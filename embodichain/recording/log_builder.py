@@ -146,10 +146,11 @@ class LogBuilder:
                 seen.aside(asides.popleft())
             seen.step(k)
             for args, drawn in events:
-                views.event(time_ns, *args, *[values[k] for values in drawn])
+                if views.lines_due(time_ns, *args[:2]):
+                    views.event(time_ns, *args, *[values[k] for values in drawn])
             while asides and asides[0].step == k:
                 seen.aside(asides.popleft())
-            self._take_in(log.step + k, None, rewards[k], episode_ids[k])
+        self._episodes.add_steps(rewards, episode_ids)
         seen.finish()
         found.finish()
         return found.count

@@ -54,6 +54,8 @@ _NAMES = {"none": "", "zstd-fast": "zstd"}
 
 # Opcode, record length, channel, sequence, log time, publish time.
 _MESSAGE = struct.Struct("<BQHIQQ")
+_ENTRY = struct.Struct("<QQ")
+"""Of a message index: the message's time and place."""
 _RECORD_HEAD = 1 + 8
 _MESSAGE_FIXED = 2 + 4 + 8 + 8
 _FOOTER = struct.Struct("<BQQQ")
@@ -90,7 +92,7 @@ class McapFile:
         self._chunk_size = 0
         self._messages = 0
         self._first = self._last = 0
-        self._index: defaultdict[int, list[int]] = defaultdict(list)
+        self._index: defaultdict[int, bytearray] = defaultdict(bytearray)
         self._schemas: list[records.Schema] = []
         self._channels: list[records.Channel] = []
         self._chunk_index: list[records.ChunkIndex] = []
@@ -184,7 +186,7 @@ class McapFile:
         at = self._chunk_size
         if at + _RECORD_HEAD + size > len(self._chunk):
             at = self._reserve(_RECORD_HEAD + size)
-        self._index[channel_id] += (time_ns, at)
+        self._index[channel_id] += _ENTRY.pack(time_ns, at)
         chunk = self._chunk
         _MESSAGE.pack_into(chunk, at, Opcode.MESSAGE, size, channel_id, 0, time_ns, time_ns)
         at += _MESSAGE.size
@@ -199,7 +201,7 @@ class McapFile:
         begin = self._reserve(sum([_MESSAGE.size + len(data) for _, data in messages]))
         parts, at, index = list[bytes](), begin, self._index
         for channel, data in messages:
-            index[channel] += (time_ns, at)
+            index[channel] += _ENTRY.pack(time_ns, at)
             size = _MESSAGE_FIXED + len(data)
             parts += (_MESSAGE.pack(Opcode.MESSAGE, size, channel, 0, time_ns, time_ns), data)
             at += _RECORD_HEAD + size
@@ -233,12 +235,14 @@ class McapFile:
             self._close_chunk()
         begin = self._reserve(count * width)
         table = np.ndarray((count, width), np.uint8, self._chunk, begin)
-        stamps = np.repeat(np.array(times, "<u8"), 2).reshape(count, 2).view(np.uint8)
+        entries = np.empty((count, 2), "<u8")
+        entries[:] = np.array(times, "<u8")[:, None]
+        stamps = entries.copy().view(np.uint8)
+        entries[:, 1] = np.arange(begin, begin + table.nbytes, width)
         at = 0
         for (channel, pieces), size in zip(messages, sizes, strict=True):
-            places = np.arange(count) * width + (begin + at)
-            entries = np.stack([np.array(times, np.int64), places], 1)
-            self._index[channel] += entries.reshape(-1).tolist()
+            self._index[channel] += entries.tobytes()
+            entries[:, 1] += np.uint64(size + _RECORD_HEAD)
             head = _MESSAGE.pack(Opcode.MESSAGE, size, channel, 0, 0, 0)
             end = at + len(head)
             table[:, at:end] = np.frombuffer(head, np.uint8)
@@ -304,7 +308,7 @@ class McapFile:
         finally:
             if self._offset >= index_at:  # its messages are, even if a full disk took no more
                 for channel, entries in self._index.items():
-                    self._counts[channel] += len(entries) // 2
+                    self._counts[channel] += len(entries) // _ENTRY.size
         self._chunk_index.append(
             records.ChunkIndex(
                 message_start_time=start,
@@ -327,9 +331,8 @@ class McapFile:
     def _message_index(self, at: int) -> tuple[bytes, dict[int, int]]:
         """The chunk's index records, which begin at `at`, and where that of each channel does."""
         records, offsets = bytearray(), {}
-        for channel, values in self._index.items():
+        for channel, entries in self._index.items():
             offsets[channel] = at + len(records)
-            entries = np.array(values, "<u8").tobytes()
             size = len(entries)
             records += struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + size, channel, size)
             records += entries

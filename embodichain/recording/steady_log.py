@@ -25,7 +25,6 @@ from embodichain.recording.messages import (
     drawn_head,
     event_head,
     shape_head,
-    stamp,
     step_heads,
 )
 from embodichain.recording.state_log import StateLog
@@ -100,13 +99,13 @@ class SteadyLog(StateLog):
             return None
         if self._after_physics or self._own is not None:
             return None
-        times = [(self.step + k, self.call + k) for k in range(count)]
-        stamps = _alike([stamp(step, call) for step, call in times])
-        after = _alike([stamp(step, call + 1) for step, call in times])
-        starts = _alike([wire.uint(1, step) for step, _ in times])
-        tails = _alike([wire.uint(5, call) + wire.uint(6, self._substeps) for _, call in times])
-        if stamps is None or after is None or starts is None or tails is None:
+        starts = wire.uints(1, self.step, count)
+        calls = wire.uints(2, self.call, count)
+        later = wire.uints(2, self.call + 1, count)
+        tails = wire.uints(5, self.call, count)
+        if starts is None or calls is None or later is None or tails is None:
             return None
+        stamps, after = np.hstack([starts, calls]), np.hstack([starts, later])
         arrays = [steps.arrays(index, count) for index in range(len(kind.calls))]
         found = SteadySteps(self, known, kind, arrays, count)
         for index, (call, values) in enumerate(zip(kind.calls, arrays, strict=True)):
@@ -115,7 +114,8 @@ class SteadyLog(StateLog):
                 (moved,) = values
                 before = _bytes(known.moved[None], "<f8")
                 rows: Rows = [before, _bytes(moved[:-1], "<f8")]
-                pieces: list[Piece] = [[starts], shape_head(*moved.shape[1:]), rows, [tails]]
+                pieces: list[Piece] = [[starts], shape_head(*moved.shape[1:]), rows]
+                pieces += [[tails], wire.uint(6, self._substeps)]
                 found.messages.append(("/sim/state", pieces))
             elif call.name == "write":
                 head = self._head(index > kind.physics, call.args[0], values=True)
@@ -221,13 +221,6 @@ class SteadySteps:
             self._known.write(place, self._log.place_of(place), None, self.arrays[index][0][-1])
         self._known.returned(self.arrays[self._kind.physics][0][-1])
         self._log.take(self)
-
-
-def _alike(texts: list[bytes]) -> NDArray[np.uint8] | None:
-    """Bytes of one length as rows; None if they have several: numbers grow longer now and then."""
-    if len(texts[0]) != len(texts[-1]):
-        return None
-    return np.frombuffer(b"".join(texts), np.uint8).reshape(len(texts), -1)
 
 
 def _bytes(values: NDArray[Any], dtype: str) -> NDArray[np.uint8]:

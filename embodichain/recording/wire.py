@@ -21,6 +21,7 @@ __all__ = [
     "parse",
     "text",
     "uint",
+    "uints",
     "unpack",
     "unpack_varints",
     "varint",
@@ -50,6 +51,20 @@ def varint(value: int) -> bytes:
 def uint(field: int, value: int) -> bytes:
     """A varint field (uint32, uint64, enum); nothing for 0, as proto3 has it."""
     return varint(field << 3) + varint(value) if value else b""
+
+
+def uints(field: int, first: int, count: int) -> NDArray[np.uint8] | None:
+    """(count, bytes) `uint` of numbers that follow each other; None unless all are equally long."""
+    begin, end = uint(field, first), uint(field, first + count - 1)
+    if len(begin) != len(end):
+        return None
+    key = len(varint(field << 3))
+    table = np.empty((count, len(begin)), np.uint8)
+    table[:, :key] = np.frombuffer(begin[:key], np.uint8)
+    digits = table[:, key:]  # what a byte does not hold of these is cut off
+    digits[:] = np.arange(first, first + count)[:, None] >> 7 * np.arange(digits.shape[1])
+    digits[:, :-1] |= 0x80
+    return table
 
 
 def text(field: int, value: str | bytes) -> bytes:

@@ -30,7 +30,7 @@ from embodichain.recording.write_error import LogWriteError, Loss
 
 __all__ = ["LogWriteError", "LogWriter"]
 
-BATCH_SECONDS = 0.05
+BATCH_SECONDS = 0.1
 """Calls wait no longer than this for the next one before they are handed over with it."""
 IDLE_SECONDS = 0.2
 """And no longer than this if none comes: with the flushing of the file that stays below 1 s."""

@@ -60,6 +60,8 @@ class Frames:
                 for field, axes in ((frame.translation, "xyz"), (frame.rotation, "xyzw")):
                     for axis in axes:
                         setattr(field, axis, mark(next(numbers)))
+        self.shape = self._poses.shape
+        """Of `poses`."""
         self._sources = [
             pair
             for poses, data in zip(self._poses, datas, strict=True)
@@ -71,19 +73,15 @@ class Frames:
             message.SerializeToString(), self._poses.size, order=as_mujoco_has_them
         )
 
-    def encode(self, time_ns: int) -> bytes:
-        """`FrameTransforms` of all environments where they are now, as bytes."""
-        return self._template.fill(self.poses(), time_ns)
-
     def poses(self) -> F64:
         """(n, bodies, 7) position, quaternion wxyz of every body now; the next call changes it."""
         for poses, source in self._sources:
             poses[...] = source
         return self._poses
 
-    def table(self, times: Sequence[int], poses: F64) -> NDArray[np.uint8]:
-        """(L, bytes) `FrameTransforms` of (L, n, bodies, 7) `poses` at (L,) moments in ns."""
-        return self._template.table(poses.reshape(len(poses), -1), times)
+    def table(self, stamped: NDArray[np.uint8], poses: F64) -> NDArray[np.uint8]:
+        """(L, bytes) `FrameTransforms` of (L, n, bodies, 7) `poses`, at L moments' `stamps`."""
+        return self._template.table(poses.reshape(len(poses), -1), stamped)
 
 
 def _add(message: Any, parent: str, child: str) -> Any:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
@@ -23,10 +21,9 @@ class Joints:
 
     Args:
         model: The model.
-        count: Of how many environments messages are made together.
     """
 
-    def __init__(self, model: mujoco.MjModel, count: int = 1) -> None:
+    def __init__(self, model: mujoco.MjModel) -> None:
         ids = [j for j in range(model.njnt) if int(model.jnt_type[j]) in _SCALAR]
         self.names = [model.joint(j).name or f"joint_{j}" for j in ids]
         layout = row_layout(model)
@@ -38,16 +35,16 @@ class Joints:
             for i, name in enumerate(self.names)
         ]
         message = JointStates(timestamp=STAMP, joints=joints)
-        self._template = Template(message.SerializeToString(), 2 * len(joints), count)
+        self._template = Template(message.SerializeToString(), 2 * len(joints))
 
-    def encode(self, time_ns: int, rows: F64) -> list[bytes]:
-        """`JointStates` of each row, as bytes: positions (rad or m), velocities (rad/s or m/s)."""
-        return self._template.fill_all(rows[:, self._columns], time_ns)
+    def table(self, stamped: NDArray[np.uint8], rows: F64) -> NDArray[np.uint8]:
+        """(L, n, bytes) `JointStates`: positions (rad or m), velocities (rad/s or m/s).
 
-    def table(self, times: Sequence[int], rows: F64) -> NDArray[np.uint8]:
-        """(L, n, bytes) messages of (L, n, nstate) rows at (L,) moments in ns."""
-        values = rows[:, :, self._columns]
-        found = self._template.table(
-            values.reshape(-1, len(self._columns)), np.repeat(times, rows.shape[1]).tolist()
-        )
-        return found.reshape(*rows.shape[:2], -1)
+        Args:
+            stamped: The `stamps` of L moments.
+            rows: (L, n, nstate).
+        """
+        moments, count, _ = rows.shape
+        values = rows.reshape(moments * count, -1)[:, self._columns]
+        found = self._template.table(values, np.repeat(stamped, count, 0))
+        return found.reshape(moments, count, -1)

@@ -24,25 +24,20 @@ class Metrics:
 
     Args:
         names: Its fields, all float64.
-        count: Of how many environments messages are made together.
     """
 
     SCHEMA = "embodichain.Metrics"
 
-    def __init__(self, names: Sequence[str], count: int) -> None:
+    def __init__(self, names: Sequence[str]) -> None:
         self.descriptor_set = scalars_descriptor_set("Metrics", names)
         fields = [
             wire.varint(number << 3 | 1) + struct.pack("<d", mark(number - 1))
             for number in range(1, len(names) + 1)
         ]
-        self._template = Template(b"".join(fields), len(fields), count)
-
-    def encode(self, taken: F64) -> list[bytes]:
-        """One message for each environment of `taken`, (S, n)."""
-        return self._template.fill_all(taken.T)
+        self._template = Template(b"".join(fields), len(fields))
 
     def table(self, taken: F64) -> NDArray[np.uint8]:
         """(L, n, bytes) messages of (L, S, n) numbers."""
         moments, scalars, count = taken.shape
         values = taken.transpose(0, 2, 1).reshape(-1, scalars)
-        return self._template.table(values, ()).reshape(moments, count, -1)
+        return self._template.table(values).reshape(moments, count, -1)

@@ -26,13 +26,13 @@ from embodichain.recording.foxglove.messages import (
     SpherePrimitive,
     Vector3,
 )
-from embodichain.recording.foxglove.template import STAMP, Template
+from embodichain.recording.foxglove.template import STAMP, Template, stamps
 from embodichain.recording.shapes import PLANE_SIZE, Shape, mesh_of, shapes
 
 __all__ = ["Props", "Scene"]
 
 
-_NO_NUMBERS = np.empty(0)
+_NO_NUMBERS = np.empty((1, 0))
 
 
 class Props:
@@ -77,7 +77,7 @@ class Scene:
 
     def update(self, time_ns: int) -> bytes:
         """`SceneUpdate` that replaces all entities, as bytes."""
-        return self._template.fill(_NO_NUMBERS, time_ns)
+        return self._template.table(_NO_NUMBERS, stamps([time_ns])).tobytes()
 
 
 def _color(shape: Shape) -> Any:

@@ -18,9 +18,10 @@ from embodichain.lab.sim.engine.base import F64
 from embodichain.recording.foxglove.frames import Frames
 from embodichain.recording.foxglove.joints import Joints
 from embodichain.recording.foxglove.log_lines import event_text, log_line
-from embodichain.recording.foxglove.markers import Colors, Markers
+from embodichain.recording.foxglove.markers import Markers
 from embodichain.recording.foxglove.metrics import Metrics
 from embodichain.recording.foxglove.scene import Props
+from embodichain.recording.foxglove.template import stamps
 from embodichain.recording.foxglove.view_spec import Topics, ViewSpec
 from embodichain.recording.foxglove.viewed import Viewed
 from embodichain.recording.mcap_file import Piece
@@ -57,8 +58,8 @@ class ViewEncoder:
         self._topics = [Topics.of(i) for i in spec.env_ids]
         datas = [viewed.data for viewed in self._viewed.values()]
         self._frames = Frames(model, spec.env_ids, spec.offsets, datas)
-        self._joints = Joints(model, len(spec.env_ids))
-        self._markers = Markers(model, spec.env_ids, spec.markers, datas)
+        self._joints = Joints(model)
+        self._markers = Markers(model, spec.env_ids, spec.markers)
         self._metrics: Metrics | None = None
         self._every, self._sampled = spec.every, -1
         self._shown: dict[int, bool] = {}
@@ -106,25 +107,24 @@ class ViewEncoder:
             Topic and pieces of what is to be written at each moment.
         """
         self._sampled = last
-        poses: list[F64] = []
-        numbers: list[list[float]] = []
-        colors: Colors = ()
-        for one in rows:
+        return [(topic, [[table]]) for topic, table in self._seen(times, rows, self._commands)]
+
+    def _seen(
+        self, times: Sequence[int], rows: F64, commands: Sequence[F64]
+    ) -> list[tuple[str, NDArray[np.uint8]]]:
+        """Topic and (L, bytes) messages of what moves, in (L, n, nstate) rows."""
+        poses = np.empty((len(rows), *self._frames.shape))
+        for target, one in zip(poses, rows, strict=True):
             for viewed, row in zip(self._viewed.values(), one, strict=True):
                 viewed.place(row)
-            poses.append(self._frames.poses().copy())
-            if self._markers:
-                colors, drawn = self._markers.drawn(self._commands)
-                numbers.append(drawn)
-        joints = self._joints.table(times, rows)
-        found: list[tuple[str, list[Piece]]] = []
-        for index, topics in enumerate(self._topics):
-            found.append((topics.joints, [[joints[:, index]]]))
+            target[...] = self._frames.poses()
+        stamped = stamps(times)
+        joints = self._joints.table(stamped, rows)
+        found = [(topics.joints, joints[:, i]) for i, topics in enumerate(self._topics)]
         if self._markers:
-            tables = self._markers.table(times, colors, numbers)
-            for topics, table in zip(self._topics, tables, strict=True):
-                found.append((topics.markers, [[table]]))
-        found.append(("/tf", [[self._frames.table(times, np.array(poses))]]))
+            markers = self._markers.table(stamped, commands, poses)
+            found += [(t.markers, table) for t, table in zip(self._topics, markers, strict=True)]
+        found.append(("/tf", self._frames.table(stamped, poses)))
         return found
 
     def look(self, step: int, time_ns: int, rows: F64) -> None:
@@ -149,24 +149,17 @@ class ViewEncoder:
             commands: Values of the drawn commands, (n, K) each.
         """
         found: list[tuple[str, bytes]] = []
-        joints = self._joints.encode(time_ns, rows)
-        every = zip(self._viewed.values(), self._topics, rows, joints, strict=True)
-        for viewed, topics, row, states in every:
-            viewed.place(row)
-            if viewed.env_id in scenes:
-                scene = viewed.scene(time_ns, anyway=scenes[viewed.env_id])
-                if scene is not None:
-                    found.append((topics.scene, scene))
-            found.append((topics.joints, states))
-        if self._markers:
-            drawn = self._markers.encode(time_ns, commands)
-            found += [(t.markers, data) for t, data in zip(self._topics, drawn, strict=True)]
-        found.append(("/tf", self._frames.encode(time_ns)))
+        for env_id, anyway in scenes.items():
+            scene = self._viewed[env_id].scene(time_ns, anyway)
+            if scene is not None:
+                found.append((Topics.of(env_id).scene, scene))
+        for topic, (message,) in self._seen([time_ns], rows[None], commands):
+            found.append((topic, message.tobytes()))
         self._sink.send(time_ns, found)
 
     def scalars(self, names: Sequence[str]) -> None:
         """Declare the metrics' channels; these are the fields of `numbers` from here on."""
-        metrics = self._metrics = Metrics(names, len(self._topics))
+        metrics = self._metrics = Metrics(names)
         for topics in self._topics:
             self._sink.channel(topics.metrics, metrics.SCHEMA, metrics.descriptor_set)
 
@@ -176,8 +169,9 @@ class ViewEncoder:
         Raises:
             RuntimeError: If nobody said which scalars they are.
         """
-        every = zip(self._topics, self._declared().encode(taken), strict=True)
-        self._sink.send(time_ns, [(topics.metrics, data) for topics, data in every])
+        (messages,) = self._declared().table(taken[None])
+        every = zip(self._topics, messages, strict=True)
+        self._sink.send(time_ns, [(topics.metrics, data.tobytes()) for topics, data in every])
 
     def _declared(self) -> Metrics:
         if self._metrics is None:
@@ -192,6 +186,10 @@ class ViewEncoder:
     def line(self, time_ns: int, message: str, level: str) -> None:
         """Write a line to `/log`."""
         self._sink.send(time_ns, [("/log", log_line(time_ns, message, level))])
+
+    def lines_due(self, time_ns: int, term: str, mode: str) -> bool:
+        """Whether a term that fires now has lines: see `event`."""
+        return mode != "interval" or time_ns >= self._next_line.get(term, 0)
 
     def event(
         self,
@@ -215,10 +213,11 @@ class ViewEncoder:
             names: Of what it drew.
             drawn: What it drew, (n, ...) each.
         """
+        if not self.lines_due(time_ns, term, mode):
+            return
         if mode == "interval":
-            if time_ns < self._next_line.get(term, 0):
-                return
             self._next_line[term] = time_ns + self._period_ns
+        lines: list[tuple[str, bytes]] = []
         for env_id in self._viewed:
             row = env_id
             if env_ids is not None:
@@ -226,4 +225,7 @@ class ViewEncoder:
                 if row == len(env_ids) or env_ids[row] != env_id:
                     continue
             values = {name: array[row] for name, array in zip(names, drawn, strict=True)}
-            self.line(time_ns, event_text(env_id, term, mode, values), "INFO")
+            text = event_text(env_id, term, mode, values)
+            lines.append(("/log", log_line(time_ns, text, "INFO")))
+        if lines:
+            self._sink.send(time_ns, lines)

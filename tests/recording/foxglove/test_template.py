@@ -3,7 +3,7 @@ import pytest
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 
 from embodichain.recording.foxglove.messages import timestamp
-from embodichain.recording.foxglove.template import STAMP, Template, mark
+from embodichain.recording.foxglove.template import STAMP, Template, mark, stamps
 
 
 def message(values, stamp):
@@ -17,16 +17,17 @@ def message(values, stamp):
     return found
 
 
-@pytest.mark.parametrize("time_ns", [0, 5, 999_999_999, 1_795_000_000_123_456_789])
-def test_a_filled_template_is_the_message_with_its_numbers(time_ns):
+def test_filled_templates_are_the_messages_with_their_numbers_and_times():
     template = Template(
         message([(mark(0), mark(1)), (mark(2), mark(3))], STAMP).SerializeToString(), 4
     )
-    values = np.array([[0.0, -1.5], [np.pi, 1e300]])
-    filled = FrameTransforms.FromString(template.fill(values, time_ns))
-    assert filled == message(values.tolist(), timestamp(time_ns))
-    again = FrameTransforms.FromString(template.fill(-values, time_ns))  # nothing is left over
-    assert again == message((-values).tolist(), timestamp(time_ns))
+    times = [0, 5, 999_999_999, 1_795_000_000_123_456_789, 2**63 - 1]
+    values = np.outer([1.0, -1.0, 0.5, 2.0, 3.0], [0.0, -1.5, np.pi, 1e300])
+    for one, numbers, time_ns in zip(
+        template.table(values, stamps(times)), values, times, strict=True
+    ):
+        filled = FrameTransforms.FromString(one.tobytes())
+        assert filled == message(numbers.reshape(2, 2).tolist(), timestamp(time_ns))
 
 
 def test_a_missing_mark_is_refused():
@@ -34,11 +35,10 @@ def test_a_missing_mark_is_refused():
         Template(message([(mark(0), mark(1)), (0, 0)], STAMP).SerializeToString(), 3)
 
 
-def test_messages_are_filled_together_with_values_in_another_order():
+def test_values_may_come_in_another_order():
     data = message([(mark(0), mark(1)), (mark(2), mark(3))], STAMP).SerializeToString()
-    template = Template(data, 4, copies=3, order=np.array([3, 0, 2, 1]))
+    template = Template(data, 4, order=np.array([3, 0, 2, 1]))
     values = np.arange(12.0).reshape(3, 4)
-    filled = template.fill_all(values, 7)
-    assert len(filled) == 3
+    filled = template.table(values, stamps([7] * 3))
     for one, (d, a, c, b) in zip(filled, values.tolist(), strict=True):
-        assert FrameTransforms.FromString(one) == message([(a, b), (c, d)], timestamp(7))
+        assert FrameTransforms.FromString(one.tobytes()) == message([(a, b), (c, d)], timestamp(7))

@@ -111,7 +111,8 @@ def test_everything_that_may_be_pushed_is_a_method(pushed):
     # this run pushes each of them; with `show` rows are known, and no sample is pushed
     assert {method for method, *_ in calls} == PUSHED - {"show"}
     own = {name for name in vars(ViewEncoder) if not name.startswith("_")}
-    assert own == PUSHED | {"is_due", "look", "scenes_due", "look_often", "numbers_often"}
+    asked = {"is_due", "look", "scenes_due", "look_often", "numbers_often", "lines_due"}
+    assert own == PUSHED | asked
 
 
 def test_what_is_pushed_is_plain_data(pushed):
