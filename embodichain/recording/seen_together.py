@@ -53,7 +53,7 @@ class SeenTogether:
             self._numbers.append((aside.args[0], aside.args[1]))
             return
         if aside.name != _LINE:  # it may change what is seen
-            self._look()
+            self.finish()
         aside.carry_out()
 
     def step(self, k: int) -> None:
@@ -70,8 +70,9 @@ class SeenTogether:
     def finish(self) -> None:
         """Write what was not written yet."""
         self._look()
-        if self._numbers:
-            times, taken = zip(*self._numbers, strict=True)
+        numbers, self._numbers = self._numbers, []
+        if numbers:
+            times, taken = zip(*numbers, strict=True)
             self._file.write_rows(self._views.numbers_often(np.array(taken)), times)
 
     def _look(self) -> None:

@@ -119,6 +119,28 @@ def test_whatever_comes_between_is_the_same_together(written, monkeypatch, act, 
     assert written("alone.mcap", "random_reach", episode, act=act, **options)[0] == together
 
 
+def test_rewards_are_shown_with_the_weights_they_had(written, monkeypatch):
+    def shown(path):
+        with recording.open(path) as log:
+            return log.metrics(2)[1]["reward_distance"]
+
+    weights = []
+
+    def change(env, step):
+        weights.append(env.reward_manager.weights["distance"])
+        if step % 40 == 7:
+            env.reward_manager.set_weight("distance", 2.0 * weights[-1])
+
+    unchanged = shown(written("unchanged.mcap", "reach", view_hz=1000)[2])
+    together, count, path = written("together.mcap", "reach", act=change, view_hz=1000)
+    assert count > STEPS / 2
+    assert len(set(weights)) > 3
+    assert np.array_equal(shown(path), unchanged * weights)
+    monkeypatch.setattr(batches, "_MOST_BYTES", 0)
+    weights.clear()
+    assert written("alone.mcap", "reach", act=change, view_hz=1000)[0] == together
+
+
 def test_a_log_of_several_files_verifies(written):
     _, count, path = written("log.mcap", "random_reach", num_envs=256, max_mb=0.5)
     assert len(list(path.parent.glob("*.mcap"))) > 1

@@ -27,25 +27,32 @@ class Scalars:
 
     Args:
         step: Any step of the run.
+        env_ids: (n,) environments whose values are taken, ascending, at least one.
         commands: Names of commands' columns, and their values, (N, columns): live.
     """
 
     def __init__(
-        self, step: StepRecord, commands: Iterable[tuple[Sequence[str], F64]] = ()
+        self,
+        step: StepRecord,
+        env_ids: NDArray[np.int64],
+        commands: Iterable[tuple[Sequence[str], F64]] = (),
     ) -> None:
+        first, last = int(env_ids[0]), int(env_ids[-1])
+        side_by_side = last - first + 1 == len(env_ids)  # slices cost half of what indices do
+        self._which: Any = slice(first, last + 1) if side_by_side else env_ids
         self.names: list[str] = []
         self._labels: list[str] = []
         self._commands: list[F64] = []
         for labels, values in commands:
             self._labels += labels
             self._commands.append(values)
-        self._weights: Mapping[str, float] | None = None
-        self._factors: F64 = np.zeros((0, 1))
         self._keys = [key for key in _FACTS if key in step.info]
         self._terms = {key: list(step.info.get(key, {})) for key, _ in _GROUPS}
         for name in map(identifier, self._titles()):
             taken = sum(n == name or n.startswith(f"{name}__") for n in self.names)
             self.names.append(f"{name}__{taken + 1}" if taken else name)
+        self._shape = len(self.names), len(env_ids)
+        self._known: dict[str, Iterable[str]] = {}  # of groups in rows, whose names were looked at
 
     def _titles(self) -> Iterator[str]:
         yield from ("reward", "terminated", "truncated")
@@ -56,27 +63,26 @@ class Scalars:
         for label in self._labels:
             yield f"command_{label}"
 
-    def take(
-        self,
-        step: StepRecord,
-        env_ids: NDArray[np.int64],
-        weights: Mapping[str, float] | None = None,
-    ) -> F64:
-        """The scalars of some environments, (S, n), copied.
+    def factors(self, weights: Mapping[str, float]) -> F64:
+        """(S,) what scalars are to be multiplied with: terms are shown as they add to the reward.
 
         Args:
-            step: The step; one whose terms are others is refused.
-            env_ids: (n,) environments, ascending, at least one.
-            weights: Of the reward's terms: each is shown as it adds to the reward.
+            weights: Of the reward's terms.
+        """
+        factors = np.ones(len(self.names))
+        first = 3 + len(self._keys)  # of the terms
+        for at, name in enumerate(self._terms["rewards"], first):
+            factors[at] = weights.get(name, 1.0)
+        return factors
+
+    def take(self, step: StepRecord) -> F64:
+        """The scalars, (S, n), copied.
 
         Raises:
             ValueError: If the step has other scalars than the first one.
         """
-        first, last = int(env_ids[0]), int(env_ids[-1])
-        side_by_side = last - first + 1 == len(env_ids)  # slices cost half of what indices do
-        which: Any = slice(first, last + 1) if side_by_side else env_ids
-        info = step.info
-        taken: F64 = np.empty((len(self.names), len(env_ids)))
+        which, info = self._which, step.info
+        taken: F64 = np.empty(self._shape)
         taken[0], taken[1] = step.reward[which], step.terminated[which]
         taken[2] = step.truncated[which]
         at = 3
@@ -87,9 +93,7 @@ class Scalars:
             for key, names in self._terms.items():
                 if names:
                     end = at + len(names)
-                    _take_group(info.get(key, {}), names, which, taken[at:end])
-                    if key == "rewards" and weights:
-                        taken[at:end] *= self._factors_of(weights)
+                    self._take_group(key, info.get(key, {}), taken[at:end])
                     at = end
         except KeyError as error:
             raise ValueError(
@@ -101,24 +105,22 @@ class Scalars:
             at = end
         return taken
 
-    def _factors_of(self, weights: Mapping[str, float]) -> F64:
-        """(T, 1) weights of the reward's terms."""
-        if self._weights != weights:
-            self._weights = dict(weights)
-            factors = [weights.get(name, 1.0) for name in self._terms["rewards"]]
-            self._factors = np.array(factors)[:, None]
-        return self._factors
-
-
-def _take_group(group: Mapping[str, Any], names: list[str], which: Any, out: F64) -> None:
-    """Environments of (N,) values of T terms into (T, n); KeyError if the terms are others."""
-    if len(group) != len(names):
-        raise KeyError(names)
-    if isinstance(group, TermRows) and list(group) == names:
-        out[:] = group.rows[:, which]
-    else:
-        for row, name in zip(out, names, strict=True):
-            row[:] = _array(group[name])[which]
+    def _take_group(self, key: str, group: Mapping[str, Any], out: F64) -> None:
+        """(N,) values of T terms into (T, n); KeyError if the terms are others."""
+        names, which = self._terms[key], self._which
+        if len(group) != len(names):
+            raise KeyError(names)
+        rows: TermRows | None = group if isinstance(group, TermRows) else None
+        if rows is not None and self._known.get(key) is not rows.names:
+            if list(rows) == names:
+                self._known[key] = rows.names
+            else:
+                rows = None
+        if rows is not None:
+            out[:] = rows.rows[:, which]
+        else:
+            for row, name in zip(out, names, strict=True):
+                row[:] = _array(group[name])[which]
 
 
 def _array(value: Any) -> Any:

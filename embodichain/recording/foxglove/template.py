@@ -69,20 +69,20 @@ class Template:
             values: (m, count) numbers of each.
             stamped: The moment of each, as `stamps` has it, where the message has a time.
         """
-        size = len(self._bytes)
-        table = np.empty((len(values), size), np.uint8)
+        table = np.empty((len(values), len(self._bytes)), np.uint8)
         table[:] = self._bytes
-        rows = size * np.arange(len(values))[:, None]
-        _anywhere(table, "<f8")[rows + self._places] = values
+        if len(self._places):
+            _anywhere(table, "<f8")[:, self._places] = values
         if stamped is not None:
-            _anywhere(table, _STAMP_TYPE)[rows + self._stamp_places] = stamped.view(_STAMP_TYPE)
+            _anywhere(table, _STAMP_TYPE)[:, self._stamp_places] = stamped.view(_STAMP_TYPE)
         return table
 
 
 def _anywhere(table: NDArray[np.uint8], kind: str) -> NDArray[Any]:
-    """Bytes as overlapping values: the k-th begins at byte k."""
-    last = table.size - np.dtype(kind).itemsize
-    return np.ndarray((max(0, last + 1),), kind, table, 0, (1,))
+    """Bytes of each row as overlapping values: the k-th begins at byte k."""
+    count, size = table.shape
+    places = max(0, size - np.dtype(kind).itemsize + 1)
+    return np.ndarray((count, places), kind, table, 0, (size, 1))
 
 
 def stamps(times: Sequence[int]) -> NDArray[np.uint8]:

@@ -28,7 +28,9 @@ from embodichain.recording.mcap_file import Piece
 
 __all__ = ["PUSHED", "Sink", "ViewEncoder"]
 
-PUSHED = frozenset({"sample", "show", "set_field", "scalars", "numbers", "line", "event"})
+PUSHED = frozenset(
+    {"sample", "show", "set_field", "scalars", "factors", "numbers", "line", "event"}
+)
 """Methods of `ViewEncoder` that may be called by name; whoever receives names refuses others."""
 
 
@@ -61,6 +63,7 @@ class ViewEncoder:
         self._joints = Joints(model)
         self._markers = Markers(model, spec.env_ids, spec.markers)
         self._metrics: Metrics | None = None
+        self._factors: F64 = np.ones((1, 1))
         self._every, self._sampled = spec.every, -1
         self._shown: dict[int, bool] = {}
         self._commands: tuple[F64, ...] = ()
@@ -163,13 +166,17 @@ class ViewEncoder:
         for topics in self._topics:
             self._sink.channel(topics.metrics, metrics.SCHEMA, metrics.descriptor_set)
 
+    def factors(self, values: F64) -> None:
+        """From here on `numbers` are multiplied with these, (S,)."""
+        self._factors = values[:, None].copy()  # its memory is lent
+
     def numbers(self, time_ns: int, taken: F64) -> None:
-        """Write the metrics, (S, n).
+        """Write the metrics, (S, n) before they are multiplied.
 
         Raises:
             RuntimeError: If nobody said which scalars they are.
         """
-        (messages,) = self._declared().table(taken[None])
+        (messages,) = self._declared().table(self._factors * taken[None])
         every = zip(self._topics, messages, strict=True)
         self._sink.send(time_ns, [(topics.metrics, data.tobytes()) for topics, data in every])
 
@@ -179,8 +186,8 @@ class ViewEncoder:
         return self._metrics
 
     def numbers_often(self, taken: F64) -> list[tuple[str, list[Piece]]]:
-        """Topic and pieces of the metrics of several moments, (L, S, n)."""
-        tables = self._declared().table(taken)
+        """Topic and pieces of the metrics of several moments, (L, S, n): see `numbers`."""
+        tables = self._declared().table(self._factors * taken)
         return [(t.metrics, [[tables[:, i]]]) for i, t in enumerate(self._topics)]
 
     def line(self, time_ns: int, message: str, level: str) -> None:

@@ -74,6 +74,7 @@ class Views:
         self._drawn: list[bytes] | None = None  # commands, as they were shown last
         self._scalars: Scalars | None = None
         self._rewards = getattr(env, "reward_manager", None)  # environments of others may have none
+        self._weights: object = None  # that were shown last
         env_ids = self._ids.tolist()
         self._commands = Commands(env, env_ids)
         self.spec = ViewSpec(
@@ -174,10 +175,11 @@ class Views:
             self._say_endings(step, record)
         if not self.spec.env_ids or step % self._every:
             return
-        manager = self._rewards
-        weights = None if manager is None else manager.weights
-        taken = self.declare(record).take(record, self._ids, weights)
-        self._push("numbers", self._now(), taken)
+        scalars, manager = self.declare(record), self._rewards
+        if manager is not None and manager.weights is not self._weights:
+            self._weights = manager.weights
+            self._push("factors", scalars.factors(manager.weights))
+        self._push("numbers", self._now(), scalars.take(record))
 
     def _say_endings(self, step: int, record: StepRecord) -> None:
         diverged = record.info.get("diverged")
@@ -193,7 +195,7 @@ class Views:
         """Find the run's scalars in its first step, and declare their channels."""
         if self._scalars is not None:
             return self._scalars
-        self._scalars = Scalars(record, self._commands.scalars())
+        self._scalars = Scalars(record, self._ids, self._commands.scalars())
         self._push("scalars", tuple(self._scalars.names))
         return self._scalars
 

@@ -73,6 +73,7 @@ def run(push):
     """A run in which everything happens that views heed; returns what the encoder is built from."""
     env = SmallEnv()
     env.command_manager = SimpleNamespace(terms={"walk": SimpleNamespace(instance=Walk())})
+    env.reward_manager = SimpleNamespace(weights={"near goal": 1.0, "effort": -0.5})
     watcher = Watcher(env, push)
     env.add_observer(watcher)
     env.reset()

@@ -6,6 +6,7 @@ The terms themselves are in `envs/mdp/rewards.py`.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader
@@ -35,11 +36,12 @@ class RewardManager(Manager[RewardCfg]):
         cfgs: Name -> reward.
 
     Attributes:
-        weights: Name -> weight in force.
+        weights: Name -> weight in force; another object when one has changed.
     """
 
     def __init__(self, env: BaseEnv, cfgs: Mapping[str, RewardCfg]) -> None:
-        self.weights = {name: float(cfg.weight) for name, cfg in cfgs.items()}
+        weights = {name: float(cfg.weight) for name, cfg in cfgs.items()}
+        self.weights: Mapping[str, float] = MappingProxyType(weights)
         super().__init__(env, "rewards", "reward", cfgs)
         # Numbers of all terms together, (T, N): one operation instead of one a term.
         self._sums = self._sums_before = np.zeros((len(self.terms), self.num_envs), np.float32)
@@ -58,7 +60,7 @@ class RewardManager(Manager[RewardCfg]):
     def set_weight(self, name: str, weight: float) -> None:
         """Give a term another weight from the next step on."""
         if self.weights[name] != weight:
-            self.weights[name] = float(weight)
+            self.weights = MappingProxyType({**self.weights, name: float(weight)})
             self._bind()
 
     def compute(
@@ -121,7 +123,7 @@ class RewardManager(Manager[RewardCfg]):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         super().load_state_dict(state)
-        self.weights = dict(state["weights"])
+        self.weights = MappingProxyType(dict(state["weights"]))
         self._bind()
         for row, name in zip(self._sums, self.terms, strict=True):
             row[:] = state["episode_sums"][name].numpy()

@@ -24,9 +24,10 @@ class TermRows(dict[str, "torch.Tensor"]):
         rows: (T, N), whose memory the tensors share.
 
     Attributes:
+        names: Those, the same object.
         rows: That array. Do not write; it knows nothing of tensors put in later.
     """
 
     def __init__(self, names: Iterable[str], rows: NDArray[Any]) -> None:
         super().__init__(zip(names, torch.from_numpy(rows).unbind(), strict=True))
-        self.rows = rows
+        self.names, self.rows = names, rows
