@@ -148,10 +148,13 @@ class Batches:
         steps = self._steps(calls)
         index = done = 0
         while index < len(steps):
-            alike = self._alike(steps[index:], calls, memory)
-            count = self._together(alike) if alike.count > 1 else 0
+            alike = _alike(steps, index)
+            count: int | None = 0
+            if alike > 1:
+                found = self._offered(steps[index : index + alike], calls, memory)
+                count = self._together(found)
             if not count:
-                count = alike.count if count is None else 1
+                count = alike if count is None else 1
                 for call in calls[done : steps[index + count - 1].end]:
                     self._carry_out(call, memory)
             index += count
@@ -188,27 +191,36 @@ class Batches:
                 numbers, at, asides, known = [], [], [], True
         return steps
 
-    def _alike(self, steps: list[_Step], calls: list[Any], memory: mmap.mmap) -> AlikeSteps:
-        """The first steps, as many as are alike."""
-        first = steps[0]
-        count, stride = 1, 0
-        if first.calls is not None and len(steps) > 1 and steps[1].at:
-            stride = steps[1].at[0] - first.at[0]
-            most = _MOST_BYTES // stride if 0 < stride < _LARGE_BYTES else 1
-            while (
-                count < min(len(steps), most)
-                and steps[count].calls == first.calls
-                and steps[count].at[0] == first.at[0] + count * stride
-            ):
-                count += 1
+    def _offered(self, steps: list[_Step], calls: list[Any], memory: mmap.mmap) -> AlikeSteps:
+        """Steps that are alike as they are offered: two at least."""
         asides = []
-        for k, step in enumerate(steps[:count] if count > 1 else ()):
+        for k, step in enumerate(steps):
             for after, index in step.asides:
                 name, args, places = calls[index]
                 found = _found(memory, args, places) if places else args
                 asides.append(Aside(name, k, after, self._methods[name], found))
+        first = steps[0]
         forms = tuple(self._forms[number] for number, _ in first.calls or ())
-        return AlikeSteps(forms, count, tuple(first.at), stride, memory, asides)
+        stride = steps[1].at[0] - first.at[0]
+        return AlikeSteps(forms, len(steps), tuple(first.at), stride, memory, asides)
+
+
+def _alike(steps: list[_Step], index: int) -> int:
+    """How many steps from this one on are alike, and their arrays equally far apart."""
+    first = steps[index]
+    if first.calls is None or index + 1 == len(steps) or not steps[index + 1].at:
+        return 1
+    begin = first.at[0]
+    stride = steps[index + 1].at[0] - begin
+    most = _MOST_BYTES // stride if 0 < stride < _LARGE_BYTES else 1
+    most = min(most, len(steps) - index)
+    count = 1
+    while count < most:
+        step = steps[index + count]
+        if step.calls != first.calls or step.at[0] != begin + count * stride:
+            break
+        count += 1
+    return count
 
 
 def _found(memory: mmap.mmap, args: tuple[object, ...], places: tuple[Any, ...]) -> list[object]:

@@ -44,7 +44,7 @@ from embodichain.recording.messages import (
     write_head,
 )
 
-__all__ = ["CHANNELS", "StateLog"]
+__all__ = ["CHANNELS", "Emit", "StateLog"]
 
 CHANNELS = {
     "/sim/state": "embodichain.BatchedState",
@@ -55,6 +55,7 @@ CHANNELS = {
 }
 
 Emit = Callable[[int, str, tuple[Part, ...]], None]
+"""Takes a control step, a topic and the parts of a message."""
 
 
 class StateLog:

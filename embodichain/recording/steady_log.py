@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,7 +28,7 @@ from embodichain.recording.messages import (
     shape_head,
     step_heads,
 )
-from embodichain.recording.state_log import StateLog
+from embodichain.recording.state_log import Emit, StateLog
 
 __all__ = ["SteadyLog", "SteadySteps", "StepKind"]
 
@@ -55,11 +56,16 @@ class StepKind:
 class SteadyLog(StateLog):
     """See `StateLog`; derived rows are a condition for taking steps together."""
 
-    _kinds: dict[tuple[AlikeCalls, ...], StepKind | None]
-
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        self._kinds = {}
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        layout: Mapping[str, slice],
+        substeps: int,
+        derives: bool,
+        emit: Emit,
+    ) -> None:
+        super().__init__(model, layout, substeps, derives, emit)
+        self._kinds: dict[tuple[AlikeCalls, ...], StepKind | None] = {}
 
     def columns(self, ranges: Ranges) -> None:
         """From here on these columns of rows are handed over."""
