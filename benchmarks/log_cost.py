@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import random
 import subprocess
 import sys
@@ -22,6 +21,7 @@ from typing import Any
 
 from benchmarks import arms
 from benchmarks.machine import table, write_json
+from benchmarks.medians import sure
 from benchmarks.rounds import EPISODE, timed
 
 LIMITS: dict[tuple[int, int], float | None] = {
@@ -32,7 +32,6 @@ LIMITS: dict[tuple[int, int], float | None] = {
     (1024, 10): 0.03,
 }
 """Environments and physics steps a control step, and the share that a log may cost at most."""
-_NORMAL_90 = 1.645
 
 
 def main() -> None:
@@ -119,13 +118,6 @@ def report(facts: dict[str, Any]) -> str:
         ])  # fmt: skip
     heads = ["N", "physics steps", "a step without", "cost", "half of the pairs", "at most"]
     return table(heads, rows)
-
-
-def sure(values: list[float]) -> tuple[float, float]:
-    """Where the median lies with 90 %, from sorted values: the sign test's interval."""
-    n = len(values)
-    rank = max(0, math.floor((n - _NORMAL_90 * math.sqrt(n)) / 2))
-    return values[rank], values[-1 - rank]
 
 
 if __name__ == "__main__":

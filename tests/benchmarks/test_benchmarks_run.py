@@ -11,7 +11,7 @@ import pytest
 from benchmarks import arms
 from benchmarks.arms import Arm
 from benchmarks.learners import DUMMY, LOOP, OURS, TRAIN
-from benchmarks.log_cost import sure
+from benchmarks.medians import sure
 from benchmarks.plain_task import PlainTask
 from benchmarks.rounds import measure
 from embodichain.learning import SB3VecEnv

@@ -89,7 +89,8 @@ class Markers:
                 found = np.broadcast_to(_axes(values), (len(poses), len(values), 3, _NUMBERS))
                 shown = np.ones((len(values), 3), np.bool_)
             else:
-                found, shown = _velocity(values, poses[:, :, marker.body - 1])
+                with np.errstate(over="ignore", invalid="ignore"):  # who diverged is shown, too
+                    found, shown = _velocity(values, poses[:, :, marker.body - 1])
             arrows.append(found)
             there.append(shown)
         shown = np.concatenate(there, 1)
