@@ -99,6 +99,25 @@ def test_an_explicit_reset_begins_a_new_sum():
     assert (second.success, second.reasons, second.rewards) == (None, (), {})
 
 
+@pytest.mark.parametrize("num_envs", [1, 7])
+def test_steps_add_up_together_as_they_do_one_by_one(num_envs):
+    generator = np.random.default_rng(0)
+    together, alone = EpisodeLog(num_envs), EpisodeLog(num_envs)
+    for episode, count in enumerate([40, 33, 2]):
+        rewards = (1e6 * generator.normal(size=(count, num_envs))).astype(np.float32)
+        ids = np.full((count, num_envs), episode)
+        if episode == 1:
+            ids[20:, 0] = 9  # one was reset in between
+        together.add_steps(rewards, ids)
+        for reward, row in zip(rewards, ids, strict=True):
+            alone.add(0, reward, row, None)
+        record = step_of([0.5] * num_envs, ids[-1], [True] * num_envs)
+        ends = Ends.of(record, {})
+        assert together.add(7, record.reward, record.episode_ids, ends) == alone.add(
+            7, record.reward, record.episode_ids, ends
+        )
+
+
 def test_messages_that_are_none():
     record = step_of([1.0, 1.0], [0, 0], [True, True])
     parts = EpisodeLog(2).add(

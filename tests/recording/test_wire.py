@@ -13,6 +13,16 @@ def test_varints_are_protobufs(value):
     assert wire.parse(b"\x08" + wire.varint(value)) == {1: [value]}
 
 
+@given(st.integers(1, 2**30), st.integers(0, 2**50), st.integers(2, 300))
+def test_numbers_that_follow_each_other_are_a_table_of_varints(field, first, count):
+    found = wire.uints(field, first, count)
+    expected = [wire.uint(field, number) for number in range(first, first + count)]
+    if len(set(map(len, expected))) > 1:
+        assert found is None
+    else:
+        assert [row.tobytes() for row in found] == expected
+
+
 def test_arrays_share_the_messages_bytes():
     data = wire.uint(1, 7) + wire.array(16, np.arange(3.0), "<f8")
     fields = wire.parse(data)
