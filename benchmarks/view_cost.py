@@ -92,13 +92,13 @@ def measure(task: str, num_envs: int, steps: int, rounds: int) -> dict[str, Any]
 
     with tempfile.TemporaryDirectory() as folder:
         viewed, pairs = list(range(num_envs)), list[list[tuple[float, float, float]]]()
-        for number in range(rounds + 1):
-            order = [viewed, []] if number % 2 else [[], viewed]  # the machine's speed wanders
+        for pair in range(rounds + 1):
+            order = [viewed, []] if pair % 2 else [[], viewed]  # the machine's speed wanders
             both = [turn(Path(folder), view_envs) for view_envs in order]
-            pairs.append(both if number % 2 else both[::-1])
+            pairs.append(both if pair % 2 else both[::-1])
     env.close()
     each = 1e3 / (steps * num_envs)
-    costs = [[each * (a - b) for a, b in zip(*pair, strict=True)][:2] for pair in pairs[1:]]
+    costs = [[each * (a - b) for a, b in zip(*both, strict=True)][:2] for both in pairs[1:]]
     return {
         "stepping": median(stepping for stepping, _ in costs),
         "writing": median(writing for _, writing in costs),
