@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64, EnvIndex
+from embodichain.lab.sim.engine.rows import as_slice
 from embodichain.recording.columns import Ranges, moved_ranges
 from embodichain.recording.hashing import RowHash
 
@@ -58,8 +59,8 @@ class KnownRows:
         before = self._input_columns if self._moved is not None else None
         used = self._used = _indices(ranges)
         moved = np.isin(used, self.moved_columns)
-        self._moved_at = _places(np.flatnonzero(moved))
-        self._inputs_at = _places(np.flatnonzero(~moved))
+        self._moved_at = as_slice(np.flatnonzero(moved))
+        self._inputs_at = as_slice(np.flatnonzero(~moved))
         self._input_columns = used[~moved]
         self._targets: dict[int, _Target] = {}
         if before is not None:
@@ -128,7 +129,7 @@ class KnownRows:
         is_input = not np.isin(columns, self.moved_columns).any()
         there = self._input_columns if is_input else self.moved_columns
         kept = np.flatnonzero(np.isin(columns, there))
-        at = _places(np.searchsorted(there, columns[kept]))
+        at = as_slice(np.searchsorted(there, columns[kept]))
         which: Any = slice(None) if len(kept) == len(columns) else kept
         found = self._targets[place] = is_input, at, which
         return found
@@ -216,10 +217,3 @@ class KnownRows:
 
 def _indices(ranges: Ranges) -> NDArray[np.int64]:
     return np.concatenate([np.arange(start, stop) for start, stop in ranges])
-
-
-def _places(indices: NDArray[np.int64]) -> Any:
-    """Ascending indices, as a slice where they are neighbours."""
-    if len(indices) and (np.diff(indices) == 1).all():
-        return slice(int(indices[0]), int(indices[-1]) + 1)
-    return indices

@@ -44,7 +44,7 @@ from embodichain.recording.messages import (
     write_head,
 )
 
-__all__ = ["CHANNELS", "Emit", "StateLog"]
+__all__ = ["CHANNELS", "StateLog"]
 
 CHANNELS = {
     "/sim/state": "embodichain.BatchedState",

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,7 +28,7 @@ from embodichain.recording.messages import (
     shape_head,
     step_heads,
 )
-from embodichain.recording.state_log import Emit, StateLog
+from embodichain.recording.state_log import StateLog
 
 __all__ = ["SteadyLog", "SteadySteps", "StepKind"]
 
@@ -56,16 +56,9 @@ class StepKind:
 class SteadyLog(StateLog):
     """See `StateLog`; derived rows are a condition for taking steps together."""
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        layout: Mapping[str, slice],
-        substeps: int,
-        derives: bool,
-        emit: Emit,
-    ) -> None:
-        super().__init__(model, layout, substeps, derives, emit)
-        self._kinds: dict[tuple[AlikeCalls, ...], StepKind | None] = {}
+    @cached_property
+    def _kinds(self) -> dict[tuple[AlikeCalls, ...], StepKind | None]:
+        return {}
 
     def columns(self, ranges: Ranges) -> None:
         """From here on these columns of rows are handed over."""

@@ -19,6 +19,7 @@ __all__ = [
     "array",
     "packed",
     "parse",
+    "put_varints",
     "text",
     "uint",
     "uints",
@@ -61,10 +62,14 @@ def uints(field: int, first: int, count: int) -> NDArray[np.uint8] | None:
     key = len(varint(field << 3))
     table = np.empty((count, len(begin)), np.uint8)
     table[:, :key] = np.frombuffer(begin[:key], np.uint8)
-    digits = table[:, key:]  # what a byte does not hold of these is cut off
-    digits[:] = np.arange(first, first + count)[:, None] >> 7 * np.arange(digits.shape[1])
-    digits[:, :-1] |= 0x80
+    put_varints(table[:, key:], np.arange(first, first + count))
     return table
+
+
+def put_varints(table: NDArray[np.uint8], values: NDArray[np.int64]) -> None:
+    """Write (m,) numbers as varints of (m, bytes), with leading zeros where they have fewer."""
+    table[:] = values[:, None] >> 7 * np.arange(table.shape[1])  # a byte keeps the lowest bits
+    table[:, :-1] |= 0x80
 
 
 def text(field: int, value: str | bytes) -> bytes:

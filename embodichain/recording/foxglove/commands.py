@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.engine.rows import as_slice
 from embodichain.recording.foxglove.view_spec import MarkerSpec
 
 if TYPE_CHECKING:
@@ -25,9 +26,7 @@ class Commands:
     """
 
     def __init__(self, env: BaseEnv, env_ids: Sequence[int]) -> None:
-        ids = np.array(env_ids, np.int64)
-        side_by_side = len(ids) > 0 and (np.diff(ids) == 1).all()  # slices cost half
-        self._which: Any = slice(int(ids[0]), int(ids[-1]) + 1) if side_by_side else ids
+        self._which = as_slice(np.array(env_ids, np.int64))
         manager = getattr(env, "command_manager", None)  # environments of others may have none
         terms = {} if manager is None else dict(manager.terms)
         self._commands = {name: term.instance for name, term in terms.items()}

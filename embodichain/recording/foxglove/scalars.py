@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.managers.term_rows import TermRows
 from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.engine.rows import as_slice
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import StepRecord
@@ -37,9 +38,7 @@ class Scalars:
         env_ids: NDArray[np.int64],
         commands: Iterable[tuple[Sequence[str], F64]] = (),
     ) -> None:
-        first, last = int(env_ids[0]), int(env_ids[-1])
-        side_by_side = last - first + 1 == len(env_ids)  # slices cost half of what indices do
-        self._which: Any = slice(first, last + 1) if side_by_side else env_ids
+        self._which = as_slice(env_ids)
         self.names: list[str] = []
         self._labels: list[str] = []
         self._commands: list[F64] = []

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64
+from embodichain.recording import wire
 from embodichain.recording.foxglove.messages import Timestamp
 
 __all__ = ["STAMP", "Template", "mark", "stamps"]
@@ -24,7 +25,6 @@ _STAMP = STAMP.SerializeToString()
 _STAMP_TYPE = f"V{len(_STAMP)}"
 _FIELD = len(_STAMP) // 2
 """Bytes of each number in it: its key, and a varint of five."""
-_SHIFTS = 7 * np.arange(_FIELD - 1)
 _MARK = struct.Struct("<IHH")
 
 
@@ -95,7 +95,5 @@ def stamps(times: Sequence[int]) -> NDArray[np.uint8]:
     for number, part in enumerate(parts):
         field = found[:, _FIELD * number : _FIELD * (number + 1)]
         field[:, 0] = number + 1 << 3
-        digits = field[:, 1:]
-        digits[:] = part[:, None] >> _SHIFTS  # a byte keeps the lowest bits
-        digits[:, :-1] |= 0x80
+        wire.put_varints(field[:, 1:], part)
     return found

@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64, EnvIndex
 
-__all__ = ["picked", "where"]
+__all__ = ["as_slice", "picked", "where"]
+
+
+def as_slice(indices: NDArray[np.int64]) -> Any:
+    """Ascending indices, as a slice where they are neighbours: that costs half."""
+    if len(indices) and (np.diff(indices) == 1).all():
+        return slice(int(indices[0]), int(indices[-1]) + 1)
+    return indices
 
 
 def where(env_ids: EnvIndex | None, columns: NDArray[np.int64] | slice) -> tuple[Any, Any]:
