@@ -8,7 +8,6 @@ is copied once, and every other record is still the library's. What messages mea
 from __future__ import annotations
 
 import mmap
-import os
 import struct
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
@@ -24,6 +23,8 @@ from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
+
+from embodichain.recording.append_file import AppendFile
 
 __all__ = ["CHUNK_LIMIT", "COMPRESSORS", "MAGIC", "McapFile", "Part", "Piece"]
 
@@ -84,10 +85,9 @@ class McapFile:
     """
 
     def __init__(self, stream: FileIO, compression: str, library: str) -> None:
-        self._stream = stream
+        self._file = AppendFile(stream)
         self._name = _NAMES.get(compression, compression)
         self._compress = COMPRESSORS[compression]
-        self._offset = 0
         self._chunk = mmap.mmap(-1, 2 * CHUNK_BYTES)
         self._chunk_size = 0
         self._messages = 0
@@ -105,25 +105,19 @@ class McapFile:
 
     def _write(self, *parts: bytes) -> int:
         """Append bytes at once; return where they start."""
-        at, left = self._offset, list[bytes | memoryview](parts)
-        while left:
-            done = os.writev(self._stream.fileno(), left)
-            self._offset += done
-            while left and done >= len(left[0]):
-                done -= len(left.pop(0))
-            if left:  # a disk that is nearly full may take a part
-                left[0] = memoryview(left[0])[done:]
+        at = self._file.size
+        self._file.write(parts)
         return at
 
     @property
     def nbytes(self) -> int:
         """Bytes written."""
-        return self._offset
+        return self._file.size
 
     @property
     def size(self) -> int:
         """Bytes written, and those of the chunk in progress before it is compressed."""
-        return self._offset + self._chunk_size
+        return self._file.size + self._chunk_size
 
     def count(self, channel_id: int) -> int:
         """How many messages of a channel are in chunks that were written."""
@@ -301,12 +295,12 @@ class McapFile:
         head = struct.pack("<QQQII", start, end, len(data), crc32(data), len(name)) + name
         head += struct.pack("<Q", len(packed))
         head = struct.pack("<BQ", Opcode.CHUNK, len(head) + len(packed)) + head
-        at, index_at = self._offset, self._offset + len(head) + len(packed)
+        at, index_at = self._file.size, self._file.size + len(head) + len(packed)
         index, offsets = self._message_index(index_at)
         try:
             self._write(head, packed, index)  # at once: it is there, or it is not
         finally:
-            if self._offset >= index_at:  # its messages are, even if a full disk took no more
+            if self._file.size >= index_at:  # its messages are, even if a full disk took no more
                 for channel, entries in self._index.items():
                     self._counts[channel] += len(entries) // _ENTRY.size
         self._chunk_index.append(
@@ -316,7 +310,7 @@ class McapFile:
                 chunk_start_offset=at,
                 chunk_length=index_at - at,
                 message_index_offsets=offsets,
-                message_index_length=self._offset - index_at,
+                message_index_length=self._file.size - index_at,
                 compression=self._name,
                 compressed_size=len(packed),
                 uncompressed_size=len(data),
@@ -350,7 +344,7 @@ class McapFile:
             (Opcode.ATTACHMENT_INDEX, self._attachment_index),
             (Opcode.METADATA_INDEX, self._metadata_index),
         ]
-        start = self._offset
+        start = self._file.size
         summary, offsets = bytearray(), bytearray()
         for opcode, group in groups:
             data = b"".join(map(_record, group))
