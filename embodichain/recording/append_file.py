@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from io import FileIO
 
 __all__ = ["AppendFile"]
@@ -56,6 +57,5 @@ class AppendFile:
         self._told = self.size
         if hasattr(os, "posix_fadvise"):  # Linux; other systems keep the pages
             start = max(0, self.size - _WINDOW)
-            os.posix_fadvise(
-                self._descriptor, start, self.size - start, os.POSIX_FADV_DONTNEED
-            )
+            with suppress(OSError):  # a file system may not take advice
+                os.posix_fadvise(self._descriptor, start, self.size - start, os.POSIX_FADV_DONTNEED)

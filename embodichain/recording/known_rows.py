@@ -51,7 +51,9 @@ class KnownRows:
         self._moved: F64 | None = None  # (N, moved), not to be written to while it is lent
         self._lent = False
         self._input_columns: NDArray[np.int64] = np.zeros(0, np.int64)
-        self._sums: NDArray[np.uint64] | None = None  # of the inputs, for hashes
+        self._restless = np.zeros(0, np.bool_)  # inputs that were written since rows were told
+        self._restless_at: Any = slice(0, 0)
+        self._sums: NDArray[np.uint64] | None = None  # of the other inputs, for hashes
         self.columns([(0, self._nstate)])
 
     def columns(self, ranges: Ranges) -> None:
@@ -63,15 +65,18 @@ class KnownRows:
         self._inputs_at = as_slice(np.flatnonzero(~moved))
         self._input_columns = used[~moved]
         self._targets: dict[int, _Target] = {}
+        self._restless = np.zeros(len(self._input_columns), np.bool_)
+        self._sums = None
         if before is not None:
             wider = np.zeros((len(self._inputs), len(self._input_columns)))
             wider[:, np.isin(self._input_columns, before)] = self._inputs
-            self._inputs, self._sums = wider, None
+            self._inputs = wider
 
     def take(self, rows: F64) -> None:
         """These are the rows, (N, columns in use)."""
         self._inputs = np.array(rows[:, self._inputs_at], order="C")
         self._moved, self._lent = np.array(rows[:, self._moved_at], order="C"), False
+        self._restless[:] = False
         self._sums = None
 
     def returned(self, moved: F64) -> None:
@@ -114,7 +119,8 @@ class KnownRows:
         target = self._targets.get(place) or self._target(place, write)
         is_input, columns, which = target
         rows = self._inputs if is_input else self._own()
-        if is_input:
+        if is_input and not self._restless[columns].all():
+            self._restless[columns] = True
             self._sums = None
         if env_ids is None:
             rows[:, columns] = values[:, which]
@@ -181,10 +187,15 @@ class KnownRows:
 
     def hashes(self, row_hash: RowHash) -> NDArray[np.uint64]:
         """(N,) hashes of the rows."""
-        moved = self._there()
+        sums = row_hash.sums(self._there(), self.moved_columns)
         if self._sums is None:
-            self._sums = row_hash.sums(self._inputs, self._input_columns)
-        return row_hash.mixed(row_hash.sums(moved, self.moved_columns) + self._sums)
+            self._restless_at = as_slice(np.flatnonzero(self._restless))
+            rest = ~self._restless
+            self._sums = row_hash.sums(self._inputs[:, rest], self._input_columns[rest])
+        at = self._restless_at
+        sums += row_hash.sums(self._inputs[:, at], self._input_columns[at])
+        sums += self._sums
+        return row_hash.mixed(sums)
 
     def hashes_together(
         self,

@@ -138,7 +138,7 @@ class LogBuilder:
             for call, arrays in zip(kind.calls, found.arrays, strict=True)
             if call.name == "event"
         ]
-        _, rewards, _, _, episode_ids = found.arrays[-1]
+        _, rewards, episode_ids = found.arrays[-1]
         asides = deque(steps.asides)
         seen = SeenTogether(views, self.file, found, log.step, times)
         for k, time_ns in enumerate(times):
@@ -160,14 +160,16 @@ class LogBuilder:
         ends: Ends | None,
         action: F64,
         reward: NDArray[Any],
-        terminated: NDArray[np.bool_],
-        truncated: NDArray[np.bool_],
         episode_ids: NDArray[np.int64],
+        terminated: NDArray[np.bool_] | None = None,
+        truncated: NDArray[np.bool_] | None = None,
     ) -> None:
-        """A control step ended."""
+        """A control step ended; nobody is terminated or truncated if it does not say who."""
         step = self._log.step
         if self._header.state != "none":
-            self._log.on_step(action, reward, terminated, truncated, episode_ids)
+            nobody = np.zeros(len(reward), np.bool_)
+            over = (nobody if who is None else who for who in (terminated, truncated))
+            self._log.on_step(action, reward, *over, episode_ids)
         else:
             self._log.skip()
         self._take_in(step, ends, reward, episode_ids)

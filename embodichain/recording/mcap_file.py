@@ -41,10 +41,21 @@ CHUNK_LIMIT = 2**27
 """Bytes of the largest chunk that is written or believed: a million numbers of state for each of
 16 environments, or 123 for each of 136,000."""
 
+_FAST = zstandard.ZstdCompressionParameters(
+    window_log=20,
+    hash_log=13,
+    chain_log=6,
+    search_log=1,
+    min_match=7,
+    target_length=47,
+    strategy=zstandard.STRATEGY_FAST,
+)
 COMPRESSORS: Mapping[str, Callable[[memoryview], bytes]] = {
     "none": bytes,
-    # Files as large as lz4's below, in half the time.
-    "zstd-fast": zstandard.ZstdCompressor(level=-30).compress,
+    # Files as large as lz4's below, in less than half the time. In logs of six tasks 15 to 30 %
+    # faster than level -30, files -3 to +3 %: it looks for repetitions where numbers begin (every
+    # 48 bytes, one more than the target length), and for no shorter ones than 7 bytes.
+    "zstd-fast": zstandard.ZstdCompressor(compression_params=_FAST).compress,
     # Acceleration 8 takes three quarters of the time, and files become 8 % larger.
     "lz4": partial(lz4.frame.compress, compression_level=-8),
     "zstd": zstandard.ZstdCompressor(level=1).compress,

@@ -316,11 +316,12 @@ class McapRecorder(StepObserver):
             reward, ids = step.reward.copy(), step.episode_ids.copy()
             self._file.call("unseen_step", ends, reward, ids)
         else:
-            what = step.action, step.reward, step.terminated, step.truncated, step.episode_ids
+            what = step.action, step.reward, step.episode_ids
             if ends is None:
                 self._file.call_alike("step", (None,), *what)
             else:
-                self._file.call("step", ends, *(array.copy() for array in what))
+                over = step.terminated, step.truncated
+                self._file.call("step", ends, *(array.copy() for array in (*what, *over)))
             self._views.on_step(self._step, step, ended=ends is not None)
         held = self._gate.switch()
         if held is not None or not recorded:

@@ -135,17 +135,19 @@ class SteadyLog(StateLog):
         self, when: Rows, values: Sequence[NDArray[Any]], steps: SteadySteps
     ) -> list[Piece]:
         """`Step` as `encode_step` has it."""
-        hashes = steps.hashes(self._hash)
-        data = [
-            _bytes(array, dtype)
-            for array, dtype in zip(
-                (*values, hashes), ("<f8", "<f8", "?", "?", "<i8", "<u8"), strict=True
-            )
+        action, reward, episode_ids = values
+        n = reward.shape[1]
+        data: list[Piece] = [
+            [_bytes(action, "<f8")],
+            [_bytes(reward, "<f8")],
+            nobody := bytes(n),  # is terminated or truncated in steps that are alike
+            nobody,
+            [_bytes(episode_ids, "<i8")],
+            [_bytes(steps.hashes(self._hash), "<u8")],
         ]
-        n, width = values[1].shape[1], data[0].shape[1] // 8 // values[1].shape[1]
         pieces: list[Piece] = [when]
-        for head, array in zip(step_heads(n, width), data, strict=True):
-            pieces += [head, [array]]
+        for head, column in zip(step_heads(n, action[0].size // n), data, strict=True):
+            pieces += [head, column]
         return pieces
 
     def take(self, steps: SteadySteps) -> None:

@@ -36,7 +36,7 @@ IDLE_SECONDS = 0.2
 """And no longer than this if none comes: with the flushing of the file that stays below 1 s."""
 HURRY_SECONDS = 0.05
 """After waiting so long for the other process, it is told not to stand back."""
-SLAB_BYTES = 3 * 2**19
+SLAB_BYTES = 4 * 2**20
 BUDGET_BYTES = 64 * 2**20
 """About how much may wait for the disk before the simulation waits too."""
 _CONTENT_BYTES = 2**16

@@ -255,7 +255,7 @@ def test_tables_need_no_further_packages(log, monkeypatch, tmp_path, format):
 
 @pytest.mark.parametrize("format", FORMATS)
 def test_a_broken_log_is_exported_as_far_as_it_goes(record, tmp_path, capsys, format):
-    whole = record(num_envs=64, steps=60)
+    whole = record(num_envs=64, steps=160)  # several chunks
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole.read_bytes()[: whole.stat().st_size * 2 // 3])
     out = tmp_path / "out"

@@ -103,6 +103,9 @@ class Engine(Protocol):
     def step(self, nstep: int, env_ids: EnvIndex | None = None) -> None:
         """Advance physics; afterwards `take_diverged` knows who failed."""
 
+    def stay_awake(self) -> None:
+        """A hint, between two steps: physics may be due again at once. It changes nothing."""
+
     def forward(self, env_ids: EnvIndex | None = None) -> None:
         """Compute every derived field, acceleration stage included, without stepping."""
 

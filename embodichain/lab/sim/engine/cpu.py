@@ -21,7 +21,8 @@ from embodichain.lab.sim.engine.kinematics import Kinematics
 from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS, ModelFields
 from embodichain.lab.sim.engine.mujoco_log import install_log_handler
-from embodichain.lab.sim.engine.rows import picked, where
+from embodichain.lab.sim.engine.pool import Pool
+from embodichain.lab.sim.engine.rows import left, picked, where
 from embodichain.lab.sim.engine.timers import stop_timers
 from embodichain.utils.suggest import did_you_mean
 
@@ -85,6 +86,7 @@ class CpuEngine:
         self._any_dirty = True
         self._all_dirty = True
         self._divergence = Divergence(self._batch)
+        self._pool = Pool(self._batch)
 
     # -- reads ---------------------------------------------------------------------------------
 
@@ -165,7 +167,9 @@ class CpuEngine:
                 listener.on_physics(event)
         if env_ids is not None:
             self._acc.keep()
+        self._pool.began()
         failed = self._call(self._batch.step, env_ids, nstep=nstep, stage=_STAGE_NONE)
+        self._pool.ended()
         if env_ids is None:
             self._any_dirty = self._all_dirty = True
         else:
@@ -175,6 +179,16 @@ class CpuEngine:
             event = PhysicsEvent("after", nstep, env_ids, self._rows, failed)
             for listener in listeners:
                 listener.on_physics(event)
+
+    def stay_awake(self) -> None:
+        """Keep threads from falling asleep between two steps, if these follow at once.
+
+        Not where fields are looked at between steps, which asks them anyway, nor where a listener
+        has work for other cores.
+        """
+        if not (self._derived or self.listeners or self.persistent) and self._pool.may_sleep:
+            self._acc.keep()
+            self._pool.ask()
 
     def forward(self, env_ids: EnvIndex | None = None) -> None:
         """Compute every stage without stepping, the acceleration fields' too."""
@@ -246,7 +260,8 @@ class CpuEngine:
         if not self._all_dirty and field not in _INPUTS:
             self._mark(env_ids)
         if self.listeners:
-            self._notify(Write("state", field, env_ids, columns, picked(view, env_ids, columns)))
+            taken = left(view, values, env_ids, columns)
+            self._notify(Write("state", field, env_ids, columns, taken))
 
     def write_model(
         self,
