@@ -167,9 +167,9 @@ class LogBuilder:
         """A control step ended; nobody is terminated or truncated if it does not say who."""
         step = self._log.step
         if self._header.state != "none":
-            nobody = np.zeros(len(reward), np.bool_)
-            over = (nobody if who is None else who for who in (terminated, truncated))
-            self._log.on_step(action, reward, *over, episode_ids)
+            if terminated is None or truncated is None:
+                terminated = truncated = np.zeros(len(reward), np.bool_)
+            self._log.on_step(action, reward, terminated, truncated, episode_ids)
         else:
             self._log.skip()
         self._take_in(step, ends, reward, episode_ids)

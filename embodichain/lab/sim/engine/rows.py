@@ -40,7 +40,7 @@ def left(
     Whoever copies them finds them in the cache, and in a third of the time.
     """
     found = picked(view, env_ids, columns)
-    alike = type(values) is np.ndarray and values.dtype is found.dtype
-    if env_ids is None and alike and values.shape == found.shape and values.flags.c_contiguous:
-        return values
-    return found
+    if env_ids is not None or type(values) is not np.ndarray or values.dtype is not found.dtype:
+        return found
+    given: F64 = values
+    return given if given.shape == found.shape and given.flags.c_contiguous else found
