@@ -34,18 +34,17 @@ class Pool:
         self._alone = batch.nthread < 2
         # One simulation for each thread: with fewer, some would not be asked.
         self._each = np.linspace(0, batch.nsim - 1, batch.nthread).astype(np.int32)
-        self._ended = 0.0
-        self._between = self._took = np.inf
+        self._began = self._ended = 0.0
+        self._between = np.inf
 
     def began(self) -> None:
         """Physics is about to step."""
-        now = time.perf_counter()
-        self._between, self._took = now - self._ended, now
+        self._began = time.perf_counter()
+        self._between = self._began - self._ended
 
     def ended(self) -> None:
         """Physics has stepped."""
         self._ended = time.perf_counter()
-        self._took = self._ended - self._took
 
     @property
     def may_sleep(self) -> bool:
@@ -54,7 +53,8 @@ class Pool:
         It is due as long after the last time as then after the time before: whoever does something
         long between two steps gains nothing.
         """
-        due_soon = self._took < _SHORT_SECONDS and self._between < 2 * _LOOKS_SECONDS
+        short = self._ended - self._began < _SHORT_SECONDS
+        due_soon = short and self._between < 2 * _LOOKS_SECONDS
         if self._alone or not due_soon:
             return False
         return time.perf_counter() - self._ended < _LOOKS_SECONDS

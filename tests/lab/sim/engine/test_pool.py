@@ -104,10 +104,11 @@ def test_threads_are_asked_only_where_steps_follow_at_once(monkeypatch, moments,
     assert pool.may_sleep is expected
 
 
-def test_one_thread_never_waits_for_others(asked, monkeypatch):
-    monkeypatch.undo()
-    pool = Pool(engine(num_threads=1)._batch)
-    for _ in range(3):
+@pytest.mark.parametrize("threads", [1, 2])
+def test_one_thread_never_waits_for_others(monkeypatch, threads):
+    monkeypatch.setattr("embodichain.lab.sim.engine.pool.time.perf_counter", lambda: 1.0)
+    pool = Pool(engine(threads)._batch)
+    for _ in range(2):
         pool.began()
         pool.ended()
-    assert not pool.may_sleep
+    assert pool.may_sleep is (threads > 1)
