@@ -186,7 +186,7 @@ class CpuEngine:
         Not where fields are looked at between steps, which asks them anyway, nor where a listener
         has work for other cores.
         """
-        if not (self._derived or self.listeners or self.persistent) and self._pool.may_sleep:
+        if not (self._derived or self.listeners or self.persistent) and self._pool.sleeps_soon():
             self._acc.keep()
             self._pool.ask()
 

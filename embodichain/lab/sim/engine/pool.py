@@ -7,16 +7,19 @@ that is asked of the batch lives here; when physics is due is the caller's busin
 
 from __future__ import annotations
 
+import math
 import time
 
 import mujoco
-import numpy as np
 from mujoco import batch as mjbatch
 
 __all__ = ["Pool"]
 
 _LOOKS_SECONDS = 45e-6
 """So long after a call MuJoCo's threads look for work (measured with MuJoCo 4.0.0)."""
+_SOON_SECONDS = 60e-6
+"""From the moment they may be asked to the next physics: a third more than they look, so that one
+slow step, which waking threads makes slower still, does not end it."""
 _SHORT_SECONDS = 300e-6
 """Of physics: where a call takes longer, being awake would save less than a tenth of it."""
 _STAGE_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
@@ -32,33 +35,32 @@ class Pool:
     def __init__(self, batch: mjbatch.Batch) -> None:
         self._batch = batch
         self._alone = batch.nthread < 2
-        # One simulation for each thread: with fewer, some would not be asked.
-        self._each = np.linspace(0, batch.nsim - 1, batch.nthread).astype(np.int32)
         self._began = self._ended = 0.0
-        self._between = np.inf
+        self._hinted = -math.inf
+        self._until_physics = math.inf
 
     def began(self) -> None:
         """Physics is about to step."""
         self._began = time.perf_counter()
-        self._between = self._began - self._ended
+        self._until_physics = self._began - self._hinted
 
     def ended(self) -> None:
         """Physics has stepped."""
         self._ended = time.perf_counter()
 
-    @property
-    def may_sleep(self) -> bool:
+    def sleeps_soon(self) -> bool:
         """Whether threads would fall asleep before physics is due, unless they are asked again.
 
-        It is due as long after the last time as then after the time before: whoever does something
-        long between two steps gains nothing.
+        To be called at the same place of each step. Physics is due as long after that as it came
+        the last time: whoever does something long between two steps gains nothing.
         """
+        now = self._hinted = time.perf_counter()
         short = self._ended - self._began < _SHORT_SECONDS
-        due_soon = short and self._between < 2 * _LOOKS_SECONDS
-        if self._alone or not due_soon:
-            return False
-        return time.perf_counter() - self._ended < _LOOKS_SECONDS
+        due_soon = short and self._until_physics < _SOON_SECONDS
+        return due_soon and not self._alone and now - self._ended < _LOOKS_SECONDS
 
     def ask(self) -> None:
         """Have the threads look for work anew. Outputs that were bound are overwritten."""
-        self._batch.forward(self._each, stage=_STAGE_NONE)
+        # Of all simulations: choosing one for each thread takes longer than loading a few more.
+        self._batch.forward(stage=_STAGE_NONE)
+        self._hinted = time.perf_counter()

@@ -31,7 +31,7 @@ def asked(monkeypatch):
         calls.append(1)
         ask(self)
 
-    monkeypatch.setattr(Pool, "may_sleep", property(lambda self: True))
+    monkeypatch.setattr(Pool, "sleeps_soon", lambda self: True)
     monkeypatch.setattr(Pool, "ask", counted)
     return calls
 
@@ -84,31 +84,47 @@ def test_nobody_is_asked_where_fields_are_looked_at_or_somebody_listens(asked):
     assert asked
 
 
+def stepped(pool):
+    pool.began()
+    pool.ended()
+    return pool.sleeps_soon()
+
+
+def clock(monkeypatch, moments):
+    ticks = iter(moment * 1e-6 for moment in moments)
+    monkeypatch.setattr("embodichain.lab.sim.engine.pool.time.perf_counter", lambda: next(ticks))
+
+
 @pytest.mark.parametrize(
     ("moments", "expected"),
     [
-        # Microseconds: physics begins, ends, begins, ends; the hint comes.
-        ((0, 60, 120, 180, 210), True),
-        ((0, 60, 120, 180, 240), False),  # they are asleep by now
-        ((0, 60, 180, 240, 260), False),  # something long is done between steps
-        ((0, 600, 660, 1200, 1220), False),  # physics takes long
+        # Microseconds: physics begins, ends, the hint comes, and the same again.
+        ((0, 60, 90, 120, 180, 210), True),
+        ((0, 60, 90, 145, 180, 210), True),  # one step was a little slow
+        ((0, 60, 90, 120, 180, 240), False),  # they are asleep by now
+        ((0, 60, 90, 180, 240, 270), False),  # something long is done between steps
+        ((0, 600, 630, 660, 1200, 1220), False),  # physics takes long
     ],
 )
 def test_threads_are_asked_only_where_steps_follow_at_once(monkeypatch, moments, expected):
-    clock = iter(moment * 1e-6 for moment in moments)
-    monkeypatch.setattr("embodichain.lab.sim.engine.pool.time.perf_counter", lambda: next(clock))
+    clock(monkeypatch, moments)
     pool = Pool(engine()._batch)
-    for _ in range(2):
-        pool.began()
-        pool.ended()
-    assert pool.may_sleep is expected
+    assert not stepped(pool)  # nobody knows yet when physics will be due
+    assert stepped(pool) is expected
+
+
+def test_what_the_asking_takes_is_not_taken_for_a_long_wait(monkeypatch):
+    clock(monkeypatch, (0, 60, 90, 120, 180, 210, 300, 330, 390, 420))
+    pool = Pool(engine()._batch)
+    stepped(pool)
+    assert stepped(pool)
+    pool.ask()  # to wake one that slept takes longer
+    assert stepped(pool)
 
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_one_thread_never_waits_for_others(monkeypatch, threads):
-    monkeypatch.setattr("embodichain.lab.sim.engine.pool.time.perf_counter", lambda: 1.0)
+    clock(monkeypatch, (0, 60, 90, 120, 180, 210))
     pool = Pool(engine(threads)._batch)
-    for _ in range(2):
-        pool.began()
-        pool.ended()
-    assert pool.may_sleep is (threads > 1)
+    stepped(pool)
+    assert stepped(pool) is (threads > 1)
