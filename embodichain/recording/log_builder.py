@@ -21,7 +21,7 @@ from embodichain.recording.attachments import load_mjb
 from embodichain.recording.batches import AlikeSteps, Batches
 from embodichain.recording.episode_log import TOPIC as EPISODE_TOPIC
 from embodichain.recording.episode_log import Ends, EpisodeLog
-from embodichain.recording.foxglove.view_encoder import PUSHED, ViewEncoder
+from embodichain.recording.foxglove.view_encoder import ViewEncoder
 from embodichain.recording.header import METADATA, METADATA_END
 from embodichain.recording.log_file import LogFile
 from embodichain.recording.log_head import LogHead
@@ -57,6 +57,7 @@ class LogBuilder:
         self._log = SteadyLog(model, layout, header.substeps, derives, self._write)
         self._episodes = EpisodeLog(header.num_envs)
         self._views = ViewEncoder(model, head.views, file)
+        self._seen = SeenTogether(self._views, file)
         self._manifest = Manifest(file.folder, file.name, header.log_id, header.period_ns * 1e-9)
         self._write_head(0, 0)
         if not head.rolls:
@@ -83,9 +84,18 @@ class LogBuilder:
             "end": log.close,
             "roll": self._roll,
             "finish": self._finish,
-            **{VIEW + name: getattr(self._views, name) for name in PUSHED},
+            **self._seen.methods(),
         }
         self.batches = Batches(methods, "step", VIEW, self._together)
+
+    def flush(self) -> None:
+        """Make everything readable in the file.
+
+        Raises:
+            OSError: If it cannot be written, or was removed.
+        """
+        self._seen.finish()
+        self.file.flush()
 
     def settle(self) -> None:
         """A batch is carried out: let go of arrays that were handed over, and count."""
@@ -118,13 +128,13 @@ class LogBuilder:
         self._log.stepped(nstep, ids, failed, taken)
 
     def _look(self, ids: EnvIndex | None) -> None:
-        step, views = self._log.step, self._views
-        if ids is None and views.is_due(step):
-            views.look(step, self._time_of(step), self._log.rows_of(views.env_ids))
+        step, seen = self._log.step, self._seen
+        if ids is None and seen.is_due(step):
+            seen.look(step, self._time_of(step), self._log.rows_of(self._views.env_ids))
 
     def _together(self, steps: AlikeSteps) -> int | None:
         """Control steps that are alike; how many of them the log takes together."""
-        log, views = self._log, self._views
+        log, views, seen = self._log, self._views, self._seen
         kind = log.kind_of(steps.calls)
         if kind is None:
             return None
@@ -140,18 +150,18 @@ class LogBuilder:
         ]
         _, rewards, episode_ids = found.arrays[-1]
         asides = deque(steps.asides)
-        seen = SeenTogether(views, self.file, found, log.step, times)
+        seen.begin(found, log.step, times)
         for k, time_ns in enumerate(times):
             while asides and asides[0].step == k and asides[0].after <= kind.physics:
-                seen.aside(asides.popleft())
+                asides.popleft().carry_out()
             seen.step(k)
             for args, drawn in events:
                 if views.lines_due(time_ns, *args[:2]):
                     views.event(time_ns, *args, *[values[k] for values in drawn])
             while asides and asides[0].step == k:
-                seen.aside(asides.popleft())
+                asides.popleft().carry_out()
         self._episodes.add_steps(rewards, episode_ids)
-        seen.finish()
+        seen.end()
         found.finish()
         return found.count
 
@@ -204,6 +214,7 @@ class LogBuilder:
 
     def _roll(self, step: int) -> None:
         """Go on in another file with this control step."""
+        self._seen.finish()
         part = self.file.part + 1
         name = part_name(self.file.name, part)
 
@@ -217,6 +228,7 @@ class LogBuilder:
 
     def _finish(self, steps: int) -> None:
         """The last call: the log has so many control steps."""
+        self._seen.finish()
         self.file.metadata(METADATA_END, {"steps": str(steps)})
 
         def whole(nbytes: int) -> None:

@@ -25,8 +25,6 @@ __all__ = ["main"]
 
 FLUSH_SECONDS = 0.5
 """Together with what is not handed over yet, at most a second is lost if all is killed."""
-LOOK_SECONDS = 0.004
-LOOK_FOR_SECONDS = 0.25
 CALM_SECONDS = 1.0
 """Nobody has had to wait for so long: the writer stands back again."""
 
@@ -63,7 +61,7 @@ def _write_quietly(writing: _Writing) -> None:
         with suppress(PermissionError):
             os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     while not writing.pause and not writing.over:
-        writing.carry_on(looks=True)
+        writing.carry_on()
 
 
 def _write_at_once(writing: _Writing, calls: FileIO) -> None:
@@ -92,15 +90,10 @@ class _Writing:
         self.over = False
         """Whether nothing follows."""
 
-    def carry_on(self, looks: bool = False) -> None:
-        """Wait for an order and carry it out.
-
-        Args:
-            looks: Look for orders now and then while they come often: to wake whoever waits for
-                one takes the simulation longer than to write it down.
-        """
+    def carry_on(self) -> None:
+        """Wait for an order and carry it out."""
         try:
-            if not self._wait(looks):
+            if not self._wait():
                 return
             received = handover.receive_order(self._connection)
             if received is None:
@@ -112,21 +105,13 @@ class _Writing:
             self.over = True
             self._fail(error)
 
-    def _wait(self, looks: bool) -> bool:
+    def _wait(self) -> bool:
         """Wait for an order, and flush when it is due; False if somebody else shall carry on."""
-        began = time.monotonic()
-        while self._file is not None and not self._ready(0.0):
+        while self._dirty and not self._ready(max(0.0, self._due - time.monotonic())):
             if self.pause:
                 return False
-            now = time.monotonic()
-            if self._dirty and now >= self._due:
+            if time.monotonic() >= self._due:
                 self._flush()
-            elif looks and now < began + LOOK_FOR_SECONDS:
-                time.sleep(LOOK_SECONDS)
-            elif self._dirty:
-                self._ready(self._due - now)
-            else:
-                break
         return True
 
     def _ready(self, seconds: float) -> bool:
@@ -196,13 +181,16 @@ class _Writing:
             self._connection.sendall(Reply.pack(kind, number))
 
     def _flush(self) -> None:
-        if self._file is not None:
+        if self._builder is not None:
+            self._builder.flush()
+        elif self._file is not None:
             self._file.flush()
         # A log that has just begun has waited for this process to start: it does not wait again.
         now = time.monotonic()
         self._due, self._dirty = now + min(FLUSH_SECONDS, now - self._begun), False
 
     def _close(self) -> None:
+        self._flush()
         file, self._file, self._builder = self._file, None, None
         if file is not None:
             file.finish()
@@ -212,7 +200,7 @@ class _Writing:
     def _abandon(self) -> None:
         """Nobody gives orders any more, in the middle of a log: keep what was handed over."""
         if self._file is not None:
-            self._file.flush()
+            self._flush()
             self._file.close()
 
     def _fail(self, error: Exception) -> None:

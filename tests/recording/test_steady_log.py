@@ -10,7 +10,7 @@ import torch
 import embodichain
 from embodichain import recording
 from embodichain.config import list_options
-from embodichain.recording import McapRecorder, batches, recorder, steady_log
+from embodichain.recording import McapRecorder, batches, recorder, seen_together, steady_log
 from embodichain.recording.options import RecordOptions
 from embodichain.recording.replay import verify
 from tests.helpers.writing_here import write_here
@@ -61,12 +61,18 @@ def written(tmp_path, monkeypatch):
     return run
 
 
+def one_by_one(monkeypatch):
+    """From here on steps are written alone, and so is what viewers see of each."""
+    monkeypatch.setattr(batches, "_MOST_BYTES", 0)
+    monkeypatch.setattr(seen_together, "_MOST", 1)
+
+
 @pytest.mark.parametrize("task", list_options("task"))
 def test_steps_of_every_task_are_the_same_together(written, monkeypatch, task):
     together, count, path = written("together.mcap", task, view_hz=12.5)
     assert count > STEPS / 2
     assert verify(path).ok
-    monkeypatch.setattr(batches, "_MOST_BYTES", 0)
+    one_by_one(monkeypatch)
     alone, none, _ = written("alone.mcap", task, view_hz=12.5)
     assert none == 0
     assert together.keys() == alone.keys()
@@ -115,7 +121,7 @@ def test_whatever_comes_between_is_the_same_together(written, monkeypatch, act, 
     assert bool(count) == some
     if options.get("state") != "none":
         assert verify(path).ok
-    monkeypatch.setattr(batches, "_MOST_BYTES", 0)
+    one_by_one(monkeypatch)
     assert written("alone.mcap", "random_reach", episode, act=act, **options)[0] == together
 
 
@@ -136,13 +142,42 @@ def test_rewards_are_shown_with_the_weights_they_had(written, monkeypatch):
     assert count > STEPS / 2
     assert len(set(weights)) > 3
     assert np.array_equal(shown(path), unchanged * weights)
-    monkeypatch.setattr(batches, "_MOST_BYTES", 0)
+    one_by_one(monkeypatch)
     weights.clear()
     assert written("alone.mcap", "reach", act=change, view_hz=1000)[0] == together
 
 
-def test_a_log_of_several_files_verifies(written):
-    _, count, path = written("log.mcap", "random_reach", num_envs=256, max_mb=0.5)
-    assert len(list(path.parent.glob("*.mcap"))) > 1
+def test_a_log_of_several_files_verifies_and_each_shows_its_own_steps(written):
+    sizes = {"num_envs": 256, "max_mb": 0.5, "view_hz": 1000}
+    _, count, path = written("log.mcap", "random_reach", **sizes)
+    parts = list(path.parent.glob("*.mcap"))
+    assert len(parts) > 1
     assert count
     assert verify(path).ok
+    for part in parts:
+        found = messages(part)
+        steps = {time_ns for time_ns, _ in found["/sim/step"]}
+        assert {time_ns for time_ns, _ in found["/env_2/metrics"]} == steps
+        # one more where the log ends: the last state
+        assert 0 <= len({time_ns for time_ns, _ in found["/tf"]} - steps) <= 1
+
+
+@pytest.mark.parametrize("end", ["flush", "close"])
+def test_what_viewers_see_is_in_a_log_that_is_not_finished(tmp_path, end):
+    env = embodichain.make("random_reach", 2, ())
+    env.reset(seed=0)
+    path = tmp_path / "log.mcap"
+    log = McapRecorder(path, env, options=RecordOptions(view_hz=1000))
+    env.add_observer(log)
+    for half in range(2):
+        for _ in range(7):
+            env.step(torch.zeros((2, 6)))
+        if half == 0 or end == "flush":
+            log.flush()
+    if end == "close":
+        log._file.close()  # as at the end of a program that closes nothing
+    found = messages(path)
+    assert len(found["/sim/step"]) == len(found["/env_0/metrics"]) == len(found["/tf"]) == 14
+    env.remove_observer(log)
+    log.close()
+    env.close()

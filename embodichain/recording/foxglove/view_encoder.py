@@ -64,7 +64,7 @@ class ViewEncoder:
         self._markers = Markers(model, spec.env_ids, spec.markers)
         self._metrics: Metrics | None = None
         self._factors: F64 = np.ones((1, 1))
-        self._every, self._sampled = spec.every, -1
+        self._every = spec.every
         self._shown: dict[int, bool] = {}
         self._commands: tuple[F64, ...] = ()
         self._period_ns = spec.period_ns
@@ -89,27 +89,23 @@ class ViewEncoder:
     def is_due(self, step: int) -> bool:
         """Whether a control step is to be sampled, of which nobody pushes the rows."""
         due = self._every > 0 and (step % self._every == 0 or bool(self._shown))
-        return due and step != self._sampled and len(self.env_ids) > 0
+        return due and len(self.env_ids) > 0
 
     @property
     def scenes_due(self) -> bool:
         """Whether the next sample shows scenes."""
         return bool(self._shown)
 
-    def look_often(
-        self, last: int, times: Sequence[int], rows: F64
-    ) -> list[tuple[str, list[Piece]]]:
+    def look_often(self, times: Sequence[int], rows: F64) -> list[tuple[str, list[Piece]]]:
         """Sample control steps that are due without scenes, all with the same commands.
 
         Args:
-            last: The last of the steps.
             times: The moment of each, L of them.
             rows: (L, n, nstate) rows of the viewed environments.
 
         Returns:
             Topic and pieces of what is to be written at each moment.
         """
-        self._sampled = last
         return [(topic, [[table]]) for topic, table in self._seen(times, rows, self._commands)]
 
     def _seen(
@@ -130,15 +126,13 @@ class ViewEncoder:
         found.append(("/tf", self._frames.table(stamped, poses)))
         return found
 
-    def look(self, step: int, time_ns: int, rows: F64) -> None:
-        """Sample a control step that is due.
+    def look(self, time_ns: int, rows: F64) -> None:
+        """Sample a control step that is due, with the scenes that are.
 
         Args:
-            step: The step.
             time_ns: Its moment.
             rows: (n, nstate) rows of the viewed environments, as physics receives them.
         """
-        self._sampled = step
         scenes, self._shown = self._shown, {}
         self.sample(time_ns, rows, scenes, *self._commands)
 

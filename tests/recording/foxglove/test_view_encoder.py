@@ -154,12 +154,12 @@ def test_memory_of_what_was_handed_over_is_used_again(pushed):
             if isinstance(arg, np.ndarray):
                 arg[...] = 77
 
-    for step, (method, args, _) in enumerate(calls):
+    for method, args, _ in calls:
         getattr(here, method)(*args)
         if method == "sample":  # as if the rows were known there
             time_ns, rows, scenes, *commands = args
             lent("show", scenes, *commands)
-            lent("look", step, time_ns, rows)
+            lent("look", time_ns, rows)
         else:
             lent(method, *args)
     assert {"/env_2/markers", "/tf"} <= {topic for topic, *_ in far.found}
