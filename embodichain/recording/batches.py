@@ -52,14 +52,12 @@ class Aside:
     """A call among those of a step that other calls do not depend on.
 
     Attributes:
-        name: The method's name.
         step: Number of the step, among those that are alike.
         after: How many of the step's own calls come before it.
         method: The method.
         args: Its arguments.
     """
 
-    name: str
     step: int
     after: int
     method: Callable[..., None]
@@ -198,7 +196,7 @@ class Batches:
             for after, index in step.asides:
                 name, args, places = calls[index]
                 found = _found(memory, args, places) if places else args
-                asides.append(Aside(name, k, after, self._methods[name], found))
+                asides.append(Aside(k, after, self._methods[name], found))
         first = steps[0]
         forms = tuple(self._forms[number] for number, _ in first.calls or ())
         stride = steps[1].at[0] - first.at[0]

@@ -73,7 +73,7 @@ class SeenTogether:
         Args:
             step: The step.
             time_ns: Its moment.
-            rows: (n, nstate) rows of the viewed environments, as physics receives them.
+            rows: (n, nstate) rows of the viewed environments, as physics receives them; kept.
         """
         self._sampled = step
         if self._views.scenes_due:
