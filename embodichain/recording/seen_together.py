@@ -81,6 +81,7 @@ class SeenTogether:
             self._views.look(time_ns, rows)
         else:
             self._put([time_ns], rows[None])
+            self._finish_many()
 
     def begin(self, steps: SteadySteps, first: int, times: Sequence[int]) -> None:
         """Control steps follow that a log takes together.
@@ -107,6 +108,7 @@ class SeenTogether:
         """Those steps are over: their arrays are not looked at again."""
         self._gather()
         self._steps = None
+        self._finish_many()
 
     def _gather(self) -> None:
         due, self._due = self._due, []
@@ -117,7 +119,6 @@ class SeenTogether:
     def _put(self, times: Sequence[int], rows: F64) -> None:
         self._times += times
         self._rows.append(rows)
-        self._finish_many()
 
     def _finish_many(self) -> None:
         if max(len(self._times), len(self._numbers)) >= _MOST:

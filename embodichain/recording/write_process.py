@@ -107,15 +107,14 @@ class _Writing:
 
     def _wait(self) -> bool:
         """Wait for an order, and flush when it is due; False if somebody else shall carry on."""
-        while self._dirty and not self._ready(max(0.0, self._due - time.monotonic())):
-            if self.pause:
-                return False
-            if time.monotonic() >= self._due:
-                self._flush()
-        return True
+        while not self._ready():
+            self._flush()
+        return not self.pause
 
-    def _ready(self, seconds: float) -> bool:
-        return bool(select.select([self._connection], [], [], seconds)[0])
+    def _ready(self) -> bool:
+        """Wait for an order, or until a flush is due; whether there is an order."""
+        patience = max(0.0, self._due - time.monotonic()) if self._dirty else None
+        return bool(select.select([self._connection], [], [], patience)[0])
 
     def _carry_out(self, order: Order, descriptors: list[int]) -> None:
         """Do what an order says."""

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -13,7 +14,15 @@ import pytest
 
 from embodichain import recording
 from embodichain.lab.gym.envs.observers import EventRecord
-from embodichain.recording import McapRecorder, inspect, verify, worker, writer
+from embodichain.recording import (
+    McapRecorder,
+    handover,
+    inspect,
+    verify,
+    worker,
+    write_process,
+    writer,
+)
 from embodichain.recording.writer import LogWriteError, LogWriter
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import SmallEnv
@@ -313,3 +322,22 @@ def inspect_steps(path):
         return inspect(path).steps
     except ConfigError:
         return 0  # its beginning is not there yet
+
+
+def test_an_order_that_comes_while_others_take_over_is_theirs():
+    """The thread that stands back would carry it out only where no core is wanted."""
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        writing = write_process._Writing(theirs)
+        quiet = threading.Thread(target=writing.carry_on)
+        quiet.start()
+        writing.pause = True
+        handover.send_order(ours, handover.Order(handover.FLUSH, 1, 0, 0, 0, 0), ())
+        quiet.join(30.0)
+        assert not quiet.is_alive()
+        ours.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            ours.recv(1)
+        writing.pause = False
+        writing.carry_on()
+        assert [kind for kind, *_ in handover.ReplyReader(ours).read()] == [handover.FLUSHED]
