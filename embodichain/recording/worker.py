@@ -168,6 +168,8 @@ def _end() -> None:
 
 def _forget() -> None:
     """In a forked process: the workers are the other's, and must see it end."""
+    global _lock
+    _lock = threading.Lock()  # who held it is not here
     for worker in _all:
         worker._let_go()
     _all.clear()

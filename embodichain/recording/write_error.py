@@ -5,6 +5,7 @@ What the process that writes says of it is read here.
 
 from __future__ import annotations
 
+import errno
 import json
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,16 @@ class Loss:
         else:
             self.cause = RuntimeError(said["traceback"])
         self._where = said["where"]
+
+    def unexplained(self, end: str) -> None:
+        """The other process has ended without a word."""
+        why = f"the process that writes it has ended ({end})"
+        self.found(ChildProcessError(errno.EPIPE, why))
+
+    def forked(self) -> None:
+        """This process was forked: the log goes on in the other, and nobody here has to be told."""
+        self.found(ChildProcessError(errno.EPERM, "the process this one was forked from writes it"))
+        self.told = True
 
     def check(self) -> None:
         """Raise if something went wrong.

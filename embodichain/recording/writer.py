@@ -8,7 +8,6 @@ nothing is dropped. What the calls mean is not known here.
 from __future__ import annotations
 
 import atexit
-import errno
 import os
 import pickle
 import select
@@ -23,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.recording import handover, worker
+from embodichain.recording.forked import call_in_forks
 from embodichain.recording.handover import Counters, Order, ReplyReader, Slab
 from embodichain.recording.placing import WaitingCalls, put
 from embodichain.recording.slab_pool import SlabPool
@@ -75,7 +75,6 @@ class LogWriter:
         self._unsent: Order | None = None
         self._flushed = self._ended = self._closed = False
         self._loss = Loss(path)
-        self._pid = os.getpid()
         self._lock = threading.Lock()  # whoever holds it may hand over
         self._handed_over = time.monotonic()
         self._stop = threading.Event()
@@ -86,6 +85,7 @@ class LogWriter:
         self._thread.start()
         # A program that ends without closing leaves a file with its end all the same.
         atexit.register(self.close)
+        call_in_forks(self._forget)
 
     def _open(self, path: Path, compression: str) -> None:
         with ExitStack() as opened:
@@ -218,7 +218,7 @@ class LogWriter:
         Raises:
             OSError: If the file could not be written, and no call said so before.
         """
-        if self._closed or os.getpid() != self._pid:  # a forked process: the log is the other's
+        if self._closed:
             return
         self._closed, told = True, self._loss.told
         atexit.unregister(self.close)
@@ -249,6 +249,10 @@ class LogWriter:
     def worker_pid(self) -> int:
         """The process that writes."""
         return self._worker.pid
+
+    def _forget(self) -> None:  # the log is the other process's
+        self._lock, self._closed = threading.Lock(), True
+        self._loss.forked()
 
     # -- handing over; the lock is held ------------------------------------------------------------
 
@@ -348,9 +352,7 @@ class LogWriter:
     def _fail(self, report: bytes | None) -> None:
         """The other process could not write, or has ended without a word."""
         if report is None:
-            how = self._worker.how_it_ended()
-            why = f"the process that writes it has ended ({how})"
-            self._loss.found(ChildProcessError(errno.EPIPE, why))
+            self._loss.unexplained(self._worker.how_it_ended())
         else:
             self._loss.reported(report)
         raise self._loss.error()

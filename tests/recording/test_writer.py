@@ -151,19 +151,81 @@ def test_what_is_larger_than_a_slab_has_one_of_its_own(tmp_path, monkeypatch):
     del recorder
 
 
+def status_of_fork(act):
+    """How a forked process ends that does this: 0 if it raises nothing and ends by itself."""
+    forked = os.fork()
+    if not forked:
+        status = 1
+        try:
+            act()
+            status = 0
+        finally:
+            os._exit(status)
+    deadline = time.monotonic() + 60
+    while not (ended := os.waitpid(forked, os.WNOHANG))[0]:
+        if time.monotonic() > deadline:
+            os.kill(forked, signal.SIGKILL)
+        time.sleep(0.01)
+    return os.waitstatus_to_exitcode(ended[1])
+
+
 def test_a_forked_process_leaves_the_log_alone(tmp_path):
     env, recorder = recorded(tmp_path / "log.mcap")
     steps(env, 3)
-    forked = os.fork()
-    if not forked:
-        try:
-            recorder.close()
-        finally:
-            os._exit(0)
-    assert os.waitpid(forked, 0)[1] == 0
+
+    def refused_and_closed():
+        with pytest.raises(LogWriteError, match="forked"):
+            recorder.flush()
+        recorder.close()
+
+    assert status_of_fork(recorder.close) == 0
+    assert status_of_fork(refused_and_closed) == 0
     steps(env, 3)
     env.close()
     assert verify(tmp_path / "log.mcap").steps == 6
+
+
+def test_a_process_forked_while_a_thread_hands_over_leaves_the_log_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr(writer, "BUDGET_BYTES", 0)
+    env, recorder = recorded(tmp_path / "log.mcap")
+    recorder.flush()
+    os.kill(recorder.writer_pid, signal.SIGSTOP)
+    simulation = threading.Thread(target=steps, args=(env, 2000))
+    try:
+        simulation.start()
+        before = -1
+        while env.count != before:  # until it waits for the process, and holds the lock
+            before = env.count
+            simulation.join(1.0)
+        assert simulation.is_alive()
+        status = status_of_fork(recorder.close)
+    finally:
+        os.kill(recorder.writer_pid, signal.SIGCONT)
+    simulation.join()
+    env.close()
+    assert status == 0
+    assert verify(tmp_path / "log.mcap").steps == 2000
+
+
+def test_a_forked_process_writes_a_log_of_its_own(tmp_path):
+    env, recorder = recorded(tmp_path / "log.mcap")
+    steps(env, 3)
+
+    def record():
+        own, _ = recorded(tmp_path / "own.mcap")
+        steps(own, 5)
+        own.close()
+
+    held = threading.Thread(target=lambda: worker._lock.acquire())  # and does not let go
+    held.start()
+    held.join()
+    try:
+        assert status_of_fork(record) == 0
+    finally:
+        worker._lock.release()
+    env.close()
+    assert verify(tmp_path / "own.mcap").steps == 5
+    assert verify(tmp_path / "log.mcap").steps == 3
 
 
 def test_a_process_that_waits_is_used_and_ends_with_its_program(tmp_path):
