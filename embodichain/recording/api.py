@@ -309,7 +309,7 @@ class Log:
         outcomes = [name for name in names if name in OUTCOMES]
         ids = self._envs(env)
         file: ChunkFile | FilledFile = self._file
-        if components and self._simulate:
+        if components and self._simulate and self.header.keyframe_every:
             file = FilledFile(self._file, ids)
         gatherer = Gatherer(file, components, outcomes, ids, span)
         gatherer.run()

@@ -124,6 +124,8 @@ class Gatherer:
                 self._put_states(states, rows)
                 rows += len(states)
                 outcomes = self._put_outcomes(steps, outcomes)
+        except LogError:  # says so itself
+            raise
         except (IndexError, ValueError) as error:  # a WireError is one
             raise LogError(f"{self.file.path}: a message is damaged: {error}") from error
         self._trim(state_steps[:rows], self.steps[:outcomes])

@@ -26,7 +26,7 @@ __all__ = ["FilledFile"]
 
 
 class FilledFile:
-    """A log whose `/sim/state` has rows in every control step.
+    """A log whose `/sim/state` has whole rows in every control step.
 
     Of a log that was recorded with `state: all` nothing is simulated.
 
@@ -45,24 +45,28 @@ class FilledFile:
         self.require_header, self.between = file.require_header, file.between
 
     def messages(self) -> Iterator[Found]:
-        """All messages, in file order."""
-        for found in self.blocks():
-            yield from found
-
-    def blocks(self, chunks: list[ChunkPlace] | None = None) -> Iterator[list[Found]]:
-        """Messages of some chunks, or of all, a list for each.
+        """All messages, in file order.
 
         Raises:
             LogError: If the log does not simulate to what it says.
         """
-        file, every = self._file, self._file.chunks
-        wanted = every if chunks is None else chunks
-        if not wanted or not file.require_header().keyframe_every:
-            yield from blocks_with_inputs(file, chunks)
+        file = self._file
+        simulated = file.require_header().keyframe_every > 0
+        for found in self.blocks(file.chunks) if simulated else blocks_with_inputs(file):
+            yield from found
+
+    def blocks(self, chunks: list[ChunkPlace]) -> Iterator[list[Found]]:
+        """Messages of some chunks of a log with keyframes, a list for each.
+
+        Raises:
+            LogError: If the log does not simulate to what it says.
+        """
+        if not chunks:
             return
-        begins = every.index(wanted[0])
-        filler = _Filler(file, self._only, wanted[0].start_ns)
-        for number, found in enumerate(file.blocks(every[: every.index(wanted[-1]) + 1])):
+        file, every = self._file, self._file.chunks
+        begins = every.index(chunks[0])
+        filler = _Filler(file, self._only, chunks[0].start_ns)
+        for number, found in enumerate(file.blocks(every[: every.index(chunks[-1]) + 1])):
             try:
                 filled = filler.fill(found)
             except Difference as other:

@@ -24,25 +24,19 @@ _MOST_ALIKE = 64
 """Kinds of writes that are recognized by their first bytes."""
 
 
-def blocks_with_inputs(
-    file: ChunkFile, chunks: list[ChunkPlace] | None = None
-) -> Iterator[list[Found]]:
-    """Messages of some chunks, or of all, a list for each; states of all environments with inputs.
+def blocks_with_inputs(file: ChunkFile) -> Iterator[list[Found]]:
+    """All messages, a list for each chunk; states of all environments with inputs.
 
     Raises:
         LogError: If a message is damaged.
     """
     header = file.require_header()
     follower = InputFollower(header)
-    wanted = file.chunks if chunks is None else chunks
-    before = chunks_before(file, wanted)
-    for number, found in enumerate(file.blocks(before + wanted)):
+    for found in file.blocks():
         try:
-            filled = [(t, at, full(follower, header, t, data)) for t, at, data in found]
+            yield [(t, at, full(follower, header, t, data)) for t, at, data in found]
         except (WireError, IndexError, KeyError, ValueError) as error:
             raise LogError(f"{file.path}: a message is damaged: {error}") from error
-        if number >= len(before):
-            yield filled
 
 
 def chunks_before(file: ChunkFile, wanted: list[ChunkPlace]) -> list[ChunkPlace]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from embodichain.recording import McapRecorder
+from embodichain.recording import McapRecorder, RecordOptions
 from tests.recording.scene import SmallEnv
 
 
@@ -28,6 +28,29 @@ def record(tmp_path):
             env.step()
         env.close()
         return tmp_path / name
+
+    return run
+
+
+@pytest.fixture
+def many_chunks(tmp_path):
+    """Records 120 steps, in chunks of seven, with controls that stay; returns the file."""
+
+    def run(state="all"):
+        path = tmp_path / f"{state}.mcap"
+        if path.exists():
+            return path
+        env = SmallEnv(length=60)
+        recorder = McapRecorder(path, env, options=RecordOptions(state=state))
+        env.add_observer(recorder)
+        env.reset()
+        for step in range(120):
+            env.sim.engine.write("ctrl", 0.01 * step, None, np.array([step % 2]))
+            env.step()
+            if step % 7 == 0:
+                recorder.flush()  # the end of a chunk
+        env.close()
+        return path
 
     return run
 

@@ -102,24 +102,25 @@ def test_logs_with_inputs_in_every_state_are_read_as_well(record, tmp_path, monk
     assert diff(old, new).same
 
 
-def test_a_part_begins_with_the_inputs_of_the_chunks_before_it(tmp_path):
-    env = SmallEnv(length=1000)
-    recorder = McapRecorder(tmp_path / "log.mcap", env)
-    env.add_observer(recorder)
-    env.reset()
-    for step in range(120):
-        env.sim.engine.write("ctrl", 0.01 * step, None, np.array([step % 2]))
-        env.step()
-        if step % 7 == 0:
-            recorder.flush()  # the end of a chunk
-    env.close()
-    with recording.open(tmp_path / "log.mcap") as log:
-        whole = log.read(["ctrl", "mocap_pos"])
-        for start in (0, 30, 49, 50, 51, 99, 119):
-            part = log.read(["ctrl", "mocap_pos"], start=start, stop=start + 4)
-            for name in ("ctrl", "mocap_pos"):
-                assert np.array_equal(part[name], whole[name][start : start + 4]), (name, start)
+@pytest.mark.parametrize("simulate", [False, True])
+@pytest.mark.parametrize("state", ["all", "keyframes"])
+def test_a_part_begins_with_the_inputs_of_the_chunks_before_it(many_chunks, state, simulate):
+    fields = ["ctrl", "mocap_pos", "qpos", "rewards"]
+    with recording.open(many_chunks("all")) as log:
+        whole = log.read(fields)
     assert not np.array_equal(whole["mocap_pos"][30], whole["mocap_pos"][29])
+    with recording.open(many_chunks(state), simulate) as log:
+        assert len(log._file.chunks) > 10
+        for start in range(119):
+            part = log.read(fields, start=start, stop=start + 4)
+            if state == "all" or simulate:
+                assert part.steps.tolist() == list(range(start, min(start + 4, 120)))
+            for name in fields:
+                assert np.array_equal(part[name], whole[name][part.steps]), (name, start)
+        parts = [*log.parts(fields, steps=10)]
+        steps = np.concatenate([part.steps for part in parts])
+        joined = np.concatenate([part["ctrl"] for part in parts])
+    assert np.array_equal(joined, whole["ctrl"][steps])
 
 
 def test_columns_have_names_and_units(record):

@@ -208,6 +208,30 @@ def test_hdf5_of_a_range_cuts_episodes(log, tmp_path):
 
 
 @pytest.mark.parametrize("format", FORMATS)
+def test_a_late_part_of_a_log_of_many_chunks(many_chunks, tmp_path, capsys, format):
+    log, out = many_chunks(), tmp_path / f"out{FORMATS[format].suffix}"
+    asked = ["--format", format, "-o", str(out), "--env", "1", "--from", "85", "--to", "115"]
+    assert main(["export", str(log), *asked]) == 0, capsys.readouterr().err
+    with recording.open(log) as read:
+        data = read.read(["ctrl", "qpos"], env=1, start=85, stop=115)
+    if format in ("csv", "parquet"):
+        table = pd.read_csv(out) if format == "csv" else pd.read_parquet(out)
+        columns = [c for c in table.columns if c.startswith("ctrl/")]
+        assert np.array_equal(table[columns], data["ctrl"][:, 0])
+    elif format == "npz":
+        with np.load(out) as arrays:
+            assert np.array_equal(arrays["ctrl"], data["ctrl"])
+    elif format == "hdf5":
+        with h5py.File(out) as file:
+            assert np.array_equal(file["data/demo_0/obs/qpos"], data["qpos"][:, 0])
+    elif format == "ros2":
+        with AnyReader([out]) as reader:
+            assert reader.message_count == 30 * 2 + 1
+    else:
+        assert any(f.stat().st_size for f in (out.rglob("*") if out.is_dir() else [out]))
+
+
+@pytest.mark.parametrize("format", FORMATS)
 def test_nothing_is_overwritten(log, tmp_path, format):
     path = tmp_path / "taken"
     path.write_text("mine")
