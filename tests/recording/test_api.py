@@ -8,13 +8,13 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 import embodichain.recording as recording
-from embodichain.recording import McapRecorder, RecordOptions, diff, state_log, verify
+from embodichain.recording import RecordOptions, diff, state_log, verify
 from embodichain.recording.header import LogError
 from embodichain.recording.messages import State
 from embodichain.utils.errors import ConfigError
 from tests.helpers.writing_here import write_here
 from tests.recording.rewrite import rewrite
-from tests.recording.scene import MODEL, SmallEnv
+from tests.recording.scene import MODEL
 
 
 def decoded(path, topic):
