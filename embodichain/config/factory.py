@@ -39,7 +39,10 @@ def make(
 
     Raises:
         ConfigError: Holds every mistake in the config.
+        TypeError: If `overrides` is one string instead of several.
     """
+    if isinstance(overrides, str):
+        raise TypeError(f"overrides: a list of strings, such as [{overrides!r}], not a string")
     lines = [f"task={task}", *overrides]
     if num_envs is not None:
         lines.append(f"num_envs={num_envs}")

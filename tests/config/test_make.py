@@ -43,6 +43,8 @@ def test_make_takes_the_environments_own_arguments(write_task: WriteTask) -> Non
 def test_make_says_what_is_wrong() -> None:
     with pytest.raises(ConfigError, match="unknown option 'raech'.*Did you mean 'reach'"):
         embodichain.make("raech")
+    with pytest.raises(TypeError, match=r"overrides: a list of strings, such as \['seed=1'\]"):
+        embodichain.make("reach", 1, "seed=1")
 
 
 @pytest.mark.parametrize("task", list_options("task"))

@@ -102,11 +102,23 @@ def export(
     if chosen.suffix in ("", ".mcap"):
         name = f"{name}_{format}"
     path = Path(output) if output else log.path.with_name(name + chosen.suffix)
+    part = part or Part()
+    _require_steps(log, part)
     module = importlib.import_module(f"embodichain.recording.export.{chosen.module}")
     write: Callable[[Log, Part, Path], None] = module.write
     with _new_file(path, chosen.suffix) as partial:
-        write(log, part or Part(), partial)
+        write(log, part, partial)
     return path
+
+
+def _require_steps(log: Log, part: Part) -> None:
+    """Refuse a range in which the log has nothing."""
+    if not part.start and part.stop is None:
+        return
+    asked = log.parts("rewards", part.env, part.episode, part.start, part.stop, steps=50)
+    if next(asked, None) is None:
+        end = "the end" if part.stop is None else part.stop
+        raise ConfigError(f"{log.path} has no control step from {part.start} to {end}")
 
 
 @contextmanager

@@ -197,13 +197,16 @@ def test_parts(log, tmp_path, format):
     assert steps == list(range(episode.first_step, episode.last_step))
 
 
-def test_hdf5_of_a_range_cuts_episodes(log, tmp_path):
+def test_hdf5_of_a_range_cuts_episodes(log, record, tmp_path):
     with h5py.File(export(log, "hdf5", tmp_path / "part.hdf5", Part(0, None, 3, 9))) as file:
         firsts = [demo.attrs["first_step"] for demo in file["data"].values()]
         assert firsts[0] == 3
         assert file["data"].attrs["total"] == 6
-    with pytest.raises(ConfigError, match="no episode lies in what was asked for"):
-        export(log, "hdf5", tmp_path / "none.hdf5", Part(start=100))
+    with (
+        recording.open(record("empty.mcap", steps=0)) as empty,
+        pytest.raises(ConfigError, match="no episode lies in what was asked for"),
+    ):
+        export(empty, "hdf5", tmp_path / "none.hdf5")
     assert not list(tmp_path.glob("*none*"))
 
 
@@ -229,6 +232,17 @@ def test_a_late_part_of_a_log_of_many_chunks(many_chunks, tmp_path, capsys, form
             assert reader.message_count == 30 * 2 + 1
     else:
         assert any(f.stat().st_size for f in (out.rglob("*") if out.is_dir() else [out]))
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_steps_that_are_not_there_are_refused(record, tmp_path, capsys, format):
+    asked = ["--format", format, "-o", str(tmp_path / "out")]
+    log = str(record(steps=24))
+    assert main(["export", log, *asked, "--from", "24"]) == 2
+    assert f"{log} has no control step from 24 to the end" in capsys.readouterr().err
+    assert main(["export", log, *asked, "--from", "7", "--to", "7", "--env", "1"]) == 2
+    assert f"{log} has no control step from 7 to 7" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("format", FORMATS)
