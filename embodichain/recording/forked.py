@@ -1,4 +1,4 @@
-"""`call_in_forks`: objects are told that they are in a forked process.
+"""`tell_when_forked`: objects are told that they are in a forked process.
 
 A fork has one thread: whoever held a lock is not there to release it, and what was open is still in
 use by the process it was forked from. What an object does about it, it knows itself.
@@ -8,22 +8,26 @@ from __future__ import annotations
 
 import os
 import weakref
-from collections.abc import Callable
+from typing import Protocol
 
-__all__ = ["call_in_forks"]
-
-_methods: set[weakref.WeakMethod[Callable[[], None]]] = set()
+__all__ = ["tell_when_forked"]
 
 
-def call_in_forks(method: Callable[[], None]) -> None:
-    """Have a bound method called in every forked process, as long as its object lives."""
-    _methods.add(weakref.WeakMethod(method, _methods.discard))
+class _Told(Protocol):
+    def forked(self) -> None: ...
 
 
-def _call_all() -> None:
-    for reference in list(_methods):
-        if (method := reference()) is not None:
-            method()
+_told: weakref.WeakSet[_Told] = weakref.WeakSet()
 
 
-os.register_at_fork(after_in_child=_call_all)
+def tell_when_forked(who: _Told) -> None:
+    """Have `who.forked()` called in every forked process, as long as it lives."""
+    _told.add(who)
+
+
+def _tell_all() -> None:
+    for who in list(_told):
+        who.forked()
+
+
+os.register_at_fork(after_in_child=_tell_all)

@@ -22,10 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.recording import handover, worker
-from embodichain.recording.forked import call_in_forks
+from embodichain.recording.forked import tell_when_forked
 from embodichain.recording.handover import Counters, Order, ReplyReader, Slab
 from embodichain.recording.placing import WaitingCalls, put
-from embodichain.recording.slab_pool import SlabPool
+from embodichain.recording.slab_pool import SlabPool, slab_bytes_for
+from embodichain.recording.standing_back import PhysicsSign
 from embodichain.recording.write_error import LogWriteError, Loss
 
 __all__ = ["LogWriteError", "LogWriter"]
@@ -36,15 +37,13 @@ IDLE_SECONDS = 0.2
 """And no longer than this if none comes: with the flushing of the file that stays below 1 s."""
 HURRY_SECONDS = 0.05
 """After waiting so long for the other process, it is told not to stand back."""
-SLAB_BYTES = 4 * 2**20
 BUDGET_BYTES = 64 * 2**20
 """About how much may wait for the disk before the simulation waits too."""
 _CONTENT_BYTES = 2**16
 """Kept free in a slab for what is no array."""
 _BATCH_CALLS = 512
 """Calls in a batch; more would not fit there."""
-_CALL_BYTES = 256
-"""About what a call takes besides rows."""
+_CALL_BYTES = 256  # about what a call takes besides rows
 
 
 class LogWriter:
@@ -55,7 +54,7 @@ class LogWriter:
         compression: As in `RecordOptions`.
         make_head: Makes what the log begins with (a `LogHead`), on a thread of its own. Calls wait
             for it in the other process, the simulation does not.
-        step_bytes: How large a slab is at least.
+        step_bytes: About how much a step takes, at most.
 
     Raises:
         FileExistsError: If `path` exists.
@@ -66,7 +65,7 @@ class LogWriter:
         self, path: Path, compression: str, make_head: Callable[[], object], step_bytes: int = 0
     ) -> None:
         self.path = path
-        slab_bytes = max(SLAB_BYTES, step_bytes + _CONTENT_BYTES)
+        slab_bytes = slab_bytes_for(step_bytes + _CONTENT_BYTES)
         self._slabs = SlabPool(slab_bytes, BUDGET_BYTES, lambda: self._worker.new_slab())
         self._filled = slab_bytes - slab_bytes // 4  # rows leave room for the rest
         self._progress = 0.0  # when a slab came back
@@ -83,9 +82,8 @@ class LogWriter:
         self._head.start()
         self._thread = threading.Thread(target=self._watch, name="log-handover", daemon=True)
         self._thread.start()
-        # A program that ends without closing leaves a file with its end all the same.
-        atexit.register(self.close)
-        call_in_forks(self._forget)
+        atexit.register(self.close)  # a file has its end where nobody closes it
+        tell_when_forked(self)
 
     def _open(self, path: Path, compression: str) -> None:
         with ExitStack() as opened:
@@ -98,6 +96,7 @@ class LogWriter:
             self._replies = ReplyReader(self._worker.connection)
             page = Slab(0, Counters.SIZE)
             self.counters = Counters(page)
+            self.physics = PhysicsSign(page, self._slabs)
             content = pickle.dumps((path.name, compression), 5)
             slab = self._take(len(content))
             order = self._order(handover.OPEN, slab, slab, put(slab, content), len(content))
@@ -250,7 +249,8 @@ class LogWriter:
         """The process that writes."""
         return self._worker.pid
 
-    def _forget(self) -> None:  # the log is the other process's
+    def forked(self) -> None:
+        """This process was forked: the log is the other's."""
         self._lock, self._closed = threading.Lock(), True
         self._loss.forked()
 

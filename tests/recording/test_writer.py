@@ -140,8 +140,8 @@ def test_two_logs_at_once_have_a_process_each(tmp_path):
 
 
 def test_what_is_larger_than_a_slab_has_one_of_its_own(tmp_path, monkeypatch):
-    for name in ("SLAB_BYTES", "_CONTENT_BYTES"):
-        monkeypatch.setattr(writer, name, 4096)
+    monkeypatch.setattr(writer, "_CONTENT_BYTES", 4096)
+    monkeypatch.setattr(writer, "slab_bytes_for", lambda _: 4096)
     env, recorder = recorded(tmp_path / "log.mcap", num_envs=64)
     steps(env, 30)
     env.close()
@@ -243,6 +243,27 @@ assert worker.acquire() is first
     done = subprocess.run(run, cwd=tmp_path, capture_output=True, text=True, check=True)
     with pytest.raises(ProcessLookupError):
         os.kill(int(done.stdout), 0)
+
+
+def test_a_program_that_ends_without_closing_has_its_log_and_says_nothing(tmp_path):
+    script = """
+import sys
+from embodichain.recording import McapRecorder
+from tests.recording.scene import SmallEnv
+
+env = SmallEnv()
+recorder = McapRecorder(sys.argv[1], env)
+env.add_observer(recorder)
+env.reset()
+for _ in range(5):
+    env.step()
+kept = env, recorder, recorder._file
+"""
+    run = [sys.executable, "-c", script, tmp_path / "log.mcap"]
+    done = subprocess.run(run, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stderr == ""
+    assert inspect(tmp_path / "log.mcap").complete
+    assert verify(tmp_path / "log.mcap").steps == 5
 
 
 def test_nothing_heavy_is_imported_by_the_process_that_writes():

@@ -197,16 +197,20 @@ def test_parts(log, tmp_path, format):
     assert steps == list(range(episode.first_step, episode.last_step))
 
 
-def test_hdf5_of_a_range_cuts_episodes(log, record, tmp_path):
+def test_hdf5_of_a_range_cuts_episodes(log, tmp_path):
     with h5py.File(export(log, "hdf5", tmp_path / "part.hdf5", Part(0, None, 3, 9))) as file:
         firsts = [demo.attrs["first_step"] for demo in file["data"].values()]
         assert firsts[0] == 3
         assert file["data"].attrs["total"] == 6
+
+
+@pytest.mark.parametrize("format", ["hdf5", "lerobot"])
+def test_a_log_without_episodes_is_refused(record, tmp_path, format):
     with (
         recording.open(record("empty.mcap", steps=0)) as empty,
         pytest.raises(ConfigError, match="no episode lies in what was asked for"),
     ):
-        export(empty, "hdf5", tmp_path / "none.hdf5")
+        export(empty, format, tmp_path / "none")
     assert not list(tmp_path.glob("*none*"))
 
 
