@@ -48,11 +48,6 @@ class SlabPool:
         """Whether there is one of the usual size that nobody uses."""
         return bool(self._free)
 
-    @property
-    def number_away(self) -> int:
-        """Slabs that are filled, or that the other process has."""
-        return len(self._made) - len(self._free)
-
     def take(self, nbytes: int, held: bool) -> Slab | None:
         """A slab that nobody uses; None if there are too many on their way.
 
@@ -65,7 +60,7 @@ class SlabPool:
             slab = self._free.pop()
             slab.at = 0
             return slab
-        used = self.number_away - held
+        used = len(self._made) - len(self._free) - held
         return self.make(size) if self._made_bytes + size <= self._budget or not used else None
 
     def make(self, nbytes: int) -> Slab:

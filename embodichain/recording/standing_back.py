@@ -14,14 +14,11 @@ from collections.abc import Callable
 import numpy as np
 
 from embodichain.recording.handover import Counters, Slab
-from embodichain.recording.slab_pool import SlabPool
 
 __all__ = ["PhysicsSign", "StandingBack"]
 
 LONG_SECONDS = 1e-3
 """Shorter calls are over before anybody else is given their core."""
-MOST_AWAY = 2
-"""Slabs; where more of them wait for the other process it has too little time otherwise."""
 NAP_SECONDS = 2e-4
 PATIENCE_SECONDS = 0.1
 """Of a longer call no more is waited for: what is recorded shall be in the file within a second."""
@@ -33,22 +30,22 @@ class PhysicsSign:
 
     Args:
         page: Memory that both share, of `Counters.SIZE`.
-        slabs: How much the other process has to do.
+        orders: Returns how many orders the other process was given.
     """
 
-    def __init__(self, page: Slab, slabs: SlabPool) -> None:
-        self._shown = np.ndarray(1, "<u8", page.memory, _AT)
-        self._slabs = slabs
+    def __init__(self, page: Slab, orders: Callable[[], int]) -> None:
+        self._shown = np.ndarray(2, "<u8", page.memory, _AT)
+        self._orders = orders
         self._calls = 0
         self._began = 0.0
         self._long = False
 
     def begins(self) -> None:
-        """Physics of all environments begins, on every core."""
+        """Physics begins, on every core."""
         self._began = time.perf_counter()
-        if self._long and self._slabs.number_away <= MOST_AWAY:
+        if self._long:
             self._calls += 1
-            self._shown[0] = self._calls
+            self._shown[:] = self._calls, self._orders()
 
     def ends(self) -> None:
         """It has ended."""
@@ -64,13 +61,19 @@ class StandingBack:
     """
 
     def __init__(self, page: Slab) -> None:
-        self._shown = np.ndarray(1, "<u8", page.memory, _AT)
+        self._shown = np.ndarray(2, "<u8", page.memory, _AT)
         self._enough = 0  # the call that was waited for as long as any is
 
-    def wait(self, wanted: Callable[[], bool]) -> None:
-        """Wait until physics has ended, for a while, as long as it is wanted."""
-        call = int(self._shown[0])
-        if not call or call == self._enough:
+    def wait(self, order: int, wanted: Callable[[], bool]) -> None:
+        """Wait until physics has ended, for a while.
+
+        Args:
+            order: The order in progress. Where more than one waits after it, there is too little
+                time otherwise, and nothing is waited for.
+            wanted: Whether to wait at all.
+        """
+        call, orders = self._shown.tolist()
+        if not call or call == self._enough or orders > order + 1:
             return
         end = time.monotonic() + PATIENCE_SECONDS
         while self._shown[0] and wanted():

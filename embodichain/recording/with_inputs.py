@@ -34,9 +34,10 @@ def blocks_with_inputs(file: ChunkFile) -> Iterator[list[Found]]:
     follower = InputFollower(header)
     for found in file.blocks():
         try:
-            yield [(t, at, full(follower, header, t, data)) for t, at, data in found]
+            filled = [(t, at, full(follower, header, t, data)) for t, at, data in found]
         except (WireError, IndexError, KeyError, ValueError) as error:
             raise LogError(f"{file.path}: a message is damaged: {error}") from error
+        yield filled
 
 
 def chunks_before(file: ChunkFile, wanted: list[ChunkPlace]) -> list[ChunkPlace]:

@@ -13,7 +13,6 @@ import threading
 import time
 import traceback
 from contextlib import suppress
-from functools import partial
 from io import FileIO
 
 from embodichain.recording import handover
@@ -158,8 +157,7 @@ class _Writing:
     def _begin(self, order: Order) -> None:
         if self._file is None:
             return
-        stand_back = partial(self._physics.wait, self._stands_back)
-        self._builder = LogBuilder(self._file, unpickled(self._content(order)), stand_back)
+        self._builder = LogBuilder(self._file, unpickled(self._content(order)), self._stand_back)
         self._free(order)
         self._due, self._begun = 0.0, time.monotonic()
         waiting, self._waiting = self._waiting, []
@@ -175,8 +173,9 @@ class _Writing:
         if time.monotonic() >= self._due:
             self._flush()
 
-    def _stands_back(self) -> bool:
-        return self.quiet and not self.pause
+    def _stand_back(self) -> None:
+        """Wait while physics is at work, where nobody waits for this."""
+        self._physics.wait(self._last, lambda: self.quiet and not self.pause)
 
     def _content(self, order: Order) -> bytes:
         return self._slabs[order.content].memory[order.at : order.at + order.length]

@@ -96,7 +96,7 @@ class LogWriter:
             self._replies = ReplyReader(self._worker.connection)
             page = Slab(0, Counters.SIZE)
             self.counters = Counters(page)
-            self.physics = PhysicsSign(page, self._slabs)
+            self.physics = PhysicsSign(page, lambda: self._worker.orders)
             content = pickle.dumps((path.name, compression), 5)
             slab = self._take(len(content))
             order = self._order(handover.OPEN, slab, slab, put(slab, content), len(content))

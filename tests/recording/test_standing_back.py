@@ -11,7 +11,6 @@ import pytest
 
 from embodichain.recording import McapRecorder, inspect, standing_back, verify
 from embodichain.recording.handover import Counters, Slab
-from embodichain.recording.slab_pool import SlabPool
 from embodichain.recording.standing_back import PhysicsSign, StandingBack
 from tests.helpers.writing_here import write_here
 from tests.recording.scene import SmallEnv
@@ -44,11 +43,6 @@ def clock(monkeypatch):
 
 
 @pytest.fixture
-def pool():
-    return SlabPool(4096, 16 * 4096, iter(range(100)).__next__)
-
-
-@pytest.fixture
 def page():
     return Slab(0, Counters.SIZE)
 
@@ -59,57 +53,55 @@ def call(sign, clock, seconds):
     sign.ends()
 
 
-def test_the_process_waits_for_the_end_of_a_call_that_will_be_long(clock, pool, page):
-    sign, other = PhysicsSign(page, pool), StandingBack(page)
+def test_the_process_waits_for_the_end_of_a_call_that_will_be_long(clock, page):
+    sign, other = PhysicsSign(page, lambda: 5), StandingBack(page)
     call(sign, clock, 0.02)  # the first one: nobody knows that it is long
     sign.begins()
     clock.during = lambda: sign.ends() if clock.naps == 7 else None
-    other.wait(lambda: True)
+    other.wait(5, lambda: True)
     assert clock.naps == 7
-    other.wait(lambda: True)
+    other.wait(5, lambda: True)
     assert clock.naps == 7
 
 
-def test_the_process_does_not_wait_for_short_calls(clock, pool, page):
-    sign, other = PhysicsSign(page, pool), StandingBack(page)
+def test_the_process_does_not_wait_for_short_calls(clock, page):
+    sign, other = PhysicsSign(page, lambda: 5), StandingBack(page)
     call(sign, clock, 0.02)
     call(sign, clock, 0.0001)
     sign.begins()
-    other.wait(lambda: True)
+    other.wait(5, lambda: True)
     assert clock.naps == 0
 
 
-def test_the_process_does_not_wait_where_much_waits_for_it(clock, pool, page):
-    sign, other = PhysicsSign(page, pool), StandingBack(page)
-    call(sign, clock, 0.02)
-    for _ in range(standing_back.MOST_AWAY + 1):
-        pool.take(1, held=False)
-    sign.begins()
-    other.wait(lambda: True)
-    assert clock.naps == 0
-    sign.ends()
-
-
-def test_the_process_does_not_wait_where_somebody_waits_for_it(clock, pool, page):
-    sign, other = PhysicsSign(page, pool), StandingBack(page)
+@pytest.mark.parametrize(("order", "waits"), [(5, True), (4, True), (3, False)])
+def test_the_process_does_not_wait_where_orders_do(clock, page, order, waits):
+    sign, other = PhysicsSign(page, lambda: 5), StandingBack(page)
     call(sign, clock, 0.02)
     sign.begins()
-    other.wait(lambda: clock.naps < 3)
+    other.wait(order, lambda: clock.naps < 3)
+    assert clock.naps == (3 if waits else 0)
+
+
+def test_the_process_does_not_wait_where_somebody_waits_for_it(clock, page):
+    sign, other = PhysicsSign(page, lambda: 5), StandingBack(page)
+    call(sign, clock, 0.02)
+    sign.begins()
+    other.wait(5, lambda: clock.naps < 3)
     assert clock.naps == 3
 
 
-def test_the_process_waits_for_so_long_and_not_again_for_the_same_call(clock, pool, page):
-    sign, other = PhysicsSign(page, pool), StandingBack(page)
+def test_the_process_waits_for_so_long_and_not_again_for_the_same_call(clock, page):
+    sign, other = PhysicsSign(page, lambda: 5), StandingBack(page)
     call(sign, clock, 0.02)
     sign.begins()
-    other.wait(lambda: True)
+    other.wait(5, lambda: True)
     waited = clock.naps
     assert waited * standing_back.NAP_SECONDS == pytest.approx(0.1, rel=0.02)
-    other.wait(lambda: True)
+    other.wait(5, lambda: True)
     assert clock.naps == waited
     sign.ends()
     sign.begins()
-    other.wait(lambda: True)
+    other.wait(5, lambda: True)
     assert clock.naps == 2 * waited
 
 
@@ -121,9 +113,9 @@ def waits(monkeypatch):
     monkeypatch.setattr(PhysicsSign, "ends", lambda self: setattr(self, "_long", True))
     stand_back = StandingBack.wait
 
-    def wait(self, wanted):
+    def wait(self, order, wanted):
         waits.append(bool(self._shown[0]))
-        stand_back(self, wanted)
+        stand_back(self, order, wanted)
 
     monkeypatch.setattr(StandingBack, "wait", wait)
     write_here(monkeypatch.setattr)
