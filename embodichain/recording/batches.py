@@ -125,7 +125,6 @@ class Batches:
         aside: What names begin with of methods that others do not depend on.
         together: Called with steps that are alike; says how many of them it has carried out, or
             None if it does not carry out any such steps.
-        pause: Called before every call that is carried out, or every such steps.
     """
 
     def __init__(
@@ -134,11 +133,9 @@ class Batches:
         ends_step: str,
         aside: str,
         together: Callable[[AlikeSteps], int | None],
-        pause: Callable[[], None],
     ) -> None:
         self._methods = methods
         self._ends_step, self._aside, self._together = ends_step, aside, together
-        self._pause = pause
         self._forms: dict[int, AlikeCalls] = {}
 
     def carry_out(self, content: bytes, memory: mmap.mmap) -> None:
@@ -152,7 +149,6 @@ class Batches:
             alike = _alike(steps, index)
             count: int | None = 0
             if alike > 1:
-                self._pause()
                 found = self._offered(steps[index : index + alike], calls, memory)
                 count = self._together(found)
             if not count:
@@ -165,7 +161,6 @@ class Batches:
             self._carry_out(call, memory)
 
     def _carry_out(self, call: tuple[Any, ...], memory: mmap.mmap) -> None:
-        self._pause()
         if type(call[0]) is int:
             number, at = call
             form = self._forms[number]

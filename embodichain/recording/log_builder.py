@@ -41,13 +41,12 @@ class LogBuilder:
     Args:
         file: Where it is written.
         head: What it begins with.
-        pause: Called often, by a process that others go before.
 
     Attributes:
         batches: Takes the recorder's calls.
     """
 
-    def __init__(self, file: LogFile, head: LogHead, pause: Callable[[], None]) -> None:
+    def __init__(self, file: LogFile, head: LogHead) -> None:
         self.file = file
         header = self._header = head.header
         self._attachments = head.attachments
@@ -87,7 +86,7 @@ class LogBuilder:
             "finish": self._finish,
             **self._seen.methods(),
         }
-        self.batches = Batches(methods, "step", VIEW, self._together, pause)
+        self.batches = Batches(methods, "step", VIEW, self._together)
 
     def flush(self) -> None:
         """Make everything readable in the file.

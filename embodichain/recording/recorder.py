@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import atexit
 import json
-import os
 import time
 import weakref
 from collections.abc import Callable, Sequence
@@ -97,7 +96,6 @@ class McapRecorder(StepObserver):
         self._places: dict[object, int] = {}
         self._known = False  # whether the writer can tell every row from calls and writes
         self._as_written = False  # whether physics is at it, with rows that the writer can tell
-        self._crowded = engine.num_threads >= len(os.sched_getaffinity(0))  # physics has every core
         self._told = 0  # width of the rows that the writer knows of
         self._parts = 0  # files that were asked for after the first
         known = self._derives and self._keeps_state
@@ -223,8 +221,6 @@ class McapRecorder(StepObserver):
         """Physics is about to step, or has just stepped."""
         ids = event.env_ids
         before = event.phase == "before"
-        if self._crowded:
-            self._file.physics.begins() if before else self._file.physics.ends()
         if before and ids is None and event.nstep == self._substeps:
             self._gate.on_physics()
         if not self._gate.open:

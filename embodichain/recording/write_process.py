@@ -20,7 +20,6 @@ from embodichain.recording.batches import unpickled
 from embodichain.recording.handover import Counters, Order, Reply, Slab
 from embodichain.recording.log_builder import LogBuilder
 from embodichain.recording.log_file import LogFile
-from embodichain.recording.standing_back import StandingBack
 
 __all__ = ["main"]
 
@@ -61,10 +60,8 @@ def _write_quietly(writing: _Writing) -> None:
         # Some containers forbid it; then it is a thread like any other.
         with suppress(PermissionError):
             os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    writing.quiet = True
     while not writing.pause and not writing.over:
         writing.carry_on()
-    writing.quiet = False
 
 
 def _write_at_once(writing: _Writing, calls: FileIO) -> None:
@@ -90,8 +87,6 @@ class _Writing:
         self._dirty = False
         self.pause = False
         """Whether somebody else shall carry on."""
-        self.quiet = False
-        """Whether physics goes first."""
         self.over = False
         """Whether nothing follows."""
 
@@ -150,14 +145,13 @@ class _Writing:
         slab = Slab(0, Counters.SIZE, page)
         slab.forget_descriptor()
         self._file = LogFile(file, folder, name, compression, Counters(slab))
-        self._physics = StandingBack(slab)
         self._free(order)
         self._flush()
 
     def _begin(self, order: Order) -> None:
         if self._file is None:
             return
-        self._builder = LogBuilder(self._file, unpickled(self._content(order)), self._stand_back)
+        self._builder = LogBuilder(self._file, unpickled(self._content(order)))
         self._free(order)
         self._due, self._begun = 0.0, time.monotonic()
         waiting, self._waiting = self._waiting, []
@@ -172,10 +166,6 @@ class _Writing:
         self._dirty = True
         if time.monotonic() >= self._due:
             self._flush()
-
-    def _stand_back(self) -> None:
-        """Wait while physics is at work, where nobody waits for this."""
-        self._physics.wait(self._last, lambda: self.quiet and not self.pause)
 
     def _content(self, order: Order) -> bytes:
         return self._slabs[order.content].memory[order.at : order.at + order.length]

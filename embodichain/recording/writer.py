@@ -26,7 +26,6 @@ from embodichain.recording.forked import tell_when_forked
 from embodichain.recording.handover import Counters, Order, ReplyReader, Slab
 from embodichain.recording.placing import WaitingCalls, put
 from embodichain.recording.slab_pool import SlabPool, slab_bytes_for
-from embodichain.recording.standing_back import PhysicsSign
 from embodichain.recording.write_error import LogWriteError, Loss
 
 __all__ = ["LogWriteError", "LogWriter"]
@@ -43,7 +42,8 @@ _CONTENT_BYTES = 2**16
 """Kept free in a slab for what is no array."""
 _BATCH_CALLS = 512
 """Calls in a batch; more would not fit there."""
-_CALL_BYTES = 256  # about what a call takes besides rows
+_CALL_BYTES = 256
+"""About what a call takes besides rows."""
 
 
 class LogWriter:
@@ -96,7 +96,6 @@ class LogWriter:
             self._replies = ReplyReader(self._worker.connection)
             page = Slab(0, Counters.SIZE)
             self.counters = Counters(page)
-            self.physics = PhysicsSign(page, lambda: self._worker.orders)
             content = pickle.dumps((path.name, compression), 5)
             slab = self._take(len(content))
             order = self._order(handover.OPEN, slab, slab, put(slab, content), len(content))
