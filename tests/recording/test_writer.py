@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -43,25 +44,31 @@ def steps(env, count):
         env.step()
 
 
+@contextmanager
+def held_up(env, recorder, count):
+    """A thread makes steps and waits, with the lock, for a process that has been stopped."""
+    recorder.flush()
+    os.kill(recorder.writer_pid, signal.SIGSTOP)
+    simulation = threading.Thread(target=steps, args=(env, count))
+    try:
+        simulation.start()
+        before = -1
+        while env.count != before:
+            before = env.count
+            simulation.join(2.0)
+        assert simulation.is_alive()
+        yield
+    finally:
+        os.kill(recorder.writer_pid, signal.SIGCONT)
+        simulation.join()
+
+
 def test_a_slow_disk_makes_the_simulation_wait_and_drops_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(writer, "BUDGET_BYTES", 0)  # as few slabs as there may be
     env, recorder = recorded(tmp_path / "log.mcap")
     steps(env, 3)
-    recorder.flush()
-    os.kill(recorder.writer_pid, signal.SIGSTOP)
-    simulation = threading.Thread(target=steps, args=(env, 2000))
-    try:
-        simulation.start()
-        before = -1
-        deadline = time.monotonic() + 60
-        while env.count != before and time.monotonic() < deadline:
-            before = env.count
-            simulation.join(2.0)
-        assert simulation.is_alive()
+    with held_up(env, recorder, 2000):
         assert env.count < 2000
-    finally:
-        os.kill(recorder.writer_pid, signal.SIGCONT)
-    simulation.join()
     env.close()
     report = verify(tmp_path / "log.mcap")
     assert report.ok, str(report)
@@ -188,20 +195,8 @@ def test_a_forked_process_leaves_the_log_alone(tmp_path):
 def test_a_process_forked_while_a_thread_hands_over_leaves_the_log_alone(tmp_path, monkeypatch):
     monkeypatch.setattr(writer, "BUDGET_BYTES", 0)
     env, recorder = recorded(tmp_path / "log.mcap")
-    recorder.flush()
-    os.kill(recorder.writer_pid, signal.SIGSTOP)
-    simulation = threading.Thread(target=steps, args=(env, 2000))
-    try:
-        simulation.start()
-        before = -1
-        while env.count != before:  # until it waits for the process, and holds the lock
-            before = env.count
-            simulation.join(1.0)
-        assert simulation.is_alive()
+    with held_up(env, recorder, 2000):
         status = status_of_fork(recorder.close)
-    finally:
-        os.kill(recorder.writer_pid, signal.SIGCONT)
-    simulation.join()
     env.close()
     assert status == 0
     assert verify(tmp_path / "log.mcap").steps == 2000
