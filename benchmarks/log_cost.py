@@ -38,8 +38,8 @@ def main() -> None:
     """Measure, print the table, write the raw figures."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pairs", type=int, default=60, help="at most; at least a fifth of it")
-    parser.add_argument("--limit", type=float, default=180.0, help="seconds that a case may take")
-    parser.add_argument("--seconds", type=float, default=2.0, help="about how long a turn is")
+    parser.add_argument("--limit", type=float, default=300.0, help="seconds that a case may take")
+    parser.add_argument("--seconds", type=float, default=4.0, help="about how long a turn is")
     parser.add_argument("--episode", type=int, default=EPISODE, help="turns are multiples of it")
     parser.add_argument(
         "--case", type=int, nargs=2, action="append", metavar=("N", "STEPS"),

@@ -52,6 +52,7 @@ class KnownRows:
         self._lent = False
         self._input_columns: NDArray[np.int64] = np.zeros(0, np.int64)
         self._restless = np.zeros(0, np.bool_)  # inputs that were written since rows were told
+        self._stirring: set[int] = set()  # numbers of the places that those writes went to
         self._restless_at: Any = slice(0, 0)
         self._sums: NDArray[np.uint64] | None = None  # of the other inputs, for hashes
         self.columns([(0, self._nstate)])
@@ -66,6 +67,7 @@ class KnownRows:
         self._input_columns = used[~moved]
         self._targets: dict[int, _Target] = {}
         self._restless = np.zeros(len(self._input_columns), np.bool_)
+        self._stirring.clear()
         self._sums = None
         if before is not None:
             wider = np.zeros((len(self._inputs), len(self._input_columns)))
@@ -77,6 +79,7 @@ class KnownRows:
         self._inputs = np.array(rows[:, self._inputs_at], order="C")
         self._moved, self._lent = np.array(rows[:, self._moved_at], order="C"), False
         self._restless[:] = False
+        self._stirring.clear()
         self._sums = None
 
     def returned(self, moved: F64) -> None:
@@ -119,7 +122,8 @@ class KnownRows:
         target = self._targets.get(place) or self._target(place, write)
         is_input, columns, which = target
         rows = self._inputs if is_input else self._own()
-        if is_input and not self._restless[columns].all():
+        if is_input and place not in self._stirring:
+            self._stirring.add(place)
             self._restless[columns] = True
             self._sums = None
         if env_ids is None:
