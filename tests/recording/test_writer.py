@@ -26,6 +26,7 @@ from embodichain.recording import (
 )
 from embodichain.recording.writer import LogWriteError, LogWriter
 from embodichain.utils.errors import ConfigError
+from tests.helpers.writing_here import write_here
 from tests.recording.scene import SmallEnv
 
 ROOT = Path(__file__).parents[2]
@@ -244,6 +245,7 @@ def test_a_program_that_ends_without_closing_has_its_log_and_says_nothing(tmp_pa
     script = """
 import sys
 from embodichain.recording import McapRecorder
+from tests.helpers.writing_here import write_here
 from tests.recording.scene import SmallEnv
 
 env = SmallEnv()
@@ -333,6 +335,7 @@ def test_calls_that_look_alike_and_are_not_arrive_as_they_were(tmp_path):
 LOST = """
 import os, signal, sys
 from embodichain.recording import McapRecorder
+from tests.helpers.writing_here import write_here
 from tests.recording.scene import SmallEnv
 env = SmallEnv()
 recorder = McapRecorder(sys.argv[1], env)
@@ -393,6 +396,31 @@ def test_a_busy_machine_does_not_keep_a_log_from_being_written(tmp_path):
             process.wait()
     assert verify(tmp_path / "log.mcap").ok
     del recorder
+
+
+def test_the_writer_offers_its_core_until_somebody_waits(tmp_path, monkeypatch):
+    write_here(monkeypatch.setattr)
+    offered = 0
+
+    def yields():
+        nonlocal offered
+        offered += 1
+
+    monkeypatch.setattr(os, "sched_yield", yields)
+    env, recorder = recorded(tmp_path / "log.mcap")
+    steps(env, 50)
+    recorder.flush()
+    assert offered > 50  # steps are several calls
+    recorder._file._worker.hurry()
+    heard = False
+    for _ in range(20):  # what stood back takes a moment to hear of it
+        before = offered
+        steps(env, 5)
+        recorder.flush()
+        heard = heard or offered == before
+    assert heard
+    env.close()
+    assert verify(tmp_path / "log.mcap").ok
 
 
 def inspect_steps(path):

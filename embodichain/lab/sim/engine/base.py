@@ -91,6 +91,12 @@ class Engine(Protocol):
     def state(self, name: str) -> F64:
         """(N, width) live view of a state component. Read only: writes go through `write`."""
 
+    def revision(self, name: str) -> int:
+        """A number that is another one when a state component was changed outside physics.
+
+        While it stays the same, so does a component that physics never writes.
+        """
+
     def derived(self, name: str) -> F64:
         """(N, ...) fresh position- or velocity-stage field (``xpos``, ``cvel``, ``sensordata``)."""
 

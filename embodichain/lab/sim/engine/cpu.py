@@ -77,6 +77,10 @@ class CpuEngine:
         self._views: dict[str, F64] = {
             name: self._rows[:, cols] for name, cols in self._layout.items()
         }
+        self._revisions = dict.fromkeys(self._layout, 0)
+        self._revision = 0  # of all components
+        resets = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        self._steps_write_inputs = resets or model.nplugin > 0
         self._fields = ModelFields(self._batch, num_envs)
         self._default_row: F64 = self._rows[0].copy()
         self._derived: dict[str, F64] = {}
@@ -108,6 +112,13 @@ class CpuEngine:
     def state(self, name: str) -> F64:
         """(N, width) live view of a state component, flattened. Read only."""
         return self._views[name]
+
+    def revision(self, name: str) -> int:
+        """A number that is another one when a state component was changed outside physics.
+
+        Also when physics may have changed what it never writes, by MuJoCo's own reset in a step.
+        """
+        return self._revision + self._revisions[name]
 
     def derived(self, name: str) -> F64:
         """(N, ...) position- or velocity-stage field, fresh for every environment."""
@@ -170,6 +181,7 @@ class CpuEngine:
         self._pool.began()
         failed = self._call(self._batch.step, env_ids, nstep=nstep, stage=_STAGE_NONE)
         self._pool.ended()
+        self._revision += self._steps_write_inputs
         if env_ids is None:
             self._any_dirty = self._all_dirty = True
         else:
@@ -227,6 +239,7 @@ class CpuEngine:
         else:
             self._acc.keep()
             self._batch.reset(env_ids, stage=_STAGE_NONE)
+        self._revision += 1
         self._mark(env_ids)
         self._divergence.forget(rows)
         self._notify(Write("reset", "row", env_ids, slice(None), None))
@@ -252,7 +265,12 @@ class CpuEngine:
             env_ids: (n,) sorted unique environments, or None for all.
             columns: (k,) columns within the component, or a slice of them.
         """
-        view = self._rows if field == "row" else self._views[field]
+        if field == "row":
+            view = self._rows
+            self._revision += 1
+        else:
+            view = self._views[field]
+            self._revisions[field] += 1
         if env_ids is None:
             view[:, columns] = values
         else:
@@ -284,6 +302,8 @@ class CpuEngine:
         fields = self._fields
         if fields.stale and fields.is_derived(field):
             self._set_const_now()  # it must not undo this write
+        if field == "opt.disableflags":
+            self._steps_write_inputs = True
         view = fields.view(field)
         view[where(env_ids, columns)] = values
         self._mark(env_ids)

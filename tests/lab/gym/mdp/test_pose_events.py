@@ -9,6 +9,7 @@ from embodichain.lab.gym.envs.cfg import EventCfg
 from embodichain.lab.gym.envs.mdp._ik import solve
 from embodichain.lab.gym.envs.mdp._kinematics import Chain
 from embodichain.lab.gym.envs.mdp.events.eef_pose import reach_of
+from embodichain.lab.gym.envs.observers import StepObserver
 from embodichain.lab.sim.cfg import RobotCfg
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.math import quat_to_matrix
@@ -67,6 +68,45 @@ def test_physics_may_run_after_placing(make) -> None:
     before = env.sim.engine.rows[[0, 2]].copy()
     env.reset(options={"reset_ids": [1]})
     assert np.array_equal(env.sim.engine.rows[[0, 2]], before)
+
+
+@pytest.mark.parametrize("observed", [False, True])
+def test_an_orientation_that_stands_is_not_written_again(make, monkeypatch, observed: bool) -> None:
+    params = {"entity_cfg": {"uid": "goal"}, "position_range": BOX}
+    move = EventCfg("randomize_rigid_object_pose", params, mode="interval", interval_step=1)
+    env = make(events={"e": move})
+    if observed:
+        env.add_observer(StepObserver())
+    engine, written = env.sim.engine, list[str]()
+    turned = np.tile([0.0, 1.0, 0.0, 0.0], engine.state("mocap_quat").shape[1] // 4)
+    action = torch.zeros(env.action_space.shape)
+    write = engine.write
+
+    def watched(field: str, *args: object) -> None:
+        written.append(field)
+        write(field, *args)
+
+    monkeypatch.setattr(engine, "write", watched)
+
+    def fields_of_a_step() -> set[str]:
+        written.clear()
+        env.step(action)
+        assert np.array_equal(poses(env, "goal")[1], np.tile([1.0, 0, 0, 0], (3, 1)))
+        return {field for field in written if field.startswith("mocap")}
+
+    env.reset()
+    env.step(action)
+    assert fields_of_a_step() == {"mocap_pos"}
+    write("mocap_quat", turned, np.array([1]))
+    assert fields_of_a_step() == {"mocap_pos", "mocap_quat"}
+    assert fields_of_a_step() == {"mocap_pos"}
+    rows = engine.rows.copy()
+    rows[:, engine.component("mocap_quat")] = turned
+    write("row", rows)
+    assert fields_of_a_step() == {"mocap_pos", "mocap_quat"}
+    env.reset(options={"reset_ids": [2]})
+    assert fields_of_a_step() - {"mocap_quat"} == {"mocap_pos"}
+    assert fields_of_a_step() == {"mocap_pos"}
 
 
 def test_forward_kinematics_are_mujocos(make) -> None:

@@ -65,6 +65,9 @@ class RandomizeRigidObjectPose(Term):
         self._asset = asset = entity_cfg.asset
         self._stop = self._stopper(entity_cfg)
         self._steps = physics_update_step
+        # Of a mocap body's orientation when all had the initial one; such a body has no other pose.
+        self._stands: int | None = None
+        self._mocap = self._stop is None and asset.entity.mocap_id >= 0
         if relative_to is not None and not relative_position:
             message = "relative_to needs relative_position: true"
             raise ConfigError([Problem("relative_position", message)])
@@ -97,7 +100,9 @@ class RandomizeRigidObjectPose(Term):
     def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
         """Draw and write the poses of these environments."""
         quat0 = self._quat0 if env_ids is None else self._quat0[: len(env_ids)]
-        quat = self._orientation(quat0, env_ids)
+        quat: F64 | None = quat0
+        if self._turn is None and self._stand_already(quat0, env_ids):
+            quat = None
         if self._box is not None:
             pos = env.event_manager.draw("position", (3,), *self._box, env_ids)
         else:
@@ -112,18 +117,25 @@ class RandomizeRigidObjectPose(Term):
             turn = euler_xyz_to_quat(angles)
             quat = quat_multiply(quat0, turn) if self._relative_rotation else turn
         self._asset.write_pose(pos, quat, env_ids)
+        if self._mocap and env_ids is None and quat is quat0:
+            self._stands = self._asset.engine.revision("mocap_quat")
         if self._stop is not None:
             self._stop(env_ids)
         if self._steps > 0:
             self._asset.engine.step(self._steps, env_ids)
 
-    def _orientation(self, wanted: F64, env_ids: EnvIndex | None) -> F64 | None:
-        """The initial orientations; None if they stand already and a write would be recorded."""
-        if self._stop is None and self._asset.engine.listeners:
-            now = self._asset.read_pose()[1]
-            if ((now if env_ids is None else now[env_ids]) == wanted).all():
-                return None
-        return wanted
+    def _stand_already(self, wanted: F64, env_ids: EnvIndex | None) -> bool:
+        """Whether orientations need no write, which a log would keep."""
+        engine = self._asset.engine
+        if self._mocap and self._stands == engine.revision("mocap_quat"):
+            return True
+        if self._stop is not None or not engine.listeners:
+            return False
+        now = self._asset.read_pose()[1]
+        stand = bool(((now if env_ids is None else now[env_ids]) == wanted).all())
+        if stand and self._mocap and env_ids is None:
+            self._stands = engine.revision("mocap_quat")
+        return stand
 
 
 @register_term("event", name="randomize_articulation_root_pose")
