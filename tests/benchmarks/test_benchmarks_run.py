@@ -43,13 +43,14 @@ def test_step_speed(tmp_path):
 def test_log_cost(tmp_path):
     table, facts = run(
         "log_cost", "--pairs=3", "--case", "2", "4", "--case", "3", "1", "--seconds=0",
-        "--episode=3", out=tmp_path / "raw.json",
+        "--episode=3", "--processes=2", out=tmp_path / "raw.json",
     )  # fmt: skip
     assert [(r["num_envs"], r["physics_steps"]) for r in facts["results"]] == [(2, 4), (3, 1)]
     for result in facts["results"]:
-        plain, logged = result["seconds"]["plain"], result["seconds"]["logged"]
-        assert len(plain) == len(logged) == 3
-        assert min(plain + logged) > 0
+        assert len(result["steps_a_turn"]) == 2
+        for processes in result["seconds"].values():
+            assert [len(turns) for turns in processes] == [3, 3]
+            assert min(min(turns) for turns in processes) > 0
     assert table.count("| 2 | 4 | ") == table.count("| 3 | 1 | ") == 1
 
 
