@@ -65,7 +65,7 @@ def _write_quietly(writing: _Writing) -> None:
         # Some containers forbid it; then it is a thread like any other.
         with suppress(PermissionError):
             os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-    writing.gives_way = hasattr(os, "sched_yield")
+            writing.gives_way = True
     while not writing.pause and not writing.over:
         writing.carry_on()
     writing.gives_way = False

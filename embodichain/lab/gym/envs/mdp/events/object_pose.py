@@ -65,7 +65,7 @@ class RandomizeRigidObjectPose(Term):
         self._asset = asset = entity_cfg.asset
         self._stop = self._stopper(entity_cfg)
         self._steps = physics_update_step
-        # Of a mocap body's orientation when all had the initial one; such a body has no other pose.
+        # Revision of the orientations of mocap bodies when this one's were the initial ones.
         self._stands: int | None = None
         self._mocap = self._stop is None and asset.entity.mocap_id >= 0
         if relative_to is not None and not relative_position:
