@@ -15,7 +15,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
@@ -86,8 +85,7 @@ class McapRecorder(StepObserver):
         self._substeps = int(env.sim_steps_per_control)
         self._keyframe_every = options.keyframe_every if options.state == "keyframes" else 0
         # What is reset in the middle of a step, or changed by a plugin, no write tells.
-        resets = not engine.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        self._derives = not (self._keyframe_every or resets or engine.model.nplugin)
+        self._derives = not (self._keyframe_every or engine.steps_write_inputs)
         self._keyframe_due = True
         self._keyframe = -1  # control step of the newest one
         self._view_envs = [int(i) for i in options.view_envs]

@@ -245,7 +245,6 @@ def test_a_program_that_ends_without_closing_has_its_log_and_says_nothing(tmp_pa
     script = """
 import sys
 from embodichain.recording import McapRecorder
-from tests.helpers.writing_here import write_here
 from tests.recording.scene import SmallEnv
 
 env = SmallEnv()
@@ -335,7 +334,6 @@ def test_calls_that_look_alike_and_are_not_arrive_as_they_were(tmp_path):
 LOST = """
 import os, signal, sys
 from embodichain.recording import McapRecorder
-from tests.helpers.writing_here import write_here
 from tests.recording.scene import SmallEnv
 env = SmallEnv()
 recorder = McapRecorder(sys.argv[1], env)
@@ -398,19 +396,28 @@ def test_a_busy_machine_does_not_keep_a_log_from_being_written(tmp_path):
     del recorder
 
 
-def test_the_writer_offers_its_core_until_somebody_waits(tmp_path, monkeypatch):
-    write_here(monkeypatch.setattr)
+@pytest.mark.parametrize("granted", [True, False])
+def test_a_writer_of_the_idle_class_offers_its_core_until_somebody_waits(
+    tmp_path, monkeypatch, granted
+):
     offered = 0
 
     def yields():
         nonlocal offered
         offered += 1
 
+    def become_idle(*_):
+        if not granted:
+            raise PermissionError
+
+    write_here(monkeypatch.setattr)
     monkeypatch.setattr(os, "sched_yield", yields)
+    monkeypatch.setattr(os, "sched_setscheduler", become_idle)
     env, recorder = recorded(tmp_path / "log.mcap")
     steps(env, 50)
     recorder.flush()
-    assert offered > 50  # steps are several calls
+    # Steps are several calls; a thread that is no idle one would starve of it.
+    assert offered > 50 if granted else not offered
     recorder._file._worker.hurry()
     heard = False
     for _ in range(20):  # what stood back takes a moment to hear of it

@@ -80,6 +80,8 @@ class Engine(Protocol):
     model: mujoco.MjModel
     num_envs: int
     listeners: list[EngineListener]
+    steps_write_inputs: bool
+    """Whether a step may change what physics only reads: MuJoCo's own reset, or a plugin, does."""
 
     @property
     def rows(self) -> F64:
@@ -94,7 +96,7 @@ class Engine(Protocol):
     def revision(self, name: str) -> int:
         """A number that is another one when a state component was changed outside physics.
 
-        While it stays the same, so does a component that physics never writes.
+        While it stays the same, so does a component that physics only reads.
         """
 
     def derived(self, name: str) -> F64:

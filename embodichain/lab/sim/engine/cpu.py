@@ -80,7 +80,7 @@ class CpuEngine:
         self._revisions = dict.fromkeys(self._layout, 0)
         self._revision = 0  # of all components
         resets = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        self._steps_write_inputs = resets or model.nplugin > 0
+        self.steps_write_inputs = resets or model.nplugin > 0
         self._fields = ModelFields(self._batch, num_envs)
         self._default_row: F64 = self._rows[0].copy()
         self._derived: dict[str, F64] = {}
@@ -116,7 +116,7 @@ class CpuEngine:
     def revision(self, name: str) -> int:
         """A number that is another one when a state component was changed outside physics.
 
-        Also when physics may have changed what it never writes, by MuJoCo's own reset in a step.
+        Also after a step that may have changed what physics only reads.
         """
         return self._revision + self._revisions[name]
 
@@ -181,7 +181,7 @@ class CpuEngine:
         self._pool.began()
         failed = self._call(self._batch.step, env_ids, nstep=nstep, stage=_STAGE_NONE)
         self._pool.ended()
-        self._revision += self._steps_write_inputs
+        self._revision += self.steps_write_inputs
         if env_ids is None:
             self._any_dirty = self._all_dirty = True
         else:
@@ -303,7 +303,7 @@ class CpuEngine:
         if fields.stale and fields.is_derived(field):
             self._set_const_now()  # it must not undo this write
         if field == "opt.disableflags":
-            self._steps_write_inputs = True
+            self.steps_write_inputs = True
         view = fields.view(field)
         view[where(env_ids, columns)] = values
         self._mark(env_ids)

@@ -105,7 +105,8 @@ def test_an_orientation_that_stands_is_not_written_again(make, monkeypatch, obse
     write("row", rows)
     assert fields_of_a_step() == {"mocap_pos", "mocap_quat"}
     env.reset(options={"reset_ids": [2]})
-    assert fields_of_a_step() - {"mocap_quat"} == {"mocap_pos"}
+    # The reset has turned it back already, which only somebody who is watched looks for.
+    assert fields_of_a_step() == ({"mocap_pos"} if observed else {"mocap_pos", "mocap_quat"})
     assert fields_of_a_step() == {"mocap_pos"}
 
 

@@ -117,7 +117,7 @@ class RandomizeRigidObjectPose(Term):
             turn = euler_xyz_to_quat(angles)
             quat = quat_multiply(quat0, turn) if self._relative_rotation else turn
         self._asset.write_pose(pos, quat, env_ids)
-        if self._mocap and env_ids is None and quat is quat0:
+        if self._mocap and env_ids is None and self._turn is None:
             self._stands = self._asset.engine.revision("mocap_quat")
         if self._stop is not None:
             self._stop(env_ids)
@@ -132,10 +132,7 @@ class RandomizeRigidObjectPose(Term):
         if self._stop is not None or not engine.listeners:
             return False
         now = self._asset.read_pose()[1]
-        stand = bool(((now if env_ids is None else now[env_ids]) == wanted).all())
-        if stand and self._mocap and env_ids is None:
-            self._stands = engine.revision("mocap_quat")
-        return stand
+        return bool(((now if env_ids is None else now[env_ids]) == wanted).all())
 
 
 @register_term("event", name="randomize_articulation_root_pose")
