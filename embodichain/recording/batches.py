@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.recording.handover import PICKLED, FormFields
+from embodichain.recording.handover import PICKLED
 
 __all__ = ["AlikeCalls", "AlikeSteps", "Aside", "Batches", "unpickled"]
 
@@ -40,7 +40,7 @@ class AlikeCalls:
     name: str
     method: Callable[..., None]
     args: tuple[Any, ...]
-    fields: FormFields
+    fields: tuple[tuple[np.dtype[Any], tuple[int, ...], int], ...]
 
     def arrays(self, memory: mmap.mmap, at: int) -> list[NDArray[Any]]:
         """The arrays of the call at an offset."""
@@ -145,8 +145,9 @@ class Batches:
         """Carry out a batch, whose arrays lie in memory."""
         forms, calls = marshal.loads(content)
         for number, name, args, fields in forms:
-            self._forms[number] = AlikeCalls(name, self._methods[name], args, fields)
-        steps = self._steps(calls)
+            kept = tuple((np.dtype(kind), shape, at) for kind, shape, at in fields)
+            self._forms[number] = AlikeCalls(name, self._methods[name], args, kept)
+        steps = [] if self._are_large(calls) else self._steps(calls)
         index = done = 0
         while index < len(steps):
             alike = _alike(steps, index)
@@ -173,6 +174,16 @@ class Batches:
         else:
             name, args, places = call
             self._methods[name](*(_found(memory, args, places) if places else args))
+
+    def _are_large(self, calls: list[Any]) -> bool:
+        """Whether steps have so many bytes that they are not taken together."""
+        ends = (
+            at
+            for name, at, *_ in calls
+            if type(name) is int and self._forms[name].name == self._ends_step
+        )
+        first = next(ends, 0)
+        return next(ends, first) - first >= _LARGE_BYTES
 
     def _steps(self, calls: list[Any]) -> list[_Step]:
         """The control steps that end in a batch."""

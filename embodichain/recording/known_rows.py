@@ -32,8 +32,11 @@ class Place(Protocol):
     def columns(self) -> NDArray[np.int64] | slice: ...
 
 
-_Target = tuple[bool, Any, Any]
-"""Whether a write changes inputs; columns there, or among the moved ones; which of its values."""
+_Target = tuple[bool, Any, Any, int]
+"""Whether a write changes inputs; columns there, or among the moved ones; which of its values, and
+of how many."""
+_Sums = NDArray[np.uint64] | None
+"""(N,) what some columns add to hashes, if it is known."""
 
 
 class KnownRows:
@@ -51,24 +54,25 @@ class KnownRows:
         self._moved: F64 | None = None  # (N, moved), not to be written to while it is lent
         self._lent = False
         self._input_columns: NDArray[np.int64] = np.zeros(0, np.int64)
-        self._restless = np.zeros(0, np.bool_)  # inputs that were written since rows were told
-        self._stirring: set[int] = set()  # numbers of the places that those writes went to
-        self._restless_at: Any = slice(0, 0)
-        self._sums: NDArray[np.uint64] | None = None  # of the other inputs, for hashes
+        self._targets: dict[int, _Target] = {}
+        self._written: dict[int, F64] = {}  # by place, what is not in `_inputs` yet; it is lent
+        self._sums: dict[int, _Sums] = {}  # for hashes, of places that were written, none twice
+        self._resting = np.zeros(0, np.bool_)  # inputs of no such place
+        self._resting_sums: _Sums = None
         self.columns([(0, self._nstate)])
 
     def columns(self, ranges: Ranges) -> None:
         """From here on these columns are in use, at least those that were; others are zero."""
+        self._put_in()
         before = self._input_columns if self._moved is not None else None
         used = self._used = _indices(ranges)
         moved = np.isin(used, self.moved_columns)
         self._moved_at = as_slice(np.flatnonzero(moved))
         self._inputs_at = as_slice(np.flatnonzero(~moved))
         self._input_columns = used[~moved]
-        self._targets: dict[int, _Target] = {}
-        self._restless = np.zeros(len(self._input_columns), np.bool_)
-        self._stirring.clear()
-        self._sums = None
+        self._targets.clear()
+        self._resting = np.ones(len(self._input_columns), np.bool_)
+        self._forget_sums()
         if before is not None:
             wider = np.zeros((len(self._inputs), len(self._input_columns)))
             wider[:, np.isin(self._input_columns, before)] = self._inputs
@@ -78,9 +82,8 @@ class KnownRows:
         """These are the rows, (N, columns in use)."""
         self._inputs = np.array(rows[:, self._inputs_at], order="C")
         self._moved, self._lent = np.array(rows[:, self._moved_at], order="C"), False
-        self._restless[:] = False
-        self._stirring.clear()
-        self._sums = None
+        self._written.clear()
+        self._forget_sums()
 
     def returned(self, moved: F64) -> None:
         """Physics of all environments has returned these moved columns, which are lent."""
@@ -95,6 +98,7 @@ class KnownRows:
         """What was lent goes."""
         if self._lent:
             self._own()
+        self._put_in()
 
     def _there(self) -> F64:
         if self._moved is None:
@@ -115,23 +119,53 @@ class KnownRows:
             place: Number of what is written and where.
             write: What that is.
             env_ids: (n,) environments; None is all.
-            values: (n, k).
+            values: (n, k); those of inputs of all environments are lent.
+
+        Raises:
+            ValueError: If there are not as many values; `IndexError` if there is no such column.
         """
         if write.op != "state" or write.field == "row" or self._moved is None:
             return
-        target = self._targets.get(place) or self._target(place, write)
-        is_input, columns, which = target
-        rows = self._inputs if is_input else self._own()
-        if is_input and place not in self._stirring:
-            self._stirring.add(place)
-            self._restless[columns] = True
-            self._sums = None
+        is_input, columns, which, width = self._targets.get(place) or self._target(place, write)
+        if not is_input:
+            rows = self._own()
+        else:
+            self._disturb(place, columns)
+            if env_ids is None:
+                if values.shape != (shape := (len(self._inputs), width)):
+                    raise ValueError(f"values are {values.shape} where {shape} were announced")
+                self._written[place] = values
+                return
+            self._put_in()
+            rows = self._inputs
         if env_ids is None:
             rows[:, columns] = values[:, which]
         elif isinstance(columns, slice):
             rows[env_ids, columns] = values[:, which]
         else:
             rows[env_ids[:, None], columns] = values[:, which]
+
+    def _disturb(self, place: int, columns: Any) -> None:
+        """Inputs change: from here on those of this place are hashed apart from others."""
+        if place not in self._sums:
+            if not self._resting[columns].all():  # another place has some of them
+                self._put_in()
+                self._forget_sums()
+            self._resting[columns] = False
+            self._resting_sums = None
+        self._sums[place] = None
+
+    def _forget_sums(self) -> None:
+        self._sums.clear()
+        self._resting[:] = True
+        self._resting_sums = None
+
+    def _put_in(self) -> None:
+        """Have everything that was written in `_inputs`."""
+        for place, values in self._written.items():
+            _, columns, which, _ = self._targets[place]
+            self._inputs[:, columns] = values[:, which]
+        self._written.clear()
 
     def _target(self, place: int, write: Place) -> _Target:
         """Where a write goes; columns that are not in use get nothing but zeros."""
@@ -141,14 +175,14 @@ class KnownRows:
         kept = np.flatnonzero(np.isin(columns, there))
         at = as_slice(np.searchsorted(there, columns[kept]))
         which: Any = slice(None) if len(kept) == len(columns) else kept
-        found = self._targets[place] = is_input, at, which
+        found = self._targets[place] = is_input, at, which, len(columns)
         return found
 
     def written_inputs(self, place: int, write: Place) -> NDArray[np.int64] | None:
         """(k,) columns of a row that the k values of a write go to; None unless all are inputs."""
         if write.op != "state" or write.field == "row":
             return None
-        is_input, at, which = self._targets.get(place) or self._target(place, write)
+        is_input, at, which, _ = self._targets.get(place) or self._target(place, write)
         whole = isinstance(which, slice)
         return self._input_columns[at] if is_input and whole else None
 
@@ -157,7 +191,7 @@ class KnownRows:
         moved = self._there()
         rows: F64 = np.empty((len(moved), len(self._used)))
         rows[:, self._moved_at] = moved
-        rows[:, self._inputs_at] = self._inputs
+        rows[:, self._inputs_at] = self.inputs
         return rows
 
     def input_columns(self, component: str) -> slice | None:
@@ -179,6 +213,7 @@ class KnownRows:
     @property
     def inputs(self) -> F64:
         """(N, inputs in use), live; do not write or keep."""
+        self._put_in()
         return self._inputs
 
     def of(self, ids: NDArray[np.int64]) -> F64:
@@ -187,19 +222,29 @@ class KnownRows:
         rows = np.zeros((len(ids), self._nstate))
         rows[:, self.moved_columns] = moved[ids]
         rows[:, self._input_columns] = self._inputs[ids]
+        for place, values in self._written.items():
+            _, columns, which, _ = self._targets[place]
+            rows[:, self._input_columns[columns]] = values[ids][:, which]
         return rows
 
     def hashes(self, row_hash: RowHash) -> NDArray[np.uint64]:
         """(N,) hashes of the rows."""
         sums = row_hash.sums(self._there(), self.moved_columns)
-        if self._sums is None:
-            self._restless_at = as_slice(np.flatnonzero(self._restless))
-            rest = ~self._restless
-            self._sums = row_hash.sums(self._inputs[:, rest], self._input_columns[rest])
-        at = self._restless_at
-        sums += row_hash.sums(self._inputs[:, at], self._input_columns[at])
-        sums += self._sums
+        for place, known in self._sums.items():
+            if known is None:
+                known = self._sums[place] = self._sums_of(place, row_hash)
+            sums += known
+        if self._resting_sums is None:
+            at = as_slice(np.flatnonzero(self._resting))
+            self._resting_sums = row_hash.sums(self._inputs[:, at], self._input_columns[at])
+        sums += self._resting_sums
         return row_hash.mixed(sums)
+
+    def _sums_of(self, place: int, row_hash: RowHash) -> NDArray[np.uint64]:
+        _, columns, which, _ = self._targets[place]
+        values = self._written.get(place)
+        there = self._inputs[:, columns] if values is None else values[:, which]
+        return row_hash.sums(there, self._input_columns[columns])
 
     def hashes_together(
         self,
@@ -215,6 +260,7 @@ class KnownRows:
             written: What is written in each step: (k,) columns of a row, all of them inputs and no
                 two the same; (K, N, k) values; whether that happens before physics.
         """
+        self._put_in()
         sums = row_hash.sums(moved, self.moved_columns)
         stays = np.ones(len(self._input_columns), np.bool_)
         for columns, values, before in written:

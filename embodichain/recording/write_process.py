@@ -25,8 +25,6 @@ __all__ = ["main"]
 
 FLUSH_SECONDS = 0.5
 """Together with what is not handed over yet, at most a second is lost if all is killed."""
-CALM_SECONDS = 1.0
-"""Nobody has had to wait for so long: the writer stands back again."""
 
 
 def main(orders: int, hurry: int) -> None:
@@ -72,12 +70,12 @@ def _write_quietly(writing: _Writing) -> None:
 
 
 def _write_at_once(writing: _Writing, calls: FileIO) -> None:
-    """Carry out orders until the simulation has not had to wait for a while."""
-    calm = time.monotonic() + CALM_SECONDS
-    while time.monotonic() < calm and not writing.over:
+    """Carry out all orders that wait, whoever wants the cores, and flush."""
+    if select.select([calls], [], [], 0)[0]:
+        calls.read(4096)  # said about orders that are there
+    while not writing.over and writing.ready(0.0):
         writing.carry_on()
-        if select.select([calls], [], [], 0)[0] and calls.read(4096):
-            calm = time.monotonic() + CALM_SECONDS
+    writing.flush()
 
 
 class _Writing:
@@ -114,15 +112,23 @@ class _Writing:
             self.over = True
             self._fail(error)
 
+    def flush(self) -> None:
+        """Flush now rather than when it is due."""
+        try:
+            if self._dirty and not self.over:
+                self._flush()
+        except Exception as error:  # noqa: BLE001  (whoever gives the next order is told)
+            self.over = True
+            self._fail(error)
+
     def _wait(self) -> bool:
         """Wait for an order, and flush when it is due; False if somebody else shall carry on."""
-        while not self._ready():
+        while not self.ready(max(0.0, self._due - time.monotonic()) if self._dirty else None):
             self._flush()
         return not self.pause
 
-    def _ready(self) -> bool:
-        """Wait for an order, or until a flush is due; whether there is an order."""
-        patience = max(0.0, self._due - time.monotonic()) if self._dirty else None
+    def ready(self, patience: float | None) -> bool:
+        """Wait for an order; whether there is one after so many seconds (None: however long)."""
         return bool(select.select([self._connection], [], [], patience)[0])
 
     def _carry_out(self, order: Order, descriptors: list[int]) -> None:
