@@ -4,7 +4,7 @@ Two equal environments in one process, one with a log, take turns next to each o
 order: a machine whose speed wanders wanders less from one turn to the next. Each case has some
 processes of its own: of two environments that are the same the one or the other is faster by up to
 1 %, as memory lies, for as long as they live. A turn is whole episodes, and ends when everything is
-in the file: that wait of up to 40 ms, once a run, has to be little beside a turn.
+in the file: that wait of 12 to 40 ms, once a run, has to be little beside a turn.
 """
 
 from __future__ import annotations
