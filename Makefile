@@ -3,14 +3,16 @@
 #   make run       set up, then run the main job
 #   make test      set up, then run every test      (PYTEST_ARGS="-m 'not slow'" leaves some out)
 #   make lint types imports     the other checks; `make check` is all of them
+#   make lerobot   have LeRobot's own package load a data set of ours (8 GB: its torch has CUDA)
 #   make format    sort imports, lay out the code
 #   make pins      write constraints.txt from what .venv holds now
-#   make clean     remove .venv and what the tools left; outputs/ stays
+#   make clean     remove .venv, .venv-lerobot and what the tools left; outputs/ stays
 #
 # PYTHON=python3.13 chooses the interpreter, VENV=DIR the place.
 
 PYTHON ?= python3
 VENV ?= .venv
+LEROBOT ?= .venv-lerobot
 PYTEST_ARGS ?=
 
 BIN := $(VENV)/bin
@@ -19,7 +21,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run venv test lint types imports check format pins clean system
+.PHONY: help run venv test lint types imports lerobot check format pins clean system
 
 help:
 	@sed -n 's/^#   /  /p' Makefile
@@ -56,6 +58,16 @@ types: venv
 imports: venv
 	$(BIN)/lint-imports
 
+# Not part of `check`: its torch is older than ours, and a CUDA build. It lives in a place of its own.
+$(LEROBOT)/.installed: Makefile
+	$(PYTHON) -m venv $(LEROBOT)
+	$(LEROBOT)/bin/python -m pip --disable-pip-version-check install lerobot==0.4.4
+	touch $@
+
+lerobot: venv $(LEROBOT)/.installed
+	LEROBOT_PYTHON=$(abspath $(LEROBOT))/bin/python \
+	    $(BIN)/python -m pytest tests/recording/export/test_lerobot.py
+
 check: test lint types imports
 
 format: venv
@@ -67,6 +79,6 @@ pins: venv
 	mv constraints.tmp constraints.txt
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info .coverage .coverage.* htmlcov \
+	rm -rf $(VENV) $(LEROBOT) build dist *.egg-info .coverage .coverage.* htmlcov \
 	    .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -type d -not -path './.git/*' -prune -exec rm -rf {} +
