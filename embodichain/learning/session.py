@@ -25,6 +25,7 @@ from embodichain.learning.training_state import (
 )
 from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.learning.watch import Progress, Watch
+from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["Session"]
 
@@ -54,16 +55,27 @@ class Session:
         Args:
             checkpoint: The zip.
             state: What lies beside it, see `find_resumable`.
+
+        Raises:
+            ConfigError: The checkpoint is damaged, of another network, or of code that kept less.
         """
         load_parameters(self.model, checkpoint)
-        restore(self.model, self.vec_env, state["training"])
+        try:
+            restore(self.model, self.vec_env, state["training"])
+            self.statistics.load_state_dict(state["statistics"])
+        except KeyError as error:
+            message = (
+                f"no training can go on from {checkpoint}: its state has no {error}. Other code"
+                " wrote it (versions.json in its run's folder), of embodichain or of a term with a"
+                " state; `policy=` loads its network nevertheless"
+            )
+            raise ConfigError([Problem("resume", message)]) from error
         buffer = buffer_of(self.model)
         if buffer is not None and state.get("replay_buffer"):
             load_buffer(buffer_path(checkpoint), buffer, state["env_steps"])
         normalizer = self.model.get_vec_normalize_env()
         if normalizer is not None:
             load_statistics(statistics_path(checkpoint)).restore(normalizer)
-        self.statistics.load_state_dict(state["statistics"])
         self.statistics.env_steps = self.model.num_timesteps
         self._restored = state["training"]
 

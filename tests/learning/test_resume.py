@@ -122,6 +122,16 @@ def test_a_broken_checkpoint_is_passed_over(tmp_path):
         find_resumable(run)
 
 
+def test_a_state_of_other_code_is_refused(tmp_path):
+    first = folder(tmp_path, "first")
+    train(config(*PPO, TWO), first)
+    path, state = find_resumable(first)
+    del state["training"]["env"]["streams"]["seed"]
+    write_tree(state_path(path), state)
+    with pytest.raises(ConfigError, match="its state has no 'seed'.*versions.json.*`policy=`"):
+        train(config(*PPO, FOUR, f"resume={first}"), folder(tmp_path, "other"))
+
+
 def test_off_policy_trainings_go_on(tmp_path):
     sac = ("algo=sac", "algo.learning_starts=16", "algo.buffer_size=500", "algo.normalize=obs")
     first, second = folder(tmp_path, "first"), folder(tmp_path, "second")
