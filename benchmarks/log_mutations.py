@@ -149,12 +149,12 @@ def _forge_messages(data: bytes, rng: Random) -> bytes:
 
 
 def _forge_metadata(data: bytes, rng: Random) -> bytes:
-    """Replace a digit of the metadata record by another, or a number by a huge one."""
+    """Replace a digit of the metadata record by another, or any byte, of a name in it say."""
     places = [(at, n) for at, opcode, n in _records(data) if opcode == Opcode.METADATA]
     at, length = places[0]
     body = data[at + _HEAD.size : at + _HEAD.size + length]
     digits = [i for i, byte in enumerate(body) if chr(byte).isdigit()]
-    where = rng.choice(digits)
+    where = rng.choice(digits if rng.random() < 0.5 else range(len(body)))
     new = rng.choice((*(b"%d" % i for i in range(10)), b"-", b"e", b"[", b'"'))
     start, stop = at + _HEAD.size, at + _HEAD.size + length
     return data[:start] + body[:where] + new + body[where + 1 :] + data[stop:]

@@ -122,7 +122,8 @@ class KnownRows:
             values: (n, k); those of inputs of all environments are lent.
 
         Raises:
-            ValueError: If there are not as many values; `IndexError` if there is no such column.
+            ValueError: If there is no such component, or not as many values; `IndexError` if there
+                is no such column.
         """
         if write.op != "state" or write.field == "row" or self._moved is None:
             return
@@ -169,6 +170,9 @@ class KnownRows:
 
     def _target(self, place: int, write: Place) -> _Target:
         """Where a write goes; columns that are not in use get nothing but zeros."""
+        if write.field not in self._layout:
+            known = ", ".join(self._layout)
+            raise ValueError(f"{write.field!r} is written, no component of states: {known}")
         columns = np.arange(self._nstate)[self._layout[write.field]][write.columns]
         is_input = not np.isin(columns, self.moved_columns).any()
         there = self._input_columns if is_input else self.moved_columns

@@ -35,7 +35,7 @@ def blocks_with_inputs(file: ChunkFile) -> Iterator[list[Found]]:
     for found in file.blocks():
         try:
             filled = [(t, at, full(follower, header, t, data)) for t, at, data in found]
-        except (WireError, IndexError, KeyError, ValueError) as error:
+        except (IndexError, ValueError) as error:  # a WireError is one
             raise LogError(f"{file.path}: a message is damaged: {error}") from error
         yield filled
 
@@ -83,7 +83,7 @@ class InputFollower:
 
         Raises:
             WireError: If it is damaged.
-            ValueError: If it does not fit; so do `IndexError` and `KeyError`.
+            ValueError: If it does not fit; so does `IndexError`.
         """
         if not self.known:
             return
@@ -131,7 +131,7 @@ def full(follower: InputFollower, header: Header, topic: str, data: memoryview) 
 
     Raises:
         WireError: If it is damaged.
-        ValueError: If it does not fit; so do `IndexError` and `KeyError`.
+        ValueError: If it does not fit; so does `IndexError`.
     """
     if topic == "/sim/write":
         follower.write(data)

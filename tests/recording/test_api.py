@@ -353,3 +353,20 @@ def test_metadata_that_does_not_fit_is_an_error(record, tmp_path, key, value, me
     path = rewrite(record(), tmp_path / "forged.mcap", metadata=forge)
     with pytest.raises(LogError, match=message), recording.open(path) as log:
         log.read("qpos")
+
+
+def test_a_write_to_a_component_that_the_metadata_lacks_is_an_error(record, tmp_path):
+    def forge(name, values):
+        if "layout" in values:
+            assert "mocap_pos" in values["layout"]
+            values["layout"] = values["layout"].replace("mocap_pos", "mocap_pot")
+        return values
+
+    path = rewrite(record(), tmp_path / "odd.mcap", metadata=forge)
+    message = "damaged: 'mocap_pos' is written, no component of states: .*mocap_pot"
+    with recording.open(path) as log:
+        for ask in ({}, {"env": 1, "start": 3}):
+            with pytest.raises(LogError, match=message):
+                log.read(**ask)
+        with pytest.raises(LogError, match=message):
+            list(log.full_messages())

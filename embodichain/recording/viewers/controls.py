@@ -23,8 +23,8 @@ class Facts:
         step: Control steps since the beginning.
         seconds: Since the episode began, of simulated time.
         lines: What else is to be read, as name and text.
-        rewards: Each term's share of this step's reward.
-        sums: Each term's sum over the episode.
+        rewards: Each term's share of this step's reward: its value times its weight.
+        sums: Each term's sum of these over the episode.
     """
 
     step: int

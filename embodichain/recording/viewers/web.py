@@ -123,7 +123,8 @@ class WebView(StepObserver):
         if step is None:
             return None
         info = step.info
-        rewards = _row(info["rewards"], i)
+        weights = env.reward_manager.weights
+        rewards = {n: v * weights[n] for n, v in _row(info["rewards"], i).items()}
         sums = _row(info["episode_sums"], i)
         lines = (
             ("episode", str(int(step.episode_ids[i]))),

@@ -1,6 +1,9 @@
-"""A running environment on the page: what is sent when the environment looks different."""
+"""A running environment on the page: what is sent of it, and when it looks different."""
 
-from embodichain.lab.gym.envs.cfg import EventCfg
+import pytest
+import torch
+
+from embodichain.lab.gym.envs.cfg import EventCfg, RewardCfg
 from embodichain.recording.viewers.web import WebView
 from tests.helpers.ur10_task import builder
 from tests.recording.viewers.test_web_page import crc_of, until, visit
@@ -25,3 +28,31 @@ def test_the_model_is_sent_again_when_the_environment_shown_is_painted():
             env.reset(options={"env_ids": [1, 2]})
             assert view._page._looks == before
             assert crc_of(state) == second
+
+
+def test_terms_are_told_as_they_add_up_to_the_reward():
+    def height(env, obs, action, info):
+        return env.sim.get_rigid_object("cube").get_local_pose()[:, 2]
+
+    def tries(env, obs, action, info):
+        return torch.arange(3.0) + 4.0
+
+    rewards = {
+        "height": RewardCfg(func=height, weight=10.0),
+        "tries": RewardCfg(func=tries, weight=-0.5),
+    }
+    with builder() as build:
+        env = build(rewards=rewards)
+        env.reset()
+        view = WebView(env, env_id=1, realtime=False)
+        env.add_observer(view)
+        told = []
+        view._page.show = lambda row, facts: told.append(facts)
+        with visit(view._page):
+            assert until(lambda: view.watched)
+            view._next_facts = 0.0
+            _, reward, *_ = env.step(env.action_space.sample())
+        facts = [f for f in told if f is not None][-1]
+    assert facts.rewards["tries"] == -2.5
+    assert sum(facts.rewards.values()) == pytest.approx(reward[1].item())
+    assert facts.sums == pytest.approx(facts.rewards)
