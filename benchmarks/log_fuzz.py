@@ -1,14 +1,17 @@
 """Read thousands of mutated logs: `python -m benchmarks.log_fuzz`; prints what came of them.
 
-Every file is inspected, read as arrays, verified and recovered, in a process that may use 1 GB more
-than it starts with. Each must give data or one clear error (`ConfigError`), within a time.
+Every file is inspected, read in every way that the reader has, verified, recovered, compared with
+the whole one and exported, in a process that may use 1 GB more than it starts with. Each must give
+data or one clear error (`ConfigError`), within a time.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,11 +20,14 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from benchmarks.log_mutations import KINDS, mutate
 from benchmarks.machine import machine, table, write_json
 from embodichain.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from embodichain.recording.api import Log
 
 ROOT = Path(__file__).parents[1]
 SECONDS = 30
@@ -29,6 +35,8 @@ SECONDS = 30
 MEMORY = 2**30
 OUTCOMES = ("data", "data, warned", "refused", "traceback", "hang", "crash")
 GOOD = OUTCOMES[:3]
+FORMATS = ("csv", "npz", "parquet", "hdf5", "ros2", "lerobot")
+"""Of exports that draw nothing, one for each file, in turn."""
 
 
 class HangError(BaseException):
@@ -123,27 +131,30 @@ def work(base: Path, seed: int, count: int, every: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "mutated.mcap"
         mutate(data, list(KINDS).index("compression bomb"))  # packed once, before memory counts
-        check(base, everything=True)
+        for turn in range(len(FORMATS)):
+            check(base, everything=True, turn=turn)
         before = _peak()
         print(json.dumps("ready"), flush=True)
         for number in range(seed, seed + count):
             kind, mutated = mutate(data, number)
             path.write_bytes(mutated)
             start = time.perf_counter()
-            outcome, why = outcome_of(path, everything=number // len(KINDS) % every == 0)
+            turn, rest = divmod(number // len(KINDS), every)
+            outcome, why = outcome_of(path, rest == 0, base, turn)
             seconds = time.perf_counter() - start
             told = {"kind": kind, "outcome": outcome, "why": why, "seconds": seconds}
             print(json.dumps({**told, "memory_mb": (_peak() - before) / 1e6}), flush=True)
 
 
-def outcome_of(path: Path, everything: bool) -> tuple[str, str]:
-    """What reading a file gives, and why if that is bad."""
+def outcome_of(
+    path: Path, everything: bool, base: Path | None = None, turn: int = 0
+) -> tuple[str, str]:
+    """What reading a file gives, and why if that is bad; arguments are those of `check`."""
     signal.alarm(SECONDS)
     try:
-        return ("data" if check(path, everything) else "data, warned"), ""
+        return ("data" if check(path, everything, base, turn) else "data, warned"), ""
     except ConfigError as error:
-        text = str(error)
-        return ("refused", "") if text and len(text.splitlines()) < 4 else ("traceback", text)
+        return ("refused", "") if _is_clear(error) else ("traceback", str(error))
     except HangError:
         return "hang", ""
     except Exception as error:  # noqa: BLE001  (the finding)
@@ -156,40 +167,76 @@ def outcome_of(path: Path, everything: bool) -> tuple[str, str]:
         signal.alarm(0)
 
 
-def check(path: Path, everything: bool) -> bool:
+def check(path: Path, everything: bool, base: Path | None = None, turn: int = 0) -> bool:
     """Read a file in every way; returns whether it is complete.
 
+    Args:
+        path: The file.
+        everything: Whether to do more than to inspect it and to read its arrays.
+        base: The file as it was, to compare with; None compares it with itself.
+        turn: Chooses the format in which it is exported.
+
     Raises:
-        ConfigError: It cannot be read; then no way of reading it gives anything else.
+        ConfigError: It cannot be read in some way.
     """
-    from embodichain.recording import inspect, open, verify
+    from embodichain.recording import diff, inspect, open, verify
     from embodichain.recording.recover import recover
 
-    def read() -> Any:
-        with open(path) as log:
-            return log.read(), log.episodes
+    def read(log: Log) -> Any:
+        return log.read(), log.episodes
 
-    def simulated() -> Any:
-        with open(path, simulate=True) as log:
-            return log.read("qpos") if log.header.keyframe_every else None
+    def simulated(log: Log) -> Any:
+        return log.read("qpos") if log.header.keyframe_every else None
 
     saved = path.with_name("saved.mcap")
-    ways: list[Callable[[], Any]] = [lambda: inspect(path), read]
+    ways: list[Callable[[], Any]] = [lambda: inspect(path), lambda: _with(open, path, read)]
+    others: list[Callable[[], Any]] = []  # what is asked may lie behind the file's end
     if everything:
         ways += [lambda: verify(path, num_threads=1), lambda: recover(path, saved)]
-        ways += [simulated]
+        ways += [lambda: _with(functools.partial(open, simulate=True), path, simulated)]
+        others += [lambda: diff(base or path, path)]
+        others += [functools.partial(_with, open, path, way) for way in _readings(turn)]
     refused: ConfigError | None = None
     results = []
-    for way in ways:
+    for way in [*ways, *others]:
         try:
             results.append(way())
         except ConfigError as error:
-            refused = refused or error
+            refused = refused or (error if way in ways else None)
+            if not _is_clear(error):
+                raise
         finally:
-            saved.unlink(missing_ok=True)
+            for made in path.parent.glob("saved*"):
+                shutil.rmtree(made) if made.is_dir() else made.unlink()
     if refused is not None:
         raise refused
     return bool(results[0].complete and not results[0].warnings)
+
+
+def _is_clear(error: ConfigError) -> bool:
+    return 0 < len(str(error).splitlines()) < 4
+
+
+def _with(open: Callable[[Path], Log], path: Path, way: Callable[[Log], Any]) -> Any:
+    with open(path) as log:
+        return way(log)
+
+
+def _readings(turn: int) -> list[Callable[[Log], Any]]:
+    """What else can be asked of a log."""
+    from embodichain.recording.export import export
+    from embodichain.recording.playback import Playback, span_of
+
+    format = FORMATS[turn % len(FORMATS)]
+    return [
+        lambda log: (log.config, log.versions, log.metrics(0)),
+        lambda log: (list(log.events()), list(log.writes()), list(log.full_messages(0))),
+        lambda log: log.read(env=1, start=3, stop=9),
+        lambda log: list(log.parts(steps=5)),
+        lambda log: log.snapshot(1, step=5),
+        lambda log: list(Playback(log, 0).steps(span_of(log, 0))),
+        lambda log: export(log, format, log.path.with_name(f"saved_{format}")),
+    ]
 
 
 def _hang(number: int, frame: object) -> None:

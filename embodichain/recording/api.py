@@ -16,20 +16,19 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.snapshot import Snapshot
 from embodichain.recording import wire
-from embodichain.recording.archive import load_mjz
 from embodichain.recording.arrays import LogArrays
-from embodichain.recording.attachments import load_mjb, model_digest
 from embodichain.recording.chunks import ChunkFile
 from embodichain.recording.episode_log import TOPIC as EPISODE_TOPIC
 from embodichain.recording.episode_log import by_episode, decode_ends
 from embodichain.recording.episodes import LogEpisode, find_episodes, of_ended, with_unrecorded
 from embodichain.recording.events import LogEvent
-from embodichain.recording.gather import OUTCOMES, Gatherer, Steps
+from embodichain.recording.gather import OUTCOMES, Gatherer, Steps, first_step
 from embodichain.recording.header import Header, LogError
-from embodichain.recording.messages import WriteRecord
+from embodichain.recording.messages import StepOutcome, WriteRecord
 from embodichain.recording.metrics import read_metrics
 from embodichain.recording.model_columns import Column, state_columns
 from embodichain.recording.rebuild import FilledFile
+from embodichain.recording.recorded_model import approximate_model, exact_model
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -168,12 +167,10 @@ class Log:
         """
         same = self.header.mujoco_version == mujoco.__version__
         data = self.attachment("model.mjb" if same else "scene.mjz")
-        if same and model_digest(data) != self.header.model:
-            raise LogError(f"{self.path}: model.mjb is not the model that was recorded")
         try:
-            return load_mjb(data) if same else load_mjz(data)
-        except ValueError as error:
-            raise LogError(f"{self.path}: its model cannot be loaded: {error}") from error
+            return (exact_model if same else approximate_model)(self.header, data)
+        except LogError as error:
+            raise LogError(f"{self.path}: {error}") from error
 
     @property
     def attachments(self) -> list[str]:
@@ -201,7 +198,9 @@ class Log:
         return found
 
     def _action_width(self) -> int:
-        return self._gather(["actions"], None, Steps(0, 1)).shape_of("actions")
+        """Columns of an action; 0 if no step is in the log."""
+        first = next(self._decoded("/sim/step", StepOutcome.decode), None)
+        return 0 if first is None else first.action.shape[-1]
 
     @property
     def _usual(self) -> list[str]:
@@ -258,13 +257,14 @@ class Log:
         if episode is not None:
             whole = self._span_of(env, episode, Steps(start, stop))
             start, stop = whole.start, whole.stop
-        ends = [chunk.end_ns for chunk in self._file.chunks]
-        last = (max(ends, default=0) - self.header.start_ns) // self.header.period_ns
-        stop = last + 1 if stop is None else min(stop, last + 1)
-        for first in range(start, stop, steps):
-            part = self.read(names, env, None, first, min(first + steps, stop))
+        at: int | None = start
+        while at is not None and (stop is None or at < stop):
+            end = at + steps if stop is None else min(at + steps, stop)
+            part = self.read(names, env, None, at, end)
             if len(part):
                 yield part
+            # Behind a gap of any length it goes on where there is a step.
+            at = end if len(part) else first_step(self._file, Steps(end, stop))
 
     def _fields(self, fields: str | Iterable[str] | None) -> list[str]:
         if fields is None:

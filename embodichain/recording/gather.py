@@ -27,7 +27,7 @@ from embodichain.recording.rebuild import FilledFile
 from embodichain.recording.step_block import decode_steps
 from embodichain.recording.with_inputs import InputFollower, chunks_before
 
-__all__ = ["OUTCOMES", "Gatherer", "Steps"]
+__all__ = ["OUTCOMES", "Gatherer", "Steps", "first_step"]
 
 OUTCOMES = {
     "actions": "action",
@@ -49,6 +49,11 @@ class Steps:
     def last(self) -> int:
         """The last step that may be meant."""
         return sys.maxsize if self.stop is None else self.stop - 1
+
+    def times(self, header: Header) -> tuple[int, int]:
+        """Log times of the first and the last of them."""
+        start, period = header.start_ns, header.period_ns
+        return start + self.start * period, start + self.last() * period
 
 
 @dataclass
@@ -112,7 +117,7 @@ class Gatherer:
         Raises:
             LogError: If the file says what cannot be.
         """
-        chunks = self.file.between(*self._times())
+        chunks = self.file.between(*self.span.times(self._header))
         self._make(self._bound(sum(min(c.size, CHUNK_LIMIT) for c in chunks)))
         rows, outcomes = 0, 0
         state_steps = np.empty(len(self.steps), np.int64)
@@ -128,7 +133,7 @@ class Gatherer:
             raise
         except (IndexError, ValueError) as error:  # a WireError is one
             raise LogError(f"{self.file.path}: a message is damaged: {error}") from error
-        self._trim(state_steps[:rows], self.steps[:outcomes])
+        self._trim(state_steps[:rows], self._in_order(self.steps[:outcomes]))
 
     def _blocks(self, chunks: list[ChunkPlace]) -> Iterator[list[Found]]:
         """Messages of some chunks; what tells the inputs before them was followed."""
@@ -155,11 +160,6 @@ class Gatherer:
             rows = np.frombuffer(payload, "<f8", n * width, offset)
             self._follower.take(rows.reshape(n, width))
 
-    def shape_of(self, name: str) -> int:
-        """Columns of a field that was read; 0 if no step was."""
-        values = self.values.get(name)
-        return 0 if values is None else int(values.shape[-1])
-
     def arrays(self, columns: Mapping[str, list[Column]]) -> LogArrays:
         """What was read, states first."""
         dtypes = {"terminated": np.bool_, "truncated": np.bool_, "episodes": np.int64}
@@ -176,13 +176,9 @@ class Gatherer:
             {name: self.values[name] for name in wanted},
         )
 
-    def _times(self) -> tuple[int, int]:
-        start, period = self._header.start_ns, self._header.period_ns
-        return start + self.span.start * period, start + self.span.last() * period
-
     def _bound(self, size: int) -> int:
         """At most so many steps are there: by times, and by the bytes a step takes at least."""
-        chunks = self.file.between(*self._times())
+        chunks = self.file.between(*self.span.times(self._header))
         if not chunks:
             return 0
         start, period = self._header.start_ns, self._header.period_ns
@@ -207,9 +203,12 @@ class Gatherer:
         rows: list[_Row] = []
         steps: list[tuple[int, memoryview]] = []
         first, last = self.span.start, self.span.last()
-        for topic, _, payload in block:
+        start, period = self._header.start_ns, self._header.period_ns
+        for topic, time_ns, payload in block:
             if topic == "/sim/step":
                 step = _first_uint(payload)
+                if time_ns != start + step * period:
+                    raise wire.WireError(f"step {step} has another's time, {time_ns} ns")
                 if first <= step <= last:
                     if self._pending is not None and self._pending.step == step:
                         rows.append(self._pending)
@@ -318,6 +317,13 @@ class Gatherer:
                 target[at:end] = stacked
         return end
 
+    def _in_order(self, steps: NDArray[np.int64]) -> NDArray[np.int64]:
+        back = np.flatnonzero(np.diff(steps) <= 0)
+        if len(back):
+            one, other = steps[back[0] : back[0] + 2].tolist()
+            raise LogError(f"{self.file.path}: a chunk was moved: step {other} follows step {one}")
+        return steps
+
     def _trim(self, of_states: NDArray[np.int64], of_outcomes: NDArray[np.int64]) -> None:
         """Keep the steps of which everything is there."""
         rows, outcomes = len(of_states), len(of_outcomes)
@@ -327,10 +333,33 @@ class Gatherer:
             self.values[name] = values[: rows if name in self.components else outcomes]
         if same:
             return
+        keyframes = self._header.keyframe_every and isinstance(self.file, ChunkFile)
+        missing = [] if keyframes else np.setdiff1d(of_outcomes, of_states).tolist()
+        if missing:
+            raise LogError(
+                f"{self.file.path}: control step {missing[0]} has no state of"
+                f" {self._header.substeps} physics steps"
+            )
         both, left, right = np.intersect1d(of_states, of_outcomes, return_indices=True)
         self.steps = both
         for name, values in self.values.items():
             self.values[name] = values[left if name in self.components else right]
+
+
+def first_step(file: ChunkFile, span: Steps) -> int | None:
+    """Return the first of some steps that is in a log; None if none is.
+
+    Raises:
+        LogError: If a message is damaged.
+    """
+    try:
+        for block in file.blocks(file.between(*span.times(file.require_header()))):
+            for topic, _, payload in block:
+                if topic == "/sim/step" and span.start <= _first_uint(payload) <= span.last():
+                    return _first_uint(payload)
+    except wire.WireError as error:
+        raise LogError(f"{file.path}: a message is damaged: {error}") from error
+    return None
 
 
 def _first_uint(payload: memoryview) -> int:

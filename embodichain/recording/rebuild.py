@@ -12,11 +12,11 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.engine.base import EnvIndex
-from embodichain.recording.attachments import load_mjb, model_digest
 from embodichain.recording.chunks import ChunkFile, ChunkPlace, Found
 from embodichain.recording.columns import RowColumns
 from embodichain.recording.header import Header, LogError
 from embodichain.recording.messages import State, WriteRecord, encode_state
+from embodichain.recording.recorded_model import exact_model
 from embodichain.recording.resimulate import Found as Difference
 from embodichain.recording.resimulate import Resimulation
 from embodichain.recording.wire import WireError
@@ -155,13 +155,8 @@ def _model(file: ChunkFile, header: Header) -> mujoco.MjModel:
     if header.mujoco_version != mujoco.__version__:
         need = f"need mujoco=={header.mujoco_version}, this is {mujoco.__version__}"
         raise LogError(f"{where} {need}; keyframes can be read without simulate")
-    data = file.attachment("model.mjb")
-    if model_digest(data) != header.model:
-        raise LogError(f"{where}: model.mjb is not the model that was recorded")
+    mjb = file.attachment("model.mjb")
     try:
-        model = load_mjb(data)
-    except ValueError as error:
-        raise LogError(f"{where}: the model cannot be loaded: {error}") from error
-    if mujoco.mj_stateSize(model, header.state_sig) != header.nstate:
-        raise LogError(f"{where}: the model's state is not that of the rows")
-    return model
+        return exact_model(header, mjb)
+    except LogError as error:
+        raise LogError(f"{where}: {error}") from error

@@ -15,13 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import EnvIndex
-from embodichain.recording.archive import load_mjz
-from embodichain.recording.attachments import load_mjb, model_digest
 from embodichain.recording.header import Header, LogError
 from embodichain.recording.messages import State, StepOutcome
 from embodichain.recording.parts import first_file
 from embodichain.recording.provenance import what_can_be_played, what_differs
 from embodichain.recording.reader import LogReader
+from embodichain.recording.recorded_model import approximate_model, exact_model
 from embodichain.recording.resimulate import ActiveSteps, Found, Resimulation
 from embodichain.recording.summary import LogSummary, summarize
 from embodichain.recording.verify_report import VerifyReport
@@ -127,13 +126,10 @@ def _model(
     mjb = attachments.get("model.mjb")
     if mjb is None:
         return None, False, ["the log has no attachment model.mjb"]
-    if model_digest(mjb) != header.model:
-        return None, False, ["the attachment model.mjb is not the model that was recorded"]
     try:
-        model = load_mjb(mjb)
-    except ValueError as error:
-        return None, False, [f"the attachment model.mjb cannot be loaded: {error}"]
-    return _check_size(header, model, exact=True, problems=[])
+        return exact_model(header, mjb), True, []
+    except LogError as error:
+        return None, False, [str(error)]
 
 
 def _approximate_model(
@@ -147,23 +143,13 @@ def _approximate_model(
     if archive is None:
         return None, False, [problem, "the log has no attachment scene.mjz to fall back to"]
     try:
-        model = load_mjz(archive)
-    except ValueError as error:
-        return None, False, [problem, f"the attachment scene.mjz cannot be loaded: {error}"]
+        model = approximate_model(header, archive)
+    except LogError as error:
+        return None, False, [problem, str(error)]
     problem += "; simulated approximately from scene.mjz (its XML has 6 digits)"
     if header.keyframe_every:
         problem += f" between keyframes, up to {header.keyframe_every} steps at a time"
-    return _check_size(header, model, exact=False, problems=[problem])
-
-
-def _check_size(
-    header: Header, model: mujoco.MjModel, exact: bool, problems: list[str]
-) -> tuple[mujoco.MjModel | None, bool, list[str]]:
-    size = mujoco.mj_stateSize(model, header.state_sig)
-    if size == header.nstate:
-        return model, exact, problems
-    wrong = f"the model has {size} numbers of state, the rows have {header.nstate}"
-    return None, exact, [*problems, wrong]
+    return model, False, [problem]
 
 
 def _everything(n: int) -> ActiveSteps:

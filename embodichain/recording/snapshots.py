@@ -55,9 +55,10 @@ def snapshot(log: Log, env: int, episode: int | None = None, step: int | None = 
     width = len(log.columns["actions"])
     last_action: F64 = np.zeros(width)
     if elapsed:
-        last_action = log.read("actions", env, start=control_step - 1, stop=control_step)[
-            "actions"
-        ].reshape(width)
+        before = log.read("actions", env, start=control_step - 1, stop=control_step)["actions"]
+        if len(before) != 1:
+            raise LogError(f"{log.path} lacks control step {control_step - 1} where its index says")
+        last_action = before.reshape(width)
     if found.first_step == log.header.first_step and not _begins(log, env):
         notes.append("the log begins within this episode: its steps before that are not counted")
     layout = dict(log.header.layout)

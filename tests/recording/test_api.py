@@ -1,9 +1,11 @@
 import builtins
+import struct
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
@@ -344,6 +346,8 @@ def test_opening_reads_no_messages_and_no_torch(record):
         ("control_dt", "1e-30", "a control step takes 1e-30 s"),
         ("num_envs", "2", "3 rows of 42 are not what the metadata says"),
         ("columns", "[]", "3 rows of 42 are not what the metadata says"),
+        ("control_dt", "0.04", "step 1 has another's time"),
+        ("control_dt", "1e-7", "step 1 has another's time"),
     ],
 )
 def test_metadata_that_does_not_fit_is_an_error(record, tmp_path, key, value, message):
@@ -355,7 +359,7 @@ def test_metadata_that_does_not_fit_is_an_error(record, tmp_path, key, value, me
         log.read("qpos")
 
 
-def test_a_write_to_a_component_that_the_metadata_lacks_is_an_error(record, tmp_path):
+def test_metadata_of_another_model_is_an_error(record, tmp_path):
     def forge(name, values):
         if "layout" in values:
             assert "mocap_pos" in values["layout"]
@@ -363,10 +367,39 @@ def test_a_write_to_a_component_that_the_metadata_lacks_is_an_error(record, tmp_
         return values
 
     path = rewrite(record(), tmp_path / "odd.mcap", metadata=forge)
-    message = "damaged: 'mocap_pos' is written, no component of states: .*mocap_pot"
     with recording.open(path) as log:
         for ask in ({}, {"env": 1, "start": 3}):
-            with pytest.raises(LogError, match=message):
+            with pytest.raises(LogError, match="metadata says that 'mocap_pot' is columns 78 to"):
                 log.read(**ask)
-        with pytest.raises(LogError, match=message):
+        written = "damaged: 'mocap_pos' is written, no component of states: .*mocap_pot"
+        with pytest.raises(LogError, match=written):
             list(log.full_messages())
+    report = recording.verify(path)
+    assert not report.ok
+    assert "'mocap_pot' is columns" in report.problems[0]
+
+
+def test_a_chunk_that_comes_again_is_an_error(many_chunks, tmp_path):
+    data, at, chunks = many_chunks().read_bytes(), 8, []
+    while at < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        if opcode == Opcode.CHUNK:
+            chunks.append(slice(at, at + 9 + length))
+        at += 9 + length
+    path = tmp_path / "twice.mcap"
+    first, last = chunks[1], chunks[-1]
+    path.write_bytes(data[: last.start] + data[first] + data[last.start :])
+    with recording.open(path) as log:
+        for ask in (log.read, lambda: list(log.parts(steps=1000)), lambda: log.snapshot(0)):
+            with pytest.raises(LogError, match="a chunk was moved: step .* follows step"):
+                ask()
+
+
+def test_parts_go_on_behind_gaps(record):
+    options = RecordOptions(every=2)
+    with recording.open(record(steps=60, options=options)) as log:
+        whole = log.read()
+        assert np.diff(whole.steps).max() > 5
+        parts = list(log.parts(steps=2))
+    assert np.concatenate([p.steps for p in parts]).tolist() == whole.steps.tolist()
+    assert np.array_equal(np.concatenate([p["qpos"] for p in parts]), whole["qpos"])

@@ -15,6 +15,7 @@ import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.recording import McapRecorder, RecordOptions, diff, inspect, verify
 from embodichain.recording.attachments import load_mjb
+from embodichain.recording.export import FORMATS, Part, export
 from embodichain.recording.header import LogError
 from embodichain.recording.recover import recover
 from embodichain.utils.errors import ConfigError
@@ -85,6 +86,8 @@ def test_a_range_of_steps_in_a_later_file(rolled):
 def test_every_file_stands_alone(rolled, tmp_path):
     manifest = json.loads((rolled / "rollout.manifest.json").read_text())
     assert manifest["complete"]
+    with recording.open(rolled) as log:
+        whole = log.read()
     at = 0
     for entry in manifest["files"]:
         path = Path(shutil.copy(rolled / entry["name"], tmp_path))
@@ -98,7 +101,13 @@ def test_every_file_stands_alone(rolled, tmp_path):
         assert report.steps == entry["steps"]
         assert f"from step {entry['first_step']} on" in report.notes[0]
         with recording.open(path) as log:
-            assert log.read("qpos").steps.tolist() == list(range(entry["first_step"], at))
+            data = log.read()
+            assert data.steps.tolist() == list(range(entry["first_step"], at))
+            for field in whole:
+                assert np.array_equal(data[field], whole[field][data.steps]), field
+                assert data.names(field) == whole.names(field) or not len(data)
+            for env in range(3 if len(data) else 0):
+                assert len(log.snapshot(env, step=at - 1).row) == log.header.nstate
             assert log.config == {"seed": 0}
             assert load_mjb(log.attachment("model.mjb")).nq == MODEL.nq
             assert log.complete and log.warnings == report.notes
@@ -336,6 +345,26 @@ def test_export_takes_all_files(rolled, tmp_path):
     out = tmp_path / "log.npz"
     assert main(["export", str(rolled), "--format", "npz", "-o", str(out)]) == 0
     assert len(np.load(out)["steps"]) == 100
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_export_takes_a_later_file_by_itself(rolled, tmp_path, format):
+    path = Path(shutil.copy(rolled / "rollout_0001.mcap", tmp_path))
+    with recording.open(path) as log, recording.open(rolled) as whole:
+        steps = log.read("rewards").steps
+        part = Part(start=int(steps[0]), stop=int(steps[-1]) + 1)
+        mine = export(log, format, tmp_path / f"mine{FORMATS[format].suffix}")
+        theirs = export(whole, format, tmp_path / f"theirs{FORMATS[format].suffix}", part)
+    if format == "csv":
+        assert mine.read_text() == theirs.read_text()
+    elif format == "npz":
+        with np.load(mine) as found, np.load(theirs) as expected:
+            assert np.array_equal(found["actions"], expected["actions"])
+    else:
+        of_files = [p for p in theirs.rglob("*") if p.is_file()] or [theirs]
+        for file in of_files:
+            other = mine / file.relative_to(theirs)
+            assert other.stat().st_size == pytest.approx(file.stat().st_size, rel=0.2)
 
 
 def test_a_run_rolls(tmp_path, monkeypatch, capfd):

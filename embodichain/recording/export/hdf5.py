@@ -54,10 +54,19 @@ def write(log: Log, part: Part, path: Path) -> None:
 
 
 def _read(log: Log, episode: LogEpisode, part: Part) -> LogArrays:
+    """What is written of an episode.
+
+    Raises:
+        LogError: If that is nothing: of a log with keyframes, which is not simulated.
+    """
     fields = {*_OBS, *_STATE, "actions", "rewards", "terminated", "truncated"}
     names = [name for name in log.columns if name in fields]
     steps = part.steps_of(episode)
-    return log.read(names, episode.env, None, steps.start, steps.stop)
+    data = log.read(names, episode.env, None, steps.start, steps.stop)
+    if not len(data):
+        whose = f"episode {episode.episode} of environment {episode.env}"
+        raise LogError(f"{log.path} has no state of {whose}")
+    return data
 
 
 def _fill(demo: Any, log: Log, data: LogArrays, episode: LogEpisode, model: str) -> None:

@@ -1,0 +1,63 @@
+"""The model that a log was recorded with, from its attachments, if the log's rows fit it.
+
+What is left to do across versions of MuJoCo is decided where a log is read or verified.
+"""
+
+from __future__ import annotations
+
+import mujoco
+
+from embodichain.lab.sim.engine.layout import row_layout
+from embodichain.recording.archive import load_mjz
+from embodichain.recording.attachments import load_mjb, model_digest
+from embodichain.recording.header import Header, LogError
+
+__all__ = ["approximate_model", "exact_model"]
+
+
+def exact_model(header: Header, mjb: bytes) -> mujoco.MjModel:
+    """The recorded model, to the bit: for the same version of MuJoCo.
+
+    Args:
+        header: The log's metadata.
+        mjb: Its attachment model.mjb.
+
+    Raises:
+        LogError: It is another model, or this MuJoCo does not read it.
+    """
+    if model_digest(mjb) != header.model:
+        raise LogError("the attachment model.mjb is not the model that was recorded")
+    try:
+        model = load_mjb(mjb)
+    except ValueError as error:
+        raise LogError(f"the attachment model.mjb cannot be loaded: {error}") from error
+    return _fitting(header, model)
+
+
+def approximate_model(header: Header, mjz: bytes) -> mujoco.MjModel:
+    """The model compiled from the scene's XML, which has six digits: for another version.
+
+    Args:
+        header: The log's metadata.
+        mjz: Its attachment scene.mjz.
+
+    Raises:
+        LogError: It cannot be compiled, or its state has other sizes.
+    """
+    try:
+        model = load_mjz(mjz)
+    except ValueError as error:
+        raise LogError(f"the attachment scene.mjz cannot be loaded: {error}") from error
+    return _fitting(header, model)
+
+
+def _fitting(header: Header, model: mujoco.MjModel) -> mujoco.MjModel:
+    size = mujoco.mj_stateSize(model, header.state_sig)
+    if size != header.nstate:
+        raise LogError(f"the model has {size} numbers of state, the rows have {header.nstate}")
+    here = row_layout(model)
+    for name, columns in header.slices().items():
+        if name not in here or here[name] != columns:
+            there = f"columns {columns.start} to {columns.stop} of rows"
+            raise LogError(f"the metadata says that {name!r} is {there}, the model does not")
+    return model
