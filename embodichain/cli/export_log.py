@@ -8,6 +8,7 @@ from pathlib import Path
 from embodichain.cli import exits
 from embodichain.cli.arguments import VerbParser, add_common, print_json
 from embodichain.cli.log_files import log_of
+from embodichain.cli.logs import warnings_on_stderr
 from embodichain.cli.verbs import VERBS
 from embodichain.utils.errors import ConfigError
 
@@ -37,7 +38,7 @@ def main(arguments: list[str]) -> int:
     if options.episode is not None and options.env is None:
         raise ConfigError("--episode needs --env: episodes are counted in each environment")
     part = Part(options.env, options.episode, options.start, options.stop)
-    with Log(log_of(options.file), simulate=True) as log:
+    with warnings_on_stderr(), Log(log_of(options.file), simulate=True) as log:
         path = export(log, options.format, options.output, part)
         for warning in log.warnings:
             sys.stderr.write(f"warning: {log.path}: {warning}\n")

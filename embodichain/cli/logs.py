@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-__all__ = ["log_to"]
+__all__ = ["log_to", "warnings_on_stderr"]
 
 _FORMAT = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
 
@@ -27,18 +27,14 @@ def log_to(path: Path) -> Iterator[logging.Logger]:
     level = root.level
     file = _File(path, encoding="utf-8")
     file.setFormatter(logging.Formatter(_FORMAT))
-    screen = logging.StreamHandler()
-    screen.setLevel(logging.WARNING)
-    screen.addFilter(_is_ours)
-    screen.setFormatter(_OneLine())
     show = warnings.showwarning
     logging.captureWarnings(True)
     root.addHandler(file)
-    root.addHandler(screen)
     root.setLevel(logging.INFO)
     log = logging.getLogger("embodichain.run")
     try:
-        yield log
+        with warnings_on_stderr():
+            yield log
     except BaseException as error:
         # To the file only: the report on the terminal is one line and comes later.
         record = log.makeRecord(
@@ -51,9 +47,22 @@ def log_to(path: Path) -> Iterator[logging.Logger]:
         logging.captureWarnings(False)
         warnings.showwarning = show
         root.setLevel(level)
-        root.removeHandler(screen)
         root.removeHandler(file)
         file.close()
+
+
+@contextmanager
+def warnings_on_stderr() -> Iterator[None]:
+    """Show warnings of our own loggers on stderr, a line each."""
+    screen = logging.StreamHandler()
+    screen.setLevel(logging.WARNING)
+    screen.addFilter(_is_ours)
+    screen.setFormatter(_OneLine())
+    logging.getLogger().addHandler(screen)
+    try:
+        yield
+    finally:
+        logging.getLogger().removeHandler(screen)
 
 
 class _File(logging.FileHandler):

@@ -235,8 +235,7 @@ class Log:
             ConfigError: If a field, environment or episode does not exist.
             LogError: If the log has no states, or says what cannot be.
         """
-        if self.header.state == "none":
-            raise LogError(f"{self.path} has no states: it was recorded with record.state=none")
+        self.header.require_states(self.path)
         names = self._fields(fields)
         span = Steps(start, stop)
         if episode is not None:

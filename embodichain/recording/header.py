@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import mujoco
@@ -161,6 +162,18 @@ class Header:
             wrong.append("keyframe_every")
         if wrong:
             raise ValueError(f"impossible values of {', '.join(dict.fromkeys(wrong))}")
+
+    def require_states(self, path: Path) -> None:
+        """Refuse a log without states.
+
+        Args:
+            path: The log, for the message.
+
+        Raises:
+            LogError: It is one.
+        """
+        if self.state == "none":
+            raise LogError(f"{path} has no states: it was recorded with record.state=none")
 
     @property
     def period_ns(self) -> int:

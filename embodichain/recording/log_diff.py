@@ -107,8 +107,7 @@ def diff(a: str | Path, b: str | Path) -> DiffReport:
     """
     with Log(a) as first, Log(b) as second:
         for log in (first, second):
-            if log.header.state == "none":
-                raise LogError(f"{log.path} has no states: it was recorded with record.state=none")
+            log.header.require_states(log.path)
         steps, difference = 0, _of_headers(first, second)
         if difference is None:
             try:

@@ -95,8 +95,7 @@ class Playback:
         if not 0 <= env < log.num_envs:
             there = f"there are 0 to {log.num_envs - 1}"
             raise ConfigError(f"no environment {env} in the log: {there}")
-        if log.header.state == "none":
-            raise LogError(f"{log.path} has no states: it was recorded with record.state=none")
+        log.header.require_states(log.path)
         self.log = log
         self.env = env
         self.engine = CpuEngine(log.model, 1, num_threads=1)

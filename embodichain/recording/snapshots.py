@@ -45,8 +45,7 @@ def snapshot(log: Log, env: int, episode: int | None = None, step: int | None = 
         ConfigError: If there is no such moment in the log.
         LogError: If the log has no states, or is damaged there.
     """
-    if log.header.state == "none":
-        raise LogError(f"{log.path} has no states: it was recorded with record.state=none")
+    log.header.require_states(log.path)
     found, control_step = _moment(log, env, episode, step)
     elapsed = control_step - found.first_step
     origin = f"{log.path}, environment {env}, episode {found.episode}, step {elapsed}"

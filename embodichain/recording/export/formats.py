@@ -91,6 +91,7 @@ def export(
     Raises:
         ConfigError: If the format is unknown or needs a package that is missing, the part does not
             exist, or the file does.
+        LogError: If the log has no states, or is damaged.
         OSError: If the file cannot be written.
     """
     if format not in FORMATS:
@@ -103,6 +104,7 @@ def export(
         name = f"{name}_{format}"
     path = Path(output) if output else log.path.with_name(name + chosen.suffix)
     part = part or Part()
+    log.header.require_states(log.path)
     _require_steps(log, part)
     module = importlib.import_module(f"embodichain.recording.export.{chosen.module}")
     write: Callable[[Log, Part, Path], None] = module.write

@@ -17,10 +17,10 @@ import numpy as np
 from embodichain.recording.api import Log
 from embodichain.recording.arrays import LogArrays
 from embodichain.recording.episodes import LogEpisode
+from embodichain.recording.export.demonstrations import demonstrations
 from embodichain.recording.export.formats import Part, required
 from embodichain.recording.export.table import about
 from embodichain.recording.header import LogError
-from embodichain.utils.errors import ConfigError
 
 __all__ = ["write"]
 
@@ -36,14 +36,12 @@ def write(log: Log, part: Part, path: Path) -> None:
         ConfigError: If h5py is not installed, or no episode is meant.
     """
     h5py: Any = required("h5py", "hdf5")
-    episodes = [e for e in log.episodes if part.steps_of(e)]
-    if not episodes:
-        raise ConfigError("no episode lies in what was asked for")
+    episodes = demonstrations(log, part)
     model = _model_xml(log)
     with h5py.File(path, "x") as file:
         root = file.create_group("data")
-        for number, episode in enumerate(episodes):
-            data = _read(log, episode, part)
+        for number, (episode, steps) in enumerate(episodes):
+            data = _read(log, episode, steps)
             _fill(root.create_group(f"demo_{number}"), log, data, episode, model)
         root.attrs["total"] = sum(int(demo.attrs["num_samples"]) for demo in root.values())
         root.attrs["env_args"] = json.dumps(
@@ -53,7 +51,7 @@ def write(log: Log, part: Part, path: Path) -> None:
             root.attrs[name] = value
 
 
-def _read(log: Log, episode: LogEpisode, part: Part) -> LogArrays:
+def _read(log: Log, episode: LogEpisode, steps: range) -> LogArrays:
     """What is written of an episode.
 
     Raises:
@@ -61,7 +59,6 @@ def _read(log: Log, episode: LogEpisode, part: Part) -> LogArrays:
     """
     fields = {*_OBS, *_STATE, "actions", "rewards", "terminated", "truncated"}
     names = [name for name in log.columns if name in fields]
-    steps = part.steps_of(episode)
     data = log.read(names, episode.env, None, steps.start, steps.stop)
     if not len(data):
         whose = f"episode {episode.episode} of environment {episode.env}"

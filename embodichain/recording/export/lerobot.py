@@ -14,6 +14,7 @@ import numpy as np
 
 from embodichain.recording.api import Log
 from embodichain.recording.episodes import LogEpisode
+from embodichain.recording.export.demonstrations import demonstrations
 from embodichain.recording.export.formats import Part, required
 from embodichain.recording.export.lerobot_features import Columns, Feature, features_of
 from embodichain.recording.export.lerobot_files import Frames, write_info, write_meta
@@ -43,9 +44,7 @@ def write(log: Log, part: Part, path: Path) -> None:
         raise ConfigError(
             f"LeRobot wants a whole number of frames a second; control steps make {1 / log.dt:g}"
         )
-    chosen = [(episode, steps) for episode in log.episodes if (steps := part.steps_of(episode))]
-    if not chosen:
-        raise ConfigError("no episode lies in what was asked for")
+    chosen = demonstrations(log, part)
     features = features_of(log)
     videos = Videos(log, path, fps)
     path.mkdir()

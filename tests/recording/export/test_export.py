@@ -14,6 +14,7 @@ from rosbags.highlevel import AnyReader
 
 import embodichain.recording as recording
 from embodichain.cli.dispatch import main
+from embodichain.recording import RecordOptions
 from embodichain.recording.export import FORMATS, Part, export
 from embodichain.recording.export.urdf import urdf
 from embodichain.utils.errors import ConfigError
@@ -212,6 +213,42 @@ def test_a_log_without_episodes_is_refused(record, tmp_path, format):
     ):
         export(empty, format, tmp_path / "none")
     assert not list(tmp_path.glob("*none*"))
+
+
+@pytest.mark.parametrize("format", ["hdf5", "lerobot"])
+def test_demonstrations_have_no_gaps(record, tmp_path, capsys, format):
+    """Every third episode of environment 0 is recorded, and what the others do meanwhile."""
+    path, out = record(steps=60, options=RecordOptions(every=3)), tmp_path / "out"
+    with recording.open(path) as log:
+        there = set(log.read("rewards").steps.tolist())
+        steps = {(e.env, e.episode): range(e.first_step, e.last_step + 1) for e in log.episodes}
+    whole = [key for key, mine in steps.items() if there.issuperset(mine)]
+    assert {(0, 0), (0, 3), (0, 6)} <= set(whole) < set(steps)
+    assert main(["export", str(path), "--format", format, "-o", str(out)]) == 0
+    said = f"warning: {len(steps) - len(whole)} of {len(steps)} episodes are left out: record.every"
+    assert said in capsys.readouterr().err
+    if format == "hdf5":
+        with h5py.File(out) as file:
+            demos = [file[f"data/demo_{i}"].attrs for i in range(len(file["data"]))]
+            found = [(a["env"], a["episode"], a["num_samples"]) for a in demos]
+    else:
+        rows = pq.read_table(out / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+        found = [(r["source/env"], r["source/episode"], r["length"]) for r in rows]
+    assert found == [(*key, len(steps[key])) for key in whole]
+    asked = ["--env", "0", "--episode", "1", "-o", str(tmp_path / "none")]
+    assert main(["export", str(path), "--format", format, *asked]) == 2
+    assert "none of 1 episodes is whole: record.every=3" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_log_without_states_is_refused(record, tmp_path, capsys, format):
+    path, out = record(options=RecordOptions(state="none")), tmp_path / "out"
+    assert main(["export", str(path), "--format", format, "-o", str(out)]) == 2
+    assert capsys.readouterr().err == (
+        f"error: {path} has no states: it was recorded with record.state=none\n"
+    )
+    assert not out.exists()
 
 
 @pytest.mark.parametrize("format", FORMATS)
