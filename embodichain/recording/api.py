@@ -252,6 +252,8 @@ class Log:
         steps: int = 1000,
     ) -> Iterator[LogArrays]:
         """What `read` gives, `steps` control steps at a time: for what does not fit into memory."""
+        if steps < 1:
+            raise ConfigError(f"parts of {steps} control steps: give 1 or more")
         names = self._fields(fields)
         if episode is not None:
             whole = self._span_of(env, episode, Steps(start, stop))

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.engine.base import F64
 from embodichain.recording import wire
 from embodichain.recording.api import Log
 from embodichain.recording.columns import spread
@@ -151,7 +152,7 @@ def _of_messages(a: Log, b: Log) -> tuple[int, LogDifference | None]:
         if left is None or right is None:
             return steps, _ended(steps, left, right)
         if left != right:
-            found = _compare(a, left, right)
+            found = _compare(a, b, left, right)
             if found is not None:
                 return steps, found
         steps += left[0] == "/sim/step"
@@ -179,7 +180,7 @@ def _named(topic: str, payload: memoryview) -> str:
 
 
 def _compare(
-    log: Log, left: tuple[str, memoryview], right: tuple[str, memoryview]
+    log: Log, other: Log, left: tuple[str, memoryview], right: tuple[str, memoryview]
 ) -> LogDifference | None:
     """What differs in two messages; None if only how it is written."""
     a: Any = _TOPICS[left[0]].decode(left[1])  # type: ignore[attr-defined]
@@ -189,7 +190,7 @@ def _compare(
     if left[0] != right[0] or names[0] != names[1] or a.step != b.step:
         return LogDifference(step, None, "what happened", "", *names)
     if isinstance(a, State):
-        return _states(log, a, b)
+        return _states(log, other, a, b)
     if isinstance(a, StepOutcome):
         return _steps(a, b)
     if isinstance(a, WriteRecord):
@@ -197,26 +198,31 @@ def _compare(
     return _events(log, a, b, names[0])
 
 
-def _states(log: Log, a: State, b: State) -> LogDifference | None:
+def _states(log: Log, other: Log, a: State, b: State) -> LogDifference | None:
     if a.nstep != b.nstep:
         return LogDifference(a.step, None, "physics steps", "", a.nstep, b.nstep)
     chosen = _environments(a, b, "state")
     if isinstance(chosen, LogDifference):
         return chosen
-    header = log.header
-    left, right = (spread(header.columns, m.rows, header.nstate) for m in (a, b))
+    left, right = _whole(log, a), _whole(other, b)
     at = _first(left, right)
     if at is None:
         return None
     row, column = at
-    for name, columns in state_columns(log.model, header.layout).items():
-        start, stop = header.layout[name]
+    for name, columns in state_columns(log.model, log.header.layout).items():
+        start, stop = log.header.layout[name]
         if start <= column < stop:
             env = row if chosen is None else int(chosen[row])
             named = columns[column - start].name
             values = float(left[row, column]), float(right[row, column])
             return LogDifference(a.step, env, name, named, *values)
     raise LogError(f"{log.path}: column {column} belongs to no component")
+
+
+def _whole(log: Log, state: State) -> F64:
+    """(n, nstate) rows; which columns are left out, each log says for itself."""
+    header, rows = log.header, state.rows
+    return spread(header.ranges_of(rows.shape[1]), rows, header.nstate)
 
 
 def _steps(a: StepOutcome, b: StepOutcome) -> LogDifference | None:

@@ -395,6 +395,11 @@ def test_a_chunk_that_comes_again_is_an_error(many_chunks, tmp_path):
                 ask()
 
 
+def test_parts_have_steps(record):
+    with recording.open(record()) as log, pytest.raises(ConfigError, match="parts of 0 control"):
+        next(log.parts(steps=0))
+
+
 def test_parts_go_on_behind_gaps(record):
     options = RecordOptions(every=2)
     with recording.open(record(steps=60, options=options)) as log:

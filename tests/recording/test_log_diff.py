@@ -5,6 +5,7 @@ import pytest
 
 from embodichain.cli.dispatch import main
 from embodichain.recording import RecordOptions, diff
+from embodichain.recording.header import LogError
 from embodichain.recording.schemas import message_class
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
@@ -137,3 +138,13 @@ def test_a_log_without_states_cannot_be_compared(record):
     a = record("a.mcap", options=RecordOptions(state="none"))
     with pytest.raises(ConfigError, match="record.state=none"):
         diff(a, a)
+
+
+def test_a_log_that_claims_to_have_all_states_is_refused(record, tmp_path):
+    path = record(options=RecordOptions("keyframes", keyframe_every=5))
+
+    def forge(name, values):
+        return values | ({"state": "all", "keyframe_every": "0"} if "state" in values else {})
+
+    with pytest.raises(LogError, match="a message is damaged: rows have 0 columns"):
+        diff(path, rewrite(path, tmp_path / "forged.mcap", metadata=forge))
