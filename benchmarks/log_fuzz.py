@@ -49,6 +49,7 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=0, help="of the first file")
     parser.add_argument("--verify-every", type=int, default=1, help="verify and recover each k-th")
+    parser.add_argument("--state", choices=("all", "keyframes"), default="all")
     parser.add_argument("--base", type=Path, help="a log to mutate; else a small one is recorded")
     parser.add_argument("--out", type=Path, help="write the figures as JSON")
     parser.add_argument("--worker", action="store_true", help=argparse.SUPPRESS)
@@ -57,7 +58,7 @@ def main() -> int:
         work(options.base, options.seed, options.count, options.verify_every)
         return 0
     with tempfile.TemporaryDirectory() as folder:
-        base = options.base or record(Path(folder) / "base.mcap")
+        base = options.base or record(Path(folder) / "base.mcap", options.state)
         found = run(base, options.seed, options.count, options.verify_every)
     print(report(found))
     if options.out:
@@ -65,14 +66,15 @@ def main() -> int:
     return 0 if not found["bad"] and found["memory_mb"] < MEMORY / 1e6 else 1
 
 
-def record(path: Path) -> Path:
+def record(path: Path, state: str = "all") -> Path:
     """A small log with everything that logs have."""
     sys.path.insert(0, str(ROOT))
-    from embodichain.recording import McapRecorder
+    from embodichain.recording import McapRecorder, RecordOptions
     from tests.recording.scene import SmallEnv
 
     env: Any = SmallEnv(num_envs=2, settle=2, push=True)
-    recorder = McapRecorder(path, env, "seed: 0\n", ["seed=0"], task="small")
+    how = RecordOptions(state, keyframe_every=5)
+    recorder = McapRecorder(path, env, "seed: 0\n", ["seed=0"], how, "small")
     env.add_observer(recorder)
     env.reset()
     for step in range(12):
