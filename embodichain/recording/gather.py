@@ -318,10 +318,13 @@ class Gatherer:
         return end
 
     def _in_order(self, steps: NDArray[np.int64]) -> NDArray[np.int64]:
-        back = np.flatnonzero(np.diff(steps) <= 0)
-        if len(back):
-            one, other = steps[back[0] : back[0] + 2].tolist()
-            raise LogError(f"{self.file.path}: a chunk was moved: step {other} follows step {one}")
+        """The steps; with gaps only where `record.every` makes them."""
+        ahead = np.diff(steps)
+        wrong = np.flatnonzero(ahead < 1 if self._header.every > 1 else ahead != 1)
+        if len(wrong):
+            one, other = steps[wrong[0] : wrong[0] + 2].tolist()
+            why = "is missing" if other > one else "was moved"
+            raise LogError(f"{self.file.path}: a chunk {why}: step {other} follows step {one}")
         return steps
 
     def _trim(self, of_states: NDArray[np.int64], of_outcomes: NDArray[np.int64]) -> None:

@@ -379,19 +379,22 @@ def test_metadata_of_another_model_is_an_error(record, tmp_path):
     assert "'mocap_pot' is columns" in report.problems[0]
 
 
-def test_a_chunk_that_comes_again_is_an_error(many_chunks, tmp_path):
+@pytest.mark.parametrize("what", ["moved", "missing"])
+def test_a_chunk_that_comes_again_or_not_at_all_is_an_error(many_chunks, tmp_path, what):
     data, at, chunks = many_chunks().read_bytes(), 8, []
     while at < len(data) - 8:
         opcode, length = struct.unpack_from("<BQ", data, at)
         if opcode == Opcode.CHUNK:
             chunks.append(slice(at, at + 9 + length))
         at += 9 + length
-    path = tmp_path / "twice.mcap"
-    first, last = chunks[1], chunks[-1]
-    path.write_bytes(data[: last.start] + data[first] + data[last.start :])
+    path, one, last = tmp_path / "changed.mcap", chunks[5], chunks[-1]
+    if what == "moved":
+        path.write_bytes(data[: last.start] + data[one] + data[last.start :])
+    else:
+        path.write_bytes(data[: one.start] + data[one.stop :])
     with recording.open(path) as log:
         for ask in (log.read, lambda: list(log.parts(steps=1000)), lambda: log.snapshot(0)):
-            with pytest.raises(LogError, match="a chunk was moved: step .* follows step"):
+            with pytest.raises(LogError, match=f"a chunk (is|was) {what}: step .* follows step"):
                 ask()
 
 
