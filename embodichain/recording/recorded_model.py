@@ -12,7 +12,10 @@ from embodichain.recording.archive import load_mjz
 from embodichain.recording.attachments import load_mjb, model_digest
 from embodichain.recording.header import Header, LogError
 
-__all__ = ["approximate_model", "exact_model"]
+__all__ = ["approximate_model", "check_rows", "exact_model"]
+
+_SHOWN = {"qpos", "qvel", "mocap_pos", "mocap_quat", "ctrl"}
+"""Components that are drawn, exported or named by the model."""
 
 
 def exact_model(header: Header, mjb: bytes) -> mujoco.MjModel:
@@ -31,7 +34,8 @@ def exact_model(header: Header, mjb: bytes) -> mujoco.MjModel:
         model = load_mjb(mjb)
     except ValueError as error:
         raise LogError(f"the attachment model.mjb cannot be loaded: {error}") from error
-    return _fitting(header, model)
+    check_rows(header, model)
+    return model
 
 
 def approximate_model(header: Header, mjz: bytes) -> mujoco.MjModel:
@@ -42,16 +46,27 @@ def approximate_model(header: Header, mjz: bytes) -> mujoco.MjModel:
         mjz: Its attachment scene.mjz.
 
     Raises:
-        LogError: It cannot be compiled, or its state has other sizes.
+        LogError: It cannot be compiled, or a component of its state has another size. What only
+            one of the versions has makes no difference to what is read; `check_rows` minds it.
     """
     try:
         model = load_mjz(mjz)
     except ValueError as error:
         raise LogError(f"the attachment scene.mjz cannot be loaded: {error}") from error
-    return _fitting(header, model)
+    here, there = row_layout(model), header.slices()
+    for name in here.keys() & there.keys() & _SHOWN:
+        mine, recorded = (s.stop - s.start for s in (here[name], there[name]))
+        if mine != recorded:
+            raise LogError(f"rows have {recorded} numbers of {name!r}, the model has {mine}")
+    return model
 
 
-def _fitting(header: Header, model: mujoco.MjModel) -> mujoco.MjModel:
+def check_rows(header: Header, model: mujoco.MjModel) -> None:
+    """Check that a log's rows are those of a model's state, column by column.
+
+    Raises:
+        LogError: They are not.
+    """
     size = mujoco.mj_stateSize(model, header.state_sig)
     if size != header.nstate:
         raise LogError(f"the model has {size} numbers of state, the rows have {header.nstate}")
@@ -60,4 +75,3 @@ def _fitting(header: Header, model: mujoco.MjModel) -> mujoco.MjModel:
         if name not in here or here[name] != columns:
             there = f"columns {columns.start} to {columns.stop} of rows"
             raise LogError(f"the metadata says that {name!r} is {there}, the model does not")
-    return model

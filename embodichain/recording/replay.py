@@ -20,7 +20,7 @@ from embodichain.recording.messages import State, StepOutcome
 from embodichain.recording.parts import first_file
 from embodichain.recording.provenance import what_can_be_played, what_differs
 from embodichain.recording.reader import LogReader
-from embodichain.recording.recorded_model import approximate_model, exact_model
+from embodichain.recording.recorded_model import approximate_model, check_rows, exact_model
 from embodichain.recording.resimulate import ActiveSteps, Found, Resimulation
 from embodichain.recording.summary import LogSummary, summarize
 from embodichain.recording.verify_report import VerifyReport
@@ -144,6 +144,7 @@ def _approximate_model(
         return None, False, [problem, "the log has no attachment scene.mjz to fall back to"]
     try:
         model = approximate_model(header, archive)
+        check_rows(header, model)
     except LogError as error:
         return None, False, [problem, str(error)]
     problem += "; simulated approximately from scene.mjz (its XML has 6 digits)"

@@ -1,4 +1,5 @@
 import builtins
+import json
 import struct
 import subprocess
 import sys
@@ -377,6 +378,25 @@ def test_metadata_of_another_model_is_an_error(record, tmp_path):
     report = recording.verify(path)
     assert not report.ok
     assert "'mocap_pot' is columns" in report.problems[0]
+
+
+def test_a_component_that_another_mujoco_has_does_not_hinder_reading(record, tmp_path):
+    def forge(name, values):
+        if "layout" not in values:
+            return values
+        nstate, layout = int(values["nstate"]), json.loads(values["layout"])
+        layout["userdata"] = [nstate, nstate + 3]
+        more = {"nstate": str(nstate + 3), "layout": json.dumps(layout)}
+        return {**values, **more, "mujoco_version": "4.9.9"}
+
+    path = record()
+    with recording.open(path) as log:
+        whole = log.read(["qpos", "ctrl"])
+    other = rewrite(path, tmp_path / "other.mcap", metadata=forge)
+    with recording.open(other) as log:
+        assert np.array_equal(log.read("qpos")["qpos"], whole["qpos"])
+        assert log.columns["ctrl"] == whole.columns["ctrl"]
+    assert "numbers of state, the rows have" in recording.verify(other).problems[-1]
 
 
 @pytest.mark.parametrize("what", ["moved", "missing"])

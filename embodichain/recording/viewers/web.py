@@ -124,7 +124,7 @@ class WebView(StepObserver):
             return None
         info = step.info
         weights = env.reward_manager.weights
-        rewards = {n: v * weights[n] for n, v in _row(info["rewards"], i).items()}
+        rewards = {n: v * weights.get(n, 1.0) for n, v in _row(info["rewards"], i).items()}
         sums = _row(info["episode_sums"], i)
         lines = (
             ("episode", str(int(step.episode_ids[i]))),
