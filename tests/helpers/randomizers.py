@@ -65,13 +65,15 @@ def ratio(name: str, pick: Callable[[Any], Sequence[int]]) -> Callable[[Any], np
     return read
 
 
-def absolute(name: str, pick: Callable[[Any], Sequence[int]], less: bool = False) -> Any:
-    """Columns of a field, or their difference to the compiled ones."""
+def absolute(
+    name: str, pick: Callable[[Any], Sequence[int]], less: bool = False, sign: float = 1.0
+) -> Any:
+    """Columns of a field times `sign`, or their difference to the compiled ones."""
 
     def read(env: Any) -> np.ndarray:
         columns = np.asarray(pick(env))
         engine = env.sim.engine
-        found = engine.model_field(name)[:, columns].astype(float)
+        found = sign * engine.model_field(name)[:, columns].astype(float)
         return found - default(engine.model, name)[columns] if less else found
 
     return read
@@ -153,14 +155,14 @@ CASES = [
     Case("randomize_actuator_gains", "stiffness_range", 0.8, 1.2,
          ratio("actuator_gainprm", drives(10)), {**ARM, **SCALE}),
     Case("randomize_actuator_gains", "damping_range", 800.0, 1200.0,
-         absolute("dof_damping", dofs), ARM, id="damping of drives"),
+         absolute("actuator_biasprm", drives(10, 2), sign=-1), ARM, id="damping of drives"),
     Case("randomize_effort_limits", "effort_limit_range", 50.0, 150.0,
          absolute("actuator_forcerange", drives(2, 1)), ARM),
     Case("randomize_joint_parameters", "friction_range", 0.5, 2.0,
          absolute("dof_frictionloss", dofs), ARM, neutral_params=SCALE),
     Case("randomize_joint_parameters", "armature_range", 0.05, 0.1,
          absolute("dof_armature", dofs), ARM, id="armature"),
-    Case("randomize_joint_parameters", "damping_range", -100.0, 100.0,
+    Case("randomize_joint_parameters", "damping_range", 1.0, 100.0,
          absolute("dof_damping", dofs, less=True), {**ARM, **ADD},
          neutral=0.0, neutral_params=NOTHING, distributions=PLAIN, id="damping of joints"),
     Case("randomize_joint_parameters", "lower_limit_range", 0.0, 0.2,

@@ -208,16 +208,19 @@ class JointDrivePropertiesCfg:
     stiffness: PerJoint = 1e4
     """N m/rad or N/m."""
     damping: PerJoint = 1e3
-    """N m s/rad or N s/m; also the joint's own implicit damping."""
+    """N m s/rad or N s/m, inside the drive; the joint's own damping is the file's."""
     max_effort: PerJoint | Literal["file"] = 1e10
-    """N m or N, positive. "file" takes the limits of the URDF or MJCF; 1e9 and more is no limit."""
-    max_velocity: PerJoint = 1e10
-    """No effect on the motion (MuJoCo has no velocity limit); read back as given."""
+    """N m or N, positive: bounds spring and damper together. "file" takes the limits of the URDF or
+    MJCF; 1e9 and more is no limit."""
+    max_velocity: PerJoint | Literal["file"] | None = None
+    """rad/s or m/s, positive: how fast actions move position targets, and the bound of velocity
+    actions. "file" takes the limits of the URDF. The joint itself is not clamped."""
     friction: PerJoint = 0.0
     """Dry friction loss, N m or N; 0 keeps the file's, a map with 0 clears it."""
     # ours
     armature: PerJoint | None = dataclasses.field(default=None, kw_only=True)
-    """Reflected rotor inertia, kg m^2; None keeps the file's."""
+    """Reflected rotor inertia, kg m^2 or kg. None keeps the file's and adds the least that keeps a
+    limited drive from chattering at the time step, which is said."""
 
 
 @configclass

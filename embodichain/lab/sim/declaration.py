@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from embodichain.lab.sim.cfg import (
@@ -13,6 +14,7 @@ from embodichain.lab.sim.cfg import (
     name_of,
 )
 from embodichain.lab.sim.compiler import ParsedArticulation, parse_articulation
+from embodichain.lab.sim.compiler.chatter import DriveChange, physics_step
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.rigid_object import RigidObject
@@ -50,6 +52,8 @@ class Declaration:
         self.rigid_objects: dict[str, RigidObject] = {}
         self.lights: dict[str, LightCfg] = {}
         self.sensors: dict[str, BaseSensor] = {}
+        self.drive_changes: Mapping[str, Sequence[DriveChange]] = {}
+        """What events may draw for the drives and links of articulations that are added, by uid."""
 
     @property
     def compiled(self) -> bool:
@@ -75,6 +79,10 @@ class Declaration:
             raise ConfigError([Problem("num_envs", f"must be at least 1, got {self.num_envs}")])
         return uid
 
+    def _parse(self, uid: str, cfg: ArticulationCfg) -> ParsedArticulation:
+        step = physics_step(self.sim_config)
+        return parse_articulation(uid, cfg, step, self.drive_changes.get(uid, ()))
+
     def add_robot(self, cfg: RobotCfg) -> Robot:
         """Add a robot; its file is read at once, so names and limits are known on return.
 
@@ -83,14 +91,14 @@ class Declaration:
             RuntimeError: If the scene is compiled already.
         """
         uid = self._claim(cfg)
-        robot = Robot(cfg, parse_articulation(uid, cfg), self._simulation())
+        robot = Robot(cfg, self._parse(uid, cfg), self._simulation())
         self.robots[uid] = robot
         return robot
 
     def add_articulation(self, cfg: ArticulationCfg) -> Articulation:
         """Add an articulation without control parts; see `add_robot`."""
         uid = self._claim(cfg)
-        articulation = Articulation(cfg, parse_articulation(uid, cfg), self._simulation())
+        articulation = Articulation(cfg, self._parse(uid, cfg), self._simulation())
         self.articulations[uid] = articulation
         return articulation
 

@@ -38,7 +38,9 @@ def initial_row(
         start = np.asarray(parsed.init_qpos, np.float64)
         qpos[np.asarray(index.qpos_adr, np.int64)] = start
         actuators = np.asarray(index.actuator_ids, np.int64)
-        ctrl[actuators[actuators >= 0]] = start[actuators >= 0]
+        # Without stiffness a control is a velocity target.
+        target = np.where(np.asarray(parsed.stiffness) > 0, start, 0.0)
+        ctrl[actuators[actuators >= 0]] = target[actuators >= 0]
         # Without drives the file's own actuators are kept, at its keyframe's controls.
         own = np.asarray(index.own_actuator_ids, np.int64)
         if len(own):

@@ -26,6 +26,7 @@ from embodichain.lab.gym.envs.autoreset import (
 )
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.declared import explained, frozen_cfg
+from embodichain.lab.gym.envs.drive_changes import drive_changes
 from embodichain.lab.gym.envs.flags import Mask, nobody, reset_ids
 from embodichain.lab.gym.envs.observers import StepRecord
 from embodichain.lab.gym.envs.outcome import EnvOutcome
@@ -89,6 +90,7 @@ class BaseEnv(EnvOutcome):
             seeding.seed_globals(self, self.streams.seed)
         self._init_counters()
         self.sim = SimulationManager(self.cfg.sim_cfg)
+        self.sim.drive_changes = drive_changes(self.cfg.events)
         try:
             self._build(kwargs)
         except ConfigError as error:

@@ -13,11 +13,18 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.lab.sim.cfg import ArticulationCfg
 from embodichain.lab.sim.compiler.attachments import add_attachments, check_attachments
+from embodichain.lab.sim.compiler.chatter import (
+    DriveChange,
+    PhysicsStep,
+    drawn_joints,
+    quiet_armature,
+)
 from embodichain.lab.sim.compiler.collision import prepare_shapes
-from embodichain.lab.sim.compiler.drives import apply_drives, resolve_drives
+from embodichain.lab.sim.compiler.drives import DriveGains, apply_drives, resolve_drives
 from embodichain.lab.sim.compiler.files import ModelFile, compile_quietly, locate, read_model
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.initial import Keyframe, read_keyframe, resolve_qpos
@@ -51,11 +58,13 @@ class ParsedArticulation:
         qvel_limits: From the file; inf where it has none. So `qf_limits`.
         init_qpos: Initial positions.
         stiffness: Drive gains, as the model has them; 0 without a drive.
-        damping: Joint damping.
+        damping: Drive gains; a joint without a drive has its own damping here.
+        joint_damping: Passive damping of the joints themselves, from the file.
         max_effort: Drive limits; inf is none.
-        max_velocity: As given; no effect.
+        max_velocity: Of position targets and velocity actions; 1e10 is none.
         friction: Dry friction.
-        armature: Reflected inertia.
+        armature: Reflected inertia, `added_armature` included.
+        added_armature: What was added so that limited drives do not chatter.
         mimic_ids: Joints that follow another: ``q = multiplier * q[parent] + offset``.
         control_parts: Part -> joint indices.
         init_ctrl: (M,) initial controls of the file's own actuators (drive_type none).
@@ -78,10 +87,12 @@ class ParsedArticulation:
     init_qpos: F64
     stiffness: F64
     damping: F64
+    joint_damping: F64
     max_effort: F64
     max_velocity: F64
     friction: F64
     armature: F64
+    added_armature: F64
     mimic_ids: tuple[int, ...]
     mimic_parents: tuple[int, ...]
     mimic_multipliers: tuple[float, ...]
@@ -91,12 +102,20 @@ class ParsedArticulation:
     notes: tuple[str, ...]
 
 
-def parse_articulation(uid: str, cfg: ArticulationCfg) -> ParsedArticulation:
+def parse_articulation(
+    uid: str,
+    cfg: ArticulationCfg,
+    step: PhysicsStep | None = None,
+    changes: Sequence[DriveChange] = (),
+) -> ParsedArticulation:
     """Read an articulation's file and apply its config; reads anew at every call.
 
     Args:
         uid: Its name in the scene.
         cfg: Its config.
+        step: Time step and integrator of the scene, for the armature that limited drives need; None
+            leaves the armature as it is.
+        changes: What events may draw for its drives and links.
 
     Raises:
         ConfigError: If the file is missing or malformed, or the config does not fit it; every
@@ -106,14 +125,17 @@ def parse_articulation(uid: str, cfg: ArticulationCfg) -> ParsedArticulation:
     for key, what in (("urdf_cfg", "URDF assembly"), ("solver_cfg", "IK")):
         if getattr(cfg, key, None) is not None:
             raise NotImplementedError(f"{uid}: {what} ({key}) is not available yet")
-    parsed, problems = parse_with_problems(uid, cfg)
+    parsed, problems = parse_with_problems(uid, cfg, step, changes)
     if parsed is None or problems:
         raise ConfigError([Problem(f"{uid}.{p.path}", p.message, p.hint) for p in problems])
     return parsed
 
 
 def parse_with_problems(
-    uid: str, cfg: ArticulationCfg
+    uid: str,
+    cfg: ArticulationCfg,
+    step: PhysicsStep | None = None,
+    changes: Sequence[DriveChange] = (),
 ) -> tuple[ParsedArticulation | None, list[Problem]]:
     """As `parse_articulation`, but return the mistakes, with paths below the config.
 
@@ -151,6 +173,10 @@ def parse_with_problems(
             body.simple = 0  # its centre of mass may move: see `add_object`
         spec, root = set_root(file.spec, cfg.fix_base)
         model = compile_quietly(spec)
+        added = np.zeros(len(joints.names))
+        if step is not None:
+            added, said = _quieten(spec, model, joints.names, gains, qpos, parts, step, changes)
+            notes += [f"{file.path}: {note}" for note in said]
     except (ConfigError, *MUJOCO_ERRORS) as error:
         text = str(error) if isinstance(error, ConfigError) else as_line(error)[0]
         return None, [*problems, Problem("fpath", f"{file.path}: {text}")]
@@ -172,10 +198,12 @@ def parse_with_problems(
             init_qpos=qpos,
             stiffness=gains.stiffness,
             damping=gains.damping,
+            joint_damping=joints.damping,
             max_effort=gains.max_effort,
             max_velocity=gains.max_velocity,
             friction=gains.friction,
-            armature=gains.armature,
+            armature=gains.armature + added,
+            added_armature=added,
             mimic_ids=mimics.ids,
             mimic_parents=mimics.parents,
             mimic_multipliers=mimics.multipliers,
@@ -186,6 +214,56 @@ def parse_with_problems(
         ),
         problems,
     )
+
+
+def _quieten(
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    names: Sequence[str],
+    gains: DriveGains,
+    home: F64,
+    parts: Mapping[str, Sequence[int]],
+    step: PhysicsStep,
+    changes: Sequence[DriveChange],
+) -> tuple[F64, list[str]]:
+    """Raise the armature that the config does not give, in a spec and in the model made of it.
+
+    Returns:
+        (D,) what was added, and what a user should be told.
+    """
+    lacking = quiet_armature(
+        model,
+        names,
+        stiffness=gains.stiffness,
+        damping=np.where(gains.driven, gains.damping, 0.0),
+        max_effort=gains.max_effort,
+        home=home,
+        parts=parts,
+        step=step,
+        changes=changes,
+    )
+    given = gains.armature_given | drawn_joints("armature", names, parts, changes)
+    added = np.where(given, 0.0, lacking)
+    for name, more in zip(names, added, strict=True):
+        if more > 0:
+            spec.joint(name).armature += float(more)
+            model.dof_armature[model.joint(name).dofadr[0]] += float(more)
+    if added.any():
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+    enough = gains.armature + lacking
+    notes = (
+        _armature_note("is raised", names, enough, added > 0, step),
+        _armature_note("is too small", names, enough, given & (lacking > 0), step),
+    )
+    return added, [note for note in notes if note]
+
+
+def _armature_note(
+    what: str, names: Sequence[str], enough: F64, joints: NDArray[np.bool_], step: PhysicsStep
+) -> str:
+    listed = ", ".join(f"{names[i]}: {enough[i]:.4g}" for i in np.flatnonzero(joints).tolist())
+    because = f"limited drives would chatter at a time step of {step.dt:g} s"
+    return f"drive_pros.armature {what}: {because}; enough is {{{listed}}}" if listed else ""
 
 
 def _checked(check: Callable[[], Any], problems: list[Problem]) -> None:

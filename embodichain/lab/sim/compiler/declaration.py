@@ -5,6 +5,7 @@ The task itself belongs to `lab.gym`; all that is asked of it here is `SceneDecl
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -23,7 +24,7 @@ from embodichain.lab.sim.compiler.visuals import GROUND
 from embodichain.lab.sim.sensors.cfg import AnySensorCfg
 from embodichain.utils.errors import Problem
 
-__all__ = ["Declared", "SceneDeclaration", "check_names", "declared"]
+__all__ = ["Declared", "SceneDeclaration", "check_names", "declared", "scene_physics"]
 
 
 class SceneDeclaration(Protocol):
@@ -88,3 +89,18 @@ def check_names(entities: list[Declared]) -> list[Problem]:
             message = f"the key {entity.uid!r} is its uid; it cannot be {own!r}: leave uid out"
             problems.append(Problem(f"{entity.path}.uid", message))
     return problems
+
+
+def scene_physics(cfg: SceneDeclaration) -> SimulationManagerCfg:
+    """Return the simulation's config with the task's own physics in it."""
+    sim = dataclasses.replace(cfg.sim_cfg)
+    if cfg.physics is None:
+        return sim
+    given = {
+        f.name: value
+        for f in dataclasses.fields(cfg.physics)
+        if (value := getattr(cfg.physics, f.name)) is not None
+    }
+    sim.physics_dt = given.pop("physics_dt", sim.physics_dt)
+    sim.physics_config = dataclasses.replace(sim.physics_config, **given)
+    return sim

@@ -1,8 +1,7 @@
-"""PD drives: which gain belongs to which joint, and how a joint and an actuator carry them.
+"""PD drives: which gain belongs to which joint, and the actuator that carries them.
 
-Stiffness goes into an actuator, damping into the joint itself: MuJoCo integrates joint damping
-implicitly whatever an actuator's effort limit does, whereas damping inside a saturated actuator is
-explicit and blows up at the default gains.
+Spring and damper are both in the actuator, so that the effort limit bounds the whole drive, as in
+PhysX, Isaac Lab and mjlab. Damping and friction that a file gives a joint stay in the joint.
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.lab.sim.cfg import JointDrivePropertiesCfg
 from embodichain.lab.sim.compiler.index import F64
@@ -20,7 +20,14 @@ from embodichain.lab.sim.compiler.names import listing, match
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["NO_EFFORT_LIMIT", "DriveGains", "FileJoints", "apply_drives", "resolve_drives"]
+__all__ = [
+    "NO_EFFORT_LIMIT",
+    "DriveGains",
+    "FileJoints",
+    "apply_drives",
+    "control_gain",
+    "resolve_drives",
+]
 
 NO_EFFORT_LIMIT = 1e9
 """Efforts at least this large count as unlimited (EmbodiChain's default is 1e10)."""
@@ -43,7 +50,10 @@ class FileJoints:
 
 @dataclass(frozen=True, eq=False)
 class DriveGains:
-    """Resolved drives of D joints, each (D,): what the model gets. Effort inf: no limit."""
+    """Resolved drives of D joints, each (D,): what the model gets. Effort inf: no limit.
+
+    A joint without a drive has stiffness 0, its own damping and the file's effort limit.
+    """
 
     stiffness: F64
     damping: F64
@@ -51,6 +61,9 @@ class DriveGains:
     max_velocity: F64
     friction: F64
     armature: F64
+    driven: NDArray[np.bool_]
+    armature_given: NDArray[np.bool_]
+    """Joints whose armature the config gives."""
 
 
 def resolve_drives(
@@ -81,7 +94,15 @@ def resolve_drives(
     count = len(joints.names)
     stiffness = value("stiffness", np.full(count, 1e4))
     damping = value("damping", np.full(count, 1e3))
-    velocity = value("max_velocity", np.full(count, 1e10))
+    if cfg.max_velocity == "file":
+        velocity = np.minimum(joints.qvel_limits, 1e10)
+    elif cfg.max_velocity is None:
+        velocity = np.full(count, 1e10)
+    else:
+        velocity = value("max_velocity", np.full(count, 1e10))
+    if not (velocity > 0).all():
+        message = "must be positive; null is no limit"
+        problems.append(Problem("max_velocity", message))
     if cfg.max_effort == "file":
         effort = joints.qf_limits.copy()
     else:
@@ -94,9 +115,10 @@ def resolve_drives(
     friction = joints.friction.copy()
     if isinstance(cfg.friction, Mapping) or cfg.friction != 0:
         friction = value("friction", friction)
-    armature = (
-        joints.armature.copy() if cfg.armature is None else value("armature", joints.armature)
-    )
+    unknown: F64 = np.full(count, np.nan)
+    armature = unknown if cfg.armature is None else value("armature", unknown)
+    given = ~np.isnan(armature)
+    armature = np.where(given, armature, joints.armature)
     if cfg.drive_type == "acceleration":
         stiffness, damping = stiffness * joints.inertia, damping * joints.inertia
     undriven = np.zeros(count, np.bool_)
@@ -106,7 +128,8 @@ def resolve_drives(
     stiffness = np.where(undriven, 0.0, stiffness)
     damping = np.where(undriven, joints.damping, damping)
     effort = np.where(undriven, joints.qf_limits, effort)
-    return DriveGains(stiffness, damping, effort, velocity, friction, armature), problems
+    gains = DriveGains(stiffness, damping, effort, velocity, friction, armature, ~undriven, given)
+    return gains, problems
 
 
 def _per_joint(
@@ -176,17 +199,36 @@ def apply_drives(
         joint.actfrcrange = [0.0, 0.0]
         if i in mimic:
             continue
-        joint.damping = [float(gains.damping[i]), 0.0, 0.0]
-        _add_drive(spec, name, float(gains.stiffness[i]), float(gains.max_effort[i]))
+        _add_drive(
+            spec,
+            name,
+            float(gains.stiffness[i]),
+            float(gains.damping[i]),
+            float(gains.max_effort[i]),
+        )
 
 
-def _add_drive(spec: mujoco.MjSpec, joint: str, stiffness: float, effort: float) -> None:
-    """Force = stiffness x (ctrl - q), clamped to +-effort."""
+def control_gain(stiffness: F64, damping: F64) -> F64:
+    """What a drive multiplies its control by: the damping where there is no stiffness.
+
+    The control is then a velocity target, else a position target; see `objects.drives`.
+    """
+    return np.where(stiffness > 0, stiffness, damping)
+
+
+def _add_drive(
+    spec: mujoco.MjSpec, joint: str, stiffness: float, damping: float, effort: float
+) -> None:
+    """Force = stiffness x (ctrl - q) - damping x v, clamped to +-effort.
+
+    Without stiffness damping x (ctrl - v): MuJoCo's velocity actuator.
+    """
     actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
     actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-    actuator.gainprm[0] = stiffness
+    actuator.gainprm[0] = stiffness if stiffness > 0 else damping
     actuator.biasprm[1] = -stiffness
+    actuator.biasprm[2] = -damping
     actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
     limited = bool(np.isfinite(effort))
     actuator.forcelimited = (

@@ -7,7 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from embodichain.lab.sim.cfg import ArticulationCfg, LightCfg, RigidObjectCfg, RobotCfg
+from embodichain.lab.sim.cfg import (
+    ArticulationCfg,
+    LightCfg,
+    RigidObjectCfg,
+    RobotCfg,
+    SimulationManagerCfg,
+)
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
 from embodichain.lab.sim.compiler.collision import MAX_MASKED
 from embodichain.lab.sim.compiler.declaration import (
@@ -15,6 +21,7 @@ from embodichain.lab.sim.compiler.declaration import (
     SceneDeclaration,
     check_names,
     declared,
+    scene_physics,
 )
 from embodichain.lab.sim.compiler.objects import check_object
 from embodichain.lab.sim.compiler.pose import initial_pose
@@ -45,7 +52,7 @@ def describe(cfg: SceneDeclaration) -> list[Problem]:
         cfg.sensors, known, ground=cfg.sim_cfg.ground_plane, open_scene=open_scene
     )
     problems += found
-    return problems or _compile(cfg, entities, parsed, plans)
+    return problems or _compile(scene_physics(cfg), entities, parsed, plans)
 
 
 def parse_scene(
@@ -118,7 +125,7 @@ def known_entities(
 
 
 def _compile(
-    cfg: SceneDeclaration,
+    physics: SimulationManagerCfg,
     entities: list[Declared],
     parsed: Mapping[str, ParsedArticulation],
     sensors: Mapping[str, SensorPlan],
@@ -126,7 +133,7 @@ def _compile(
     """Compile what passed every check: what MuJoCo still refuses, such as a broken mesh file."""
     objects = {e.uid: e.cfg for e in entities if isinstance(e.cfg, RigidObjectCfg)}
     try:
-        compile_scene(cfg.sim_cfg, [*parsed.values()], objects, {}, sensors, report=False)
+        compile_scene(physics, [*parsed.values()], objects, {}, sensors, report=False)
     except ConfigError as error:
         return list(error.problems)
     return []

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.cfg import LightCfg, RigidObjectCfg, SimulationManagerCfg
+from embodichain.lab.sim.cfg import LightCfg, RigidObjectCfg
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation
-from embodichain.lab.sim.compiler.declaration import SceneDeclaration, check_names, declared
+from embodichain.lab.sim.compiler.declaration import (
+    SceneDeclaration,
+    check_names,
+    declared,
+    scene_physics,
+)
 from embodichain.lab.sim.compiler.index import EntityIndex
 from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
 from embodichain.lab.sim.compiler.scene_check import parse_scene
@@ -122,7 +126,7 @@ def describe_scene(cfg: SceneDeclaration) -> SceneDescription:
         raise ConfigError(problems)
     objects = {e.uid: e.cfg for e in entities if isinstance(e.cfg, RigidObjectCfg)}
     lights = {e.uid: e.cfg for e in entities if isinstance(e.cfg, LightCfg)}
-    scene = compile_scene(_physics(cfg), [*parsed.values()], objects, lights, report=False)
+    scene = compile_scene(scene_physics(cfg), [*parsed.values()], objects, lights, report=False)
     model = scene.model
     return SceneDescription(
         entities=(
@@ -142,21 +146,6 @@ def describe_scene(cfg: SceneDeclaration) -> SceneDescription:
         cameras=tuple(model.camera(i).name for i in range(model.ncam)),
         lights=tuple(model.light(i).name for i in range(model.nlight)),
     )
-
-
-def _physics(cfg: SceneDeclaration) -> SimulationManagerCfg:
-    """Return the simulation's config with the task's own physics in it."""
-    sim = dataclasses.replace(cfg.sim_cfg)
-    if cfg.physics is None:
-        return sim
-    given = {
-        f.name: value
-        for f in dataclasses.fields(cfg.physics)
-        if (value := getattr(cfg.physics, f.name)) is not None
-    }
-    sim.physics_dt = given.pop("physics_dt", sim.physics_dt)
-    sim.physics_config = dataclasses.replace(sim.physics_config, **given)
-    return sim
 
 
 def _articulation(scene: CompiledScene, parsed: ParsedArticulation) -> EntityDescription:

@@ -60,10 +60,10 @@ class Articulation(NamedJoints):
         actuators = np.asarray(index.actuator_ids, np.int64)
         self._driven = self._all if (actuators >= 0).all() else np.flatnonzero(actuators >= 0)
         self._ctrl = columns_of(actuators[self._driven])
-        # qf is a sum of acceleration-stage fields: ask for them before the first step. Whoever asks
-        # first has them computed, which may move what was read before.
-        for name in ("qfrc_actuator", "qfrc_damper"):
-            engine.acceleration(name)
+        # qf is a field of the acceleration stage: ask for it before the first step. Whoever asks
+        # first has it computed, which may move what was read before.
+        engine.acceleration("qfrc_actuator")
+        self.drives.bind()
         self._moving = stacked_view(self.read_qpos(), self.read_qvel())
 
     def destroy(self) -> None:
@@ -89,11 +89,8 @@ class Articulation(NamedJoints):
         return engine.state("qvel")[:, self.dofs]
 
     def read_qf(self) -> F64:
-        """(N, D) total drive effort of the last physics step: actuator plus joint damping."""
-        engine = self.engine
-        spring = engine.acceleration_now("qfrc_actuator")
-        damper = engine.acceleration_now("qfrc_damper")
-        return spring[:, self.dofs] + damper[:, self.dofs]
+        """(N, D) drive effort of the last physics step; passive damping is not in it."""
+        return self.engine.acceleration_now("qfrc_actuator")[:, self.dofs]
 
     def proprioception(
         self, joint_ids: Columns | None = None

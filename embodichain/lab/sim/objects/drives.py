@@ -1,8 +1,8 @@
 """`Drives`: the PD drives of an articulation - gains per environment and targets.
 
-The compiler puts the stiffness into an actuator and the damping into the joint (implicit), so a
-drive's force is ``kp (target - q) - kd qvel`` and a velocity target adds ``kd target_qvel``, which
-enters the control as ``target + (kd / kp) target_qvel``.
+A drive is one actuator, whose force is ``clip(kp (target - q) - kd qvel, -effort, effort)``. A
+velocity target adds ``kd target_qvel`` and enters the control as ``target + (kd / kp)
+target_qvel``. Without stiffness the control is the velocity target itself.
 """
 
 from __future__ import annotations
@@ -26,19 +26,21 @@ NO_LIMIT = 1e9
 """Efforts at least this large count as unlimited (EmbodiChain's default is 1e10)."""
 _NO_EFFORT_LIMIT = 1e10
 _JOINT_FIELDS = {
-    "damping": "dof_damping",
+    "joint_damping": "dof_damping",
     "friction": "dof_frictionloss",
     "armature": "dof_armature",
 }
 _GAINS = ("stiffness", "damping", "max_effort", "max_velocity", "friction", "armature")
-_SAVED = (*_GAINS, "strength", "target_qvel")
+_SAVED = (*_GAINS, "joint_damping", "strength", "target_qvel")
 
 
 class Drives:
     """Gains and targets of D joints in N environments.
 
     Attributes:
-        stiffness, damping, max_effort, max_velocity, friction, armature: (N, D) current values.
+        stiffness, damping, max_effort, max_velocity, friction, armature: (N, D) current values; the
+            damping of a joint without a drive is its own.
+        joint_damping: (N, D) passive damping of the joints.
         strength: (N, D) factors of what the drives' springs and effort limits yield.
         limits: Joint position limits.
         target_qvel: (N, D) velocity targets.
@@ -54,8 +56,10 @@ class Drives:
         self.max_velocity: F64 = np.tile(np.asarray(parsed.max_velocity, np.float64), (count, 1))
         self.friction: F64 = np.tile(np.asarray(parsed.friction, np.float64), (count, 1))
         self.armature: F64 = np.tile(np.asarray(parsed.armature, np.float64), (count, 1))
+        self.joint_damping: F64 = np.tile(np.asarray(parsed.joint_damping, np.float64), (count, 1))
         self.target_qvel: F64 = np.zeros((count, len(parsed.joint_names)))
         self.has_velocity_target = False
+        self._springless = False
         self._limits_vary = False
         self.strength: F64 = np.ones((count, len(parsed.joint_names)))
         self.limits = JointLimits(np.asarray(parsed.qpos_limits, np.float64), count)
@@ -85,27 +89,37 @@ class Drives:
         # np.minimum/maximum, not np.clip: half the cost on small arrays; so are arrays of one type.
         clamped = np.maximum(np.asarray(target, np.float64), low)
         np.minimum(clamped, high, out=clamped)
-        if self.has_velocity_target:
-            clamped = clamped + self._lead((slice(None) if ids is None else ids[:, None], joints))
+        if self._mixes:
+            rows = slice(None) if ids is None else ids[:, None]
+            clamped = self._control(clamped, (rows, joints))
         self._owner.engine.write("ctrl", clamped, ids, columns)
 
-    def _lead(self, where: Any) -> F64:
-        stiffness = self.stiffness[where] * self.strength[where]
-        gain = np.divide(
+    @property
+    def _mixes(self) -> bool:
+        """Whether a control is something else than the position target."""
+        return self.has_velocity_target or self._springless
+
+    def _control(self, target: F64, where: Any) -> F64:
+        """Controls of position targets (n, k) and of the velocity targets there."""
+        stiffness, velocity = self.stiffness[where], self.target_qvel[where]
+        ratio = np.divide(
             self.damping[where], stiffness, out=np.zeros_like(stiffness), where=stiffness > 0
         )
-        lead: F64 = gain * self.target_qvel[where]
-        return lead
+        control: F64 = np.where(stiffness > 0, target + ratio * velocity, velocity)
+        return control
 
     def read_target_qpos(self) -> F64:
-        """(N, D) position targets; the joint's position where there is no drive."""
+        """(N, D) position targets; the joint's position where nothing holds a position."""
         owner = self._owner
         actuators = np.asarray(owner.entity.actuator_ids, np.int64)
-        driven = actuators >= 0
+        driven = np.flatnonzero(actuators >= 0)
         out = owner.read_qpos().copy()
-        out[:, driven] = owner.engine.state("ctrl")[:, actuators[driven]]
-        if self.has_velocity_target:
-            out[:, driven] -= self._lead((slice(None), np.flatnonzero(driven)))
+        control = owner.engine.state("ctrl")[:, actuators[driven]]
+        if self._mixes:
+            where = (slice(None), driven)
+            lead = self._control(np.zeros_like(control), where)
+            control = np.where(self.stiffness[where] > 0, control - lead, out[where])
+        out[:, driven] = control
         return out
 
     def write_target_qvel(
@@ -114,14 +128,28 @@ class Drives:
         """Set velocity targets (n, k) and fold them into the control."""
         columns = self._actuators(joints)
         rows = np.arange(self._owner.num_instances) if ids is None else ids
-        position = self.read_target_qpos()[rows[:, None], joints]
-        self.target_qvel[rows[:, None], joints] = target
+        where = (rows[:, None], joints)
+        position = self.read_target_qpos()[where]
+        self.target_qvel[where] = target
         self.has_velocity_target = bool(self.target_qvel.any())
-        lead = self._lead((rows[:, None], joints))
-        self._owner.engine.write("ctrl", position + lead, ids, columns)
+        self._owner.engine.write("ctrl", self._control(position, where), ids, columns)
 
     def clear(self, ids: EnvIndex | None) -> None:
-        """Forget velocity targets, as a reset does."""
+        """Forget velocity targets, as a reset does, which has set the controls as compiled."""
+        self._forget_velocities(ids)
+        compiled = np.asarray(self._owner.parsed.stiffness, np.float64)
+        driven = np.asarray(self._owner.entity.actuator_ids, np.int64) >= 0
+        changed = np.flatnonzero((((self.stiffness > 0) != (compiled > 0)) & driven).any(axis=0))
+        if len(changed):  # position drives that events or users made velocity drives, or back
+            rows = np.arange(self._owner.num_instances) if ids is None else ids
+            home = np.asarray(self._owner.parsed.init_qpos, np.float64)[changed]
+            target = np.tile(home, (len(rows), 1))
+            columns = self._actuators(changed)
+            self._owner.engine.write(
+                "ctrl", self._control(target, (rows[:, None], changed)), ids, columns
+            )
+
+    def _forget_velocities(self, ids: EnvIndex | None) -> None:
         if self.has_velocity_target:
             self.target_qvel[slice(None) if ids is None else ids] = 0.0
             self.has_velocity_target = bool(self.target_qvel.any())
@@ -152,30 +180,56 @@ class Drives:
             ids: (n,) environments, or None for all.
             joints: (k,) joint indices.
         """
-        where = (slice(None) if ids is None else ids[:, None], joints)
+        owner = self._owner
+        engine, entity = owner.engine, owner.entity
+        driven = np.asarray(entity.actuator_ids, np.int64)[joints] >= 0
+        if name == "damping" and not driven.all():
+            # What a joint without a drive has is its own damping.
+            self.put("joint_damping", values[:, ~driven], ids, joints[~driven])
+            joints, values = joints[driven], values[:, driven]
+            if not len(joints):
+                return
+        rows = slice(None) if ids is None else ids[:, None]
+        where = (rows, joints)
         getattr(self, name)[where] = values
-        engine, entity = self._owner.engine, self._owner.entity
         if name in _JOINT_FIELDS:
             dofs = np.asarray(entity.dof_adr, np.int64)[joints]
             engine.write_model(_JOINT_FIELDS[name], values, ids, columns_of(dofs))
             if name == "armature":
                 engine.set_const_later(ids)
+            elif name == "joint_damping" and not driven.all():
+                self.damping[rows, joints[~driven]] = values[:, ~driven]
         elif name == "max_velocity":
-            return  # only remembered: MuJoCo has no velocity limit
+            return  # for actions: MuJoCo has no velocity limit
         else:
             actuators = self._actuators(joints)
             if name != "max_effort":
+                self._springless = self._has_springless()
                 self._write_gains(actuators, where, ids)
-            if name != "stiffness":
+            if name in ("max_effort", "strength"):
                 self._write_efforts(actuators, where, ids)
+
+    def bind(self) -> None:
+        """Learn which joints have a drive; the owner knows its place in the model."""
+        self._springless = self._has_springless()
+
+    def _has_springless(self) -> bool:
+        """Whether a drive has no stiffness: its control is a velocity target."""
+        driven = np.asarray(self._owner.entity.actuator_ids, np.int64) >= 0
+        return bool((self.stiffness[:, driven] == 0).any())
 
     def _write_gains(self, actuators: NDArray[np.int64], where: Any, ids: EnvIndex | None) -> None:
         engine = self._owner.engine
         gains = engine.model.actuator_gainprm.shape[1]
         bias = engine.model.actuator_biasprm.shape[1]
         spring = self.stiffness[where] * self.strength[where]
-        engine.write_model("actuator_gainprm", spring, ids, columns_of(actuators * gains))
-        engine.write_model("actuator_biasprm", -spring, ids, columns_of(actuators * bias + 1))
+        damper = self.damping[where] * self.strength[where]
+        gain = np.where(spring > 0, spring, damper)
+        engine.write_model("actuator_gainprm", gain, ids, columns_of(actuators * gains))
+        for column, value in ((1, spring), (2, damper)):
+            engine.write_model(
+                "actuator_biasprm", -value, ids, columns_of(actuators * bias + column)
+            )
 
     def _write_efforts(
         self, actuators: NDArray[np.int64], where: Any, ids: EnvIndex | None
@@ -242,28 +296,38 @@ class Drives:
         actuators = np.asarray(entity.actuator_ids, np.int64)
         driven = np.flatnonzero(actuators >= 0)
         actuators = actuators[driven]
-        gains = model.actuator_gainprm.shape[1]
-        declared = np.asarray(parsed.stiffness, np.float64)[driven]
+        bias = model.actuator_biasprm.shape[1] * actuators
+        springs = np.asarray(parsed.stiffness, np.float64)[driven]
+        dampers = np.asarray(parsed.damping, np.float64)[driven]
         most = np.asarray(parsed.max_effort, np.float64)[driven]
-        stiffness = changed("actuator_gainprm", gains * actuators, declared)
+        stiffness = np.abs(changed("actuator_biasprm", bias + 1, springs))
+        damping = np.abs(changed("actuator_biasprm", bias + 2, dampers))
         effort = changed("actuator_forcerange", 2 * actuators + 1, most)
         limited = changed("actuator_forcelimited", actuators, -1.0)
         effort = np.where(limited == 0, _NO_EFFORT_LIMIT, effort)
         scale = np.divide(
             effort, most, out=np.ones_like(most), where=(most > 0) & (most < NO_LIMIT)
         )
-        spring = np.divide(stiffness, declared, out=scale.copy(), where=declared > 0)
-        alike = np.isclose(scale, spring, rtol=1e-9, atol=0.0)
+        alike = np.ones_like(scale, np.bool_)
+        for now, declared in ((stiffness, springs), (damping, dampers)):
+            factor = np.divide(now, declared, out=scale.copy(), where=declared > 0)
+            alike &= np.isclose(scale, factor, rtol=1e-9, atol=0.0)
         for name, values in (
             ("strength", np.where(alike, scale, 1.0)),
-            ("stiffness", np.where(alike, declared, stiffness)),
+            ("stiffness", np.where(alike, springs, stiffness)),
+            ("damping", np.where(alike, dampers, damping)),
             ("max_effort", np.where(alike, most, effort)),
         ):
             columns = getattr(self, name)[where]
             columns[:, driven] = values
             getattr(self, name)[where] = columns
+        undriven = np.flatnonzero(np.asarray(entity.actuator_ids, np.int64) < 0)
+        own = self.damping[where]
+        own[:, undriven] = self.joint_damping[where][:, undriven]
+        self.damping[where] = own
         self._limits_vary = True
-        self.clear(ids)
+        self._springless = self._has_springless()
+        self._forget_velocities(ids)
 
     def state_dict(self) -> dict[str, F64]:
         """Targets and gains (copies)."""
@@ -276,4 +340,5 @@ class Drives:
             getattr(self, name)[...] = state[name]
         self.limits.restore(state["limits"])
         self._limits_vary = True
+        self._springless = self._has_springless()
         self.has_velocity_target = bool(self.target_qvel.any())

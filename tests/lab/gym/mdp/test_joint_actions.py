@@ -23,10 +23,17 @@ def step(env, row) -> None:
     env.step(torch.tensor(row, dtype=torch.float32).expand(env.num_envs, -1).contiguous())
 
 
-def driven(**drives) -> dict:
+def driven(gravcomp: float | None = None, **drives) -> dict:
     """A UR10 with these drives: sections of a task."""
     pros = JointDrivePropertiesCfg(**drives)
-    robot = RobotCfg(uid="ur10", fpath=UR10, init_qpos=HOME, init_pos=(0, 0, 1), drive_pros=pros)
+    robot = RobotCfg(
+        uid="ur10",
+        fpath=UR10,
+        init_qpos=HOME,
+        init_pos=(0, 0, 1),
+        drive_pros=pros,
+        gravcomp=gravcomp,
+    )
     return {"robot": robot}
 
 
@@ -175,7 +182,7 @@ def test_velocity_of_stiff_drives(make, stiffness) -> None:
 
 def test_a_blocked_velocity_target_does_not_run_away(make) -> None:
     env = make(
-        **driven(stiffness=1000.0, damping=50.0, max_effort=20.0),
+        **driven(gravcomp=1, stiffness=1000.0, damping=50.0, max_effort=20.0),
         actions={"arm": act("joint_velocity")},
     )
     env.reset()
@@ -187,17 +194,37 @@ def test_a_blocked_velocity_target_does_not_run_away(make) -> None:
 
 def test_velocity_of_a_drive_without_stiffness(make) -> None:
     env = make(
-        **driven(stiffness=0.0, damping=200.0, max_effort=50.0),
+        **driven(stiffness=0.0, damping=200.0, max_effort=50.0, armature=4.0),
         actions={"wrist": act("joint_velocity", entity={"joint_names": "Joint6"}, scale=0.5)},
     )
     env.reset()
-    dof = env.robot.entity.dof_adr[5]
-    step(env, [1.0])  # 200 x 0.5 = 100 is more than 50, and the joint stands still
-    assert np.allclose(env.sim.engine.state("qfrc_applied")[:, dof], 50.0)
+    assert np.array_equal(env.robot.read_qvel(), np.zeros((3, 6)))  # a control of 0 is no motion
+    env.sim.update(step=1)
+    env.robot.set_qvel(torch.full((3, 1), 0.5), joint_ids=[5])
+    env.sim.engine.forward()  # 200 x 0.5 = 100 is more than 50
+    assert np.allclose(env.robot.read_qf()[:, 5], 50.0, atol=0.5)
     for _ in range(10):
         step(env, [1.0])
     assert np.allclose(env.robot.read_qvel()[:, 5], 0.5, atol=0.01)
-    assert np.allclose(env.sim.engine.state("qfrc_applied")[:, dof], 100.0, atol=2.0)
+    assert np.abs(env.robot.read_qf()[:, 5]).max() < 10.0  # at speed there is nothing to push
+
+
+def test_a_velocity_drive_becomes_a_position_drive_and_back(make) -> None:
+    env = make(
+        **driven(stiffness=0.0, damping=200.0),
+        actions={"arm": act("default_offset_joint_position")},
+    )
+    env.reset()
+    one = torch.ones((3, 6))
+    env.robot.set_joint_drive(stiffness=1e4 * one, damping=1e3 * one)
+    env.reset()  # the controls are targets now: the initial positions
+    assert np.allclose(targets(env), HOME)
+    for _ in range(5):
+        step(env, [0.0] * 6)
+    assert np.allclose(env.robot.read_qpos(), HOME, atol=0.02)
+    env.robot.set_joint_drive(stiffness=0 * one)
+    env.reset()
+    assert not env.sim.engine.state("ctrl").any()
 
 
 def test_velocity_needs_something_to_drive_with(make) -> None:

@@ -193,7 +193,7 @@ def test_gains_are_what_the_handle_says(make) -> None:
     assert damping[1].tolist() == [8] * 6
     actuator = env.robot.entity.actuator_ids[2]
     assert field(env, "actuator_gainprm")[actuator, 0] == 77
-    assert field(env, "actuator_biasprm")[actuator, :3].tolist() == [0, -77, 0]
+    assert field(env, "actuator_biasprm")[actuator, :3].tolist() == [0, -77, -8]
     # The force: 77 x (target - position) - 8 x velocity, at rest 0.5 rad off the target.
     env.robot.set_qpos(torch.tensor([HOME] * 3) + torch.tensor([0.0, 0, 0.5, 0, 0, 0]))
     env.sim.engine.forward()
@@ -240,9 +240,11 @@ def test_joint_parameters_are_what_the_handle_says(make) -> None:
     }
     env = fired(make, "randomize_joint_parameters", {**ARM, **given})
     _, damping, _, _, friction, armature = env.robot.get_joint_drive()
-    for found, wanted in ((damping, 7), (friction, 2), (armature, 0.3)):
+    for found, wanted in ((friction, 2), (armature, 0.3)):
         assert found[2].tolist() == pytest.approx([wanted] * 6)
     dofs = env.robot.entity.dof_adr
+    assert field(env, "dof_damping")[dofs].tolist() == [7.0] * 6  # the joints' own ...
+    assert damping[2].tolist() == [1e3] * 6  # ... not that of the drives
     assert field(env, "dof_frictionloss")[dofs].tolist() == [2.0] * 6
     plain = make()
     plain.reset()

@@ -11,6 +11,7 @@ import numpy as np
 
 from embodichain.lab.sim.cfg import RobotCfg, SimulationManagerCfg
 from embodichain.lab.sim.compiler import CompiledScene, compile_scene, parse_articulation
+from embodichain.lab.sim.compiler.chatter import physics_step
 
 UR10 = "UniversalRobots/UR10/UR10.urdf"
 HOME = [1.57079, -1.57079, 1.57079, -1.57079, -1.57079, -3.14159]
@@ -99,8 +100,9 @@ def scene_of(
     objects: Mapping[str, Any] | None = None,
     sim: SimulationManagerCfg | None = None,
 ) -> CompiledScene:
-    parsed = [parse_articulation(uid, cfg) for uid, cfg in robots.items()]
-    return compile_scene(sim or SimulationManagerCfg(), parsed, objects or {}, {})
+    sim = sim or SimulationManagerCfg()
+    parsed = [parse_articulation(uid, cfg, physics_step(sim)) for uid, cfg in robots.items()]
+    return compile_scene(sim, parsed, objects or {}, {})
 
 
 def start(scene: CompiledScene, init_qpos: Mapping[str, Any]) -> mujoco.MjData:

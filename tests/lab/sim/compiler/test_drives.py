@@ -2,7 +2,12 @@ import mujoco
 import numpy as np
 import pytest
 
-from embodichain.lab.sim.cfg import JointDrivePropertiesCfg, RobotCfg, SimulationManagerCfg
+from embodichain.lab.sim.cfg import (
+    JointDrivePropertiesCfg,
+    PhysicsCfg,
+    RobotCfg,
+    SimulationManagerCfg,
+)
 from embodichain.lab.sim.compiler import parse_articulation
 from embodichain.utils.errors import ConfigError
 from tests.lab.sim.compiler.helpers import GRIPPER_URDF, HOME, UR10, scene_of, start, write
@@ -37,21 +42,36 @@ def test_the_tutorials_actions_keep_the_arm_slow_and_near_home(physics_dt, max_e
     assert not any(w.number for w in data.warning)
 
 
-def test_damping_in_a_saturated_actuator_is_what_the_drives_avoid():
-    # The same robot with the damping moved into the actuator: the reason for the split.
-    scene = scene_of({"ur10": ur10(max_effort="file")})
-    model = scene.model
-    model.actuator_biasprm[:, 2] = -1e3
-    model.dof_damping[:] = 0.0
-    data = start(scene, {"ur10": HOME})
-    random = np.random.default_rng(0)
-    fastest = 0.0
-    for _ in range(100):
-        data.ctrl[:] = np.asarray(HOME) + random.uniform(-0.1, 0.1, 6)
-        for _ in range(4):
-            mujoco.mj_step(model, data)
-        fastest = max(fastest, np.abs(data.qvel).max())
-    assert fastest > 3.0
+def test_a_limited_joint_accelerates_at_effort_by_inertia_and_passes_effort_by_damping():
+    # The wrist of a Panda as lift_cube drives it: damping in the joint held it to 12 / 40 rad/s.
+    scene = scene_of(
+        {"ur10": ur10(stiffness=400, damping=40, max_effort=12, armature=0.1)},
+        sim=SimulationManagerCfg(
+            physics_dt=0.005, physics_config=PhysicsCfg(gravity=(0, 0, 0)), ground_plane=False
+        ),
+    )
+    model, data = scene.model, start(scene, {"ur10": HOME})
+    data.ctrl[5] += 1.0
+    inertia = model.dof_M0[5]  # the last joint's does not depend on the posture
+    mujoco.mj_step(model, data)
+    assert data.qvel[5] == pytest.approx(0.005 * 12 / inertia, rel=1e-3)
+    speeds, places = [data.qvel[5]], [data.qpos[5] - HOME[5]]
+    for _ in range(400):
+        mujoco.mj_step(model, data)
+        speeds.append(data.qvel[5])
+        places.append(data.qpos[5] - HOME[5])
+    assert max(speeds) > 10 * 12 / 40
+    assert np.argmax(np.array(places) > 0.9) * 0.005 < 0.3
+    assert max(places) < 1.001
+    assert abs(speeds[-1]) < 1e-6
+
+
+def test_the_files_damping_stays_in_the_joint_beside_the_drive(tmp_path):
+    cfg = RobotCfg(fpath=write(tmp_path / "g.urdf", GRIPPER_URDF))
+    model = scene_of({"g": cfg}).model
+    left = model.joint("g/slide_left").dofadr[0]
+    assert model.dof_damping[left] == 0.4
+    assert model.actuator("g/slide_left").biasprm[2] == -1000.0
 
 
 def test_efforts_are_unlimited_by_default_and_the_files_on_request():
@@ -64,11 +84,11 @@ def test_efforts_are_unlimited_by_default_and_the_files_on_request():
     assert limited.actuator_forcerange[:, 1].tolist() == [330, 330, 150, 56, 56, 56]
 
 
-def test_stiffness_sits_in_the_actuator_and_damping_in_the_joint():
+def test_stiffness_and_damping_are_in_the_actuator():
     model = scene_of({"a": ur10(stiffness=500, damping=50, friction=2, armature=0.1)}).model
     assert (model.actuator_gainprm[:, 0] == 500).all()
-    assert (model.actuator_biasprm[:, :3] == [0, -500, 0]).all()
-    assert (model.dof_damping == 50).all()
+    assert (model.actuator_biasprm[:, :3] == [0, -500, -50]).all()
+    assert not model.dof_damping.any()  # the file gives none
     assert (model.dof_frictionloss == 2).all()
     assert (model.dof_armature == 0.1).all()
     assert not model.actuator_ctrllimited.any()
@@ -140,6 +160,7 @@ def test_a_mimic_joint_follows_and_has_no_drive_of_its_own(tmp_path):
             "a.drive_pros.max_effort: must be positive; a joint that shall not push needs "
             "stiffness 0 instead",
         ),
+        ({"max_velocity": 0.0}, "a.drive_pros.max_velocity: must be positive; null is no limit"),
         ({"max_effort": "urdf"}, "a.drive_pros.max_effort: wants a number, got 'urdf'"),
     ],
 )

@@ -28,12 +28,12 @@ class JointVelocity(AffineJointTerm):
 
     EmbodiChain's QvelTerm, Isaac Lab's JointVelocityAction. What it does depends on the drive:
 
-    * Stiffness 0: a velocity drive, effort = damping x (target - velocity). The target's share goes
-      in as an applied effort that keeps the whole within ``max_effort``; the damping is the joint's
-      own, so any gain is stable.
+    * Stiffness 0: a velocity drive, effort = damping x (target - velocity) within ``max_effort``.
     * Stiffness above 0: the drive follows a position target that moves at the target velocity, so
       at velocity 0 the joint is held against gravity. The target never runs further ahead than the
       drive can pull (``max_effort`` / stiffness) nor beyond the joint's limits.
+
+    Targets stay within ``max_velocity`` where the drive has one.
 
     Example:
         ``{func: joint_velocity, params: {entity_cfg: {uid: ur10}, scale: {"Joint.*": 0.5}}}``
@@ -66,16 +66,15 @@ class JointVelocity(AffineJointTerm):
             raise ConfigError([Problem("entity_cfg", message)])
         self._stiff: NDArray[np.int64] = np.flatnonzero(stiff)
         self._free: NDArray[np.int64] = np.flatnonzero(~stiff)
-        dofs = np.asarray(self._asset.entity.dof_adr, np.int64)
-        self._free_dofs = dofs[self._ids[self._free]]
 
     def apply(self, action: torch.Tensor) -> None:
         """Write the velocity targets of (N, A) actions, rad/s or m/s."""
-        target = self._value(action).astype(np.float64)
+        most = self._asset.drives.max_velocity[:, self._ids]
+        target = np.minimum(np.maximum(self._value(action).astype(np.float64), -most), most)
         if len(self._stiff):
             self._move(target[:, self._stiff])
         if len(self._free):
-            self._push(target[:, self._free])
+            self._asset.drives.write_target_qvel(target[:, self._free], self._ids[self._free], None)
 
     def _move(self, velocity: F64) -> None:
         """Let the position targets of stiff drives move on."""
@@ -88,16 +87,6 @@ class JointVelocity(AffineJointTerm):
         drives.target_qvel[:, joints] = velocity
         drives.has_velocity_target = True
         asset.write_target(target, joints)
-
-    def _push(self, velocity: F64) -> None:
-        """Apply damping x target, kept so that the whole drive stays within its limit now."""
-        joints, asset, drives = self._ids[self._free], self._asset, self._asset.drives
-        damping = drives.damping[:, joints]
-        most = drives.max_effort[:, joints] * drives.strength[:, joints]
-        drag = damping * asset.read_qvel()[:, joints]
-        effort = damping * velocity
-        effort = np.minimum(np.maximum(effort, drag - most), drag + most)
-        asset.engine.write("qfrc_applied", effort, None, self._free_dofs)
 
     def home(self) -> F64:
         """(A,) the action whose velocity is 0, or the bound nearest to it."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,13 +90,15 @@ class RandomizeActuatorGains(_Drives):
     Args:
         entity_cfg: The robot or articulation; joint names or control parts pick joints.
         stiffness_range: N m/rad or N/m: [low, high] or {joint regex: [low, high]}.
-        damping_range: N m s/rad or N s/m; the drive's damping is the joint's own.
+        damping_range: N m s/rad or N s/m, of the drive.
         operation: ``abs`` replaces the compiled gains, ``scale`` and ``add`` change them.
         distribution: ``uniform``, ``log_uniform`` or ``gaussian`` within the range.
 
     Example:
         ``{func: randomize_actuator_gains, mode: reset, params: {entity_cfg: {uid: ur10}, stiffness_range: [0.8, 1.2], damping_range: [0.8, 1.2], operation: scale}}``
     """  # noqa: E501
+
+    drive_ranges: ClassVar = {"stiffness_range": "stiffness", "damping_range": "damping"}
 
     def __init__(
         self,
@@ -113,7 +115,7 @@ class RandomizeActuatorGains(_Drives):
             {"stiffness_range": stiffness_range, "damping_range": damping_range},
             operation,
             distribution,
-            {"stiffness_range": "stiffness", "damping_range": "damping"},
+            self.drive_ranges,
         )
 
 
@@ -121,7 +123,7 @@ class RandomizeActuatorGains(_Drives):
 class RandomizeEffortLimits(_Drives):
     """Gives the drives of joints random effort limits; `get_joint_drive` says them.
 
-    mjlab's `effort_limits`. What limits is the drive's spring; the joint's damping comes on top.
+    mjlab's `effort_limits`. The limit bounds spring and damper together.
 
     Args:
         entity_cfg: The robot or articulation; joint names or control parts pick joints.
@@ -133,6 +135,8 @@ class RandomizeEffortLimits(_Drives):
     Example:
         ``{func: randomize_effort_limits, mode: reset, params: {entity_cfg: {uid: ur10}, effort_limit_range: {'.*': [50.0, 300.0]}}}``
     """  # noqa: E501
+
+    drive_ranges: ClassVar = {"effort_limit_range": "max_effort"}
 
     def __init__(
         self,
@@ -148,7 +152,7 @@ class RandomizeEffortLimits(_Drives):
             {"effort_limit_range": effort_limit_range},
             operation,
             distribution,
-            {"effort_limit_range": "max_effort"},
+            self.drive_ranges,
         )
 
 
@@ -163,7 +167,8 @@ class RandomizeJointParameters(_Drives):
         entity_cfg: The robot or articulation; joint names or control parts pick joints.
         friction_range: Dry friction, N m or N: [low, high] or {joint regex: [low, high]}.
         armature_range: Reflected inertia, kg m^2 or kg.
-        damping_range: N m s/rad or N s/m; also what a drive calls its damping.
+        damping_range: Passive damping of the joint itself, beside that of a drive, N m s/rad or
+            N s/m.
         lower_limit_range: Lower position limits, rad or m, of joints that have limits.
         upper_limit_range: Upper position limits.
         operation: ``abs`` replaces the compiled values, ``scale`` and ``add`` change them.
@@ -172,6 +177,8 @@ class RandomizeJointParameters(_Drives):
     Example:
         ``{func: randomize_joint_parameters, mode: reset, params: {entity_cfg: {uid: ur10}, friction_range: [0.0, 2.0], armature_range: [0.0, 0.1]}}``
     """  # noqa: E501
+
+    drive_ranges: ClassVar = {"armature_range": "armature"}
 
     def __init__(
         self,
@@ -203,7 +210,7 @@ class RandomizeJointParameters(_Drives):
             {
                 "friction_range": "friction",
                 "armature_range": "armature",
-                "damping_range": "damping",
+                "damping_range": "joint_damping",
             },
         )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,6 +131,8 @@ class RandomizeArticulationMass(_Mass):
     Example:
         ``{func: randomize_articulation_mass, mode: reset, params: {entity_cfg: {uid: ur10}, mass_range: [0.8, 1.2], operation: scale}}``
     """  # noqa: E501
+
+    drive_ranges: ClassVar = {"mass_range": "mass"}
 
     def __init__(
         self,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import lazy_loader
 import numpy as np
@@ -37,8 +37,8 @@ class RandomizeActuatorStrength(Term):
 
     Gain, bias and force limits are scaled together, so force = factor x nominal force for the same
     control, position and velocity. It works on drives (`get_joint_drive` keeps the nominal gains,
-    whatever randomizes those) and on a file's own actuators (``drive_type: none``). Damping that
-    belongs to the joint is no actuator's.
+    whatever randomizes those) and on a file's own actuators (``drive_type: none``). Passive
+    damping of the joint is no actuator's.
 
     Args:
         entity_cfg: The robot or articulation; joint names or control parts pick joints.
@@ -48,6 +48,8 @@ class RandomizeActuatorStrength(Term):
     Example:
         ``{func: randomize_actuator_strength, mode: reset, params: {entity_cfg: {uid: ur10}, strength_range: [0.8, 1.1]}}``
     """  # noqa: E501
+
+    drive_ranges: ClassVar = {"strength_range": "strength"}
 
     def __init__(
         self,
