@@ -44,9 +44,12 @@ def main(arguments: list[str]) -> int:
         return exits.OK
     facts = task_tables(resolved)
     if options.json:
-        print_json({"task": resolved.task_name, "config": thaw(resolved.tree), **facts})
+        notes = {"notes": [note.as_dict() for note in resolved.notes]} if resolved.notes else {}
+        print_json({"task": resolved.task_name, "config": thaw(resolved.tree), **notes, **facts})
         return exits.OK
     sys.stdout.write(f"# {resolved.task_name}, resolved\n{text}\n")
+    for note in resolved.notes:
+        sys.stdout.write(f"note: {note}\n")
     for title, rows in facts.items():
         if isinstance(rows, dict):
             print_facts(title, rows.items())

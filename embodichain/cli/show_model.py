@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ def model_tables(env: BaseEnv) -> dict[str, Rows]:
         "bodies": _bodies(model),
         "joints": _joints(model),
         "actuators": _actuators(model),
+        "drives": _drives(env),
         "initial poses": _poses(env),
         "initial qpos": _qpos(env),
     }
@@ -78,6 +80,47 @@ def _actuators(model: Any) -> Rows:
             }
         )
     return rows
+
+
+def _drives(env: BaseEnv) -> Rows:
+    """Gains of the drives, and how fast they are; `max_velocity` bounds targets, not the joint."""
+    from embodichain.lab.sim.compiler.drive_response import (
+        joint_inertia,
+        time_constants,
+        top_speeds,
+    )
+
+    rows = []
+    for uid, asset in {**env.sim.robots, **env.sim.articulations}.items():
+        parsed = asset.parsed
+        inertia, speeds, times = (
+            joint_inertia(parsed),
+            top_speeds(parsed),
+            time_constants(parsed),
+        )
+        for i, name in enumerate(parsed.joint_names):
+            if not math.isnan(times[i]):
+                rows.append(
+                    {
+                        "joint": f"{uid}/{name}",
+                        "stiffness": float(parsed.stiffness[i]),
+                        "damping": float(parsed.damping[i]),
+                        "max_effort": _limit(parsed.max_effort[i]),
+                        "inertia": _short(inertia[i]),
+                        "time constant s": _short(times[i]),
+                        "top speed by effort": _short(speeds[i]),
+                        "max_velocity of targets": _limit(parsed.max_velocity[i]),
+                    }
+                )
+    return rows
+
+
+def _limit(value: float) -> float | str:
+    return float(value) if value < 1e9 else "no limit"
+
+
+def _short(value: float) -> float | str:
+    return float(f"{value:.3g}") if math.isfinite(value) else "no limit"
 
 
 def _poses(env: BaseEnv) -> Rows:

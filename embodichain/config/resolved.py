@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from embodichain.config import derive
+from embodichain.config.armature import with_armature
 from embodichain.config.check_types import check_types
 from embodichain.config.composed import Composed, compose
 from embodichain.config.derive import Verb
@@ -29,7 +30,8 @@ class Resolved:
         tree: Frozen plain mappings and tuples: what is written to files (`dump_yaml`).
         overrides: As typed.
         task_name: The option of the group `task`.
-        notes: What of a gym config was left out or is read otherwise.
+        notes: What of a gym config was left out or is read otherwise, and what was derived that
+            changes the physics.
     """
 
     tree: Mapping[str, Any]
@@ -71,10 +73,10 @@ def resolve(
     if problems:
         raise ConfigError(problems)
     filled = derive.fill(composed.tree, verb, composed.locator.chosen)
-    tree = derive.settle(check_types(filled).tree, verb)
+    tree, raised = with_armature(derive.settle(check_types(filled).tree, verb))
     name = composed.choices.get("task") or "task"
     name = name.rpartition("/")[2]
-    return Resolved(freeze(tree), composed.overrides, name, composed.notes)
+    return Resolved(freeze(tree), composed.overrides, name, (*composed.notes, *raised))
 
 
 def resolve_tree(
@@ -101,4 +103,5 @@ def resolve_tree(
     if problems:
         raise ConfigError([LocatedProblem.of(p, source) for p in problems])
     settled = derive.settle(check_types(derive.fill(tree, verb)).tree, verb)
-    return Resolved(freeze(settled), (), task_name)
+    settled, raised = with_armature(settled)
+    return Resolved(freeze(settled), (), task_name, raised)

@@ -10,6 +10,7 @@ import copy
 import math
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 
 from embodichain.lab.gym.envs.cfg import EnvCfg
@@ -173,24 +174,39 @@ def add_declared_sensors(sim: SimulationManager, cfg: EnvCfg) -> dict[str, BaseS
     return sensors
 
 
-def drive_robot(robot: Robot | None, joint_ids: list[int], action: EnvAction) -> None:
+def drive_robot(
+    robot: Robot | None, joint_ids: list[int], action: EnvAction, seconds: float
+) -> None:
     """Give a robot absolute joint targets.
 
     Args:
         robot: The robot; None does nothing.
         joint_ids: The A joints that are acted on.
-        action: (N, A) position targets, clamped to the joints' limits, or a TensorDict with any of
+        action: (N, A) position targets, clamped to the joints' limits and to what `max_velocity`
+            of the drives allows, or a TensorDict with any of
             ``qpos``, ``qvel`` (velocity targets) and ``qf`` (efforts), each (N, A).
+        seconds: The period of a control step.
 
     Raises:
         ValueError: If a shape or a key is wrong.
     """
     if robot is None:
         return
+    joints = np.asarray(joint_ids, np.int64)
+    drives = robot.drives
+
+    def move(target: torch.Tensor, joint_ids: list[int]) -> None:
+        wanted = np.asarray(target, np.float64)
+        robot.set_qpos(drives.within_rate(wanted, joints, seconds), joint_ids=joint_ids)
+
+    def turn(target: torch.Tensor, joint_ids: list[int]) -> None:
+        most = drives.max_velocity[:, joints]
+        robot.set_qvel(np.clip(np.asarray(target, np.float64), -most, most), joint_ids=joint_ids)
+
     if isinstance(action, torch.Tensor):
-        robot.set_qpos(action, joint_ids=joint_ids)
+        move(action, joint_ids)
         return
-    setters: dict[Any, Any] = {"qpos": robot.set_qpos, "qvel": robot.set_qvel, "qf": robot.set_qf}
+    setters: dict[Any, Any] = {"qpos": move, "qvel": turn, "qf": robot.set_qf}
     unknown = [key for key in action.keys() if key not in setters]  # noqa: SIM118  (a TensorDict)
     if unknown:
         raise ValueError(f"unknown action entries {unknown}; allowed: {', '.join(setters)}")

@@ -97,7 +97,8 @@ class EnvHooks:
         if self._drives_declared:
             from embodichain.lab.gym.envs.declared import drive_robot
 
-            drive_robot(self.robot, self.active_joint_ids, action)
+            period = self.sim.sim_config.physics_dt * self.cfg.sim_steps_per_control
+            drive_robot(self.robot, self.active_joint_ids, action, period)
         return action
 
     def _postprocess_action(self, action: EnvAction) -> EnvAction:

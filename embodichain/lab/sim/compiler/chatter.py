@@ -24,14 +24,24 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.cfg import SimulationManagerCfg
+from embodichain.lab.sim.cfg import JointDrivePropertiesCfg, SimulationManagerCfg
+from embodichain.lab.sim.compiler.drives import NO_EFFORT_LIMIT
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.utils.random import RandomStreams
 
-__all__ = ["DriveChange", "PhysicsStep", "drawn_joints", "physics_step", "quiet_armature"]
+__all__ = [
+    "DriveChange",
+    "PhysicsStep",
+    "drawn_joints",
+    "may_chatter",
+    "physics_step",
+    "quiet_armature",
+]
 
 _POSTURES = 256
 _IMPLICIT = ("implicitfast", "implicit")
+_TOLERANCE = 1e-3
+"""Of what is needed: less is not worth a number."""
 _ROUNDS = 64
 """Arms take three to five, a humanoid of 32 limited joints nine."""
 
@@ -47,6 +57,16 @@ class PhysicsStep:
 def physics_step(cfg: SimulationManagerCfg) -> PhysicsStep:
     """The time step and integrator of a simulation."""
     return PhysicsStep(float(cfg.physics_dt), cfg.physics_config.integrator)
+
+
+def may_chatter(
+    cfg: JointDrivePropertiesCfg, step: PhysicsStep, changes: Sequence[DriveChange]
+) -> bool:
+    """Whether a drive may have a limit, or a damper that is integrated explicitly."""
+    if step.integrator not in _IMPLICIT or any(c.quantity == "max_effort" for c in changes):
+        return True
+    limit = cfg.max_effort
+    return isinstance(limit, (str, Mapping)) or limit < NO_EFFORT_LIMIT
 
 
 @dataclass(frozen=True)
@@ -119,7 +139,9 @@ def quiet_armature(
     # What the driven joints feel while the others are free to move: the Schur complement.
     picked = np.ix_(np.arange(len(inertia)), dofs[joints], dofs[joints])
     felt = np.linalg.inv(np.linalg.inv(inertia)[picked])
-    lacking[joints] = [_round_up(x) for x in _added(felt, need[joints])]
+    added = _added(felt, need[joints])
+    added[added < _TOLERANCE * need[joints]] = 0.0
+    lacking[joints] = [_round_up(x) for x in added]
     return lacking
 
 
@@ -150,7 +172,7 @@ def _added(inertia: F64, need: F64) -> F64:
     """
     own = inertia[:, range(len(need)), range(len(need))].min(axis=0)
     added: F64 = np.maximum(0.0, need - own)
-    tolerance = 1e-3 * float(need.max())
+    tolerance = _TOLERANCE * float(need.max())
     wrong = inertia
     for _ in range(_ROUNDS):
         values, vectors = np.linalg.eigh(wrong + np.diag(added - need))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
 )
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
+from embodichain.lab.sim.compiler.chatter import DriveChange, may_chatter, physics_step
 from embodichain.lab.sim.compiler.collision import MAX_MASKED
 from embodichain.lab.sim.compiler.declaration import (
     Declared,
@@ -30,7 +31,7 @@ from embodichain.lab.sim.compiler.scene import compile_scene
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensors
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["describe", "known_entities", "parse_scene"]
+__all__ = ["describe", "known_entities", "parse_scene", "raised_armature"]
 
 
 def describe(cfg: SceneDeclaration) -> list[Problem]:
@@ -81,6 +82,35 @@ def parse_scene(
             found = _check_light(entity.cfg)
         problems += [Problem(f"{entity.path}.{p.path}", p.message, p.hint) for p in found]
     return parsed, problems
+
+
+def raised_armature(
+    cfg: SceneDeclaration, changes: Mapping[str, Sequence[DriveChange]]
+) -> dict[str, dict[str, float]]:
+    """Return the armature of joints that got some so that their limited drives do not chatter.
+
+    Args:
+        cfg: The task (`EnvCfg`), without mistakes.
+        changes: What events may draw for drives and links, by uid.
+
+    Returns:
+        Path of the articulation in the task -> joint -> its armature, kg m^2 or kg.
+    """
+    step = physics_step(scene_physics(cfg))
+    found: dict[str, dict[str, float]] = {}
+    for entity in declared(cfg):
+        if not isinstance(entity.cfg, ArticulationCfg):
+            continue
+        drawn = changes.get(entity.uid, ())
+        if not may_chatter(entity.cfg.drive_pros, step, drawn):
+            continue
+        parsed, _ = parse_with_problems(entity.uid, entity.cfg, step, drawn)
+        if parsed is not None and parsed.added_armature.any():
+            found[entity.path] = {
+                parsed.joint_names[i]: round(float(parsed.armature[i]), 12)
+                for i in np.flatnonzero(parsed.added_armature).tolist()
+            }
+    return found
 
 
 def _not_yet(cfg: ArticulationCfg) -> list[Problem]:

@@ -122,6 +122,24 @@ class Drives:
         out[:, driven] = control
         return out
 
+    def within_rate(
+        self, target: F64, joints: NDArray[np.int64], seconds: float, ids: EnvIndex | None = None
+    ) -> F64:
+        """Position targets (n, k) as far as `max_velocity` lets them move in some time.
+
+        Args:
+            target: (n, k) wanted.
+            joints: (k,) joint indices.
+            seconds: Since the last target; they start from the targets now.
+            ids: (n,) environments, or None for all.
+        """
+        rows = slice(None) if ids is None else ids[:, None]
+        reach = self.max_velocity[rows, joints] * seconds
+        if (reach >= NO_LIMIT * seconds).all():
+            return target
+        now = self.read_target_qpos()[rows, joints]
+        return np.minimum(np.maximum(target, now - reach), now + reach)
+
     def write_target_qvel(
         self, target: F64, joints: NDArray[np.int64], ids: EnvIndex | None
     ) -> None:

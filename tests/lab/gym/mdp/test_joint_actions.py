@@ -227,6 +227,37 @@ def test_a_velocity_drive_becomes_a_position_drive_and_back(make) -> None:
     assert not env.sim.engine.state("ctrl").any()
 
 
+def test_position_targets_move_no_faster_than_max_velocity(make) -> None:
+    limits = {"Joint[12]": 1.0, "Joint3": 2e9}  # rad/s; a control step takes 0.04 s
+    for name in ("default_offset_joint_position", None):
+        actions = {} if name is None else {"arm": act(name)}
+        env = make(**driven(max_velocity=limits), actions=actions)
+        env.reset()
+        row = [1.0] * 6 if name else (np.array(HOME) + 1.0).tolist()
+        step(env, row)
+        expected = [0.04, 0.04, 1, 1, 1, 1]
+        assert np.allclose(targets(env) - HOME, expected, atol=1e-6), name
+        for _ in range(30):
+            step(env, row)
+        assert np.allclose(targets(env) - HOME, 1.0, atol=1e-5)
+        # The joint itself is not clamped: pushed, it is faster.
+        env.robot.set_qvel(torch.full((3, 6), 3.0), target=False)
+        assert env.robot.get_qvel()[0, 0].item() == pytest.approx(3.0)
+        env.close()
+
+
+def test_the_files_velocity_limits_bound_targets_and_velocity_actions(make) -> None:
+    env = make(**driven(max_velocity="file"), actions={"arm": act("joint_velocity", clip=9)})
+    file = env.robot.parsed.qvel_limits
+    assert env.robot.drives.max_velocity[0].tolist() == file.tolist()
+    env.reset()
+    before = targets(env).copy()
+    step(env, [9.0] * 6)
+    assert np.allclose(targets(env) - before, 0.04 * file, atol=1e-9)
+    unlimited = make(**driven(), actions={"arm": act("joint_velocity", clip=9)})
+    assert (unlimited.robot.drives.max_velocity == 1e10).all()  # null is the default
+
+
 def test_velocity_needs_something_to_drive_with(make) -> None:
     with pytest.raises(ConfigError, match="neither stiffness nor damping"):
         make(**driven(stiffness=0.0, damping=0.0), actions={"arm": act("joint_velocity")})

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
+    from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.sim.engine.base import F64
 
@@ -27,6 +28,7 @@ class JointTerm(ActionTerm):
     """An action term of the picked joints.
 
     Args:
+        env: The environment.
         entity: The robot and the joints picked.
         driven: Whether every joint must have a drive.
 
@@ -34,7 +36,8 @@ class JointTerm(ActionTerm):
         ConfigError: If there is no joint, or one without a drive.
     """
 
-    def __init__(self, entity: ResolvedEntity, driven: bool = True) -> None:
+    def __init__(self, env: BaseEnv, entity: ResolvedEntity, driven: bool = True) -> None:
+        self._period = env.step_dt
         asset = entity.asset
         if not hasattr(asset, "parsed"):
             raise ConfigError([Problem("entity_cfg.uid", f"{entity.uid!r} has no joints")])
@@ -52,8 +55,12 @@ class JointTerm(ActionTerm):
         self._default: F64 = np.asarray(asset.parsed.init_qpos, np.float64)[self._ids]
 
     def _write_targets(self, target: F64) -> None:
-        """Set the drives' position targets (N, A); they are clamped to the joints' limits."""
-        self._asset.write_target(target, self._joints)
+        """Set the drives' position targets (N, A), clamped to the joints' limits.
+
+        In a control step they move by at most the drives' `max_velocity` times its period.
+        """
+        moved = self._asset.drives.within_rate(target, self._ids, self._period)
+        self._asset.write_target(moved, self._joints)
 
     def _targets(self) -> F64:
         """(N, A) current position targets of the drives."""
@@ -72,6 +79,7 @@ class AffineJointTerm(JointTerm):
     The bounds of the action are `clip`; without one they follow from those of the value.
 
     Args:
+        env: The environment.
         entity: The robot and the joints picked.
         scale: `PerJoint`, not 0; joints that a map leaves out get 1.
         offset: `PerJoint`; joints that a map leaves out get 0.
@@ -83,6 +91,7 @@ class AffineJointTerm(JointTerm):
 
     def __init__(
         self,
+        env: BaseEnv,
         entity: ResolvedEntity,
         scale: Any,
         offset: Any,
@@ -91,7 +100,7 @@ class AffineJointTerm(JointTerm):
         limits: tuple[Any, Any] | None = None,
         driven: bool = True,
     ) -> None:
-        super().__init__(entity, driven)
+        super().__init__(env, entity, driven)
         self._scale: F64 = per_joint(scale, self.names, "scale", 1.0)
         if (self._scale == 0).any():
             raise ConfigError([Problem("scale", "must not be 0")])

@@ -52,7 +52,7 @@ class JointEffort(AffineJointTerm):
         offset: PerJoint = 0.0,
         clip: JointClip = (-1.0, 1.0),  # type: ignore[assignment]
     ) -> None:
-        super().__init__(entity_cfg, scale, offset, clip, driven=False)
+        super().__init__(env, entity_cfg, scale, offset, clip, driven=False)
         self._dofs = np.asarray(self._asset.entity.dof_adr, np.int64)[self._ids]
         stiffness = self._asset.drives.stiffness[0, self._ids]
         stiff = [name for name, k in zip(self.names, stiffness, strict=True) if k > 0]

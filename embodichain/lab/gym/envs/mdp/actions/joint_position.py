@@ -37,7 +37,7 @@ class _Targets(AffineJointTerm):
 
     def apply(self, action: torch.Tensor) -> None:
         """Write the targets of (N, A) actions, rad or m."""
-        self._asset.write_target(self._value(action), self._joints)
+        self._write_targets(self._value(action))
 
     def home(self) -> F64:
         """(A,) the action that goes to the initial position, within the bounds."""
@@ -75,7 +75,7 @@ class JointPosition(_Targets):
         offset: PerJoint = 0.0,
         clip: JointClip | None = None,
     ) -> None:
-        super().__init__(entity_cfg, scale, offset, clip, limits=_limits(entity_cfg))
+        super().__init__(env, entity_cfg, scale, offset, clip, limits=_limits(entity_cfg))
 
 
 @register_term("action", name="default_offset_joint_position")
@@ -107,7 +107,7 @@ class DefaultOffsetJointPosition(_Targets):
         parsed = getattr(entity_cfg.asset, "parsed", None)
         ids = list(entity_cfg.joint_ids)
         home = 0.0 if parsed is None else np.asarray(parsed.init_qpos, np.float64)[ids]
-        super().__init__(entity_cfg, scale, offset, clip, centre=home)
+        super().__init__(env, entity_cfg, scale, offset, clip, centre=home)
 
 
 @register_term("action", name="relative_joint_position")
@@ -140,7 +140,7 @@ class RelativeJointPosition(AffineJointTerm):
         offset: PerJoint = 0.0,
         reference: Literal["qpos", "target"] = "qpos",
     ) -> None:
-        super().__init__(entity_cfg, scale, offset, clip)
+        super().__init__(env, entity_cfg, scale, offset, clip)
         self._reference = self._qpos if reference == "qpos" else self._targets
 
     def apply(self, action: torch.Tensor) -> None:
@@ -186,7 +186,7 @@ class JointPositionToLimits(AffineJointTerm):
             raise ConfigError([Problem("range", f"low equals high in {list(range)}")])
         count = len(entity_cfg.joint_ids)
         ends = tuple(np.full(count, float(end)) for end in range)
-        super().__init__(entity_cfg, scale, offset, clip, limits=(ends[0], ends[1]))
+        super().__init__(env, entity_cfg, scale, offset, clip, limits=(ends[0], ends[1]))
         self._start, self._end = ends
         self._joint_low, high = _limits(entity_cfg)
         self._slope: F64 = (high - self._joint_low) / (self._end - self._start)

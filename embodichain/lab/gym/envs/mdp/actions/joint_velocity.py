@@ -56,8 +56,7 @@ class JointVelocity(AffineJointTerm):
         offset: PerJoint = 0.0,
         clip: JointClip = (-1.0, 1.0),  # type: ignore[assignment]
     ) -> None:
-        super().__init__(entity_cfg, scale, offset, clip)
-        self._dt = env.step_dt
+        super().__init__(env, entity_cfg, scale, offset, clip)
         drives = self._asset.drives
         stiff, damping = (v[0, self._ids] > 0 for v in (drives.stiffness, drives.damping))
         lame = [n for n, k, d in zip(self.names, stiff, damping, strict=True) if not (k or d)]
@@ -80,7 +79,7 @@ class JointVelocity(AffineJointTerm):
         """Let the position targets of stiff drives move on."""
         joints, asset = self._ids[self._stiff], self._asset
         drives = asset.drives
-        target = drives.read_target_qpos()[:, joints] + velocity * self._dt
+        target = drives.read_target_qpos()[:, joints] + velocity * self._period
         reach = drives.max_effort[:, joints] / drives.stiffness[:, joints]
         qpos = asset.read_qpos()[:, joints]
         target = np.minimum(np.maximum(target, qpos - reach), qpos + reach)

@@ -61,7 +61,7 @@ class ParallelGripper(JointTerm):
         open_command: PerJoint | None = None,
         close_command: PerJoint | None = None,
     ) -> None:
-        super().__init__(entity_cfg)
+        super().__init__(env, entity_cfg)
         self._binary = command_mode == "binary"
         ends = {"lower_command": lower_command, "upper_command": upper_command}
         states = {"close_command": close_command, "open_command": open_command}
