@@ -12,6 +12,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
+from embodichain.lab.gym.utils.spaces import entry_spaces
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 __all__ = [
     "ActionScale",
     "flat_observation",
-    "named_observation",
     "observation_box",
     "observation_dict",
 ]
@@ -105,27 +105,10 @@ def observation_dict(env: BaseEnv, group: str) -> spaces.Dict:
         names = env.observation_manager.group_terms(group)
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    found: dict[str, Any] = {}
-    for name in names:
-        space: Any = env.single_observation_space
-        for key in name.split("/"):
-            space = space[key]
-        found[name] = space
-    return spaces.Dict(found)
+    return entry_spaces(env.single_observation_space, names)
 
 
 def flat_observation(env: BaseEnv, obs: Any, group: str) -> F32:
     """Return (N, K) an observation's group as one vector a row, in memory of its own."""
     flat: F32 = env.observation_manager.flatten(obs, group).numpy(force=True)
     return flat
-
-
-def named_observation(obs: Any, space: spaces.Dict) -> dict[str, NDArray[Any]]:
-    """Return an observation's entries (N, ...) by name, in memory of their own.
-
-    Args:
-        obs: An observation of the environment.
-        space: What `observation_dict` returned.
-    """
-    parts = {name: obs[tuple(name.split("/"))].numpy(force=True) for name in space}
-    return {name: np.array(part, space[name].dtype) for name, part in parts.items()}

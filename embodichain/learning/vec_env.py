@@ -20,10 +20,12 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from embodichain.lab.gym.envs.hooks import EnvHooks
+from embodichain.lab.gym.single import SingleEnv
+from embodichain.lab.gym.utils.spaces import named_obs
+from embodichain.lab.gym.vector import NumpyVectorEnv
 from embodichain.learning.spaces import (
     ActionScale,
     flat_observation,
-    named_observation,
     observation_box,
     observation_dict,
 )
@@ -69,12 +71,17 @@ class SB3VecEnv(VecEnv):
 
     Raises:
         ConfigError: If the group is empty or the action space has no finite bounds.
+        TypeError: If the environment is one of `gymnasium.make` or `make_vec` with numpy arrays.
         ValueError: If the environment does not reset in the same step.
     """
 
     def __init__(
         self, env: gym.Env[Any, Any], group: str = "policy", *, flatten: bool = True
     ) -> None:
+        if isinstance(env.unwrapped, (NumpyVectorEnv, SingleEnv)):
+            raise TypeError(
+                f"SB3VecEnv takes the torch batch, embodichain.make(NAME, num_envs=N), not {env}"
+            )
         mode = env.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.SAME_STEP:
             raise ValueError(
@@ -159,7 +166,7 @@ class SB3VecEnv(VecEnv):
 
     def _observed(self, obs: Any) -> Observed:
         if self._named is not None:
-            return named_observation(obs, self._named)
+            return named_obs(obs, self._named)
         return flat_observation(self.base, obs, self.group)
 
     def _finish(
