@@ -1,4 +1,7 @@
+from contextlib import contextmanager
+
 import gymnasium as gym
+import imageio_ffmpeg
 import numpy as np
 import pytest
 import torch
@@ -34,6 +37,16 @@ def make_vec(make_env):
 def _actions(env):
     space = env.action_space
     return 0.05 * (space.low + space.high) + np.float32(1.0)
+
+
+@contextmanager
+def imageio_ffmpeg_frames(path):
+    """What a film says of itself, and its pictures."""
+    frames = imageio_ffmpeg.read_frames(str(path))
+    try:
+        yield next(frames), frames
+    finally:
+        frames.close()
 
 
 def _check_contains(env, obs):
@@ -163,6 +176,29 @@ def test_a_reset_mask_resets_those_and_must_be_one(make_vec):
     for wrong in ([True, False, False], np.zeros(3, bool), np.array([0, 1, 0])):
         with pytest.raises(ValueError, match="reset_mask"):
             env.reset(options={"reset_mask": wrong})
+
+
+def test_record_video_with_next_step(make_vec, tmp_path):
+    env = make_vec("NEXT_STEP", flatten=True, env_kwargs={"render_mode": "rgb_array"})
+    assert env.metadata["render_fps"] == env.env.control_frequency
+    env = wrappers.RecordVideo(env, str(tmp_path), episode_trigger=lambda episode: episode == 0)
+    env.reset(seed=1)
+    for _ in range(LIMIT + 2):
+        env.step(_actions(env))
+    env.close()
+    (film,) = tmp_path.glob("*.mp4")
+    with imageio_ffmpeg_frames(film) as (meta, frames):
+        # Three pictures of 640 x 480 side by side or one above the other; environment 0 ends
+        # after two steps, and the film with it.
+        assert sorted(meta["size"]) == [640, 1440] or sorted(meta["size"]) == [480, 1920]
+        assert meta["fps"] == env.metadata["render_fps"]
+        assert 2 <= sum(1 for _ in frames) <= LIMIT + 1
+
+
+def test_the_default_is_next_step_and_what_a_policy_sees(make_env):
+    env = NumpyVectorEnv(make_env(**jumping()))
+    assert env.metadata["autoreset_mode"] is gym.vector.AutoresetMode.NEXT_STEP
+    assert env.observation_space.shape == (3, 5)
 
 
 def test_closing_closes_the_environment(make_vec):
