@@ -8,11 +8,15 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
+from embodichain.lab.gym.single import SingleEnv
 from embodichain.lab.gym.utils.spaces import entry_spaces
+from embodichain.lab.gym.vector import NumpyVectorEnv
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -23,6 +27,7 @@ __all__ = [
     "flat_observation",
     "observation_box",
     "observation_dict",
+    "require_torch_batch",
 ]
 
 F32 = NDArray[np.float32]
@@ -112,3 +117,23 @@ def flat_observation(env: BaseEnv, obs: Any, group: str) -> F32:
     """Return (N, K) an observation's group as one vector a row, in memory of its own."""
     flat: F32 = env.observation_manager.flatten(obs, group).numpy(force=True)
     return flat
+
+
+def require_torch_batch(env: gym.Env[Any, Any], caller: str) -> None:
+    """Refuse what is no batch of tensors that resets in the same step.
+
+    Args:
+        env: An environment, wrapped or not.
+        caller: What needs one, for the message.
+
+    Raises:
+        TypeError: If it is one of `gymnasium.make` or `gymnasium.make_vec` with numpy arrays.
+        ValueError: If it resets otherwise.
+    """
+    if isinstance(env.unwrapped, (NumpyVectorEnv, SingleEnv)):
+        raise TypeError(
+            f"{caller} takes the batch of tensors, embodichain.make(NAME, num_envs=N), not {env}"
+        )
+    mode = env.metadata.get("autoreset_mode")
+    if mode is not AutoresetMode.SAME_STEP:
+        raise ValueError(f"{caller} needs autoreset_mode SAME_STEP, got an environment with {mode}")

@@ -13,21 +13,19 @@ from typing import TYPE_CHECKING, Any, cast
 import gymnasium as gym
 import numpy as np
 import torch
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.env_util import is_wrapped
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from embodichain.lab.gym.envs.hooks import EnvHooks
-from embodichain.lab.gym.single import SingleEnv
 from embodichain.lab.gym.utils.spaces import named_obs
-from embodichain.lab.gym.vector import NumpyVectorEnv
 from embodichain.learning.spaces import (
     ActionScale,
     flat_observation,
     observation_box,
     observation_dict,
+    require_torch_batch,
 )
 
 if TYPE_CHECKING:
@@ -78,15 +76,7 @@ class SB3VecEnv(VecEnv):
     def __init__(
         self, env: gym.Env[Any, Any], group: str = "policy", *, flatten: bool = True
     ) -> None:
-        if isinstance(env.unwrapped, (NumpyVectorEnv, SingleEnv)):
-            raise TypeError(
-                f"SB3VecEnv takes the torch batch, embodichain.make(NAME, num_envs=N), not {env}"
-            )
-        mode = env.metadata.get("autoreset_mode")
-        if mode is not AutoresetMode.SAME_STEP:
-            raise ValueError(
-                f"SB3VecEnv needs autoreset_mode SAME_STEP, got an environment with {mode}"
-            )
+        require_torch_batch(env, "SB3VecEnv")
         self.env = env
         self.base = cast("BaseEnv", env.unwrapped)
         self.group = group

@@ -18,7 +18,7 @@ from embodichain.config.gymnasium_ids import register_task_ids
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.utils.registration import REGISTERED_ENVS, build_env, register_env
 from embodichain.lab.gym.vector import NumpyVectorEnv
-from embodichain.learning import SB3VecEnv
+from embodichain.learning import SB3VecEnv, evaluate
 from embodichain.utils.errors import ConfigError
 from tests.config.conftest import WriteTask
 
@@ -280,11 +280,15 @@ def test_an_id_is_no_name_and_a_class_no_task() -> None:
 
 
 @pytest.mark.parametrize("build", [gym.make, gym.make_vec])
-def test_stable_baselines_view_takes_the_torch_batch(build: object) -> None:
+def test_learning_takes_the_batch_of_tensors(build: object) -> None:
     env = build(REACH)  # type: ignore[operator]
     try:
-        with pytest.raises(TypeError, match=r"torch batch, embodichain\.make\(NAME, num_envs=N\)"):
+        with pytest.raises(
+            TypeError, match=r"batch of tensors, embodichain\.make\(NAME, num_envs=N\)"
+        ):
             SB3VecEnv(env)
+        with pytest.raises(TypeError, match="evaluate takes the batch of tensors"):
+            evaluate(env, "zero", 1)
     finally:
         env.close()
 
