@@ -1,11 +1,14 @@
 """The package's front door: `make` and `__version__`, both free of heavy imports.
 
-Nothing else lives here. `make` is found on first use, so that `import embodichain` stays fast.
+`make` is found on first use, so that `import embodichain` stays fast. Importing the package also
+registers ``embodichain/NAME-v0`` of every YAML task with Gymnasium, once that is imported too.
 """
 
 from typing import TYPE_CHECKING
 
 import lazy_loader
+
+from embodichain.config.gymnasium_ids import register_with_gymnasium
 
 if TYPE_CHECKING:
     from embodichain.config.factory import make
@@ -15,3 +18,5 @@ __version__ = "0.1.0"
 __getattr__, __dir__, _ = lazy_loader.attach(__name__, submod_attrs={"config.factory": ["make"]})
 
 __all__ = ["__version__", "make"]
+
+register_with_gymnasium()

@@ -5,11 +5,15 @@ Torch is imported when an environment is built, not before.
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from embodichain.config.gymnasium_ids import task_of_id
 from embodichain.config.resolved import Resolved, resolve
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -17,11 +21,16 @@ if TYPE_CHECKING:
 __all__ = ["make", "make_env"]
 
 
+_KWARGS = ("autoreset_mode", "render_mode", "run_dir")
+"""What `BaseEnv` takes besides its config; it would hand anything else to hooks of subclasses."""
+
+
 def make(
     task: str,
     num_envs: int | None = None,
     overrides: Sequence[str] = (),
     *,
+    seed: int | None = None,
     config_dir: str | Path | None = None,
     **kwargs: Any,
 ) -> BaseEnv:
@@ -31,22 +40,32 @@ def make(
         task: An option of the group `task`: ``reach``.
         num_envs: N; None is the task's suggestion, else 1.
         overrides: As on the command line: ``["seed=1", "task.rewards.near.weight=2"]``.
+        seed: Of every random stream; None draws one.
         config_dir: A folder with groups of the user's own, searched first.
-        **kwargs: For `BaseEnv`: ``render_mode``, ``autoreset_mode``, ``run_dir``.
+        **kwargs: For `BaseEnv`: ``render_mode``, ``autoreset_mode`` (SAME_STEP unless given),
+            ``run_dir``; for the class that a task names, also its own.
 
     Returns:
-        The batched torch environment.
+        The batched torch environment. `gymnasium.make` makes one environment with numpy
+        observations of the same task, `gymnasium.make_vec` a batch of them.
 
     Raises:
         ConfigError: Holds every mistake in the config.
-        TypeError: If `overrides` is one string instead of several.
+        TypeError: If `overrides` is one string instead of several, or an argument is unknown.
     """
     if isinstance(overrides, str):
         raise TypeError(f"overrides: a list of strings, such as [{overrides!r}], not a string")
     lines = [f"task={task}", *overrides]
-    if num_envs is not None:
-        lines.append(f"num_envs={num_envs}")
-    return make_env(resolve(lines, "run", config_dir), **kwargs)
+    for key, value in (("num_envs", num_envs), ("seed", seed)):
+        if value is not None:
+            _check_once(key, value, overrides)
+            lines.append(f"{key}={value}")
+    try:
+        resolved = resolve(lines, "run", config_dir)
+    except ConfigError:
+        _check_name(task, config_dir)
+        raise
+    return make_env(resolved, **kwargs)
 
 
 def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
@@ -54,18 +73,51 @@ def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
 
     Args:
         resolved: A checked config.
-        **kwargs: For `BaseEnv`.
+        **kwargs: For `BaseEnv`, or for the class.
+
+    Raises:
+        ConfigError: If no class of that name is registered.
+        TypeError: If an argument is unknown.
     """
     cfg = resolved.env_cfg
     if cfg.id is not None:
         from embodichain.config.plugins import require_registered
         from embodichain.lab.gym.utils import registration
-        from embodichain.utils.errors import ConfigError, Problem
 
         problem = require_registered(cfg.id)
         if problem is not None:
             raise ConfigError([Problem("task.id", problem)])
         return registration.make(cfg.id.rpartition(":")[2], cfg=cfg, **kwargs)
+    for key in kwargs:
+        if key not in _KWARGS:
+            names = [name for name in inspect.signature(make).parameters if name != "kwargs"]
+            known = [*names, *_KWARGS]
+            hint = did_you_mean(key, known)
+            raise TypeError(f"unknown argument {key!r}; there are: {', '.join(known)}.{hint}")
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
     return BaseEnv(cfg, **kwargs)
+
+
+def _check_once(key: str, value: int, overrides: Sequence[str]) -> None:
+    """Refuse a value that stands both in an argument and in an override: one would be dropped."""
+    for line in overrides:
+        if line.partition("=")[0].lstrip("+") == key:
+            raise ConfigError(f"{key} is given twice: {value} as argument, and {line} in overrides")
+
+
+def _check_name(task: str, config_dir: str | Path | None) -> None:
+    """Say what to call for a name that is Gymnasium's and no task."""
+    name = task_of_id(task)
+    if name is not None:
+        raise ConfigError(
+            f"{task!r} is an id for gymnasium.make and gymnasium.make_vec; "
+            f"here it is the task's name: embodichain.make({name!r})"
+        )
+    from embodichain.config.composed import list_options
+    from embodichain.lab.gym.utils.registration import REGISTERED_ENVS
+
+    if task in REGISTERED_ENVS and task not in list_options("task", config_dir):
+        raise ConfigError(
+            f"{task!r} is a registered class, not a YAML task: gymnasium.make({task!r}, num_envs=N)"
+        )

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
-from functools import partial
 
 from embodichain.lab.gym.utils.registration import REGISTERED_ENVS
 from embodichain.utils.suggest import did_you_mean
@@ -52,8 +51,7 @@ def require_registered(env_id: str, *, allow_import: bool = True) -> str | None:
             return f"cannot import {module!r}: {error}"
     elif name not in REGISTERED_ENVS:
         load_task_packages()
-    classes = [uid for uid, spec in REGISTERED_ENVS.items() if not isinstance(spec.cls, partial)]
-    if name in classes:  # the others are YAML tasks, which a task cannot be made of
+    if name in REGISTERED_ENVS:
         return None
-    known = ", ".join(sorted(classes)) or "none"
-    return f"no registered class {name!r}; there are: {known}.{did_you_mean(name, classes)}"
+    known = ", ".join(sorted(REGISTERED_ENVS)) or "none"
+    return f"no registered class {name!r}; there are: {known}.{did_you_mean(name, REGISTERED_ENVS)}"

@@ -18,12 +18,10 @@ from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.plugins import Plugins
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 
+from embodichain.config.task_files import CONFIG_MODULE, ENTRY_POINTS, LOCAL
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["CONFIG_MODULE", "folder_of_source", "user_configs"]
-
-CONFIG_MODULE = "embodichain.conf"
-ENTRY_POINTS = "embodichain.conf"
 
 _config_dir: ContextVar[Path | None] = ContextVar("config_dir", default=None)
 
@@ -68,7 +66,7 @@ class EmbodichainSearchPath(SearchPathPlugin):
         if f"pkg://{CONFIG_MODULE}" not in paths:
             return
         own = _folder_of(CONFIG_MODULE).resolve()
-        here = Path("conf").resolve()
+        here = Path(LOCAL).resolve()
         for provider, folder in (("./conf", here), ("--config-dir", _config_dir.get())):
             if folder is not None and folder.is_dir() and folder != own:
                 search_path.prepend(provider, f"file://{folder}")

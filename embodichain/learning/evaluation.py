@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from embodichain.config.schema import LARGEST_TRAINING_SEED
@@ -23,6 +22,7 @@ from embodichain.learning.episode_statistics import (
     ended_values,
     judges_success,
 )
+from embodichain.learning.spaces import require_torch_batch
 from embodichain.learning.statistics import CONFIDENCE, Estimate, Rate, estimate, rate
 
 if TYPE_CHECKING:
@@ -105,15 +105,14 @@ def evaluate(
 
     Raises:
         ConfigError: If there is no such policy or it does not fit.
+        TypeError: If the environment is one of Gymnasium's with numpy arrays.
         ValueError: If `episodes` or `seed` is out of range, or the environment resets otherwise.
     """
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
     if not 0 <= seed <= LARGEST_TRAINING_SEED:
         raise ValueError(f"seed must be from 0 to {LARGEST_TRAINING_SEED}, got {seed}")
-    mode = env.metadata.get("autoreset_mode")
-    if mode is not AutoresetMode.SAME_STEP:
-        raise ValueError(f"evaluate needs autoreset_mode SAME_STEP, got an environment with {mode}")
+    require_torch_batch(env, "evaluate")
     acting = _resolve(env, policy, deterministic)
     counted = EpisodeStatistics(env.num_envs, quotas(episodes, env.num_envs))
     with torch.random.fork_rng(devices=()):  # the caller draws on as if nothing had been

@@ -8,10 +8,15 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any
 
+import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
+from embodichain.lab.gym.single import SingleEnv
+from embodichain.lab.gym.utils.spaces import entry_spaces
+from embodichain.lab.gym.vector import NumpyVectorEnv
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -20,9 +25,9 @@ if TYPE_CHECKING:
 __all__ = [
     "ActionScale",
     "flat_observation",
-    "named_observation",
     "observation_box",
     "observation_dict",
+    "require_torch_batch",
 ]
 
 F32 = NDArray[np.float32]
@@ -105,13 +110,7 @@ def observation_dict(env: BaseEnv, group: str) -> spaces.Dict:
         names = env.observation_manager.group_terms(group)
     except ValueError as error:
         raise ConfigError(str(error)) from error
-    found: dict[str, Any] = {}
-    for name in names:
-        space: Any = env.single_observation_space
-        for key in name.split("/"):
-            space = space[key]
-        found[name] = space
-    return spaces.Dict(found)
+    return entry_spaces(env.single_observation_space, names)
 
 
 def flat_observation(env: BaseEnv, obs: Any, group: str) -> F32:
@@ -120,12 +119,21 @@ def flat_observation(env: BaseEnv, obs: Any, group: str) -> F32:
     return flat
 
 
-def named_observation(obs: Any, space: spaces.Dict) -> dict[str, NDArray[Any]]:
-    """Return an observation's entries (N, ...) by name, in memory of their own.
+def require_torch_batch(env: gym.Env[Any, Any], caller: str) -> None:
+    """Refuse what is no batch of tensors that resets in the same step.
 
     Args:
-        obs: An observation of the environment.
-        space: What `observation_dict` returned.
+        env: An environment, wrapped or not.
+        caller: What needs one, for the message.
+
+    Raises:
+        TypeError: If it is one of `gymnasium.make` or `gymnasium.make_vec` with numpy arrays.
+        ValueError: If it resets otherwise.
     """
-    parts = {name: obs[tuple(name.split("/"))].numpy(force=True) for name in space}
-    return {name: np.array(part, space[name].dtype) for name, part in parts.items()}
+    if isinstance(env.unwrapped, (NumpyVectorEnv, SingleEnv)):
+        raise TypeError(
+            f"{caller} takes the batch of tensors, embodichain.make(NAME, num_envs=N), not {env}"
+        )
+    mode = env.metadata.get("autoreset_mode")
+    if mode is not AutoresetMode.SAME_STEP:
+        raise ValueError(f"{caller} needs autoreset_mode SAME_STEP, got an environment with {mode}")

@@ -13,19 +13,19 @@ from typing import TYPE_CHECKING, Any, cast
 import gymnasium as gym
 import numpy as np
 import torch
-from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 from stable_baselines3.common.env_util import is_wrapped
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from embodichain.lab.gym.envs.hooks import EnvHooks
+from embodichain.lab.gym.utils.spaces import named_obs
 from embodichain.learning.spaces import (
     ActionScale,
     flat_observation,
-    named_observation,
     observation_box,
     observation_dict,
+    require_torch_batch,
 )
 
 if TYPE_CHECKING:
@@ -69,17 +69,14 @@ class SB3VecEnv(VecEnv):
 
     Raises:
         ConfigError: If the group is empty or the action space has no finite bounds.
+        TypeError: If the environment is one of `gymnasium.make` or `make_vec` with numpy arrays.
         ValueError: If the environment does not reset in the same step.
     """
 
     def __init__(
         self, env: gym.Env[Any, Any], group: str = "policy", *, flatten: bool = True
     ) -> None:
-        mode = env.metadata.get("autoreset_mode")
-        if mode is not AutoresetMode.SAME_STEP:
-            raise ValueError(
-                f"SB3VecEnv needs autoreset_mode SAME_STEP, got an environment with {mode}"
-            )
+        require_torch_batch(env, "SB3VecEnv")
         self.env = env
         self.base = cast("BaseEnv", env.unwrapped)
         self.group = group
@@ -159,7 +156,7 @@ class SB3VecEnv(VecEnv):
 
     def _observed(self, obs: Any) -> Observed:
         if self._named is not None:
-            return named_observation(obs, self._named)
+            return named_obs(obs, self._named)
         return flat_observation(self.base, obs, self.group)
 
     def _finish(

@@ -1,15 +1,14 @@
-"""Python's door: `embodichain.make`, the registered ids, and classes that a task names."""
+"""`embodichain.make`, and the classes that a task names."""
 
 import subprocess
 import sys
 from pathlib import Path
 
-import gymnasium as gym
 import pytest
 import torch
 
 import embodichain
-from embodichain.config import list_options, resolve
+from embodichain.config import resolve
 from embodichain.config.frozen import thaw
 from embodichain.config.resolved import resolve_tree
 from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -45,21 +44,6 @@ def test_make_says_what_is_wrong() -> None:
         embodichain.make("raech")
     with pytest.raises(TypeError, match=r"overrides: a list of strings, such as \['seed=1'\]"):
         embodichain.make("reach", 1, "seed=1")
-
-
-@pytest.mark.parametrize("task", list_options("task"))
-def test_every_yaml_task_is_registered(task: str) -> None:
-    import embodichain.tasks  # noqa: F401
-
-    env = gym.make(f"embodichain/{task}-v0", num_envs=2)
-    try:
-        obs, _ = env.reset(seed=0)
-        assert obs.batch_size == torch.Size([2])
-        action = torch.from_numpy(env.action_space.sample())
-        _, reward, *_ = env.step(action)
-        assert reward.shape == (2,)
-    finally:
-        env.close()
 
 
 def test_a_task_may_name_a_class(write_task: WriteTask) -> None:

@@ -155,3 +155,14 @@ def test_installed_wheel_runs_the_main_job(elsewhere: Path, empty_cwd: Path) -> 
     assert done.returncode == 0, done.stdout + done.stderr
     made = {p.name for p in (empty_cwd / "outputs" / "latest").iterdir()}
     assert {"config.yaml", "rollout.mcap", "summary.json"} <= made
+
+
+def test_installed_wheel_has_ids_for_gymnasium(elsewhere: Path, empty_cwd: Path) -> None:
+    code = """
+import gymnasium
+env = gymnasium.make("embodichain:embodichain/reach-v0")
+print(env.reset(seed=1)[0].shape, gymnasium.make_vec("embodichain/cart_pole-v0", num_envs=2))
+"""
+    done = run([elsewhere / "bin" / "python", "-c", code])
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == "(21,) NumpyVectorEnv(BaseEnv, num_envs=2, NEXT_STEP)\n"

@@ -1,4 +1,4 @@
-"""`SingleEnv`: a batch of one as an ordinary Gymnasium environment, for checkers."""
+"""`SingleEnv`: a batch of one as an ordinary Gymnasium environment."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.autoreset import AutoresetMode
 from embodichain.lab.gym.envs.base_env import BaseEnv
-from embodichain.lab.gym.utils.spaces import numpy_obs, vector_obs, vector_paths, vector_space
+from embodichain.lab.gym.utils.policy_view import PolicyView
+from embodichain.lab.gym.utils.spaces import numpy_obs
 from embodichain.lab.sim.types import EnvObs
 
 __all__ = ["SingleEnv"]
@@ -23,24 +24,29 @@ class SingleEnv(gym.Env[Any, NDArray[np.float32]]):
 
     Args:
         env: An environment with ``num_envs`` 1; `close` closes it.
-        flatten: Whether the observation is one float32 vector (the declared observations of the
-            group ``policy`` in declared order, or everything) instead of nested dicts.
+        flatten: Whether the observation is what a policy sees (`PolicyView`: a vector, or a dict
+            with images) instead of everything in nested dicts.
 
     Raises:
         ValueError: If there is more than one environment.
     """
 
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}
+
     def __init__(self, env: BaseEnv, flatten: bool = True) -> None:
         if env.num_envs != 1:
-            raise ValueError(f"SingleEnv shows one environment, this batch has {env.num_envs}")
+            raise ValueError(
+                f"SingleEnv shows one environment, this batch has {env.num_envs}: "
+                "NumpyVectorEnv shows a batch in numpy, SB3VecEnv to Stable-Baselines3"
+            )
         env.metadata["autoreset_mode"] = AutoresetMode.DISABLED
         self.env = env
         self.metadata = {k: v for k, v in env.metadata.items() if k != "autoreset_mode"}
         self.render_mode = env.render_mode
         self.action_space = env.single_action_space
-        self._paths = vector_paths(env) if flatten else None
-        space = env.single_observation_space
-        self.observation_space = space if not flatten else vector_space(space, self._paths or ())
+        view = PolicyView(env) if flatten else None
+        self.observation_space = env.single_observation_space if view is None else view.space
+        self._seen = numpy_obs if view is None else view
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -62,9 +68,7 @@ class SingleEnv(gym.Env[Any, NDArray[np.float32]]):
         return self._first(obs), float(reward[0]), *flags, _first_info(info)
 
     def _first(self, obs: EnvObs) -> Any:
-        if self._paths is not None:
-            return vector_obs(obs, self._paths)[0]
-        return _row(numpy_obs(obs))
+        return _row(self._seen(obs))
 
     def render(self) -> NDArray[np.uint8] | None:
         """(480, 640, 3) RGB; None unless ``rgb_array``."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,8 @@ from tensordict import TensorDict
 
 from embodichain.lab.gym.envs.autoreset import parse_mode
 from embodichain.lab.gym.envs.base_env import BaseEnv
-from embodichain.lab.gym.utils.spaces import numpy_obs, vector_obs, vector_paths, vector_space
+from embodichain.lab.gym.utils.policy_view import PolicyView
+from embodichain.lab.gym.utils.spaces import numpy_obs
 from embodichain.lab.sim.types import EnvObs
 
 __all__ = ["NumpyVectorEnv"]
@@ -26,34 +27,38 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
     """N environments with numpy observations, rewards and flags.
 
     Which of Gymnasium's wrappers wants which mode: RecordEpisodeStatistics, NormalizeReward,
-    TransformReward and DictInfoToList take any; NormalizeObservation wants NEXT_STEP (and
-    `flatten`), FlattenObservation NEXT_STEP or DISABLED.
+    TransformReward and DictInfoToList take any; NormalizeObservation wants NEXT_STEP and
+    `flatten`, FlattenObservation NEXT_STEP or DISABLED; RecordVideo leaves out the last picture
+    of an episode with SAME_STEP.
 
     Args:
         env: The environment; `close` closes it.
-        autoreset_mode: SAME_STEP, NEXT_STEP or DISABLED; None is the environment's own.
-        flatten: Whether observations are one float32 vector (N, W) instead of nested dicts: the
-            declared observations of the group ``policy`` in declared order, or everything.
+        autoreset_mode: NEXT_STEP, which is the mode of Gymnasium's own vector environments,
+            SAME_STEP or DISABLED; the environment's own mode gives way.
+        flatten: Whether observations are what a policy sees (`PolicyView`: a vector, or a dict
+            with images) instead of everything in nested dicts.
+
+    Raises:
+        ValueError: If there is no such mode; lists them.
     """
 
-    def __init__(self, env: BaseEnv, autoreset_mode: Any = None, flatten: bool = False) -> None:
+    def __init__(
+        self,
+        env: BaseEnv,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        flatten: bool = True,
+    ) -> None:
         self.env = env
-        if autoreset_mode is not None:
-            env.metadata["autoreset_mode"] = parse_mode(autoreset_mode)
+        env.metadata["autoreset_mode"] = parse_mode(autoreset_mode)
         self.metadata = env.metadata
         self.render_mode = env.render_mode
         self.num_envs = env.num_envs
         self.single_action_space = env.single_action_space
         self.action_space = env.action_space
-        self._paths = vector_paths(env) if flatten else None
-        space = env.single_observation_space
-        if self._paths is not None:
-            space = vector_space(space, self._paths)
-        self.single_observation_space = space
+        view = PolicyView(env) if flatten else None
+        self.single_observation_space = env.single_observation_space if view is None else view.space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-
-    def _numpy(self, obs: EnvObs) -> Any:
-        return numpy_obs(obs) if self._paths is None else vector_obs(obs, self._paths)
+        self._numpy: Callable[[EnvObs], Any] = numpy_obs if view is None else view
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

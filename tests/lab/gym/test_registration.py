@@ -40,16 +40,31 @@ def test_gym_make_returns_the_batched_environment(uid):
         env.close()
 
 
+def test_gym_make_hands_out_tensors_and_plain_dicts(uid):
+    register_env(uid)(Registered)
+    env = gym.make(uid, num_envs=2)
+    try:
+        assert env.unwrapped.metadata["autoreset_mode"] is gym.vector.AutoresetMode.SAME_STEP
+        obs, info = env.reset(seed=1)
+        assert obs["robot"]["qpos"].shape == (2, 6) and type(info) is dict
+        _, reward, terminated, truncated, info = env.step(home(env.unwrapped))
+        assert all(x.shape == (2,) for x in (reward, terminated, truncated, info["elapsed_steps"]))
+        assert type(info) is dict
+    finally:
+        env.close()
+
+
 def test_gym_make_vec_returns_numpy(uid):
     register_env(uid, max_episode_steps=7)(Registered)
-    env = gym.make_vec(uid, num_envs=2, autoreset_mode="NEXT_STEP", flatten=True)
+    env = gym.make_vec(uid, num_envs=2, autoreset_mode="SAME_STEP", flatten=False)
     assert isinstance(env, NumpyVectorEnv) and env.env.max_episode_steps == 7
-    assert env.metadata["autoreset_mode"] is gym.vector.AutoresetMode.NEXT_STEP
+    assert env.metadata["autoreset_mode"] is gym.vector.AutoresetMode.SAME_STEP
     obs, _ = env.reset(seed=1)
-    assert obs.shape == (2, 18) and obs.dtype == np.float32
+    assert obs["robot"]["qpos"].shape == (2, 6) and obs["robot"]["qpos"].dtype == np.float32
     env.close()
     env = gym.make_vec(uid, num_envs=2, max_episode_steps=3)
-    assert env.env.max_episode_steps == 3
+    assert env.env.max_episode_steps == 3 and env.observation_space.shape == (2, 18)
+    assert env.metadata["autoreset_mode"] is gym.vector.AutoresetMode.NEXT_STEP
     env.close()
 
 

@@ -1,4 +1,5 @@
 import gymnasium as gym
+import imageio_ffmpeg
 import numpy as np
 import pytest
 import torch
@@ -9,6 +10,8 @@ from embodichain.lab.gym.vector import NumpyVectorEnv
 from tests.lab.gym.conftest import jumping, marker, noise
 
 LIMIT = 5
+FIRST = 2
+"""Steps of the first episode of environment 0."""
 
 
 def _first_fails(env, obs, action, info):
@@ -163,6 +166,28 @@ def test_a_reset_mask_resets_those_and_must_be_one(make_vec):
     for wrong in ([True, False, False], np.zeros(3, bool), np.array([0, 1, 0])):
         with pytest.raises(ValueError, match="reset_mask"):
             env.reset(options={"reset_mask": wrong})
+
+
+def test_record_video_with_next_step(make_vec, tmp_path):
+    env = make_vec("NEXT_STEP", flatten=True, env_kwargs={"render_mode": "rgb_array"})
+    assert env.metadata["render_fps"] == env.env.control_frequency
+    env = wrappers.RecordVideo(env, str(tmp_path), episode_trigger=lambda episode: episode == 0)
+    env.reset(seed=1)
+    for _ in range(LIMIT + 2):
+        env.step(_actions(env))
+    env.close()
+    (film,) = tmp_path.glob("*.mp4")
+    frames = imageio_ffmpeg.read_frames(str(film))
+    meta = next(frames)
+    assert meta["size"] == (3 * 640, 480)  # the environments side by side
+    assert meta["fps"] == pytest.approx(env.metadata["render_fps"])
+    assert sum(1 for _ in frames) == 1 + FIRST  # of the reset, and of each step of environment 0
+
+
+def test_the_default_is_next_step_and_what_a_policy_sees(make_env):
+    env = NumpyVectorEnv(make_env(**jumping()))
+    assert env.metadata["autoreset_mode"] is gym.vector.AutoresetMode.NEXT_STEP
+    assert env.observation_space.shape == (3, 5)
 
 
 def test_closing_closes_the_environment(make_vec):

@@ -21,14 +21,12 @@ __all__ = ["AutoresetMode", "add_finals", "blanked", "instance_metadata", "parse
 FINAL_KEYS = ("final_obs", "final_info", "_final_obs", "_final_info", "final_observation")
 
 
-def parse_mode(mode: AutoresetMode | str | None) -> AutoresetMode:
-    """Return Gymnasium's mode for a mode, its name or its value; None is SAME_STEP.
+def parse_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    """Return Gymnasium's mode for a mode, its name or its value.
 
     Raises:
         ValueError: If there is no such mode; lists them.
     """
-    if mode is None:
-        return AutoresetMode.SAME_STEP
     if isinstance(mode, AutoresetMode):
         return mode
     names = {m.name: m for m in AutoresetMode} | {m.value: m for m in AutoresetMode}

@@ -72,7 +72,7 @@ class BaseEnv(EnvOutcome):
         self,
         cfg: EnvCfg | None = None,
         render_mode: str | None = None,
-        autoreset_mode: AutoresetMode | str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         num_envs: int | None = None,
         run_dir: Path | None = None,
         **kwargs: Any,

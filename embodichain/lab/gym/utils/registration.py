@@ -1,6 +1,6 @@
-"""Registered environments: `register_env`, and making them by id: batched, numpy, from a config.
+"""Registered classes: `register_env`, and making them by id: batched, numpy, from a config.
 
-Ids from YAML (``embodichain/NAME-v0``) are registered by `embodichain.tasks` through this module.
+``embodichain/NAME-v0``, the ids of YAML tasks, are not among them: these are `gymnasium_ids`.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import gymnasium as gym
+from gymnasium.vector import AutoresetMode
 
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
@@ -53,6 +54,8 @@ def register_env(
     uid: str, max_episode_steps: int | None = None, override: bool = False, **kwargs: Any
 ) -> Callable[[T], T]:
     """Make a class available to `gymnasium.make`, `gymnasium.make_vec` and `build_env`.
+
+    ``gymnasium.make(uid, num_envs=N)`` is the class's batch of torch tensors, as in EmbodiChain.
 
     Args:
         uid: The id, for example ``RandomReach-v1``.
@@ -98,7 +101,9 @@ def _find(env_id: str) -> EnvSpec:
     except KeyError:
         known = ", ".join(REGISTERED_ENVS) or "none"
         hint = did_you_mean(env_id, REGISTERED_ENVS)
-        raise ConfigError(f"no environment {env_id!r}; registered: {known}.{hint}") from None
+        if env_id.startswith("embodichain/"):
+            hint = " Ids of YAML tasks are made by gymnasium.make, gymnasium.make_vec."
+        raise ConfigError(f"no registered class {env_id!r}; there are: {known}.{hint}") from None
 
 
 def make(env_id: str, max_episode_steps: int | None = None, **kwargs: Any) -> BaseEnv:
@@ -123,8 +128,8 @@ def make(env_id: str, max_episode_steps: int | None = None, **kwargs: Any) -> Ba
 def make_vec(
     env_id: str,
     num_envs: int = 1,
-    autoreset_mode: Any = None,
-    flatten: bool = False,
+    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    flatten: bool = True,
     **kwargs: Any,
 ) -> NumpyVectorEnv:
     """Make a registered environment as Gymnasium's numpy `VectorEnv`.
@@ -132,18 +137,15 @@ def make_vec(
     Args:
         env_id: The id.
         num_envs: N.
-        autoreset_mode: SAME_STEP, NEXT_STEP or DISABLED; None is the environment's own.
-        flatten: Whether observations are one Box instead of a nested Dict.
+        autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED; see `NumpyVectorEnv`.
+        flatten: Whether observations are what a policy sees, likewise.
         **kwargs: As for `make`.
     """
+    from embodichain.lab.gym.envs.autoreset import parse_mode
     from embodichain.lab.gym.vector import NumpyVectorEnv
 
-    env = make(env_id, num_envs=num_envs, **kwargs)
-    try:
-        return NumpyVectorEnv(env, autoreset_mode, flatten)
-    except BaseException:
-        env.close()
-        raise
+    mode = parse_mode(autoreset_mode)  # an unknown one is found before anything is built
+    return NumpyVectorEnv(make(env_id, num_envs=num_envs, **kwargs), mode, flatten)
 
 
 def build_env(id: str, cfg: EnvCfg) -> BaseEnv:

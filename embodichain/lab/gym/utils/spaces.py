@@ -1,13 +1,12 @@
-"""Gymnasium spaces of observations and joints, and observations as numpy arrays or one vector."""
+"""Gymnasium spaces of observations and joints, and observations as numpy arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
-import torch
 from gymnasium import spaces
 from numpy.typing import NDArray
 from tensordict import TensorDict
@@ -15,20 +14,16 @@ from tensordict import TensorDict
 from embodichain.lab.gym.utils.bounds import joint_bounds
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.objects.articulation import Articulation
 
 __all__ = [
+    "entry_spaces",
     "flat_space",
     "joint_space",
+    "named_obs",
     "numpy_obs",
     "observation_space",
-    "vector_obs",
-    "vector_paths",
-    "vector_space",
 ]
-
-Path = tuple[str, ...]
 
 
 def joint_space(articulation: Articulation, joint_ids: Sequence[int]) -> spaces.Box:
@@ -75,20 +70,31 @@ def flat_space(space: gym.Space[Any], num_envs: int) -> spaces.Box:
     return spaces.Box(-np.inf, np.inf, (num_envs, width), np.float32)
 
 
-def vector_space(space: gym.Space[Any], paths: Sequence[Path]) -> spaces.Box:
-    """Return the Box (W,) of one environment's vector.
+def entry_spaces(space: gym.Space[Any], names: Iterable[str]) -> spaces.Dict:
+    """Return the spaces of some entries of one environment's observation, by name, in order.
 
     Args:
         space: The space of one environment's observation.
-        paths: The entries, in order.
+        names: The entries; "/" nests.
     """
-    width = 0
-    for path in paths:
+    found: dict[str, Any] = {}
+    for name in names:
         leaf: Any = space
-        for key in path:
+        for key in name.split("/"):
             leaf = leaf[key]
-        width += int(np.prod(leaf.shape, dtype=np.int64))
-    return spaces.Box(-np.inf, np.inf, (width,), np.float32)
+        found[name] = leaf
+    return spaces.Dict(found)
+
+
+def named_obs(obs: Any, space: spaces.Dict) -> dict[str, NDArray[Any]]:
+    """Return an observation's entries (N, ...) by name, in memory of their own.
+
+    Args:
+        obs: An observation of N environments.
+        space: What `entry_spaces` returned.
+    """
+    parts = {name: obs[tuple(name.split("/"))].numpy(force=True) for name in space}
+    return {name: np.array(part, space[name].dtype) for name, part in parts.items()}
 
 
 def numpy_obs(obs: TensorDict) -> dict[str, Any]:
@@ -97,33 +103,3 @@ def numpy_obs(obs: TensorDict) -> dict[str, Any]:
         key: numpy_obs(value) if isinstance(value, TensorDict) else value.cpu().numpy()
         for key, value in obs.items()
     }
-
-
-def vector_paths(env: BaseEnv) -> list[Path]:
-    """Return the entries of an observation's vector, in order.
-
-    The declared observations of the group ``policy`` in declared order; without declared
-    observations, every floating point entry.
-    """
-    manager = env.observation_manager
-    if "policy" in manager.groups:
-        return [tuple(name.split("/")) for name in manager.group_terms("policy")]
-    return list(env.observation_paths)
-
-
-def vector_obs(obs: TensorDict, paths: Sequence[Path]) -> NDArray[np.float32]:
-    """Return entries of an observation side by side, (N, W) float32.
-
-    Args:
-        obs: The observation of N environments.
-        paths: The entries, in order.
-    """
-    parts = []
-    for path in paths:
-        leaf: Any = obs
-        for key in path:
-            leaf = leaf[key]
-        parts.append(leaf.reshape(leaf.shape[0], -1).to(torch.float32))
-    flat = torch.cat(parts, dim=1) if parts else torch.zeros(obs.batch_size[0], 0)
-    result: NDArray[np.float32] = flat.cpu().numpy()
-    return result

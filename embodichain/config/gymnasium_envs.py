@@ -1,0 +1,84 @@
+"""What Gymnasium makes of ``embodichain/NAME-v0``: `make` one environment, `make_vec` a batch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from gymnasium.vector import AutoresetMode
+
+from embodichain.config.factory import make
+from embodichain.config.gymnasium_ids import task_id
+from embodichain.lab.gym.envs.autoreset import parse_mode
+from embodichain.lab.gym.single import SingleEnv
+from embodichain.lab.gym.vector import NumpyVectorEnv
+from embodichain.utils.errors import ConfigError
+
+__all__ = ["TaskEnv", "make_task_vec"]
+
+
+class TaskEnv(SingleEnv):
+    """One environment of a YAML task, numpy and without a batch dimension.
+
+    Gymnasium's ``max_episode_steps`` adds a limit to the task's own; a longer one than that is
+    ``overrides=["task.max_episode_steps=N"]``.
+
+    Args:
+        task: An option of the group `task`: ``reach``.
+        overrides: As of `embodichain.make`.
+        flatten: Whether observations are what a policy sees; see `SingleEnv`.
+        **kwargs: As of `embodichain.make`: ``seed``, ``config_dir``, ``render_mode``.
+
+    Raises:
+        ConfigError: Holds every mistake in the config; or the arguments are those of a batch.
+        TypeError: If an argument is unknown.
+    """
+
+    def __init__(
+        self, task: str, overrides: Sequence[str] = (), flatten: bool = True, **kwargs: Any
+    ) -> None:
+        wrong = [
+            f"{key}={kwargs[key]!r}" for key in ("num_envs", "autoreset_mode") if key in kwargs
+        ]
+        wrong += [line for line in overrides if line.lstrip("+").startswith("num_envs=")]
+        if wrong:
+            raise ConfigError(_BATCHES.format(wrong=", ".join(wrong), id=task_id(task), task=task))
+        super().__init__(make(task, 1, overrides, **kwargs), flatten)
+
+
+_BATCHES = (
+    "gymnasium.make({id!r}) makes one environment, which takes no {wrong}; a batch is "
+    "gymnasium.make_vec({id!r}, num_envs=N) with numpy arrays, or "
+    "embodichain.make({task!r}, num_envs=N) with torch tensors"
+)
+
+
+def make_task_vec(
+    task: str,
+    num_envs: int = 1,
+    overrides: Sequence[str] = (),
+    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    flatten: bool = True,
+    max_episode_steps: int | None = None,
+    **kwargs: Any,
+) -> NumpyVectorEnv:
+    """Make N environments of a YAML task as Gymnasium's numpy `VectorEnv`.
+
+    Args:
+        task: An option of the group `task`: ``reach``.
+        num_envs: N.
+        overrides: As of `embodichain.make`.
+        autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED; see `NumpyVectorEnv`.
+        flatten: Whether observations are what a policy sees, likewise.
+        max_episode_steps: Time limit in control steps; None is the task's.
+        **kwargs: As of `embodichain.make`: ``seed``, ``config_dir``, ``render_mode``.
+
+    Raises:
+        ConfigError: Holds every mistake in the config.
+        TypeError: If an argument is unknown.
+    """
+    mode = parse_mode(autoreset_mode)  # an unknown one is found before anything is built
+    lines = list(overrides)
+    if max_episode_steps is not None:
+        lines.append(f"task.max_episode_steps={max_episode_steps}")
+    return NumpyVectorEnv(make(task, num_envs, lines, **kwargs), mode, flatten)

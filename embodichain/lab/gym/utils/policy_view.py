@@ -1,0 +1,65 @@
+"""`PolicyView`: what a policy sees of an observation, one vector or a dict where there are images.
+
+What `SingleEnv` and `NumpyVectorEnv` hand out, so that one environment and a batch agree.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.utils.spaces import entry_spaces, named_obs
+from embodichain.lab.sim.types import EnvObs
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = ["PolicyView"]
+
+_IMAGE_DIMENSIONS = 3
+"""Height, width, channels in either order; what has a history has one more."""
+
+
+class PolicyView:
+    """The entries of the group ``policy`` in declared order; without a group, every number.
+
+    Args:
+        env: The environment.
+
+    Attributes:
+        space: Of one environment: a Box (K,) float32, unbounded, or, if an entry has three
+            dimensions or more, a Dict of Boxes, the shape and type of each as observed.
+    """
+
+    def __init__(self, env: BaseEnv) -> None:
+        manager = env.observation_manager
+        declared = "policy" in manager.groups
+        paths = ["/".join(path) for path in env.observation_paths]
+        names = manager.group_terms("policy") if declared else paths
+        self._entries = entry_spaces(env.single_observation_space, names)
+        self._paths = [tuple(name.split("/")) for name in names]
+        shapes = [space.shape or () for space in self._entries.values()]
+        self._flat = all(len(shape) < _IMAGE_DIMENSIONS for shape in shapes)
+        width = sum(int(np.prod(shape, dtype=np.int64)) for shape in shapes)
+        self.space: spaces.Box | spaces.Dict = self._entries
+        if self._flat:
+            self.space = spaces.Box(-np.inf, np.inf, (width,), np.float32)
+
+    def __call__(self, obs: EnvObs) -> NDArray[np.float32] | dict[str, NDArray[Any]]:
+        """Return what the policy sees of N environments, in memory of its own.
+
+        Args:
+            obs: An observation of the environment.
+
+        Returns:
+            (N, K) float32, or a dict of (N, ...).
+        """
+        if not self._flat:
+            return named_obs(obs, self._entries)
+        count = int(obs.batch_size[0])
+        parts = [obs[path].reshape(count, -1).numpy(force=True) for path in self._paths]
+        none = np.zeros((count, 0), np.float32)  # concatenate wants one part at least
+        return np.concatenate([none, *parts], axis=1, dtype=np.float32)
