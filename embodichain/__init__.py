@@ -1,11 +1,15 @@
 """The package's front door: `make` and `__version__`, both free of heavy imports.
 
 Nothing else lives here. `make` is found on first use, so that `import embodichain` stays fast.
+EmbodiChain's import paths are answered by `compat`.
 """
 
+import sys
 from typing import TYPE_CHECKING
 
 import lazy_loader
+
+from embodichain.compat import finder
 
 if TYPE_CHECKING:
     from embodichain.config.factory import make
@@ -15,3 +19,6 @@ __version__ = "0.1.0"
 __getattr__, __dir__, _ = lazy_loader.attach(__name__, submod_attrs={"config.factory": ["make"]})
 
 __all__ = ["__version__", "make"]
+
+finder.complete(sys.modules[__name__])
+finder.install()

@@ -18,6 +18,7 @@ from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg
 from embodichain.utils.configclass import configclass
 
 __all__ = [
+    "DEFAULT_RENDERER",
     "ArticulationCfg",
     "GPUMemoryCfg",
     "JointDrivePropertiesCfg",
@@ -37,6 +38,9 @@ Vec3 = Annotated[Sequence[float], Field(min_length=3, max_length=3)]
 Quat = Annotated[Sequence[float], Field(min_length=4, max_length=4)]
 PerJoint = float | dict[str, float]
 """One value for all joints, or values keyed by joint-name regex or control-part name."""
+
+
+DEFAULT_RENDERER = "hybrid"
 
 
 @configclass
@@ -133,6 +137,8 @@ class SimulationManagerCfg:
     physics_config: PhysicsCfg = PhysicsCfg()
     gpu_memory_config: GPUMemoryCfg = GPUMemoryCfg()
     window_record: WindowRecordCfg = WindowRecordCfg()
+    visualization: Any = None
+    """A `VisualizationCfg` of `embodichain.lab.visualization`: the page in a browser."""
     # ours
     num_threads: int = dataclasses.field(default=0, kw_only=True)
     """Physics threads; 0 uses every core the process may use."""

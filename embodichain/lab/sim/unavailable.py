@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 __all__ = [
-    "CameraCfg",
     "ClothObjectCfg",
     "GizmoCfg",
     "RigidConstraintCfg",
     "RigidObjectGroupCfg",
     "SoftObjectCfg",
     "SolverCfg",
-    "StereoCameraCfg",
     "URDFCfg",
 ]
 
@@ -66,15 +64,3 @@ class SolverCfg(_UnavailableCfg):
     """Not available: IK solvers come later."""
 
     what = "IK solvers are"
-
-
-class CameraCfg(_UnavailableCfg):
-    """Not available: cameras come later."""
-
-    what = "cameras are"
-
-
-class StereoCameraCfg(_UnavailableCfg):
-    """Not available: cameras come later."""
-
-    what = "cameras are"

@@ -84,7 +84,7 @@ TOP: Vocabulary = {
     "scene_node_capacity": "there is no such limit",
     "enable_entity_gizmo": "gizmos are not available",
     "robot_ik_gizmo": "gizmos are not available",
-    "visualization": "the log opens in Foxglove and Lichtblick; viewer=native is a window",
+    "visualization": "viewer=web shows the run in a browser, viewer=native in a window",
     "rigid_object_group": "object groups are not available: declare the objects one by one",
     "visual_object": "declare a rigid object with enable_collision false",
     "soft_object": "soft bodies are not available",
