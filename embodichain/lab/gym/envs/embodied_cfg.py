@@ -11,7 +11,7 @@ import logging
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
 from embodichain.lab.gym.envs.managers.registry import TERMS, Kind
 from embodichain.lab.gym.gym_config.conversion import Conversion, convert
 from embodichain.lab.sim.cfg import ArticulationCfg, LightCfg, RigidObjectCfg, name_of
@@ -32,7 +32,7 @@ _SECTIONS: Mapping[str, Kind] = {
 _LISTS = ("background", "rigid_object", "articulation")
 _MAPS = ("objects", "articulations", "lights")
 _OF_ENV = ("control_parts", "active_joint_ids", "filter_visual_rand", "filter_dataset_saving")
-_ALWAYS = ("shape_type", "func", "mode")
+_ALWAYS = ("shape_type", "func")
 """Fields that count where they have their default, too."""
 
 
@@ -137,10 +137,16 @@ def _named(section: Any) -> Iterator[tuple[str, Any]]:
 
 def _functor(functor: Any, kind: Kind) -> Any:
     plain = _plain(functor)
-    func = plain.get("func") if isinstance(plain, dict) else None
+    if not isinstance(functor, TermCfg):
+        return plain
+    if kind == "observation":
+        plain["mode"] = getattr(functor, "mode", "modify")  # its default is not that of a file
+    func = functor.func
     if callable(func):
         known = next((name for name, spec in TERMS[kind].items() if spec.func is func), None)
         plain["func"] = known or func
+        if known is None and functor.params:
+            plain["params"] = functor.params  # a user's function gets a `SceneEntityCfg` as it is
     return plain
 
 
