@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import Field
 
 from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg
+from embodichain.lab.sim.urdf_cfg import URDFCfg
 from embodichain.utils.configclass import configclass
 
 __all__ = [
@@ -31,6 +32,7 @@ __all__ = [
     "RigidObjectCfg",
     "RobotCfg",
     "SimulationManagerCfg",
+    "URDFCfg",
     "WindowRecordCfg",
 ]
 
@@ -289,8 +291,8 @@ class RobotCfg(ArticulationCfg):
     drive_pros: JointDrivePropertiesCfg = JointDrivePropertiesCfg(drive_type="force")
     control_parts: dict[str, list[str]] | None = None
     """Part name -> joint-name regexes."""
-    urdf_cfg: Any = None
-    """URDF assembly; not available yet (raises NotImplementedError)."""
+    urdf_cfg: URDFCfg | None = None
+    """Several URDF files as one robot, instead of `fpath`."""
     solver_cfg: Any = None
     """IK solvers; not available yet (raises NotImplementedError)."""
 
@@ -357,6 +359,9 @@ def name_of(cfg: ObjectBaseCfg) -> str:
     fpath = getattr(cfg, "fpath", None)
     if fpath:
         return str(fpath).replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0]
+    urdf: URDFCfg | None = getattr(cfg, "urdf_cfg", None)
+    if urdf is not None and urdf.stem():
+        return urdf.stem()
     raise ValueError(f"{type(cfg).__name__} has no uid")
 
 

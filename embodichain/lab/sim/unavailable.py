@@ -11,7 +11,6 @@ __all__ = [
     "RigidObjectGroupCfg",
     "SoftObjectCfg",
     "SolverCfg",
-    "URDFCfg",
 ]
 
 
@@ -52,12 +51,6 @@ class GizmoCfg(_UnavailableCfg):
     """Not available: gizmos need the viewer they belong to."""
 
     what = "gizmos are"
-
-
-class URDFCfg(_UnavailableCfg):
-    """Not available: assembling one URDF from components comes later."""
-
-    what = "URDF assembly is"
 
 
 class SolverCfg(_UnavailableCfg):

@@ -173,6 +173,20 @@ ROBOT: Vocabulary = {
     "enable_sensor": _CAMERA,
 }
 
+_ASSEMBLED = "robots are assembled when they are read: nothing is written"
+URDF: Vocabulary = {
+    "components": HANDLED,
+    "base_link_name": KEEP,
+    "component_prefix": KEEP,
+    "name_case": KEEP,
+    "sensors": _CAMERA,
+    "use_signature_check": _ASSEMBLED,
+    "fpath": _ASSEMBLED,
+    "fname": _ASSEMBLED,
+    "fpath_prefix": _ASSEMBLED,
+}
+URDF_COMPONENT: Vocabulary = {"component_type": KEEP, "urdf_path": KEEP, "transform": KEEP}
+
 DRIVE: Vocabulary = {
     "drive_type": KEEP,
     "stiffness": KEEP,
@@ -326,6 +340,7 @@ SECTIONS: Mapping[str, Vocabulary] = {
     "": TOP,
     "physics_config": PHYSICS,
     "robot": ROBOT,
+    "robot.urdf_cfg": URDF,
     "articulation[]": ARTICULATION,
     "drive_pros": DRIVE,
     "rigid_object[], background[]": RIGID_OBJECT,
