@@ -2,12 +2,15 @@
 
 `make` is found on first use, so that `import embodichain` stays fast. Importing the package also
 registers ``embodichain/NAME-v0`` of every YAML task with Gymnasium, once that is imported too.
+EmbodiChain's import paths are answered by `compat`.
 """
 
+import sys
 from typing import TYPE_CHECKING
 
 import lazy_loader
 
+from embodichain.compat import finder
 from embodichain.config.gymnasium_ids import register_with_gymnasium
 
 if TYPE_CHECKING:
@@ -19,4 +22,6 @@ __getattr__, __dir__, _ = lazy_loader.attach(__name__, submod_attrs={"config.fac
 
 __all__ = ["__version__", "make"]
 
+finder.complete(sys.modules[__name__])
+finder.install()
 register_with_gymnasium()

@@ -20,7 +20,7 @@ from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["main"]
 
-_CALL_STARTED = ("run", "train")  # these say when their start is over
+_CALL_STARTED = ("run", "run-env", "train")  # these say when their start is over
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -58,7 +58,7 @@ def _call(arguments: list[str]) -> int:
         return complete(arguments[1:])
     if first in VERBS:
         with _own_modules(), starting() if first in _CALL_STARTED else nullcontext():
-            module = importlib.import_module(f"embodichain.cli.{first}")
+            module = importlib.import_module(f"embodichain.cli.{first.replace('-', '_')}")
             code: int = module.main(arguments[1:])
             return code
     raise ConfigError(_not_a_verb(first, arguments))

@@ -1,6 +1,7 @@
 """The table of verbs: name, what it does in one line, examples. Imports no verb.
 
-Each verb is the module `embodichain.cli.NAME` with ``main(arguments) -> int``.
+Each verb is the module `embodichain.cli.NAME` with ``main(arguments) -> int``; a dash in its name
+is an underscore in the module's.
 """
 
 from __future__ import annotations
@@ -49,6 +50,15 @@ _RUN = Verb(
         ("run task=random_reach --cfg job", "print the config, run nothing"),
     ),
     overrides=True,
+)
+_RUN_ENV = Verb(
+    "run-env",
+    "EmbodiChain's command: run --gym-config, with its flags.",
+    "--gym_config FILE [key=value ...] [options]",
+    (
+        ("run-env --gym_config gym_config.json --num_envs 4 --headless", "four environments"),
+        ("run-env --gym_config gym_config.json record=none max_steps=100", "with keys of `run`"),
+    ),
 )
 _TRAIN = Verb(
     "train",
@@ -243,6 +253,7 @@ VERBS: dict[str, Verb] = {
             _SHOW,
             _VALIDATE,
             _CONVERT,
+            _RUN_ENV,
             _NEW,
             _DOCTOR,
         ),

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from types import FunctionType
 from typing import Any, TypeVar, dataclass_transform, overload
 
-__all__ = ["MISSING", "config_to_dict", "configclass"]
+__all__ = ["MISSING", "config_to_dict", "configclass", "is_configclass"]
 
 T = TypeVar("T")
 
@@ -86,6 +86,11 @@ def config_to_dict(cfg: object) -> dict[str, Any]:
         One entry per field; nested configs become dicts, everything else is deep-copied.
     """
     return {f.name: _plain(getattr(cfg, f.name)) for f in dataclasses.fields(cfg)}  # type: ignore[arg-type]
+
+
+def is_configclass(value: object) -> bool:
+    """Whether a class or an instance is made by `configclass`."""
+    return dataclasses.is_dataclass(value) and hasattr(value, "__pydantic_config__")
 
 
 def _plain(value: Any) -> Any:

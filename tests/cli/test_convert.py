@@ -47,6 +47,7 @@ def test_convert_validate_run(
     name: str, embodichain: Run, capsys: pytest.CaptureFixture[str]
 ) -> None:
     source = Path(shutil.copy(CONFIGS / name, "."))
+    shutil.copy(CONFIGS / "a_hand.urdf", ".")
     before = source.read_bytes()
     converted = embodichain("convert", name, "-o", "conf/task/mine.yaml")
     assert converted.returncode == 0, converted.stderr

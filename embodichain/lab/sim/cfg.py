@@ -15,9 +15,11 @@ import numpy as np
 from pydantic import Field
 
 from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg
+from embodichain.lab.sim.urdf_cfg import URDFCfg
 from embodichain.utils.configclass import configclass
 
 __all__ = [
+    "DEFAULT_RENDERER",
     "ArticulationCfg",
     "GPUMemoryCfg",
     "JointDrivePropertiesCfg",
@@ -30,6 +32,7 @@ __all__ = [
     "RigidObjectCfg",
     "RobotCfg",
     "SimulationManagerCfg",
+    "URDFCfg",
     "WindowRecordCfg",
 ]
 
@@ -37,6 +40,9 @@ Vec3 = Annotated[Sequence[float], Field(min_length=3, max_length=3)]
 Quat = Annotated[Sequence[float], Field(min_length=4, max_length=4)]
 PerJoint = float | dict[str, float]
 """One value for all joints, or values keyed by joint-name regex or control-part name."""
+
+
+DEFAULT_RENDERER = "hybrid"
 
 
 @configclass
@@ -133,6 +139,8 @@ class SimulationManagerCfg:
     physics_config: PhysicsCfg = PhysicsCfg()
     gpu_memory_config: GPUMemoryCfg = GPUMemoryCfg()
     window_record: WindowRecordCfg = WindowRecordCfg()
+    visualization: Any = None
+    """A `VisualizationCfg` of `embodichain.lab.visualization`: the page in a browser."""
     # ours
     num_threads: int = dataclasses.field(default=0, kw_only=True)
     """Physics threads; 0 uses every core the process may use."""
@@ -286,8 +294,8 @@ class RobotCfg(ArticulationCfg):
     drive_pros: JointDrivePropertiesCfg = JointDrivePropertiesCfg(drive_type="force")
     control_parts: dict[str, list[str]] | None = None
     """Part name -> joint-name regexes."""
-    urdf_cfg: Any = None
-    """URDF assembly; not available yet (raises NotImplementedError)."""
+    urdf_cfg: URDFCfg | None = None
+    """Several URDF files as one robot, instead of `fpath`."""
     solver_cfg: Any = None
     """IK solvers; not available yet (raises NotImplementedError)."""
 
@@ -354,6 +362,9 @@ def name_of(cfg: ObjectBaseCfg) -> str:
     fpath = getattr(cfg, "fpath", None)
     if fpath:
         return str(fpath).replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0]
+    urdf: URDFCfg | None = getattr(cfg, "urdf_cfg", None)
+    if urdf is not None and urdf.stem():
+        return urdf.stem()
     raise ValueError(f"{type(cfg).__name__} has no uid")
 
 

@@ -20,6 +20,7 @@ from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.sensors.base import BaseSensor
+from embodichain.lab.sim.sensors.camera_cfg import CameraCfg, no_camera
 from embodichain.lab.sim.sensors.cfg import SensorCfg
 from embodichain.lab.sim.sensors.contact import ContactSensor
 from embodichain.lab.sim.sensors.force_torque import ForceTorqueSensor
@@ -114,13 +115,16 @@ class Declaration:
         self.lights[self._claim(cfg)] = cfg
         return cfg
 
-    def add_sensor(self, cfg: SensorCfg) -> BaseSensor:
+    def add_sensor(self, cfg: SensorCfg | CameraCfg) -> BaseSensor:
         """Add a sensor to entities that are there already.
 
         Raises:
+            NotImplementedError: If it is a camera.
             ConfigError: If an entity or a link does not exist, or a value is wrong.
             RuntimeError: If the scene is compiled already.
         """
+        if isinstance(cfg, CameraCfg):
+            raise no_camera(cfg)
         uid = self._claim(cfg)
         articulations = {**self.robots, **self.articulations}
         known: dict[str, ParsedArticulation | str | None] = {

@@ -14,10 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from embodichain.lab.sim.cfg import (
-    MarkerCfg,
-    SimulationManagerCfg,
-)
+from embodichain.lab.sim.cfg import SimulationManagerCfg
 from embodichain.lab.sim.compiler import CompiledScene, compile_scene
 from embodichain.lab.sim.declaration import Declaration
 from embodichain.lab.sim.device import check_device
@@ -25,7 +22,7 @@ from embodichain.lab.sim.engine.cpu import CpuEngine
 from embodichain.lab.sim.initial_state import entity_columns, initial_row
 from embodichain.lab.sim.objects._arrays import as_env_ids
 from embodichain.lab.sim.objects.articulation import Articulation
-from embodichain.lab.sim.objects.entity import not_available
+from embodichain.lab.sim.upstream_members import UpstreamMembers, instances
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.base import F64, EnvIndex
@@ -34,10 +31,8 @@ if TYPE_CHECKING:
 
 __all__ = ["SimulationManager"]
 
-_instances: dict[int, weakref.ref[SimulationManager]] = {}
 
-
-class SimulationManager(Declaration):
+class SimulationManager(UpstreamMembers, Declaration):
     """N environments of one scene.
 
     Args:
@@ -60,21 +55,8 @@ class SimulationManager(Declaration):
         self._viewer: NativeViewer | None = None
         self.physics_seconds = 0.0
         """Wall time that physics steps took so far, in `update`."""
-        self.instance_id = max(_instances, default=-1) + 1
-        _instances[self.instance_id] = weakref.ref(self)
-
-    @staticmethod
-    def get_instance(instance_id: int = 0) -> SimulationManager:
-        """Return a living simulation by the order of its creation.
-
-        Raises:
-            ValueError: If there is none; lists the living ones.
-        """
-        alive = [i for i, ref in _instances.items() if ref() is not None]
-        found = _instances.get(instance_id, lambda: None)()
-        if found is None:
-            raise ValueError(f"no simulation {instance_id}; living ones: {alive}")
-        return found
+        self.instance_id = max(instances, default=-1) + 1
+        instances[self.instance_id] = weakref.ref(self)
 
     @property
     def arena_offsets(self) -> torch.Tensor:
@@ -296,22 +278,4 @@ class SimulationManager(Declaration):
         # What is large goes now, not when Python collects the cycle of handles and environment.
         self._engine = self._scene = None
         self._destroyed = True
-        _instances.pop(self.instance_id, None)
-
-    def draw_marker(self, cfg: MarkerCfg) -> None:
-        """Not available: markers come with the viewers that draw them."""
-        raise NotImplementedError("draw_marker is not available: add a kinematic object instead")
-
-    add_soft_object = not_available("add_soft_object", "soft bodies come later")
-    add_cloth_object = not_available("add_cloth_object", "cloth comes later")
-    add_rigid_object_group = not_available("add_rigid_object_group", "add objects one by one")
-    create_visual_material = not_available("create_visual_material", "declare visual_material")
-    create_rigid_constraint = not_available("create_rigid_constraint", "welds come later")
-    remove_rigid_constraint = not_available("remove_rigid_constraint", "welds come later")
-    export_usd = not_available("export_usd", "USD is not written")
-    enable_gizmo = not_available("enable_gizmo", "gizmos are not available")
-    disable_gizmo = not_available("disable_gizmo", "gizmos are not available")
-    visualize_point_cloud = not_available("visualize_point_cloud", "point clouds come later")
-    set_indirect_lighting = not_available("set_indirect_lighting", "MuJoCo has none; add lights")
-    set_emission_light = not_available("set_emission_light", "MuJoCo has none; add lights")
-    render_camera_group = not_available("render_camera_group", "cameras come later")
+        instances.pop(self.instance_id, None)

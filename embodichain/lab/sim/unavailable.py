@@ -5,15 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 __all__ = [
-    "CameraCfg",
     "ClothObjectCfg",
     "GizmoCfg",
     "RigidConstraintCfg",
     "RigidObjectGroupCfg",
     "SoftObjectCfg",
     "SolverCfg",
-    "StereoCameraCfg",
-    "URDFCfg",
 ]
 
 
@@ -56,25 +53,7 @@ class GizmoCfg(_UnavailableCfg):
     what = "gizmos are"
 
 
-class URDFCfg(_UnavailableCfg):
-    """Not available: assembling one URDF from components comes later."""
-
-    what = "URDF assembly is"
-
-
 class SolverCfg(_UnavailableCfg):
     """Not available: IK solvers come later."""
 
     what = "IK solvers are"
-
-
-class CameraCfg(_UnavailableCfg):
-    """Not available: cameras come later."""
-
-    what = "cameras are"
-
-
-class StereoCameraCfg(_UnavailableCfg):
-    """Not available: cameras come later."""
-
-    what = "cameras are"

@@ -8,14 +8,16 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv, EmbodiedEnv
-    from embodichain.lab.gym.envs.cfg import EmbodiedEnvCfg, EnvCfg
+    from embodichain.lab.gym.envs.cfg import EnvCfg
+    from embodichain.lab.gym.envs.embodied_cfg import EmbodiedEnvCfg
     from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
 
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "base_env": ["BaseEnv", "EmbodiedEnv"],
-        "cfg": ["EmbodiedEnvCfg", "EnvCfg"],
+        "cfg": ["EnvCfg"],
+        "embodied_cfg": ["EmbodiedEnvCfg"],
         "observers": ["EventRecord", "StepObserver", "StepRecord"],
     },
 )

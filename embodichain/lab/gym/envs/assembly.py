@@ -132,6 +132,8 @@ class EnvAssembly(EnvBasics):
         sim.engine.forward()
         self._dump = StateDump(sim.engine)
         self._build_observations(kwargs)
+        if cfg.sim_cfg.visualization is not None:
+            cfg.sim_cfg.visualization.attach(self)
 
     def _build_managers(self) -> None:
         cfg, env = self.cfg, self

@@ -28,7 +28,6 @@ __all__ = [
     "ActionTermCfg",
     "CommandCfg",
     "CurriculumCfg",
-    "EmbodiedEnvCfg",
     "EnvCfg",
     "EventCfg",
     "MetricCfg",
@@ -257,7 +256,3 @@ class EnvCfg:
     extensions: dict[str, Any] = dataclasses.field(default_factory=dict, kw_only=True)
     """Become attributes of the environment."""
     suggested: SuggestedCfg = dataclasses.field(default_factory=SuggestedCfg, kw_only=True)
-
-
-EmbodiedEnvCfg = EnvCfg
-"""EmbodiChain's name for a declared environment's config; here every environment is one."""

@@ -64,13 +64,15 @@ class Conversion:
         return ()
 
 
-def convert(config: Mapping[str, Any]) -> Conversion:
+def convert(config: Mapping[str, Any], *, ours: bool = False) -> Conversion:
     """Convert a gym config.
 
     Args:
         config: Its content, plain values; left as it is.
+        ours: Whether it may hold keys of our own, and functions in the place of their names: what
+            Python code declares.
     """
-    draft = Draft()
+    draft = Draft(ours)
     draft.carry(config, (), (), TOP)
     _identity(draft, config.get("id"))
     _physics(draft, config)

@@ -21,6 +21,10 @@ Path = tuple[str, ...]
 class Draft:
     """What a conversion has made so far.
 
+    Args:
+        ours: Whether keys of our own go with those of the tables: they stay, and are checked with
+            the task.
+
     Attributes:
         task: The task; plain values.
         origins: Path in the task -> path in the gym config, for subtrees that came over whole.
@@ -28,7 +32,8 @@ class Draft:
         problems: What is wrong in the gym config.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, ours: bool = False) -> None:
+        self.ours = ours
         self.task: dict[str, Any] = {}
         self.origins: dict[Path, Path] = {}
         self.notes: list[Problem] = []
@@ -67,7 +72,9 @@ class Draft:
             return False
         for key, value in data.items():
             rule, where = vocabulary.get(str(key)), (*source, str(key))
-            if rule is None:
+            if rule is None and self.ours:
+                self.put((*target, str(key)), value, where)
+            elif rule is None:
                 self.unknown(where, vocabulary)
             elif isinstance(rule, str):
                 self.note(where, rule)

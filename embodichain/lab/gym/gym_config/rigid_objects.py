@@ -97,6 +97,9 @@ def _body_type(
 def _shape(draft: Draft, data: Any, source: Path, target: Path) -> None:
     written = str(data.get("shape_type", "")) if isinstance(data, Mapping) else ""
     kind = written.removesuffix("Cfg")
+    if kind not in SHAPES and draft.ours:
+        draft.put(target, data, source)
+        return
     if kind not in SHAPES:
         message = f"unknown shape_type {written!r}; known: {', '.join(SHAPES)}."
         draft.refuse((*source, "shape_type"), message, did_you_mean(kind, SHAPES))

@@ -7,8 +7,16 @@ from typing import Any
 
 from embodichain.lab.gym.gym_config.draft import Draft, Path
 from embodichain.lab.gym.gym_config.rigid_objects import convert_attrs
-from embodichain.lab.gym.gym_config.vocabulary import ARTICULATION, DRIVE, ROBOT, ROOT_PROPS
+from embodichain.lab.gym.gym_config.vocabulary import (
+    ARTICULATION,
+    DRIVE,
+    ROBOT,
+    ROOT_PROPS,
+    URDF,
+    URDF_COMPONENT,
+)
 from embodichain.lab.sim.cfg import RobotCfg, name_of
+from embodichain.lab.sim.urdf_cfg import URDFCfg, URDFComponentCfg
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["convert_articulations", "convert_robot"]
@@ -31,7 +39,9 @@ def convert_robot(draft: Draft, data: Any) -> str:
     _parts_of_articulation(draft, data, source, ("robot",))
     fields = draft.task.get("robot", {})
     uid, fpath = (str(fields.get(key) or "") for key in ("uid", "fpath"))
-    return name_of(RobotCfg(uid=uid, fpath=fpath)) if uid or fpath else ""
+    parts = fields.get("urdf_cfg", {}).get("components", [])
+    urdf = URDFCfg([URDFComponentCfg(urdf_path=str(part.get("urdf_path"))) for part in parts])
+    return name_of(RobotCfg(uid=uid, fpath=fpath, urdf_cfg=urdf)) if uid or fpath or parts else ""
 
 
 def convert_articulations(draft: Draft, data: Any) -> None:
@@ -48,15 +58,19 @@ def _file(draft: Draft, data: Mapping[str, Any]) -> int | None:
     kind, urdf, own = data.get(kind_key), data.get("urdf_cfg"), bool(data.get("fpath"))
     joints = None
     preset = _PRESETS.get(str(kind))
+    fpath = ""
     if not own and preset is not None:
         fpath, joints = preset
-        draft.put(("robot", "fpath"), fpath, ("robot", kind_key))
-        own = True
+        if urdf is None:
+            draft.put(("robot", "fpath"), fpath, ("robot", kind_key))
+        else:
+            joints = None  # components bring their own
     elif kind is not None and preset is None and kind not in _PLAIN:
-        _unknown_kind(draft, kind, kind_key, own)
-        own = True  # said once
-    if urdf is not None:
-        _urdf(draft, urdf, own)
+        _unknown_kind(draft, kind, kind_key, own or urdf is not None)
+    if urdf is not None and own:
+        draft.note(("robot", "urdf_cfg"), "fpath names the robot's file")
+    elif urdf is not None:
+        _urdf(draft, urdf, fpath)
     return joints
 
 
@@ -72,19 +86,29 @@ def _unknown_kind(draft: Draft, kind: Any, key: str, own: bool) -> None:
         )
 
 
-def _urdf(draft: Draft, urdf: Any, own: bool) -> None:
-    """A robot assembled of files: one file is that file, more are not available."""
-    components = urdf.get("components") if isinstance(urdf, Mapping) else None
-    alone = components[0] if isinstance(components, list) and len(components) == 1 else None
-    if own:
-        draft.note(("robot", "urdf_cfg"), "URDF assembly is not available: the robot is its file")
-    elif isinstance(alone, Mapping) and alone.get("urdf_path"):
-        where = ("robot", "urdf_cfg", "components", "0", "urdf_path")
-        draft.put(("robot", "fpath"), alone["urdf_path"], where)
-        draft.note(("robot", "urdf_cfg"), "its one component is the robot; names stay the file's")
-    else:
-        message = "URDF assembly is not available; name one file in fpath"
-        draft.refuse(("robot", "urdf_cfg"), message)
+def _urdf(draft: Draft, urdf: Any, preset: str) -> None:
+    """A robot assembled of files; a preset's file is its arm unless it names one."""
+    source: Path = ("robot", "urdf_cfg")
+    if not draft.carry(urdf, source, source, URDF):
+        return
+    given, where = urdf.get("components"), (*source, "components")
+    if isinstance(given, Mapping):  # by component_type
+        given = [{"component_type": key, **dict(value or {})} for key, value in given.items()]
+    components: list[Any] = []
+    for place, component in draft.items(given, where):
+        if isinstance(component, Mapping):
+            known = {key: value for key, value in component.items() if key in URDF_COMPONENT}
+            for key in component.keys() - known.keys():
+                draft.note((*place, key), "nothing reads it")
+            components.append(known)
+        else:
+            draft.refuse(place, f"expected a map, got {component!r}")
+    kinds = [component.get("component_type") for component in components]
+    if preset and "arm" not in kinds:
+        components.append({"component_type": "arm", "urdf_path": preset})
+        if urdf.get("name_case") is None:  # later releases keep the names of files
+            draft.put((*source, "name_case"), {"joint": "none", "link": "none"}, source)
+    draft.put((*source, "components"), components, where)
 
 
 def _init_qpos(draft: Draft, values: Any, joints: int | None) -> None:

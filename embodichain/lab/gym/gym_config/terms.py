@@ -108,13 +108,15 @@ def convert_actions(draft: Draft, env: Mapping[str, Any], robot: str) -> None:
 
 def _find(
     draft: Draft, kind: FunctorKind, functor: Any, source: Path
-) -> tuple[TermSpec | None, str | None]:
+) -> tuple[TermSpec | None, Any]:
     """The term a functor means, if it is registered, and what to call it; None leaves it out."""
     if not isinstance(functor, Mapping):
         draft.refuse(source, f"expected a map, got {functor!r}")
         return None, None
     key = "contract" if "func" not in functor and "contract" in functor else "func"
     written = functor.get(key)
+    if callable(written):  # declared in Python: a function of the user's own
+        return None, written
     if not isinstance(written, str) or not written:
         draft.refuse((*source, key), "missing value: the name of a functor")
         return None, None

@@ -84,7 +84,7 @@ TOP: Vocabulary = {
     "scene_node_capacity": "there is no such limit",
     "enable_entity_gizmo": "gizmos are not available",
     "robot_ik_gizmo": "gizmos are not available",
-    "visualization": "the log opens in Foxglove and Lichtblick; viewer=native is a window",
+    "visualization": "viewer=web shows the run in a browser, viewer=native in a window",
     "rigid_object_group": "object groups are not available: declare the objects one by one",
     "visual_object": "declare a rigid object with enable_collision false",
     "soft_object": "soft bodies are not available",
@@ -172,6 +172,20 @@ ROBOT: Vocabulary = {
     "sensors": _CAMERA,
     "enable_sensor": _CAMERA,
 }
+
+_ASSEMBLED = "robots are assembled when they are read: nothing is written"
+URDF: Vocabulary = {
+    "components": HANDLED,
+    "base_link_name": KEEP,
+    "component_prefix": KEEP,
+    "name_case": KEEP,
+    "sensors": _CAMERA,
+    "use_signature_check": _ASSEMBLED,
+    "fpath": _ASSEMBLED,
+    "fname": _ASSEMBLED,
+    "fpath_prefix": _ASSEMBLED,
+}
+URDF_COMPONENT: Vocabulary = {"component_type": KEEP, "urdf_path": KEEP, "transform": KEEP}
 
 DRIVE: Vocabulary = {
     "drive_type": KEEP,
@@ -326,6 +340,7 @@ SECTIONS: Mapping[str, Vocabulary] = {
     "": TOP,
     "physics_config": PHYSICS,
     "robot": ROBOT,
+    "robot.urdf_cfg": URDF,
     "articulation[]": ARTICULATION,
     "drive_pros": DRIVE,
     "rigid_object[], background[]": RIGID_OBJECT,

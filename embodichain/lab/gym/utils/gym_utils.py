@@ -11,10 +11,20 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.cfg import EmbodiedEnvCfg
+    from embodichain.lab.gym.envs.cfg import EnvCfg
 
-__all__ = ["add_env_launcher_args_to_parser", "build_env_cfg_from_args", "config_to_cfg"]
+__all__ = [
+    "DEFAULT_MANAGER_MODULES",
+    "add_env_launcher_args_to_parser",
+    "build_env_cfg_from_args",
+    "config_to_cfg",
+]
 
+DEFAULT_MANAGER_MODULES = [
+    f"embodichain.lab.gym.envs.managers.{name}"
+    for name in ("actions", "randomization", "record", "events", "observations", "rewards")
+]
+"""Modules of EmbodiChain's functors, for `config_to_cfg`, which finds them without it too."""
 RENDERERS = ("hybrid", "fast-rt", "rt", "auto", "no-render")
 _FLAGS: dict[str, Any] = {
     "num_envs": 1,
@@ -69,7 +79,7 @@ def add_env_launcher_args_to_parser(parser: argparse.ArgumentParser) -> None:
 def build_env_cfg_from_args(
     args: argparse.Namespace,
     gym_config_modifier: Callable[[dict[str, Any]], dict[str, Any] | None] | None = None,
-) -> tuple[EmbodiedEnvCfg, dict[str, Any], dict[str, Any]]:
+) -> tuple[EnvCfg, dict[str, Any], dict[str, Any]]:
     """Build an environment's config from the files and flags of a launcher.
 
     A flag that differs from its default beats the file; EmbodiChain's defaults overwrite it.
@@ -105,7 +115,7 @@ def build_env_cfg_from_args(
 
 def config_to_cfg(
     config: dict[str, Any], manager_modules: Sequence[str | ModuleType] | None = None
-) -> EmbodiedEnvCfg:
+) -> EnvCfg:
     """Convert the content of EmbodiChain's gym config; see `gym_config.env_cfg.config_to_cfg`."""
     from embodichain.lab.gym.gym_config import env_cfg
 

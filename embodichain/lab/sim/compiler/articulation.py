@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.cfg import ArticulationCfg
+from embodichain.lab.sim.compiler.assembly import read_robot
 from embodichain.lab.sim.compiler.attachments import add_attachments, check_attachments
 from embodichain.lab.sim.compiler.chatter import (
     DriveChange,
@@ -25,7 +26,7 @@ from embodichain.lab.sim.compiler.chatter import (
 )
 from embodichain.lab.sim.compiler.collision import prepare_shapes
 from embodichain.lab.sim.compiler.drives import DriveGains, apply_drives, resolve_drives
-from embodichain.lab.sim.compiler.files import ModelFile, compile_quietly, locate, read_model
+from embodichain.lab.sim.compiler.files import ModelFile, compile_quietly
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.initial import Keyframe, read_keyframe, resolve_qpos
 from embodichain.lab.sim.compiler.joints import movable_joints, read_joints, read_mimics
@@ -120,9 +121,9 @@ def parse_articulation(
     Raises:
         ConfigError: If the file is missing or malformed, or the config does not fit it; every
             mistake, with paths below `uid`.
-        NotImplementedError: If the config asks for URDF assembly or IK solvers.
+        NotImplementedError: If the config asks for IK solvers.
     """
-    for key, what in (("urdf_cfg", "URDF assembly"), ("solver_cfg", "IK")):
+    for key, what in (("solver_cfg", "IK"),):
         if getattr(cfg, key, None) is not None:
             raise NotImplementedError(f"{uid}: {what} ({key}) is not available yet")
     parsed, problems = parse_with_problems(uid, cfg, step, changes)
@@ -143,9 +144,12 @@ def parse_with_problems(
     leaves None.
     """
     try:
-        file = read_model(locate(cfg.fpath))
+        file = read_robot(cfg)
     except ConfigError as error:
-        return None, [Problem("fpath", str(p), "") for p in error.problems]
+        return None, [
+            p if p.path.startswith("urdf_cfg") else Problem("fpath", str(p), "")
+            for p in error.problems
+        ]
     problems = _unsupported(cfg)
     _checked(lambda: initial_pose(cfg), problems)
     joints = read_joints(file.model, file.velocity_limits)

@@ -118,7 +118,7 @@ def _not_yet(cfg: ArticulationCfg) -> list[Problem]:
         return []
     return [
         Problem(key, f"{what} is not available yet; leave it out")
-        for key, what in (("urdf_cfg", "URDF assembly"), ("solver_cfg", "IK"))
+        for key, what in (("solver_cfg", "IK"),)
         if getattr(cfg, key) is not None
     ]
 

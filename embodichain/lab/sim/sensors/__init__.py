@@ -1,6 +1,7 @@
 """What a simulation can be asked about itself: contacts, inertial measurements, joint forces.
 
-Configs are in `cfg` (no torch), handles in the other modules. Cameras are not here yet.
+Configs are in `cfg` and `camera_cfg` (no torch), handles in the other modules. Cameras have configs
+only.
 """
 
 from typing import TYPE_CHECKING
@@ -9,6 +10,7 @@ import lazy_loader
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.sensors.base import BaseSensor
+    from embodichain.lab.sim.sensors.camera_cfg import CameraCfg, StereoCameraCfg
     from embodichain.lab.sim.sensors.cfg import (
         AnySensorCfg,
         ContactSensorCfg,
@@ -25,6 +27,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "base": ["BaseSensor"],
+        "camera_cfg": ["CameraCfg", "StereoCameraCfg"],
         "cfg": [
             "AnySensorCfg",
             "ContactSensorCfg",
@@ -42,6 +45,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
 __all__ = [
     "AnySensorCfg",
     "BaseSensor",
+    "CameraCfg",
     "ContactSensor",
     "ContactSensorCfg",
     "ForceTorqueSensor",
@@ -50,4 +54,5 @@ __all__ = [
     "ImuSensorCfg",
     "LinksCfg",
     "SensorCfg",
+    "StereoCameraCfg",
 ]

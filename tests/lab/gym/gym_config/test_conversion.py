@@ -185,8 +185,6 @@ def test_every_section_is_converted_or_listed() -> None:
         "id": "Python class of EmbodiChain's",
         "device": "CPU",
         "physics_config.bounce_threshold": "PhysX",
-        "robot.urdf_cfg": "not available",
-        "robot.init_qpos": "[0.04, 0.04]",
         "robot.solver_cfg": "inverse kinematics",
         "sensor.0": "cameras",
         "sensor.1": "sensors: {NAME: {sensor_type: contact",
@@ -208,7 +206,14 @@ def test_every_section_is_converted_or_listed() -> None:
     assert set(task["objects"]) == {"wall", "cube"}
     assert set(task["articulations"]) == {"cart"}
     assert set(task["lights"]) == {"lamp"}
-    assert task["robot"]["init_qpos"] == [0, -1.57, 1.57, -1.57, -1.57, 0]
+    assert task["robot"]["init_qpos"] == [0, -1.57, 1.57, -1.57, -1.57, 0, 0.04, 0.04]
+    assert task["robot"]["urdf_cfg"] == {
+        "components": [
+            {"component_type": "hand", "urdf_path": "a_hand.urdf"},
+            {"component_type": "arm", "urdf_path": "UniversalRobots/UR10/UR10.urdf"},
+        ],
+        "name_case": {"joint": "none", "link": "none"},
+    }
     every = {*found, *conversion.origins.values()}
     tops = {path.partition(".")[0] if isinstance(path, str) else path[0] for path in every}
     assert set(config) <= tops  # no section is passed over in silence
@@ -249,8 +254,8 @@ def test_every_section_is_converted_or_listed() -> None:
             r"robot\.robot_type: the class 'URRobt' is not here; .* Did you mean 'URRobot'\?",
         ),
         (
-            {"robot": {"uid": "r", "urdf_cfg": {"components": [{}, {}]}}},
-            r"robot\.urdf_cfg: URDF assembly is not available; name one file in fpath",
+            {"robot": {"uid": "r", "urdf_cfg": {"component": [{}, {}]}}},
+            r"robot\.urdf_cfg\.component: unknown key; .* Did you mean 'components'\?",
         ),
         (
             {"env": {"actions": {"arm": {"func": "EefPoseTerm"}}}},
@@ -269,10 +274,25 @@ def test_mistakes_name_the_path_in_the_gym_config(config: dict[str, Any], messag
     assert re.search(f"^{message}", only_problem(config))
 
 
-def test_one_component_is_the_robot() -> None:
-    conversion = convert({"robot": {"urdf_cfg": {"components": [{"urdf_path": "a/b.urdf"}]}}})
-    assert conversion.task["robot"] == {"fpath": "a/b.urdf"}
-    assert notes(conversion)["robot.urdf_cfg"].startswith("its one component is the robot")
+def test_components_of_a_robot_are_kept() -> None:
+    urdf = {
+        "components": {"arm": {"urdf_path": "a/b.urdf", "wheel_type": "x"}},
+        "fname": "ab",
+        "base_link_name": "root",
+    }
+    conversion = convert({"robot": {"uid": "r", "urdf_cfg": urdf}})
+    components = [{"component_type": "arm", "urdf_path": "a/b.urdf"}]
+    assert conversion.problems == ()
+    assert conversion.task["robot"]["urdf_cfg"] == {
+        "base_link_name": "root",
+        "components": components,
+    }
+    found = notes(conversion)
+    assert found["robot.urdf_cfg.components.0.wheel_type"] == "nothing reads it"
+    assert "nothing is written" in found["robot.urdf_cfg.fname"]
+    beside = convert({"robot": {"fpath": "c.urdf", "urdf_cfg": urdf}})
+    assert beside.task["robot"] == {"fpath": "c.urdf"}
+    assert notes(beside) == {"robot.urdf_cfg": "fpath names the robot's file"}
 
 
 def test_visual_events_are_left_out_where_that_is_asked_for() -> None:

@@ -370,7 +370,7 @@ def test_every_mistake_is_reported_at_once():
     }
 
 
-@pytest.mark.parametrize("key", ["urdf_cfg", "solver_cfg"])
+@pytest.mark.parametrize("key", ["solver_cfg"])
 def test_what_is_not_available_yet_says_so(key):
     with pytest.raises(NotImplementedError, match=f"{key}.*not available yet"):
         parse_articulation("a", RobotCfg(fpath=UR10, **{key: object()}))

@@ -197,7 +197,6 @@ def test_a_name_that_cannot_be_used_is_named(cfg, expected):
 @pytest.mark.parametrize(
     ("entity", "expected"),
     [
-        ({"urdf_cfg": {}}, "robot.urdf_cfg: URDF assembly is not available yet; leave it out"),
         ({"solver_cfg": {}}, "robot.solver_cfg: IK is not available yet; leave it out"),
         (
             {"body_scale": (2, 2, 2)},

@@ -1,0 +1,88 @@
+"""The import hook behind EmbodiChain's paths: modules that only it has, names that ours lack.
+
+It acts on the modules of `names.upstream_modules` alone. A module of ours is loaded as ever, and
+asked first; only a name that it does not have is looked up in `names`.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
+from types import ModuleType
+from typing import Any
+
+from embodichain.compat.names import available, find, upstream_modules, upstream_names
+
+__all__ = ["complete", "install"]
+
+_ROOT = "embodichain."
+
+
+class _Completed(SourceFileLoader):
+    """Loads one of our modules and adds EmbodiChain's names that it lacks."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        super().exec_module(module)
+        complete(module)
+
+
+class _Alias(Loader):
+    """Makes a module that only EmbodiChain has: its names, and nothing else."""
+
+    def create_module(self, spec: ModuleSpec) -> None:
+        """Leave it to Python."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        module.__doc__ = (
+            f"EmbodiChain's `{module.__name__}`; docs/compatibility.md lists its names."
+        )
+        module.__dir__ = lambda: available(module.__name__)  # type: ignore[method-assign]
+        complete(module)
+
+
+class _Finder(MetaPathFinder):
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        if not fullname.startswith(_ROOT) or fullname not in upstream_modules():
+            return None
+        spec = PathFinder.find_spec(fullname, path, target)
+        if spec is None or spec.origin is None:  # nothing here, or a folder without Python
+            below = f"{fullname}."
+            package = any(name.startswith(below) for name in upstream_modules())
+            alias = ModuleSpec(fullname, _Alias(), is_package=package)
+            if spec is not None:
+                alias.submodule_search_locations = spec.submodule_search_locations
+            return alias
+        if type(spec.loader) is SourceFileLoader and upstream_names(fullname):
+            spec.loader = _Completed(fullname, spec.loader.path)
+        return spec
+
+
+def complete(module: ModuleType) -> None:
+    """Let a module answer for EmbodiChain's names too, after its own."""
+    name_of, listed = module.__name__, upstream_names(module.__name__)
+    own: Callable[[str], Any] | None = module.__dict__.get("__getattr__")
+
+    def look_up(name: str) -> Any:
+        if own is not None:
+            try:
+                return own(name)
+            except AttributeError:
+                if name not in listed:
+                    raise
+        if name in listed:
+            return find(name_of, name)
+        if name == "__all__" and module.__spec__ and isinstance(module.__spec__.loader, _Alias):
+            return available(name_of)
+        raise AttributeError(f"module {name_of!r} has no attribute {name!r}")
+
+    module.__getattr__ = look_up  # type: ignore[method-assign]
+
+
+def install() -> None:
+    """Put the finder first, once a process."""
+    if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
+        sys.meta_path.insert(0, _Finder())

@@ -1,0 +1,246 @@
+"""The table of EmbodiChain's public names: which of ours each is, or what to use instead.
+
+Functors (events, observations, rewards, actions) are not in it: they are looked up among our terms,
+and `lab.gym.gym_config.functors` says why some are missing. Importing this module imports nothing
+of ours; docs/compatibility.md has a table that `scripts/names_table.py` makes of it.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+__all__ = ["OURS", "REASONS", "available", "find", "reason", "upstream_modules", "upstream_names"]
+
+_ENVS = "embodichain.lab.gym.envs"
+_MANAGERS = f"{_ENVS}.managers"
+_SIM = "embodichain.lab.sim"
+_DATA = "embodichain.data"
+_UTILS = "embodichain.utils"
+
+_PLACES: Final[Mapping[str, tuple[str, ...]]] = {
+    f"{_ENVS}.base_env": ("BaseEnv", "EmbodiedEnv"),
+    f"{_ENVS}.cfg": ("EnvCfg", "SceneEntityCfg"),
+    f"{_ENVS}.embodied_cfg": ("EmbodiedEnvCfg",),
+    "embodichain.compat.functor_cfgs": (
+        *("ActionTermCfg", "DatasetFunctorCfg", "EventCfg", "FunctorCfg"),
+        *("ObservationCfg", "RewardCfg"),
+    ),
+    "embodichain.compat.visualization": (
+        *("ViserServerCfg", "VisualizationCfg"),
+        *("add_viser_args_to_parser", "visualization_cfg_from_args"),
+    ),
+    f"{_SIM}.cfg": (
+        *("ArticulationCfg", "ClothObjectCfg", "GizmoCfg", "LightCfg", "RigidObjectCfg"),
+        *("RigidObjectGroupCfg", "RobotCfg", "SoftObjectCfg", "SolverCfg"),
+    ),
+    f"{_SIM}.objects": ("BatchEntity", "ClothObject", "Gizmo", "Light", "RigidObjectGroup"),
+    f"{_SIM}.objects.unavailable": ("SoftObject",),
+    f"{_SIM}.sensors": ("BaseSensor", "CameraCfg", "SensorCfg", "StereoCameraCfg"),
+    f"{_SIM}.shapes": ("VisualMaterialCfg",),
+    f"{_DATA}.lookup": ("get_data_path",),
+    f"{_UTILS}.configclass": ("configclass", "is_configclass"),
+}
+OURS: Final[Mapping[str, str]] = {
+    **{name: f"{place}:{name}" for place, names in _PLACES.items() for name in names},
+    "class_to_dict": f"{_UTILS}.configclass:config_to_dict",
+    "build_env": "embodichain.lab.gym.utils.registration:build_env",
+}
+"""Name -> where it is here. The same wherever EmbodiChain has the name."""
+
+_SOLVERS = (
+    "IK solvers are not classes here: the terms that need inverse kinematics solve it themselves"
+)
+_PLANNERS = "motion planning is not available: interpolate joint targets, or train a policy"
+_LLM = "agents driven by language models are not available"
+_RL = "train with `embodichain train task=NAME`, on Stable-Baselines3"
+_LEROBOT = "a run's log becomes a data set: `embodichain export last --format lerobot`"
+_TASK = "run its gym config, `embodichain run --gym-config FILE`, or declare the task in YAML"
+_ENGINE = "it belongs to EmbodiChain's engine; here physics is MuJoCo's"
+_ROBOT = "name the robot's file: RobotCfg(fpath=...), or assemble it: RobotCfg(urdf_cfg=...)"
+_ASSET = "nothing is downloaded: put the file below EMBODICHAIN_DATA_ROOT and name it in fpath"
+_CACHE = "no such files are cached: meshes and materials are compiled into the model"
+_HELPER = "a helper of EmbodiChain's own tasks; use torch or numpy"
+_LIFETIME = "environments are registered with embodichain.lab.gym.utils.registration.register_env"
+_ASSEMBLY = "robots are assembled when they are read: RobotCfg(urdf_cfg=URDFCfg(components=[...]))"
+_SOFT = "soft bodies are not available"
+_CLOTH = "cloth is not available"
+_GROUP = "object groups are not available: add objects one by one"
+_TEXTURES = "declare visual_material on a shape; randomize_visual_material changes colours"
+_CAMERA = "cameras are not available yet; SimulationManager.render draws a picture"
+
+REASONS: Final[Mapping[str, str]] = {
+    "embodichain.embodichain_dir": "use pathlib.Path(embodichain.__file__).parent",
+    "embodichain.agents.datasets": _LEROBOT,
+    "embodichain.agents.engine": _LEROBOT,
+    "embodichain.agents.hierarchy": _LLM,
+    "embodichain.agents.mllm": _LLM,
+    "embodichain.agents.rl": _RL,
+    _DATA: "use embodichain.data.data_root()",
+    f"{_DATA}.assets": _ASSET,
+    f"{_DATA}.constants": "use embodichain.data.data_root()",
+    f"{_DATA}.dataset": _ASSET,
+    f"{_DATA}.download": _ASSET,
+    f"{_DATA}.enum": _HELPER,
+    "embodichain.gen_sim": "assets are not generated here: name the files of finished ones",
+    "embodichain.lab.devices": "real robots are not driven",
+    f"{_ENVS}.action_bank": "expert demonstrations are not generated here: train a policy",
+    f"{_MANAGERS}.dataset_manager": _LEROBOT,
+    f"{_MANAGERS}.datasets": _LEROBOT,
+    f"{_MANAGERS}.events": _HELPER,
+    f"{_MANAGERS}.manager_base": f"write a term: a function, or a class below {_MANAGERS}.Term",
+    f"{_MANAGERS}.object": _HELPER,
+    f"{_MANAGERS}.randomization": _HELPER,
+    f"{_ENVS}.tasks": _TASK,
+    f"{_ENVS}.wrapper": "override is_task_success",
+    "embodichain.lab.gym.utils.gym_utils": _HELPER,
+    "embodichain.lab.gym.utils.misc": _HELPER,
+    "embodichain.lab.gym.utils.registration": _LIFETIME,
+    "embodichain.lab.scripts": "use the command: embodichain run, embodichain show",
+    f"{_SIM}.atom_actions": _PLANNERS,
+    f"{_SIM}.atomic_actions": _PLANNERS,
+    f"{_SIM}.cfg.ClothPhysicalAttributesCfg": _CLOTH,
+    f"{_SIM}.cfg.SoftbodyPhysicalAttributesCfg": _SOFT,
+    f"{_SIM}.cfg.SoftbodyVoxelAttributesCfg": _SOFT,
+    f"{_SIM}.init_dynamic_pybind": _ENGINE,
+    f"{_SIM}.material": _TEXTURES,
+    f"{_SIM}.objects.cloth_object": _CLOTH,
+    f"{_SIM}.objects.gizmo": "gizmos are not available",
+    f"{_SIM}.objects.rigid_object_group": _GROUP,
+    f"{_SIM}.objects.robot.ControlGroup": "Robot.control_parts has each part's joint names",
+    f"{_SIM}.objects.set_projective_uv": _ENGINE,
+    f"{_SIM}.objects.soft_object": _SOFT,
+    f"{_SIM}.planners": _PLANNERS,
+    f"{_SIM}.robots": _ROBOT,
+    f"{_SIM}.sensors.camera": _CAMERA,
+    f"{_SIM}.sensors.contact_sensor": "ContactSensorCfg(entity_cfg=...) names the links",
+    f"{_SIM}.sensors.stereo": _CAMERA,
+    f"{_SIM}.sim_manager": _CACHE,
+    f"{_SIM}.solvers": _SOLVERS,
+    f"{_SIM}.utility": _ENGINE,
+    f"{_SIM}.utility.action_utils": _PLANNERS,
+    f"{_SIM}.utility.atom_action_utils": _PLANNERS,
+    f"{_SIM}.utility.cfg_utils": "a config is changed with its method replace",
+    f"{_SIM}.utility.solver_utils": _SOLVERS,
+    f"{_SIM}.utility.tensor": "use torch.as_tensor",
+    f"{_SIM}.utility.workspace_analyzer": (
+        "workspaces are not analysed; sample_rigid_object_pose_from_workspace draws reachable poses"
+    ),
+    "embodichain.toolkits.acd": "MuJoCo collides a mesh by its convex hull",
+    "embodichain.toolkits.code_generation": _LLM,
+    "embodichain.toolkits.graspkit": "grasps are not generated",
+    "embodichain.toolkits.toolkits": _LLM,
+    "embodichain.toolkits.urdf_assembly": _ASSEMBLY,
+    f"{_UTILS}.GLOBAL_SEED": "EnvCfg.seed, or reset(seed=...)",
+    f"{_UTILS}.set_seed": "EnvCfg.seed, or reset(seed=...)",
+    f"{_UTILS}.cfg": "configs are configclasses; files are read by Hydra",
+    f"{_UTILS}.configclass": "use configclass, and the methods to_dict, from_dict and replace",
+    f"{_UTILS}.device_utils": "physics runs on the CPU",
+    f"{_UTILS}.file": "use pathlib",
+    f"{_UTILS}.img_utils": "use numpy or pillow",
+    f"{_UTILS}.math": "embodichain.utils.math has quaternions and poses in numpy",
+    f"{_UTILS}.module_utils": "use importlib and inspect",
+    f"{_UTILS}.string": "use re.fullmatch",
+    f"{_UTILS}.utility": _HELPER,
+    f"{_UTILS}.visualizer": "embodichain train --plot draws curves; view opens a log",
+    f"{_UTILS}.warp": "kernels for CUDA are not here: physics runs on the CPU",
+}
+"""Module, or one name of it -> what to use instead of what is not here; the closest one counts."""
+
+_LATER: Final[Mapping[str, tuple[str, ...]]] = {
+    "embodichain.lab.visualization": _PLACES["embodichain.compat.visualization"],
+    "embodichain.lab.visualization.cfg": ("ViserServerCfg", "VisualizationCfg"),
+    "embodichain.lab.visualization.cli": (
+        *("add_viser_args_to_parser", "visualization_cfg_from_args"),
+    ),
+}
+"""Modules of release 0.2.4 that its tutorials import."""
+_KINDS: Final = ("event", "observation", "reward", "action")
+
+
+@cache
+def _upstream() -> dict[str, frozenset[str]]:
+    text = Path(__file__).with_name("upstream_names.json").read_text(encoding="utf-8")
+    return {m: frozenset(names) for m, names in (*json.loads(text).items(), *_LATER.items())}
+
+
+def upstream_modules() -> frozenset[str]:
+    """Modules of EmbodiChain 0.2.1 and a few later ones, by their dotted names."""
+    return frozenset(_upstream())
+
+
+def upstream_names(module: str) -> frozenset[str]:
+    """Public names of a module of EmbodiChain's; empty if there is no such module."""
+    return _upstream().get(module, frozenset())
+
+
+def available(module: str) -> list[str]:
+    """Those names of a module that are not refused, in order."""
+    return sorted(
+        name for name in upstream_names(module) if name in OURS or _term(module, name) is not None
+    )
+
+
+def find(module: str, name: str) -> Any:
+    """Return what a name of EmbodiChain's is here.
+
+    Args:
+        module: The module it is imported from.
+        name: One of `upstream_names`.
+
+    Raises:
+        NotImplementedError: It is not available; says what to use.
+    """
+    target = OURS.get(name)
+    if target is not None:
+        place, _, attribute = target.partition(":")
+        return getattr(importlib.import_module(place), attribute)
+    term = _term(module, name)
+    if term is None:
+        raise NotImplementedError(f"{module}.{name} is not available: {reason(module, name)}")
+    return term
+
+
+def reason(module: str, name: str) -> str:
+    """What to use instead of a name that is not available; never empty."""
+    if module.startswith(_MANAGERS):
+        from embodichain.lab.gym.gym_config.functors import LEFT_OUT
+
+        for kind in _KINDS:
+            if name in LEFT_OUT[kind]:
+                return LEFT_OUT[kind][name]
+    exact = REASONS.get(f"{module}.{name}")
+    if exact:
+        return exact
+    having = sorted((m for m, names in _upstream().items() if name in names), key=len, reverse=True)
+    below = [m for m in having if m.startswith(f"{module}.")]  # where a package has its names from
+    for place in (*below, module, *having):
+        text = _closest(place)
+        if text:
+            return text
+    return ""
+
+
+def _closest(module: str) -> str:
+    """The reason of a module or of the nearest package around it that has one."""
+    while module and not REASONS.get(module):
+        module = module.rpartition(".")[0]
+    return REASONS.get(module, "")
+
+
+def _term(module: str, name: str) -> Any:
+    """The term of ours that a functor of EmbodiChain's is, or None."""
+    if not module.startswith(_MANAGERS):
+        return None
+    from embodichain.lab.gym.envs.managers.registry import TERMS
+    from embodichain.lab.gym.gym_config.functors import ACTIONS
+
+    for kind in _KINDS:
+        spec = TERMS[kind].get(ACTIONS.get(name, name))
+        if spec is not None:
+            return spec.func
+    return None
