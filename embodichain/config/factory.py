@@ -55,6 +55,9 @@ def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
     Args:
         resolved: A checked config.
         **kwargs: For `BaseEnv`.
+
+    Raises:
+        ConfigError: What only building shows, with its place.
     """
     cfg = resolved.env_cfg
     if cfg.id is not None:
@@ -65,7 +68,9 @@ def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
         problem = require_registered(cfg.id)
         if problem is not None:
             raise ConfigError([Problem("task.id", problem)])
-        return registration.make(cfg.id.rpartition(":")[2], cfg=cfg, **kwargs)
+        with resolved.locating("task"):
+            return registration.make(cfg.id.rpartition(":")[2], cfg=cfg, **kwargs)
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
-    return BaseEnv(cfg, **kwargs)
+    with resolved.locating("task"):
+        return BaseEnv(cfg, **kwargs)
