@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 from embodichain.cli import exits
 from embodichain.cli.arguments import VerbParser, add_common, print_json, split_overrides
 from embodichain.cli.checking import resolved_job, try_out
+from embodichain.cli.logs import warnings_on_stderr
 from embodichain.cli.verbs import VERBS
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -52,7 +53,8 @@ def main(arguments: list[str]) -> int:
             composed = compose(split_overrides(words), verb, config_dir=options.config_dir)
             notes = composed.notes
             resolved = resolved_job(composed, verb)
-        try_out(resolved, verb)
+        with warnings_on_stderr():
+            try_out(resolved, verb)
     except ConfigError as error:
         problems = error.problems
     if options.json:

@@ -190,10 +190,11 @@ _SHOW = Verb(
 )
 _VALIDATE = Verb(
     "validate",
-    "Check a task and print every mistake; runs nothing.",
+    "Check a task, build it as `run` does, and print every mistake.",
     "[--config-dir DIR] task=NAME [key=value ...] | FILE",
     (
         ("validate task=reach", "a task that ships with embodichain"),
+        ("validate --train task=reach algo=sac", "as `train` would read it"),
         ("validate task=reach task.max_episode_steps=50", "with overrides"),
         ("validate --config-dir my_conf task=random_reach", "with a folder of yours"),
     ),

@@ -35,6 +35,7 @@ class ResolvedEntity:
         joint_names: Their names.
         link_ids: Picked links; without a choice none, which means the root.
         link_names: Their names.
+        path: Its key path, for messages; empty if Python code made it.
         all_joints: Whether `joint_ids` is every joint in the entity's order, so that no indexing
             is needed.
     """
@@ -46,6 +47,7 @@ class ResolvedEntity:
     link_ids: tuple[int, ...] = ()
     link_names: tuple[str, ...] = ()
     all_joints: bool = False
+    path: str = ""
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
@@ -65,7 +67,8 @@ class ResolvedEntity:
             ConfigError: If several were picked.
         """
         if len(self.link_names) > 1:
-            raise ConfigError(f"one link of {self.uid!r} is wanted, got {list(self.link_names)}")
+            message = f"one link of {self.uid!r} is wanted, got {', '.join(self.link_names)}"
+            raise ConfigError([Problem(f"{self.path}.link_names".lstrip("."), message)])
         return self.link_names[0] if self.link_names else None
 
     @cached_property
@@ -76,13 +79,16 @@ class ResolvedEntity:
 
 
 def resolve_entity(
-    sim: SimulationManager, cfg: SceneEntityCfg | Mapping[str, Any] | ResolvedEntity
+    sim: SimulationManager,
+    cfg: SceneEntityCfg | Mapping[str, Any] | ResolvedEntity,
+    path: str = "",
 ) -> ResolvedEntity:
     """Look an entity up in the scene.
 
     Args:
         sim: The scene.
         cfg: What to look up; a mapping is read as a `SceneEntityCfg`.
+        path: Its key path.
 
     Raises:
         ConfigError: If the entity, a joint or a link does not exist; lists what does.
@@ -99,13 +105,13 @@ def resolve_entity(
         **{uid: getattr(asset, "parsed", "rigid object") for uid, asset in assets.items()},
         **dict.fromkeys(sim.lights, "light"),
     }
-    picked, problems = pick("", vars(cfg), known)
+    picked, problems = pick(path, vars(cfg), known)
     if problems:
         raise ConfigError(problems)
     asset = assets[cfg.uid]
     parsed = known[cfg.uid]
     if not isinstance(parsed, ParsedArticulation):
-        return ResolvedEntity(cfg.uid, asset)
+        return ResolvedEntity(cfg.uid, asset, path=path)
     return ResolvedEntity(
         uid=cfg.uid,
         asset=asset,
@@ -113,6 +119,7 @@ def resolve_entity(
         joint_names=tuple(parsed.joint_names[i] for i in picked.joints),
         link_ids=picked.links,
         link_names=tuple(parsed.link_names[i] for i in picked.links),
+        path=path,
         all_joints=picked.joints == tuple(range(len(parsed.joint_names))),
     )
 
