@@ -16,6 +16,7 @@ from typing import Any
 from embodichain.cli import exits
 from embodichain.cli.arguments import VerbParser, add_common, print_json
 from embodichain.cli.new_files import Names, task_files
+from embodichain.cli.new_robot import UR10, describe_robot
 from embodichain.cli.verbs import VERBS
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
@@ -48,6 +49,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("what", metavar="task")
     parser.add_argument("name", metavar="NAME")
     parser.add_argument("--python", action="store_true", help="a class instead of YAML alone")
+    parser.add_argument("--robot", metavar="FILE", help="its URDF or MJCF: embodichain list robots")
     add_common(parser)
     options = parser.parse(arguments)
     if options.what != "task":
@@ -59,7 +61,8 @@ def main(arguments: list[str]) -> int:
     names = Names(name, module, place.source, place.package)
     if options.python and not place.package:
         _check_module(name)
-    files = task_files(names, python=options.python)
+    robot = UR10 if options.robot is None else describe_robot(options.robot)
+    files = task_files(names, robot, python=options.python)
     _write(files)
     made = {path.as_posix(): None for path in files}
     commands = _next(names)
