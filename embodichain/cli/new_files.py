@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from string import Template
 
-from embodichain.cli.new_robot import RobotFacts
+from embodichain.cli.new_robot import RobotFacts, robot_words
 
 __all__ = ["Names", "task_files"]
 
@@ -80,7 +78,7 @@ def task_files(names: Names, robot: RobotFacts, *, python: bool) -> dict[Path, s
         "conf": "/".join(f'"{part}"' for part in names.conf.parts).replace("/", " / "),
         "up": str(len(names.test.parts) - 1),
         "source": " / ".join(["ROOT", *(f'"{part}"' for part in names.source.parts)]),
-        **_robot_words(robot),
+        **robot_words(robot),
     }
     files = {names.conf / "task" / f"{names.task}.yaml": _CLASS_YAML if python else _YAML}
     if python:
@@ -95,68 +93,6 @@ def task_files(names: Names, robot: RobotFacts, *, python: bool) -> dict[Path, s
                 texts[init] = f'"""{what}"""\n'
     return texts
 
-
-def _robot_words(robot: RobotFacts) -> dict[str, str]:
-    """What templates say of a robot."""
-    near = round(min(0.05, 0.5 * robot.radius), 2)
-    height = robot.position[2]
-    on_pedestal = height > 0 and not robot.floating
-    effort = ", max_effort: file" if robot.limited else ""
-    drives = f"drive_pros: {{stiffness: 500, damping: 50{effort}}}"
-    standing = (
-        "fix_base: false"
-        if robot.floating
-        else "gravcomp: 1                      # it does not sag"
-    )
-    size = f"{{shape_type: Cylinder, radius: 0.1, height: {_number(height)}}}"
-    return {
-        "uid": robot.uid,
-        "fpath": robot.fpath,
-        "position": _list(robot.position),
-        "home": _list(robot.home),
-        "standing": standing,
-        "drives": drives,
-        "tool": robot.tool,
-        "marker": _list(robot.marker),
-        "radius": _number(robot.radius),
-        "near": _number(near),
-        "far": _number(4 * robot.radius),
-        "scale": _map(robot.scale) if isinstance(robot.scale, dict) else _number(robot.scale),
-        "pedestal": _PEDESTAL.format(size=size, middle=_number(0.5 * height))
-        if on_pedestal
-        else "",
-        "objects": "objects:\n" if on_pedestal else "",
-        "tuple": f"({', '.join(map(repr, robot.position))})",
-        "array": f"[{', '.join(map(repr, robot.home))}]",
-        "fixed": "fix_base=False" if robot.floating else "gravcomp=1.0",
-    }
-
-
-def _number(value: float) -> str:
-    """A number without a needless fraction."""
-    return f"{round(value, 4):g}"
-
-
-def _list(values: Sequence[float]) -> str:
-    return f"[{', '.join(map(_number, values))}]"
-
-
-def _map(values: Mapping[str, float]) -> str:
-    """Several joints' numbers: those of one value under one regex."""
-    by_value: dict[float, list[str]] = {}
-    for name, value in values.items():
-        by_value.setdefault(value, []).append(re.escape(name))
-    parts = (f"'{'|'.join(names)}': {_number(value)}" for value, names in by_value.items())
-    return f"{{{', '.join(parts)}}}"
-
-
-_PEDESTAL = """\
-  pedestal:                        # to look at: the base stands in it, so that nothing may collide
-    shape: {size}
-    body_type: static
-    attrs: {{enable_collision: false}}
-    init_pos: [0, 0, {middle}]
-"""
 
 _YAML = """\
 # What a task may say: docs/task.md. Terms: embodichain list terms; one of them: show term NAME.
@@ -180,7 +116,10 @@ $pedestal  marker:
 actions:                           # joint targets around the initial pose, rad
   arm:
     func: default_offset_joint_position
-    params: {entity_cfg: {uid: $uid}, scale: $scale, clip: [-1, 1]}
+    params:
+      entity_cfg: {uid: $uid}
+      scale: $scale
+      clip: [-1, 1]
 events:
   place_marker:
     func: randomize_rigid_object_pose
@@ -259,8 +198,8 @@ from embodichain.lab.sim.types import EnvAction, EnvObs
 class $cls(BaseEnv):
     """N robots, each with a marker that is elsewhere in every episode.
 
-    Actions are absolute targets of the active joints, rad or m. `BaseEnv.step` says when each hook is called,
-    `embodichain.lab.gym.envs.hooks` which others there are.
+    Actions are absolute targets of the active joints, rad or m. `BaseEnv.step` says when each
+    hook is called, `embodichain.lab.gym.envs.hooks` which others there are.
     """
 
     home = np.array($array)

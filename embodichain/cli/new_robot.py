@@ -1,9 +1,11 @@
-"""What a new task must know of the robot that it is for: `describe_robot` reads the robot's file."""
+"""The robot of a new task: `describe_robot` reads its file, `robot_words` fills templates."""
 
 from __future__ import annotations
 
 import math
+import os
 import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,9 +15,17 @@ from embodichain.utils.errors import ConfigError
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler import ParsedArticulation
 
-__all__ = ["UR10", "RobotFacts", "describe_robot"]
+__all__ = ["UR10", "RobotFacts", "describe_robot", "robot_words"]
 
 _TAKEN = ("marker", "pedestal", "default_plane")
+
+_PEDESTAL = """\
+  pedestal:                        # to look at: the base stands in it, so that nothing may collide
+    shape: {size}
+    body_type: static
+    attrs: {{enable_collision: false}}
+    init_pos: [0, 0, {middle}]
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,10 +141,11 @@ def _facts(parsed: ParsedArticulation, fpath: str, active: list[int], floating: 
 
 
 def _home(parsed: ParsedArticulation) -> list[float]:
-    """The file's keyframe, else zero where the limits allow it and their middle elsewhere."""
+    """The file's keyframe, else zero; in the middle where that is at a limit or beyond."""
     home = [float(value) for value in parsed.init_qpos]
     for i, (low, high) in enumerate(parsed.qpos_limits):
-        if not low <= home[i] <= high:
+        margin = 0.05 * (high - low) if math.isfinite(high - low) else 0.0
+        if not low + margin <= home[i] <= high - margin:
             home[i] = 0.5 * (low + high)
     mimics = zip(
         parsed.mimic_ids,
@@ -149,17 +160,27 @@ def _home(parsed: ParsedArticulation) -> list[float]:
 
 
 def _lowest(model: Any, data: Any) -> float:
-    """Height of the lowest point of the robot's boxes around its shapes, m."""
+    """Height of the lowest point that moves, m: a mesh's vertex, a corner of a shape's box."""
     import mujoco
     import numpy as np
 
-    solid = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
-    if not solid.any():
-        return 0.0
-    turned = data.geom_xmat.reshape(-1, 3, 3)[:, 2]
-    middle = data.geom_xpos[:, 2] + (turned * model.geom_aabb[:, :3]).sum(axis=1)
-    height = (np.abs(turned) * model.geom_aabb[:, 3:]).sum(axis=1)
-    return float((middle - height)[solid].min())
+    heights = []
+    for i, kind in enumerate(model.geom_type):
+        if model.body_treeid[model.geom_bodyid[i]] < 0:  # fixed to the world: touches nothing
+            continue
+        upwards = data.geom_xmat[i].reshape(3, 3)[2]
+        if kind == mujoco.mjtGeom.mjGEOM_MESH:
+            mesh = model.geom_dataid[i]
+            start = model.mesh_vertadr[mesh]
+            vertices = model.mesh_vert[start : start + model.mesh_vertnum[mesh]]
+            low = (vertices @ upwards).min()
+        elif kind != mujoco.mjtGeom.mjGEOM_PLANE:
+            middle, half = np.split(model.geom_aabb[i], 2)
+            low = upwards @ middle - np.abs(upwards) @ half
+        else:
+            continue
+        heights.append(float(data.geom_xpos[i, 2] + low))
+    return min(heights, default=0.0)
 
 
 def _tool(parsed: ParsedArticulation) -> str:
@@ -194,3 +215,60 @@ def _scale(parsed: ParsedArticulation, active: list[int]) -> float | dict[str, f
             low, high = parsed.qpos_limits[i]
             scales[name] = float(f"{min(0.1, 0.25 * (high - low)):.1g}")
     return next(iter(scales.values())) if len(set(scales.values())) == 1 else scales
+
+
+def robot_words(robot: RobotFacts) -> dict[str, str]:
+    """Return what the templates of a task's files say of a robot."""
+    near = round(min(0.05, 0.5 * robot.radius), 2)
+    height = robot.position[2]
+    on_pedestal = height > 0 and not robot.floating
+    effort = ", max_effort: file" if robot.limited else ""
+    drives = f"drive_pros: {{stiffness: 500, damping: 50{effort}}}"
+    held = "gravcomp: 1                      # it does not sag"
+    size = f"{{shape_type: Cylinder, radius: 0.1, height: {_number(height)}}}"
+    pedestal = _PEDESTAL.format(size=size, middle=_number(0.5 * height)) if on_pedestal else ""
+    return {
+        "uid": robot.uid,
+        "fpath": robot.fpath,
+        "position": _list(robot.position),
+        "home": _list(robot.home),
+        "standing": "fix_base: false" if robot.floating else held,
+        "drives": drives,
+        "tool": robot.tool,
+        "marker": _list(robot.marker),
+        "radius": _number(robot.radius),
+        "near": _number(near),
+        "far": _number(4 * robot.radius),
+        "scale": _map(robot.scale) if isinstance(robot.scale, dict) else _number(robot.scale),
+        "pedestal": pedestal,
+        "objects": "objects:\n" if on_pedestal else "",
+        "tuple": f"({', '.join(map(repr, robot.position))})",
+        "array": f"[{', '.join(map(repr, robot.home))}]",
+        "fixed": "fix_base=False" if robot.floating else "gravcomp=1.0",
+    }
+
+
+def _number(value: float) -> str:
+    """A number without a needless fraction."""
+    return f"{round(value, 4):g}"
+
+
+def _list(values: Sequence[float]) -> str:
+    return f"[{', '.join(map(_number, values))}]"
+
+
+def _map(values: Mapping[str, float]) -> str:
+    """Joint -> number; the joints of one number under one regex."""
+    groups: dict[float, list[str]] = {}
+    for name, value in values.items():
+        groups.setdefault(value, []).append(name)
+    parts = (f'"{_regex(names, values)}": {_number(value)}' for value, names in groups.items())
+    return f"{{{', '.join(parts)}}}"
+
+
+def _regex(names: Sequence[str], all_names: Iterable[str]) -> str:
+    """What matches these names and no others: their common beginning where that is enough."""
+    start = os.path.commonprefix(list(names))
+    if start and len(names) > 1 and sum(n.startswith(start) for n in all_names) == len(names):
+        return f"{re.escape(start)}.*"
+    return "|".join(map(re.escape, names))

@@ -212,10 +212,14 @@ _CONVERT = Verb(
 _NEW = Verb(
     "new",
     "Write a task and its test into your folder or package.",
-    "task NAME [--python] [options]",
+    "task NAME [--robot FILE] [--python] [options]",
     (
         ("new task my_reach", "YAML: conf/task/my_reach.yaml and tests/test_my_reach.py"),
         ("new task my_reach --python", "a class, and the YAML that names it"),
+        (
+            "new task my_pick --robot panda_description/urdf/panda.urdf",
+            "for a robot of yours: its joints, its links",
+        ),
     ),
 )
 _DOCTOR = Verb(
