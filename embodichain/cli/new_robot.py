@@ -21,7 +21,11 @@ _TAKEN = ("marker", "pedestal", "default_plane")
 
 _PEDESTAL = """\
   pedestal:                        # to look at: the base stands in it, so that nothing may collide
-    shape: {size}
+    shape:
+      shape_type: Cylinder
+      radius: 0.1
+      height: {height}
+      visual_material: {{base_color: [0.3, 0.32, 0.35, 1]}}
     body_type: static
     attrs: {{enable_collision: false}}
     init_pos: [0, 0, {middle}]
@@ -225,8 +229,7 @@ def robot_words(robot: RobotFacts) -> dict[str, str]:
     effort = ", max_effort: file" if robot.limited else ""
     drives = f"drive_pros: {{stiffness: 500, damping: 50{effort}}}"
     held = "gravcomp: 1                      # it does not sag"
-    size = f"{{shape_type: Cylinder, radius: 0.1, height: {_number(height)}}}"
-    pedestal = _PEDESTAL.format(size=size, middle=_number(0.5 * height)) if on_pedestal else ""
+    pedestal = _PEDESTAL.format(height=_number(height), middle=_number(0.5 * height))
     return {
         "uid": robot.uid,
         "fpath": robot.fpath,
@@ -240,7 +243,7 @@ def robot_words(robot: RobotFacts) -> dict[str, str]:
         "near": _number(near),
         "far": _number(4 * robot.radius),
         "scale": _map(robot.scale) if isinstance(robot.scale, dict) else _number(robot.scale),
-        "pedestal": pedestal,
+        "pedestal": pedestal if on_pedestal else "",
         "objects": "objects:\n" if on_pedestal else "",
         "tuple": f"({', '.join(map(repr, robot.position))})",
         "array": f"[{', '.join(map(repr, robot.home))}]",
