@@ -1,7 +1,7 @@
 # Everything from a bare machine: `make run`, `make test`. Needs Python 3.11+, git and make.
 #
-#   make run       set up, then run the main job
-#   make test      set up, then run every test      (PYTEST_ARGS="-m 'not slow'" leaves some out)
+#   make run       install what `run` needs, then run the main job
+#   make test      install the rest, then run every test  (PYTEST_ARGS="-m 'not slow'" leaves some out)
 #   make lint types imports     the other checks; `make check` is all of them
 #   make lerobot   have LeRobot's own package load a data set of ours (8 GB: its torch has CUDA)
 #   make format    sort imports, lay out the code
@@ -16,33 +16,41 @@ LEROBOT ?= .venv-lerobot
 PYTEST_ARGS ?=
 
 BIN := $(VENV)/bin
-STAMP := $(VENV)/.installed
+RUNS := $(VENV)/.installed
+TESTS := $(VENV)/.installed-dev
 PIP := $(BIN)/python -m pip --disable-pip-version-check
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run venv test lint types imports lerobot check format pins clean system
+.PHONY: help run venv test lint types imports lerobot check format pins clean system system-tests
 
 help:
 	@sed -n 's/^#   /  /p' Makefile
 
-run: venv
+run: $(RUNS)
 	$(BIN)/embodichain run task=random_reach num_envs=4
 
-venv: $(STAMP)
+venv: $(TESTS)
 
-# The stamp is newer than both files: nothing is installed again.
+# A stamp is newer than both files: nothing is installed again.
 # torch comes first and pinned: asked for by another package, pip would take the newest one.
 # Without build isolation the pinned setuptools builds, not the newest.
-$(STAMP): pyproject.toml constraints.txt | system
+$(RUNS): pyproject.toml constraints.txt | system
 	$(PYTHON) -m venv $(VENV)
 	$(PIP) install -c constraints.txt setuptools torch
+	$(PIP) install -c constraints.txt --no-build-isolation -e .
+	touch $@
+
+$(TESTS): $(RUNS) | system-tests
 	$(PIP) install -c constraints.txt --no-build-isolation -e '.[dev]'
 	touch $@
 
 system:
 	@$(PYTHON) -c 'import sys; sys.exit("Python 3.11 or newer is needed: make PYTHON=..." if sys.version_info < (3, 11) else 0)'
 	@sh scripts/system_deps.sh $(PYTHON)
+
+system-tests: system
+	@sh scripts/system_deps.sh $(PYTHON) chromium
 
 # loadfile: what a test module builds once (a wheel, a log) is built once.
 test: venv

@@ -1,13 +1,14 @@
 #!/bin/sh
 # Installs what the system must provide, when something is missing and we are root; otherwise
-# names it with the command to type. Usage: system_deps.sh [PYTHON]
+# names it with the command to type. Usage: system_deps.sh [PYTHON [chromium]]
 #
 #   libegl1, libgl1-mesa-dri   rendering without a display; missing: warned, nothing else fails
-#   chromium                   tests of the web viewer; missing: they are skipped
+#   chromium                   only if named: tests of the web viewer; missing: they are skipped
 #   pythonX.Y-venv             Debian keeps venv's pip apart; missing: nothing can go on (exit 1)
 set -eu
 
 python=${1:-python3}
+more=${2:-}
 packages=""
 blocked=0
 
@@ -25,7 +26,7 @@ if ! command -v dpkg-query >/dev/null; then
     exit $blocked
 fi
 
-for package in libegl1 libgl1-mesa-dri chromium; do
+for package in libegl1 libgl1-mesa-dri $more; do
     status=$(dpkg-query --show --showformat='${db:Status-Status}' "$package" 2>/dev/null) || true
     [ "$status" = installed ] || packages="$packages $package"
 done
@@ -45,4 +46,4 @@ else
 fi
 [ $blocked -eq 0 ] || exit 1
 echo "warning: without libegl1 and libgl1-mesa-dri there are no pictures without a display," >&2
-echo "         without chromium the web viewer's tests are skipped" >&2
+[ -z "$more" ] || echo "         without chromium the web viewer's tests are skipped" >&2

@@ -147,24 +147,11 @@ def _relaxed(overrides: list[str]) -> list[str]:
 
 
 def _resolve(name: Literal["run", "train"], overrides: list[str]) -> Resolved:
-    """Check a job's config as a whole; for a training, what its algorithm takes too."""
+    """Compose a job's config and check it as a whole."""
+    from embodichain.cli.checking import resolved_job
     from embodichain.config.composed import compose
-    from embodichain.config.problems import LocatedProblem
-    from embodichain.config.resolved import resolve
 
-    composed = compose(overrides, name)
-    resolved = resolve(composed, name)
-    if name == "train":
-        from embodichain.learning.train import check_training
-
-        try:
-            check_training(resolved)
-        except ConfigError as error:
-            located = [
-                LocatedProblem.of(p, composed.locator.source(p.path)) for p in error.problems
-            ]
-            raise ConfigError(located) from error
-    return resolved
+    return resolved_job(compose(overrides, name), name)
 
 
 def _check_composes(name: str, overrides: list[str]) -> None:

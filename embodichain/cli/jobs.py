@@ -76,7 +76,8 @@ def execute(verb: Verb, body: Callable[[Job, StopFlag], float | None]) -> float 
         log.info("command: %s", command)
         for note in resolved.notes:
             log.warning("%s", note)
-        value = body(Job(resolved, resolved.root, folder), stop)
+        with resolved.locating():
+            value = body(Job(resolved, resolved.root, folder), stop)
         log.info("done")
         return value
 

@@ -16,6 +16,7 @@ from typing import Any
 from embodichain.cli import exits
 from embodichain.cli.arguments import VerbParser, add_common, print_json
 from embodichain.cli.new_files import Names, task_files
+from embodichain.cli.new_robot import UR10, describe_robot
 from embodichain.cli.verbs import VERBS
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
@@ -30,7 +31,8 @@ class Place:
     Attributes:
         package: The user's package; empty in a folder without one.
         source: Its folder's parent, relative to the working directory: what Python must search.
-        needed: What its `pyproject.toml` lacks, so that the task is found where it is installed.
+        needed: What its `pyproject.toml` lacks, so that the task is in its wheel and is found where
+            that is installed.
     """
 
     package: str = ""
@@ -48,6 +50,7 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("what", metavar="task")
     parser.add_argument("name", metavar="NAME")
     parser.add_argument("--python", action="store_true", help="a class instead of YAML alone")
+    parser.add_argument("--robot", metavar="FILE", help="its URDF or MJCF: embodichain list robots")
     add_common(parser)
     options = parser.parse(arguments)
     if options.what != "task":
@@ -59,7 +62,8 @@ def main(arguments: list[str]) -> int:
     names = Names(name, module, place.source, place.package)
     if options.python and not place.package:
         _check_module(name)
-    files = task_files(names, python=options.python)
+    robot = UR10 if options.robot is None else describe_robot(options.robot)
+    files = task_files(names, robot, python=options.python)
     _write(files)
     made = {path.as_posix(): None for path in files}
     commands = _next(names)
@@ -69,7 +73,7 @@ def main(arguments: list[str]) -> int:
     lines = [f"wrote {path}" for path in made]
     lines += ["", "next:", *(f"  {command}" for command in commands)]
     if place.needed:
-        lines += ["", "to find it where the package is installed, add to pyproject.toml:"]
+        lines += ["", "to find it where the package is installed, pyproject.toml needs:"]
         lines += [f"  {line}".rstrip() for line in place.needed.splitlines()]
     sys.stdout.write("\n".join(lines) + "\n")
     return exits.OK
@@ -99,39 +103,62 @@ def _check_module(name: str) -> None:
 
 def _place(name: str, *, python: bool) -> Place:
     """The package whose `pyproject.toml` lies here, else the working directory itself."""
-    project = _project()
+    file = _pyproject()
+    project = file.get("project", {})
     package = str(project.get("name", "")).replace("-", "_").replace(".", "_")
     for source in (Path(), Path("src")):
         if package and (source / package / "__init__.py").is_file():
-            return Place(package, source, _needed(project, package, name, python=python))
+            return Place(package, source, _needed(file, package, name, python=python))
     return Place()
 
 
-def _project() -> dict[str, Any]:
+def _pyproject() -> dict[str, Any]:
     try:
-        text = Path("pyproject.toml").read_text(encoding="utf-8")
-        table: dict[str, Any] = tomllib.loads(text).get("project", {})
+        file = tomllib.loads(Path("pyproject.toml").read_text(encoding="utf-8"))
     except FileNotFoundError:
         return {}
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
         raise ConfigError(f"pyproject.toml cannot be read: {error}") from error
-    return table
+    return file
 
 
-def _needed(project: dict[str, Any], package: str, name: str, *, python: bool) -> str:
-    """The entry points that a package does not have yet, as TOML."""
+def _needed(file: dict[str, Any], package: str, name: str, *, python: bool) -> str:
+    """The entry points that a package does not have yet, and its YAML in its wheel, as TOML."""
     if package == "embodichain":  # its own tree is searched anyway
         return ""
-    groups = project.get("entry-points", {})
+    groups = file.get("project", {}).get("entry-points", {})
     wanted = [("embodichain.conf", package, f"{package}.conf")]
     if python:
         wanted.append(("embodichain.tasks", name, f"{package}.tasks.{name}"))
     blocks = [
-        f'[project.entry-points."{group}"]\n{key} = "{value}"'
+        _block(f'project.entry-points."{group}"', f'{key} = "{value}"', there=group in groups)
         for group, key, value in wanted
         if value not in groups.get(group, {}).values()
     ]
+    if _leaves_yaml_out(file, package):
+        data = file.get("tool", {}).get("setuptools", {}).get("package-data")
+        line = f'{package} = ["conf/**/*.yaml"]'
+        blocks.append(_block("tool.setuptools.package-data", line, there=data is not None))
     return "\n\n".join(blocks)
+
+
+def _block(table: str, line: str, *, there: bool) -> str:
+    """A line of a TOML table; a table cannot be written twice."""
+    return f"# in [{table}], which is there:\n{line}" if there else f"[{table}]\n{line}"
+
+
+def _leaves_yaml_out(file: dict[str, Any], package: str) -> bool:
+    """Whether wheels hold Python files only: setuptools needs to be told of others."""
+    backend = file.get("build-system", {}).get("build-backend", "setuptools.build_meta")
+    if not str(backend).startswith("setuptools"):
+        return False
+    named: dict[str, list[str]] = file.get("tool", {}).get("setuptools", {}).get("package-data", {})
+    patterns = {
+        f"{folder}/{pattern}".lstrip("/")
+        for folder, key in (("", package), ("conf", f"{package}.conf"), ("conf", "*"))
+        for pattern in named.get(key, [])
+    }
+    return not any(pattern.startswith("conf/**/*.y") for pattern in patterns)
 
 
 def _write(files: dict[Path, str]) -> None:

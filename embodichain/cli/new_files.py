@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from string import Template
 
+from embodichain.cli.new_robot import RobotFacts, robot_words
+
 __all__ = ["Names", "task_files"]
 
 
@@ -59,11 +61,12 @@ class Names:
         return Path(os.path.relpath(folder.resolve())) if folder.is_symlink() else folder
 
 
-def task_files(names: Names, *, python: bool) -> dict[Path, str]:
+def task_files(names: Names, robot: RobotFacts, *, python: bool) -> dict[Path, str]:
     """Return path -> text of the files of a task.
 
     Args:
         names: What they are called.
+        robot: Whose task it is.
         python: Whether the task is a class that a short YAML names.
     """
     words = {
@@ -75,6 +78,7 @@ def task_files(names: Names, *, python: bool) -> dict[Path, str]:
         "conf": "/".join(f'"{part}"' for part in names.conf.parts).replace("/", " / "),
         "up": str(len(names.test.parts) - 1),
         "source": " / ".join(["ROOT", *(f'"{part}"' for part in names.source.parts)]),
+        **robot_words(robot),
     }
     files = {names.conf / "task" / f"{names.task}.yaml": _CLASS_YAML if python else _YAML}
     if python:
@@ -92,44 +96,51 @@ def task_files(names: Names, *, python: bool) -> dict[Path, str]:
 
 _YAML = """\
 # What a task may say: docs/task.md. Terms: embodichain list terms; one of them: show term NAME.
-description: Bring the tool of a UR10 to a marker that is elsewhere in every episode.
+description: Bring a link of the robot to a marker that is elsewhere in every episode.
 physics: {physics_dt: 0.005}       # seconds a physics step
 sim_steps_per_control: 4           # physics steps a control step
 max_episode_steps: 100             # control steps
 robot:
-  uid: ur10
-  fpath: UniversalRobots/UR10/UR10.urdf
-  init_pos: [0, 0, 1]
-  init_qpos: [1.57, -1.57, 1.57, -1.57, -1.57, 0]
-  drive_pros: {stiffness: 500, damping: 50, max_effort: file}
+  uid: $uid
+  fpath: $fpath
+  init_pos: $position
+  init_qpos: $home
+  $standing
+  $drives
 objects:
-  marker:
+$pedestal  marker:
     shape: {shape_type: Sphere, radius: 0.02}
     body_type: kinematic
     attrs: {enable_collision: false}
-    init_pos: [-0.1, 0.6, 1.2]
+    init_pos: $marker
 actions:                           # joint targets around the initial pose, rad
   arm:
     func: default_offset_joint_position
-    params: {entity_cfg: {uid: ur10}, scale: 0.6, clip: [-1, 1]}
+    params:
+      entity_cfg: {uid: $uid}
+      scale: $scale
+      clip: [-1, 1]
 events:
   place_marker:
     func: randomize_rigid_object_pose
     mode: reset
-    params: {entity_cfg: {uid: marker}, position_range: [[-0.2, -0.1, -0.2], [0.2, 0.1, 0.2]]}
+    params:
+      entity_cfg: {uid: marker}
+      relative_to: {uid: $uid, link_names: [$tool]}
+      position_range: [[-$radius, -$radius, -$radius], [$radius, $radius, $radius]]
 observations:                      # this order is the order in the learner's vector
-  qpos: {func: joint_position_relative, params: {entity_cfg: {uid: ur10}}}
-  qvel: {func: joint_velocity, scale: 0.1, params: {entity_cfg: {uid: ur10}}}
+  qpos: {func: joint_position_relative, params: {entity_cfg: {uid: $uid}}}
+  qvel: {func: joint_velocity, scale: 0.1, params: {entity_cfg: {uid: $uid}}}
   to_marker:
     func: relative_position
     params: &pair
-      source_entity_cfg: {uid: ur10, link_names: [ee_link]}
+      source_entity_cfg: {uid: $uid, link_names: [$tool]}
       target_entity_cfg: {uid: marker}
 rewards:                           # value x weight
   distance: {func: distance_between_objects, params: *pair}
-  near: {func: within_distance, weight: 0.5, params: {<<: *pair, threshold: 0.05}}
+  near: {func: within_distance, weight: 0.5, params: {<<: *pair, threshold: $near}}
 metrics:                           # success: what the last step of an episode says
-  success: {func: within_distance, reduce: last, params: {<<: *pair, threshold: 0.05}}
+  success: {func: within_distance, reduce: last, params: {<<: *pair, threshold: $near}}
 suggested:                         # values of root keys that the command line does not give
   run: {num_envs: 4, episodes: 2}
   train: {num_envs: 64, total_timesteps: 200_000}
@@ -137,29 +148,29 @@ suggested:                         # values of root keys that the command line d
 
 _CLASS_YAML = """\
 # The scene is built by the class in $module. Terms can be declared beside it.
-description: Bring the tool of a UR10 to a marker, as a Python class.
+description: Bring a link of the robot to a marker, as a Python class.
 id: $module:$id
 physics: {physics_dt: 0.005}       # seconds a physics step
 sim_steps_per_control: 4           # physics steps a control step
 max_episode_steps: 100             # control steps
-observations:                      # what a learner sees, in this order
-  qpos: {func: joint_position_relative, params: {entity_cfg: {uid: ur10}}}
+$objects${pedestal}observations:                      # what a learner sees, in this order
+  qpos: {func: joint_position_relative, params: {entity_cfg: {uid: $uid}}}
   to_marker:
     func: relative_position
     params: &pair
-      source_entity_cfg: {uid: ur10, link_names: [ee_link]}
+      source_entity_cfg: {uid: $uid, link_names: [$tool]}
       target_entity_cfg: {uid: marker}
 rewards:                           # added to what `get_reward` returns
-  near: {func: within_distance, weight: 0.5, params: {<<: *pair, threshold: 0.1}}
+  near: {func: within_distance, weight: 0.5, params: {<<: *pair, threshold: $radius}}
 metrics:                           # success: what the last step of an episode says
-  success: {func: within_distance, reduce: last, params: {<<: *pair, threshold: 0.05}}
+  success: {func: within_distance, reduce: last, params: {<<: *pair, threshold: $near}}
 suggested:                         # values of root keys that the command line does not give
   run: {num_envs: 4, episodes: 2, policy: random_around_home}
   train: {num_envs: 64, total_timesteps: 200_000}
 """
 
 _CLASS = '''\
-"""A UR10 that is to bring its tool to a marker, written as a Python class.
+"""A robot that is to bring a link to a marker, written as a Python class.
 
 `embodichain run task=$task` runs it by its YAML. Without that, `gymnasium.make` takes
 "$module:$id".
@@ -185,25 +196,27 @@ from embodichain.lab.sim.types import EnvAction, EnvObs
 
 @register_env("$id", override=True)
 class $cls(BaseEnv):
-    """N arms, each with a marker that is elsewhere in every episode.
+    """N robots, each with a marker that is elsewhere in every episode.
 
-    Actions are absolute joint targets (N, 6) in rad. `BaseEnv.step` says when each hook is called,
-    `embodichain.lab.gym.envs.hooks` which others there are.
+    Actions are absolute targets of the active joints, rad or m. `BaseEnv.step` says when each
+    hook is called, `embodichain.lab.gym.envs.hooks` which others there are.
     """
 
-    home = np.array([1.57, -1.57, 1.57, -1.57, -1.57, 0.0])
-    near = 0.05  # m: closer is a success
+    home = np.array($array)
+    near = $near  # m: closer is a success
 
     def _setup_robot(self, **kwargs: Any) -> Robot:
         robot = self.sim.add_robot(
             RobotCfg(
-                uid="ur10",
-                fpath=get_data_path("UniversalRobots/UR10/UR10.urdf"),
-                init_pos=(0.0, 0.0, 1.0),
+                uid="$uid",
+                fpath=get_data_path("$fpath"),
+                init_pos=$tuple,
                 init_qpos=self.home,
+                $fixed,
             )
         )
-        low, high = robot.body_data.qpos_limits[0].unbind(dim=1)
+        limits = robot.body_data.qpos_limits[0][robot.active_joint_ids]
+        low, high = limits.unbind(dim=1)
         self.single_action_space = gym.spaces.Box(low.numpy(), high.numpy(), dtype=np.float32)
         self.arm = robot
         return robot
@@ -221,18 +234,18 @@ class $cls(BaseEnv):
     def _initialize_episode(self, env_ids: torch.Tensor, **kwargs: Any) -> None:
         pose = torch.zeros(len(env_ids), 7)  # x y z, then the quaternion w x y z
         pose[:, 3] = 1.0
-        pose[:, :3] = torch.tensor([-0.1, 0.6, 1.2]) + self.rand(
-            "marker", (3,), -0.1, 0.1, env_ids=env_ids
+        pose[:, :3] = torch.tensor($marker) + self.rand(
+            "marker", (3,), -$radius, $radius, env_ids=env_ids
         )
         self.marker.set_local_pose(pose, env_ids=env_ids)
 
     def _step_action(self, action: EnvAction) -> EnvAction:
-        self.arm.set_qpos(action)
+        self.arm.set_qpos(action, joint_ids=self.active_joint_ids)
         return action
 
     def evaluate(self, **kwargs: Any) -> Mapping[str, Any]:
         """How far the tool is from the marker; a success ends the episode."""
-        tool = self.arm.get_link_pose("ee_link")[:, :3]
+        tool = self.arm.get_link_pose("$tool")[:, :3]
         distance = torch.linalg.vector_norm(self.marker.get_local_pose()[:, :3] - tool, dim=1)
         return {"distance": distance, "success": distance < self.near}
 
@@ -300,8 +313,9 @@ def test_every_episode_has_another_marker(make: Make) -> None:
 def test_at_the_marker_is_the_best_place(make: Make) -> None:
     env = make(2)
     env.reset(seed=1)
-    tool = env.robot.get_link_pose("ee_link")
-    env.sim.rigid_objects["marker"].set_local_pose(tool[:1], env_ids=[0])
+    places = env.robot.get_link_pose("$tool")
+    places[1, 2] += $far
+    env.sim.rigid_objects["marker"].set_local_pose(places)
     stay = torch.from_numpy(HOLD).float()
     reward, info = env.step(stay)[1::3]
     assert reward[0] > reward[1]
@@ -317,6 +331,6 @@ _TEST = (
 _CLASS_TEST = (
     _HEAD.replace("MONKEY", "monkeypatch: pytest.MonkeyPatch")
     .replace("SEARCH", "    monkeypatch.syspath_prepend($source)\n")
-    .replace("torch.from_numpy(HOLD).float()", "env.robot.get_qpos()")
+    .replace("torch.from_numpy(HOLD).float()", "env.robot.get_qpos()[:, env.active_joint_ids]")
     .replace("SUCCESS", 'info["success"].tolist()')
 )

@@ -113,7 +113,7 @@ def _progress(
     steps = f"{statistics.steps}/{max_steps}" if max_steps is not None else f"{statistics.steps}"
     facts = {"step": steps, "FPS": f"{rate:,.0f}"}
     mean_return, success = statistics.mean("return"), statistics.mean("success")
-    if mean_return is not None:
+    if mean_return:  # not 0 all along: the task pays something
         facts["return"] = f"{mean_return:.3g}"
     if success is not None:
         facts["success"] = f"{success:.0%}"

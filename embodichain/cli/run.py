@@ -101,7 +101,7 @@ def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
         recorder = attach_log(run, env)
         attach_viewer(root, env, stop)
         obs, _ = env.reset()
-        start = StartPicture(env)
+        start = StartPicture(env) if root.scene_png else None
         started()
         label, total = run.resolved.task_name, env.num_envs * episodes
         with ProgressDisplay(label, total, "episodes", quiet=root.quiet or root.json) as display:

@@ -48,7 +48,7 @@ def print_summary(summary: dict[str, Any]) -> None:
         ("episodes", f"{episodes} ({summary['num_envs']} environments)"),
         ("control steps", f"{summary['control_steps']:,} in {summary['seconds']:.2f} s"),
         ("FPS", f"{summary['fps']:,.0f} environment steps/s"),
-        ("return", _mean_spread(summary["return"])),
+        *([("return", _mean_spread(summary["return"]))] if _pays(summary) else []),
         ("length", _mean_spread(summary["length"])),
     ]
     if summary["success_rate"] is not None:
@@ -69,6 +69,12 @@ def _ended(summary: dict[str, Any]) -> str:
         "interrupted": f"interrupted ({summary['signal']})",
     }
     return texts[summary["status"]]
+
+
+def _pays(summary: dict[str, Any]) -> bool:
+    """Whether there is a return to speak of: a task without rewards always returns 0."""
+    spread = summary["return"]
+    return bool(summary["rewards"]) or spread is None or spread["min"] < 0 or spread["max"] > 0
 
 
 def _spread(counted: EpisodeStatistics, name: str) -> dict[str, float] | None:

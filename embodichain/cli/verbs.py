@@ -200,10 +200,11 @@ _SHOW = Verb(
 )
 _VALIDATE = Verb(
     "validate",
-    "Check a task and print every mistake; runs nothing.",
+    "Check a task, build it as `run` does, and print every mistake.",
     "[--config-dir DIR] task=NAME [key=value ...] | FILE",
     (
         ("validate task=reach", "a task that ships with embodichain"),
+        ("validate --train task=reach algo=sac", "as `train` would read it"),
         ("validate task=reach task.max_episode_steps=50", "with overrides"),
         ("validate --config-dir my_conf task=random_reach", "with a folder of yours"),
     ),
@@ -221,10 +222,14 @@ _CONVERT = Verb(
 _NEW = Verb(
     "new",
     "Write a task and its test into your folder or package.",
-    "task NAME [--python] [options]",
+    "task NAME [--robot FILE] [--python] [options]",
     (
         ("new task my_reach", "YAML: conf/task/my_reach.yaml and tests/test_my_reach.py"),
         ("new task my_reach --python", "a class, and the YAML that names it"),
+        (
+            "new task my_pick --robot panda_description/urdf/panda.urdf",
+            "for a robot of yours: its joints, its links",
+        ),
     ),
 )
 _DOCTOR = Verb(

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from embodichain.config.schema import RootCfg
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
-__all__ = ["attach_viewer"]
+__all__ = ["attach_viewer", "check_viewer"]
 
 
 def attach_viewer(
@@ -50,6 +50,18 @@ def attach_viewer(
             f"warning: the viewer listens on {viewer.host} and asks nobody who they are: "
             "everybody who reaches it can look and press its buttons\n"
         )
+
+
+def check_viewer(root: RootCfg) -> None:
+    """Refuse a viewer whose package is not installed.
+
+    Raises:
+        ConfigError: Names the extra.
+    """
+    if root.viewer.name == "foxglove":
+        from embodichain.recording.viewers.foxglove_server import need_sdk
+
+        need_sdk()
 
 
 def _serve(

@@ -76,7 +76,8 @@ def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
         **kwargs: For `BaseEnv`, or for the class.
 
     Raises:
-        ConfigError: If no class of that name is registered.
+        ConfigError: If no class of that name is registered, or what only building shows, with its
+            place.
         TypeError: If an argument is unknown.
     """
     cfg = resolved.env_cfg
@@ -87,7 +88,8 @@ def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
         problem = require_registered(cfg.id)
         if problem is not None:
             raise ConfigError([Problem("task.id", problem)])
-        return registration.make(cfg.id.rpartition(":")[2], cfg=cfg, **kwargs)
+        with resolved.locating("task"):
+            return registration.make(cfg.id.rpartition(":")[2], cfg=cfg, **kwargs)
     for key in kwargs:
         if key not in _KWARGS:
             names = [name for name in inspect.signature(make).parameters if name != "kwargs"]
@@ -96,7 +98,8 @@ def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
             raise TypeError(f"unknown argument {key!r}; there are: {', '.join(known)}.{hint}")
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
-    return BaseEnv(cfg, **kwargs)
+    with resolved.locating("task"):
+        return BaseEnv(cfg, **kwargs)
 
 
 def _check_once(key: str, value: int, overrides: Sequence[str]) -> None:

@@ -7,24 +7,38 @@ from pathlib import Path
 
 import yaml
 
-from embodichain.config.composed import compose
+from embodichain.config.composed import Composed, compose
 from embodichain.config.derive import Verb
 from embodichain.config.gym_config import load_gym_config, override_of
 from embodichain.config.hydra_errors import explain_yaml
 from embodichain.config.locate import ConfigFile, Locator, display_path
 from embodichain.config.problems import LocatedProblem
-from embodichain.config.validation import check_tree, validate
+from embodichain.config.resolved import Resolved, resolve, resolve_tree
 from embodichain.lab.gym.gym_config.file import is_gym_config, read_gym_config
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["notes_on_file", "validate_file"]
+__all__ = ["notes_on_file", "resolve_file", "validate_file"]
 
 _GROUPS = ("task", "sim", "record", "viewer", "algo", "experiment")
 _ANY_TASK = "task=random_reach"
 
 
 def validate_file(path: str | Path, verb: Verb = "run") -> list[LocatedProblem]:
-    """Return every mistake of a file; empty is good.
+    """Return every mistake of a file that can be found without building; empty is good.
+
+    Args:
+        path: See `resolve_file`.
+        verb: Whose suggested values count.
+    """
+    try:
+        resolve_file(path, verb)
+    except ConfigError as error:
+        return [LocatedProblem.of(p, getattr(p, "source", "")) for p in error.problems]
+    return []
+
+
+def resolve_file(path: str | Path, verb: Verb = "run") -> Resolved:
+    """Check a file as a whole and fill in what follows.
 
     A file with a map ``task`` in it is a whole config, as run folders hold; one with a map ``env``
     is EmbodiChain's gym config; one in a folder named like a group is an option of that group; any
@@ -33,26 +47,28 @@ def validate_file(path: str | Path, verb: Verb = "run") -> list[LocatedProblem]:
     Args:
         path: The file.
         verb: Whose suggested values count.
+
+    Raises:
+        ConfigError: Holds every mistake as a `LocatedProblem`.
     """
     file = Path(path)
     if not file.is_file():
-        return [LocatedProblem("", f"no such file: {path}")]
+        raise ConfigError([LocatedProblem("", f"no such file: {path}")])
     if file.suffix == ".json":
-        return validate(compose([override_of(str(file))], verb), verb)
+        return resolve(compose([override_of(str(file))], verb), verb)
     try:
         parsed = ConfigFile.read(file, "")
         tree = yaml.safe_load(file.read_text(encoding="utf-8"))
     except yaml.YAMLError as error:
-        return [explain_yaml(error, file)]
+        raise ConfigError([explain_yaml(error, file)]) from error
     except (OSError, UnicodeDecodeError) as error:
-        return [LocatedProblem("", f"cannot be read: {error}", source=display_path(file))]
+        found = LocatedProblem("", f"cannot be read: {error}", source=display_path(file))
+        raise ConfigError([found]) from error
     if is_gym_config(tree):
-        return validate(compose([override_of(str(file))], verb), verb)
+        return resolve(compose([override_of(str(file))], verb), verb)
     if isinstance(tree, dict) and isinstance(tree.get("task"), dict):
-        source = Locator([parsed]).source
-        found = check_tree(tree, verb)
-        return [LocatedProblem.of(p, source(p.path)) for p in found]
-    return _validate_option(file.resolve(), verb)
+        return resolve_tree(tree, Locator([parsed]).source, verb, allow_import=True)
+    return resolve(_composed_option(file.resolve(), verb), _verb_of(file.resolve(), verb))
 
 
 def notes_on_file(path: str | Path) -> tuple[LocatedProblem, ...]:
@@ -67,18 +83,19 @@ def notes_on_file(path: str | Path) -> tuple[LocatedProblem, ...]:
         return ()
 
 
-def _validate_option(file: Path, verb: Verb) -> list[LocatedProblem]:
-    group = file.parent.name
+def _composed_option(file: Path, verb: Verb) -> Composed:
+    """Compose a file as an option of the group that its folder names, or as a task."""
+    group, verb = file.parent.name, _verb_of(file, verb)
     if group in _GROUPS:
-        return _composed(group, file.stem, file.parent.parent, verb)
+        task = [] if group == "task" else [_ANY_TASK]
+        return compose([*task, f"{group}={file.stem}"], verb, file.parent.parent)
     with tempfile.TemporaryDirectory() as folder:
         link = Path(folder, "task", file.name).with_suffix(".yaml")
         link.parent.mkdir()
         link.symlink_to(file)
-        return _composed("task", file.stem, Path(folder), verb)
+        return compose([f"task={file.stem}"], verb, folder)
 
 
-def _composed(group: str, name: str, folder: Path, verb: Verb) -> list[LocatedProblem]:
-    lines = [f"{group}={name}"] if group == "task" else [_ANY_TASK, f"{group}={name}"]
-    verb = "train" if group == "algo" else verb
-    return validate(compose(lines, verb, folder), verb)
+def _verb_of(file: Path, verb: Verb) -> Verb:
+    """An algorithm is an option of trainings only."""
+    return "train" if file.parent.name == "algo" else verb

@@ -27,7 +27,7 @@ class ConfigFile:
     """A composed file.
 
     Attributes:
-        path: The file.
+        path: The file, not a link to it.
         package: The key that its content hangs under; empty for the root.
         root: Its YAML nodes, or None for an empty file.
     """
@@ -48,7 +48,7 @@ class ConfigFile:
                 stream.seek(0)
                 _refuse_tags(stream)
             stream.seek(0)
-            return cls(path, package, yaml.compose(stream, Loader=yaml.CSafeLoader))
+            return cls(path.resolve(), package, yaml.compose(stream, Loader=yaml.CSafeLoader))
 
 
 def _refuse_tags(stream: TextIO) -> None:

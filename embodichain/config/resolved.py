@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +17,9 @@ from embodichain.config.derive import Verb
 from embodichain.config.frozen import freeze, thaw
 from embodichain.config.problems import LocatedProblem
 from embodichain.config.schema import RootCfg
-from embodichain.config.validation import check_tree, validate
+from embodichain.config.validation import check_tree, source_of, validate
 from embodichain.lab.gym.envs.cfg import EnvCfg
-from embodichain.utils.errors import ConfigError
+from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["Resolved", "Verb", "resolve", "resolve_tree"]
 
@@ -32,12 +34,14 @@ class Resolved:
         task_name: The option of the group `task`.
         notes: What of a gym config was left out or is read otherwise, and what was derived that
             changes the physics.
+        source: From a key path to where the key was set, or empty text.
     """
 
     tree: Mapping[str, Any]
     overrides: tuple[str, ...]
     task_name: str
     notes: tuple[LocatedProblem, ...] = ()
+    source: Callable[[str], str] = field(default=lambda path: "", repr=False, compare=False)
 
     @property
     def root(self) -> RootCfg:
@@ -51,6 +55,25 @@ class Resolved:
     def env_cfg(self) -> EnvCfg:
         """A fresh `EnvCfg` for `BaseEnv`: `num_envs`, `seed` and `sim_cfg` filled in."""
         return derive.env_cfg(self.root)
+
+    @contextmanager
+    def locating(self, section: str = "") -> Iterator[None]:
+        """Give the mistakes of a `ConfigError` raised inside the places where they were written.
+
+        Args:
+            section: What their key paths are relative to; empty is the root.
+        """
+        try:
+            yield
+        except ConfigError as error:
+            raise type(error)([self._located(p, section) for p in error.problems]) from error
+
+    def _located(self, problem: Problem, section: str) -> LocatedProblem:
+        if isinstance(problem, LocatedProblem):
+            return problem
+        path = ".".join(part for part in (section, problem.path) if part)
+        source = self.source(path) if path else ""
+        return LocatedProblem.of(Problem(path, problem.message, problem.hint), source)
 
 
 def resolve(
@@ -76,12 +99,14 @@ def resolve(
     tree, raised = with_armature(derive.settle(check_types(filled).tree, verb))
     name = composed.choices.get("task") or "task"
     name = name.rpartition("/")[2]
-    return Resolved(freeze(tree), composed.overrides, name, (*composed.notes, *raised))
+    source = partial(source_of, composed=composed)
+    notes = (*composed.notes, *raised)
+    return Resolved(freeze(tree), composed.overrides, name, notes, source)
 
 
 def resolve_tree(
     tree: Mapping[str, Any],
-    source: str,
+    source: str | Callable[[str], str],
     verb: Verb = "run",
     *,
     task_name: str = "task",
@@ -91,7 +116,7 @@ def resolve_tree(
 
     Args:
         tree: The loaded YAML.
-        source: What messages call it.
+        source: What messages call it, or from a key path to where the key was set.
         verb: Whose suggested values count, where keys are still null.
         task_name: What the task is called; the tree does not say.
         allow_import: Whether its ``package.module:function`` may be imported.
@@ -100,8 +125,9 @@ def resolve_tree(
         ConfigError: Holds every mistake as a `LocatedProblem`.
     """
     problems = check_tree(tree, verb, allow_import=allow_import)
+    located = source if callable(source) else lambda path: source
     if problems:
-        raise ConfigError([LocatedProblem.of(p, source) for p in problems])
+        raise ConfigError([LocatedProblem.of(p, located(p.path)) for p in problems])
     settled = derive.settle(check_types(derive.fill(tree, verb)).tree, verb)
     settled, raised = with_armature(settled)
-    return Resolved(freeze(settled), (), task_name, raised)
+    return Resolved(freeze(settled), (), task_name, raised, located)

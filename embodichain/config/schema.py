@@ -160,6 +160,8 @@ class RootCfg:
     wandb: WandbCfg = WandbCfg()
     video: bool | None = None
     """Whether the first environment of the log is filmed, too."""
+    scene_png: bool = True
+    """Whether `run` draws the first environment as it starts."""
     gym_config: str | None = None
     """The file of EmbodiChain's that the task was converted from."""
     output_dir: str = "outputs"

@@ -24,7 +24,7 @@ from embodichain.lab.gym.envs.managers.check import check_terms
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["check_tree", "validate"]
+__all__ = ["check_tree", "source_of", "validate"]
 
 _SAME = {"episode_length_s": "max_episode_steps", "decimation": "sim_steps_per_control"}
 """Task keys that win over another one when given, see `EnvCfg`."""
@@ -42,17 +42,17 @@ def validate(composed: Composed, verb: Verb = "run") -> list[LocatedProblem]:
     problems = list(composed.problems)
     if not composed.usable:
         found = check_types({**composed.tree, "task": {}}).problems
-        return problems + [LocatedProblem.of(p, _source(p.path, composed)) for p in found]
+        return problems + [LocatedProblem.of(p, source_of(p.path, composed)) for p in found]
     unknown = _unknown_entries(composed)
     lost = [p.path for p in (*problems, *unknown)]
     chosen = composed.locator.chosen
     unknown += _said_twice(composed)
     found = [*unknown, *check_tree(composed.tree, verb, chosen=chosen, lost=lost)]
-    return problems + [LocatedProblem.of(p, _source(p.path, composed)) for p in found]
+    return problems + [LocatedProblem.of(p, source_of(p.path, composed)) for p in found]
 
 
-def _source(path: str, composed: Composed) -> str:
-    """Where a key was set; a root key that is still null was set by nobody."""
+def source_of(path: str, composed: Composed) -> str:
+    """Return where a key was set: ``FILE:LINE``, or the command line, also for a null root key."""
     if "." not in path and composed.tree.get(path) is None:
         return COMMAND_LINE
     return composed.locator.source(path)

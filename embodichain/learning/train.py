@@ -43,6 +43,7 @@ __all__ = [
     "TORCH_THREADS",
     "TrainSummary",
     "add_evaluation",
+    "check_algorithm",
     "check_training",
     "train",
 ]
@@ -189,6 +190,19 @@ def check_training(resolved: Resolved) -> None:
         ConfigError: Every mistake.
     """
     _plan(resolved)
+
+
+def check_algorithm(resolved: Resolved, env: BaseEnv) -> None:
+    """Build the algorithm of a training on its environment, and leave it at that.
+
+    Args:
+        resolved: A config of the verb `train`.
+        env: Its environment.
+
+    Raises:
+        ConfigError: If the task cannot be learned or an argument is wrong.
+    """
+    _build(_plan(resolved), SB3VecEnv(env, GROUP))
 
 
 def _plan(resolved: Resolved) -> _Plan:

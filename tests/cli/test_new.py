@@ -8,6 +8,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+import yaml
 
 from embodichain.cli import main
 
@@ -94,7 +95,9 @@ def test_a_package_gets_both_inside_and_is_told_its_entry_points(
         assert "4 passed" in follow(made["next"])
     lint(source, "tests")
     assert Path("pyproject.toml").read_text() == project
-    points = tomllib.loads(str(made["pyproject"]))["project"]["entry-points"]
+    needed = tomllib.loads(str(made["pyproject"]))
+    assert needed["tool"]["setuptools"]["package-data"] == {"my_robots": ["conf/**/*.yaml"]}
+    points = needed["project"]["entry-points"]
     assert points == {
         "embodichain.conf": {"my_robots": "my_robots.conf"},
         "embodichain.tasks": {"stack": "my_robots.tasks.stack"},
@@ -147,3 +150,97 @@ def test_a_broken_pyproject_is_refused(capsys: pytest.CaptureFixture[str]) -> No
     Path("pyproject.toml").write_text("[project\n")
     assert main(["new", "task", "mine"]) == 2
     assert "pyproject.toml cannot be read" in capsys.readouterr().err
+
+
+def test_a_packages_wheel_holds_its_tasks(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    project = '[project]\nname = "my-robots"\nversion = "1"\n'
+    Path("src/my_robots").mkdir(parents=True)
+    Path("src/my_robots/__init__.py").write_text('"""Mine."""\n')
+    Path("pyproject.toml").write_text(project)
+    needed = str(new(capsys, "stack")["pyproject"])
+    Path("pyproject.toml").write_text(f"{project}\n{needed}\n")
+    assert new(capsys, "sort")["pyproject"] == ""
+    pip = ["-m", "pip", "--disable-pip-version-check", "install", "--quiet", "--no-deps"]
+    target = tmp_path / "installed"
+    python(*pip, "--no-index", "--no-build-isolation", "--target", str(target), ".")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(target))
+    assert {"stack", "sort"} <= set(python("-m", "embodichain", "list", "tasks").split())
+    python("-m", "embodichain", "validate", "task=stack")
+
+
+def test_a_table_that_is_there_is_not_written_again(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("mine").mkdir()
+    Path("mine/__init__.py").write_text('"""Mine."""\n')
+    project = '[project]\nname = "mine"\nversion = "1"\n'
+    data = '[tool.setuptools.package-data]\nmine = ["*.txt"]\n'
+    Path("pyproject.toml").write_text(project + data)
+    needed = str(new(capsys, "stack")["pyproject"])
+    assert '# in [tool.setuptools.package-data], which is there:\nmine = ["conf' in needed
+    Path("pyproject.toml").write_text(
+        f'[build-system]\nbuild-backend = "hatchling.build"\nrequires = []\n{project}'
+    )
+    assert "package-data" not in str(new(capsys, "sort")["pyproject"])
+
+
+_SMALL = """<mujoco model="small"><worldbody><body name="base">
+  <geom type="cylinder" size="0.05 0.02" pos="0 0 0.02"/>
+  <body name="upper" pos="0 0 0.04">
+    <joint name="turn" axis="0 0 1" range="-90 90"/>
+    <geom type="capsule" fromto="0 0 0 0 0 0.15" size="0.015"/>
+    <body name="lower" pos="0 0 0.15">
+      <joint name="bend" axis="0 1 0" range="10 120"/>
+      <geom type="capsule" fromto="0 0 0 0.15 0 0" size="0.012"/>
+      <body name="rod" pos="0.15 0 0">
+        <joint name="reach" type="slide" axis="1 0 0" range="0 0.08"/>
+        <geom type="capsule" fromto="0 0 0 0.08 0 0" size="0.008"/>
+      </body>
+    </body>
+  </body>
+</body></worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("file", "flags"),
+    [
+        ("UniversalRobots/UR10/UR10.urdf", []),
+        ("panda_description/urdf/panda.urdf", []),
+        ("panda_description/urdf/panda.urdf", ["--python"]),
+        ("small.xml", []),
+    ],
+)
+def test_a_task_fits_the_robot_that_is_named(
+    file: str, flags: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("small.xml").write_text(_SMALL)
+    made = new(capsys, "my_reach", "--robot", file, *flags)
+    assert "4 passed" in follow(made["next"])
+    lint(*(path for path in made["wrote"] if path.endswith(".py")))
+
+
+def test_what_is_written_of_a_robot(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("small.xml").write_text(_SMALL)
+    new(capsys, "mine", "--robot", "small.xml")
+    task = yaml.safe_load(Path("conf/task/mine.yaml").read_text())
+    # `bend` is at rest in the middle of its range, 65 degrees down: the rod's end would be below
+    # the ground, at 0.04 + 0.15 - (0.15 + 0.04 + 0.08) sin 65 - 0.008 = -0.06
+    assert task["robot"]["init_qpos"] == [0, 1.1345, 0.04]
+    assert task["robot"]["init_pos"] == [0, 0, pytest.approx(0.07, abs=0.011)]
+    assert task["objects"]["pedestal"]["attrs"] == {"enable_collision": False}
+    params = task["actions"]["arm"]["params"]
+    assert params["scale"] == {"turn|bend": 0.4, "reach": 0.02}
+    pair = task["rewards"]["distance"]["params"]
+    assert pair["source_entity_cfg"] == {"uid": "small", "link_names": ["lower"]}
+
+
+def test_a_robot_that_cannot_act_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("stone.xml").write_text(
+        '<mujoco><worldbody><body name="a"><geom size="1"/></body></worldbody></mujoco>'
+    )
+    assert main(["new", "task", "mine", "--robot", "stone.xml"]) == 2
+    assert "no joint moves" in capsys.readouterr().err
+    assert main(["new", "task", "mine", "--robot", "nowhere.urdf"]) == 2
+    assert "nowhere.urdf" in capsys.readouterr().err
+    assert not Path("conf").exists()

@@ -14,6 +14,7 @@ import pytest
 import yaml
 from PIL import Image
 
+from embodichain.cli import main
 from embodichain.recording import inspect
 from embodichain.utils.errors import ConfigError
 
@@ -75,6 +76,16 @@ def test_picture_shows_the_scene(finished) -> None:
     with Image.open(folder_of(cwd) / "scene.png") as picture:
         assert picture.size == (1280, 960)
         assert len(picture.convert("RGB").getcolors(maxcolors=2**24) or ()) > 1000
+
+
+def test_no_picture_on_request_and_no_return_without_rewards(tmp_path: Path, capsys) -> None:
+    root = f"output_dir={tmp_path}"
+    assert main(["run", *TINY, "scene_png=false", "record=none", root, "episodes=1"]) == 0
+    (summary,) = tmp_path.rglob("summary.json")
+    assert not (summary.parent / "scene.png").exists()
+    table = capsys.readouterr().out
+    assert "metric target_error" in table
+    assert "return" not in table
 
 
 def test_its_log_is_read_and_verified(finished, embodichain) -> None:

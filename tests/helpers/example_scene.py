@@ -18,7 +18,7 @@ import yaml
 import embodichain
 from embodichain.lab.gym.envs.base_env import BaseEnv
 
-__all__ = ["environment"]
+__all__ = ["environment", "write_task"]
 
 _LEG = """
     <body name="{name}_thigh" pos="{x} {y} 0">
@@ -88,6 +88,22 @@ def environment(
         folder: An empty one for the task's files.
         num_envs: N.
     """
+    write_task(section, terms, folder)
+    env = embodichain.make("everything", num_envs, ["seed=1"], config_dir=folder)
+    try:
+        yield env
+    finally:
+        env.close()
+
+
+def write_task(section: str, terms: dict[str, dict[str, Any]], folder: Path) -> None:
+    """Write the scene as the task `everything`, with further terms in a section.
+
+    Args:
+        section: Of the task: ``rewards``.
+        terms: Name -> declaration.
+        folder: An empty one for the task's files.
+    """
     legs = "".join(_LEG.format(name=n, x=x, y=y) for n, (x, y) in _LEGS.items())
     tree = copy.deepcopy(yaml.safe_load(_SCENE))
     if section == "actions":
@@ -97,8 +113,3 @@ def environment(
     tree["robots"]["go"]["fpath"] = str(folder / "task" / "go.xml")
     (folder / "task" / "go.xml").write_text(_QUADRUPED.format(legs=legs))
     (folder / "task" / "everything.yaml").write_text(yaml.safe_dump(tree, sort_keys=False))
-    env = embodichain.make("everything", num_envs, ["seed=1"], config_dir=folder)
-    try:
-        yield env
-    finally:
-        env.close()

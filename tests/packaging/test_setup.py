@@ -25,11 +25,11 @@ class Machine:
         (self.bin / name).write_text(text)
         (self.bin / name).chmod(0o755)
 
-    def setup(self, python: str = sys.executable) -> subprocess.CompletedProcess[str]:
+    def setup(self, python: str = sys.executable, *more: str) -> subprocess.CompletedProcess[str]:
         path = f"{self.bin}:{os.environ['PATH']}"
         environment = {**os.environ, "PATH": path, "CALLS": str(self.calls)}
         return subprocess.run(
-            ["sh", self.script, python],
+            ["sh", self.script, python, *more],
             env=environment,
             capture_output=True,
             text=True,
@@ -55,8 +55,15 @@ def test_root_installs_what_is_missing(machine: Machine) -> None:
     assert machine.setup().returncode == 0
     assert machine.calls.read_text().splitlines() == [
         "apt-get update",
-        "apt-get install -y --no-install-recommends libegl1 libgl1-mesa-dri chromium",
+        "apt-get install -y --no-install-recommends libegl1 libgl1-mesa-dri",
     ]
+
+
+def test_tests_want_a_browser_too(machine: Machine) -> None:
+    machine.tool("dpkg-query", MISSING)
+    machine.tool("id", "#!/bin/sh\necho 0\n")
+    assert machine.setup(sys.executable, "chromium").returncode == 0
+    assert machine.calls.read_text().splitlines()[-1].endswith(" libgl1-mesa-dri chromium")
 
 
 def test_others_are_told_the_command(machine: Machine) -> None:
@@ -64,7 +71,7 @@ def test_others_are_told_the_command(machine: Machine) -> None:
     machine.tool("id", "#!/bin/sh\necho 1000\n")
     done = machine.setup()
     assert done.returncode == 0  # everything but pictures works without
-    by_hand = "sudo apt-get install -y --no-install-recommends libegl1 libgl1-mesa-dri chromium"
+    by_hand = "sudo apt-get install -y --no-install-recommends libegl1 libgl1-mesa-dri"
     assert by_hand in done.stderr
     assert machine.calls.read_text() == ""
 
@@ -75,7 +82,7 @@ def test_failed_installation_is_said(machine: Machine) -> None:
     machine.tool("apt-get", MISSING)
     done = machine.setup()
     assert done.returncode == 0
-    found = "could not install: libegl1 libgl1-mesa-dri chromium. By hand: apt-get install"
+    found = "could not install: libegl1 libgl1-mesa-dri. By hand: apt-get install"
     assert found in done.stderr
 
 
@@ -108,27 +115,46 @@ def make(repo: Path, goal: str, venv: Path) -> str:
     return done.stdout
 
 
-def test_first_call_installs_torch_first_and_pinned(repo: Path, tmp_path: Path) -> None:
+def installs(plan: str) -> list[str]:
+    """What pip would be told to install."""
+    found = (line.partition(" install -c constraints.txt ")[2] for line in plan.splitlines())
+    return [what for what in found if what]
+
+
+RUN = ["setuptools torch", "--no-build-isolation -e ."]  # torch first, and pinned
+REST = "--no-build-isolation -e '.[dev]'"
+
+
+def test_the_main_job_installs_what_it_needs_and_no_more(repo: Path, tmp_path: Path) -> None:
     plan = make(repo, "run", tmp_path / "venv")
-    installs = [line.partition(" install -c constraints.txt ")[2] for line in plan.splitlines()]
-    assert [line for line in installs if line] == [
-        "setuptools torch",
-        "--no-build-isolation -e '.[dev]'",
-    ]
+    assert installs(plan) == RUN
+    assert "chromium" not in plan
     assert plan.rstrip().endswith("embodichain run task=random_reach num_envs=4")
+
+
+@pytest.mark.parametrize("goal", ["test", "lint", "types", "imports"])
+def test_checks_add_the_rest(repo: Path, tmp_path: Path, goal: str) -> None:
+    assert installs(make(repo, goal, tmp_path / "venv")) == [*RUN, REST]
+    (tmp_path / ".installed").touch()
+    plan = make(repo, goal, tmp_path)
+    assert installs(plan) == [REST]
+    assert "system_deps.sh" in plan
+    assert "chromium" in plan
 
 
 @pytest.mark.parametrize("goal", ["run", "test", "lint", "types", "imports"])
 def test_second_call_installs_nothing(repo: Path, tmp_path: Path, goal: str) -> None:
     (tmp_path / ".installed").touch()
+    (tmp_path / ".installed-dev").touch()
     assert " install " not in make(repo, goal, tmp_path)
 
 
 def test_changed_dependencies_install_again(repo: Path, tmp_path: Path) -> None:
-    stamp = tmp_path / ".installed"
-    stamp.touch()
-    os.utime(stamp, (0, 0))  # older than pyproject.toml and constraints.txt
-    assert " install " in make(repo, "run", tmp_path)
+    for stamp in (tmp_path / ".installed", tmp_path / ".installed-dev"):
+        stamp.touch()
+        os.utime(stamp, (0, 0))  # older than pyproject.toml and constraints.txt
+    assert installs(make(repo, "run", tmp_path)) == RUN
+    assert installs(make(repo, "test", tmp_path)) == [*RUN, REST]
 
 
 def test_old_python_is_refused(repo: Path, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What starts fast stays fast: no torch in help, list, validate, package inits and data classes."""
+"""What starts fast stays fast: no torch in help, list, package inits and data classes."""
 
 import subprocess
 import sys
@@ -36,12 +36,17 @@ def test_importtime_names_what_is_imported() -> None:
         ["list", "tasks"],
         ["list", "robots"],
         ["list", "terms"],
-        ["validate", "task=random_reach"],
     ],
     ids=" ".join,
 )
 def test_command_imports_no_torch(arguments: list[str]) -> None:
     assert HEAVY & imported(["-m", "embodichain", *arguments]) == set()
+
+
+def test_a_mistake_in_a_config_is_found_without_torch() -> None:
+    code = "import sys; from embodichain.cli import main; sys.exit(main(sys.argv[1:]) != 2)"
+    found = imported(["-c", code, "validate", "task=random_reach", "num_envs=0"])
+    assert HEAVY & found == set()
 
 
 @pytest.mark.parametrize(

@@ -142,3 +142,54 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(task):
 @pytest.mark.parametrize("task", TASKS)
 def test_its_config_composes_to_one_tree(task):
     assert compose([f"task={task}"]).tree["task"]["description"] == declared(task)["description"]
+
+
+def lowest(model, data, geoms):
+    """Height of the lowest point of some shapes, m: a mesh's vertex, else a corner of a box."""
+    heights = []
+    for geom in geoms:
+        upwards = data.geom_xmat[geom].reshape(3, 3)[2]
+        mesh = model.geom_dataid[geom]
+        if mesh >= 0:
+            start = model.mesh_vertadr[mesh]
+            low = (model.mesh_vert[start : start + model.mesh_vertnum[mesh]] @ upwards).min()
+        else:
+            low = upwards @ model.geom_aabb[geom, :3] - abs(upwards) @ model.geom_aabb[geom, 3:]
+        heights.append(data.geom_xpos[geom, 2] + low)
+    return min(heights)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_no_robot_of_it_floats(task):
+    env = embodichain.make(task, num_envs=1, overrides=["seed=1"])
+    env.reset()
+    scene = env.sim.scene
+    data = env.sim.engine.data_of(0)
+    tops = [0.0]  # the ground
+    for uid, thing in env.sim.rigid_objects.items():
+        geoms = scene.entities[uid].geom_ids
+        if thing.cfg.body_type == "static":
+            assert not scene.model.geom_contype[geoms].any(), f"{uid} is in the robot's way"
+            tops.append(2 * float(data.geom_xpos[geoms, 2].max()))
+    for uid in env.sim.robots:
+        geoms = scene.entities[uid].geom_ids
+        fixed = scene.model.body_treeid[scene.model.geom_bodyid[geoms]] < 0
+        base = lowest(scene.model, data, geoms[fixed] if fixed.any() else geoms)
+        assert min(abs(base - top) for top in tops) < 0.05, f"{uid} floats at {base}"
+    env.close()
+
+
+STANDS = {t: [u for u in declared(t).get("objects", {}) if u in ("pedestal",)] for t in TASKS}
+
+
+@pytest.mark.parametrize("task", [t for t in TASKS if STANDS[t]])
+def test_what_it_stands_on_changes_nothing(task):
+    def steps(*overrides):
+        env = embodichain.make(task, num_envs=2, overrides=["seed=2", *overrides])
+        seen = [env.reset()[0]]
+        seen += [env.step(action_of(env, step))[0] for step in range(20)]
+        env.close()
+        return [leaf for obs in seen for leaf in tensors(obs)]
+
+    with_it, without = steps(), steps("~task.objects.pedestal")
+    assert all(torch.equal(a, b) for a, b in zip(with_it, without, strict=True))

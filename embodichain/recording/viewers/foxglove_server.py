@@ -16,10 +16,24 @@ if TYPE_CHECKING:
     from foxglove import Channel
     from foxglove.websocket import ChannelView, Client
 
-__all__ = ["DEFAULT_PORT", "FoxgloveServer"]
+__all__ = ["DEFAULT_PORT", "FoxgloveServer", "need_sdk"]
 
 DEFAULT_PORT = 8765
 """Foxglove's own."""
+
+
+def need_sdk() -> Any:
+    """Return the package `foxglove`.
+
+    Raises:
+        ConfigError: It is not installed; names the extra.
+    """
+    try:
+        import foxglove
+    except ImportError as error:
+        message, hint = "needs the package foxglove-sdk", "pip install 'embodichain[foxglove]'"
+        raise ConfigError([Problem("viewer.name", message, hint)]) from error
+    return foxglove
 
 
 class FoxgloveServer:
@@ -35,13 +49,7 @@ class FoxgloveServer:
     """
 
     def __init__(self, host: str, port: int = DEFAULT_PORT, name: str = "embodichain") -> None:
-        try:
-            import foxglove
-        except ImportError as error:
-            message = "needs the package foxglove-sdk"
-            hint = "pip install 'embodichain[foxglove]'"
-            raise ConfigError([Problem("viewer.name", message, hint)]) from error
-        self._sdk: Any = foxglove
+        foxglove = self._sdk = need_sdk()
         self._context = foxglove.Context()
         self._channels: dict[str, Channel] = {}
         self._schemas: dict[str, Any] = {}
@@ -51,7 +59,7 @@ class FoxgloveServer:
                 name=name,
                 host=host,
                 port=port,
-                server_listener=self._audience,  # type: ignore[arg-type]  # it has what is called
+                server_listener=self._audience,  # has what is called
                 context=self._context,
             )
         except RuntimeError as error:

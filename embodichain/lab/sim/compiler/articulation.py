@@ -31,7 +31,7 @@ from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.initial import Keyframe, read_keyframe, resolve_qpos
 from embodichain.lab.sim.compiler.joints import movable_joints, read_joints, read_mimics
 from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
-from embodichain.lab.sim.compiler.names import match
+from embodichain.lab.sim.compiler.names import listing, match
 from embodichain.lab.sim.compiler.pose import initial_pose
 from embodichain.lab.sim.compiler.roots import set_root, strip_world
 from embodichain.utils.errors import ConfigError, Problem
@@ -296,6 +296,9 @@ def _control_parts(
             matched, wrong = match(pattern, names, "joint", f"control_parts.{part}")
             problems += wrong
             ids += matched
+        if not patterns:
+            message = f"names no joint; there are: {listing(names)}"
+            problems.append(Problem(f"control_parts.{part}", message))
         found[part] = tuple(dict.fromkeys(ids))
     return found, problems
 

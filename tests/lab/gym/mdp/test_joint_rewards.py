@@ -39,6 +39,13 @@ def test_joint_speeds(scene) -> None:
     assert reward(scene, "joint_vel_l2", **FIRST) == [25.0] * 3
 
 
+def test_the_error_to_the_targets(scene) -> None:
+    bend(scene, HOME, [0.0] * 6)
+    scene.robot.set_qpos(np.add(HOME, [0.3, -0.1, 0, 0, 0, 0.2]))
+    assert reward(scene, "joint_target_error", **ARM) == pytest.approx([0.1] * 3)
+    assert reward(scene, "joint_target_error", **FIRST) == pytest.approx([0.2] * 3)
+
+
 def test_a_control_part_picks_joints(make) -> None:
     parts = RobotCfg(uid="ur10", fpath=UR10, control_parts={"wrist": ["Joint[56]"]})
     env = make(robot=parts)

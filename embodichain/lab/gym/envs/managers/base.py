@@ -182,20 +182,22 @@ def _build(env: BaseEnv, kind: Kind, name: str, cfg: C, path: str) -> BuiltTerm[
 
 @contextmanager
 def _under(path: str) -> Iterator[None]:
-    """Put a path before those of a ConfigError."""
+    """Put a path before those of a ConfigError that do not begin with it."""
     try:
         yield
     except ConfigError as error:
         raise ConfigError(
-            [Problem(f"{path}.{p.path}".rstrip("."), p.message, p.hint) for p in error.problems]
+            p
+            if p.path.startswith(path)
+            else Problem(f"{path}.{p.path}".rstrip("."), p.message, p.hint)
+            for p in error.problems
         ) from error
 
 
 def _resolved(env: BaseEnv, value: Any, path: str) -> Any:
     """Replace references to entities, also within lists and maps, by what they mean."""
     if isinstance(value, SceneEntityCfg):
-        with _under(path):
-            return resolve_entity(env.sim, value)
+        return resolve_entity(env.sim, value, path)
     if isinstance(value, (list, tuple)):
         return type(value)(_resolved(env, v, f"{path}.{i}") for i, v in enumerate(value))
     if isinstance(value, dict):

@@ -6,7 +6,8 @@ Also EmbodiChain's way to pick them, by robot, indices or control part.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.sim.engine.base import F64
 
-__all__ = ["UNLIMITED", "Joints", "pick_joints", "wrapped"]
+__all__ = ["UNLIMITED", "Joints", "as_parameters", "pick_joints", "wrapped"]
 
 UNLIMITED = 1e9
 """Speeds and efforts at least this large are no limits (EmbodiChain's default is 1e10)."""
@@ -147,12 +148,23 @@ def pick_joints(
     cfg: dict[str, Any] = {"uid": robot_uid, "control_parts": part_name}
     if joint_ids is not None:
         cfg = {"uid": robot_uid, "joint_ids": list(joint_ids)}
-    names = {"uid": "robot_uid", "control_parts": "part_name"}
-    try:
+    with as_parameters({"uid": "robot_uid", "control_parts": "part_name"}):
         return Joints(env.scene_entity(cfg))
+
+
+@contextmanager
+def as_parameters(names: Mapping[str, str]) -> Iterator[None]:
+    """Call the keys of a reference what the term's parameters are called, in errors.
+
+    Args:
+        names: Key -> parameter.
+    """
+    try:
+        yield
     except ConfigError as error:
-        problems = [Problem(names.get(p.path, p.path), p.message, p.hint) for p in error.problems]
-        raise ConfigError(problems) from error
+        raise ConfigError(
+            Problem(names.get(p.path, p.path), p.message, p.hint) for p in error.problems
+        ) from error
 
 
 def wrapped(angles: F64) -> F64:

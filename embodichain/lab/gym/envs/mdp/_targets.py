@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from embodichain.lab.gym.envs.mdp import _spatial
+from embodichain.lab.gym.envs.mdp._joints import as_parameters
 from embodichain.lab.gym.envs.mdp._kinematics import links_below
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -67,7 +68,8 @@ def tool_of(
         return end_effector_cfg
     if env.robot is None:
         raise ConfigError([Problem("end_effector_cfg", "the task has no robot: give a link")])
-    entity = env.scene_entity({"uid": env.robot.uid, "control_parts": part_name})
+    with as_parameters({"control_parts": "part_name"}):
+        entity = env.scene_entity({"uid": env.robot.uid, "control_parts": part_name})
     names = entity.asset.parsed.link_names
     links = [names[i] for i in links_below(entity.asset, entity.joint_ids)]
     if len(links) != 1:

@@ -24,6 +24,7 @@ __all__ = [
     "JointAccL2",
     "JointDeviationL1",
     "JointPower",
+    "JointTargetError",
     "JointTorquesL2",
     "JointVelL1",
     "JointVelL2",
@@ -98,6 +99,28 @@ class JointVelL2(Judge):
         """(N,)."""
         qvel = self._joints.qvel()
         return total(qvel * qvel)
+
+
+@register_term("reward", "metric", name="joint_target_error")
+class JointTargetError(Judge):
+    """Mean of |target - qpos| over the picked joints: how far they are behind their targets.
+
+    rad or m; 0 for joints without a drive.
+
+    Args:
+        entity_cfg: The robot; its joint names or control parts pick joints.
+
+    Example:
+        ``{func: joint_target_error, weight: -0.1, params: {entity_cfg: {uid: ur10}}}``
+    """
+
+    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
+        self._joints = Joints(entity_cfg)
+
+    def value(self) -> F64:
+        """(N,), not negative."""
+        targets = self._joints.asset.drives.read_target_qpos()[:, self._joints.ids]
+        return total(np.abs(targets - self._joints.qpos())) / len(self._joints.ids)
 
 
 @register_term("reward", "metric", name="joint_acc_l2")
