@@ -72,6 +72,7 @@ class _Plan:
         chosen = any(line.startswith("num_envs=") for line in overrides)
         fresh: dict[str, Any] = {"quiet": False, "json": False, "traceback": False}
         fresh |= {"viewer": {"name": "none"}, "resume": None, "max_steps": None, "video": None}
+        fresh |= {"allow_changed": False}
         fresh |= {"total_timesteps": None, "algo": None, "record": {}, "output_dir": "outputs"}
         if target.run is None and seed is None:
             seed = 0  # the same episodes each time, not drawn anew
