@@ -100,12 +100,12 @@ class _Plan:
             sys.stderr.write(f"{run.resolved.task_name}: {run.folder}\n")
         check_film(run)
         result = evaluate_job(run, stop, self.asked)
-        result |= film_job(run, result["log"])
+        result |= film_job(run, stop, result["log"])
         if root.json:
             print_json(result)
         elif not root.quiet:
             print_evaluation(result)
-        if not result["complete"]:
+        if stop.stopped is not None:
             raise Interrupted(f"interrupted ({stop.stopped}); {run.folder} is complete up to there")
         return objective_of(result)
 
