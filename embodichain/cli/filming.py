@@ -76,6 +76,8 @@ def film_job(run: Job, stop: StopFlag, log: str | Path | None) -> dict[str, str]
     quiet = run.root.quiet or run.root.json
     with ProgressDisplay("film", None, "pictures", quiet=quiet) as display:
         filmed = film_log(log, out, progress=shown(display), stop=lambda: stop.stopped is not None)
-    if not filmed.whole:
+    if filmed.whole:
+        _log.info("%s: %d pictures", out, filmed.pictures)
+    else:
         _log.warning("%s", ended_early(stop, filmed, out))
     return {"video": str(out)} if filmed.pictures else {}

@@ -11,7 +11,7 @@ import importlib.metadata
 from functools import partial
 
 from embodichain.lab.gym.utils.registration import REGISTERED_ENVS
-from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = ["load_task_packages", "require_registered"]
 
@@ -55,5 +55,5 @@ def require_registered(env_id: str, *, allow_import: bool = True) -> str | None:
     classes = [uid for uid, spec in REGISTERED_ENVS.items() if not isinstance(spec.cls, partial)]
     if name in classes:  # the others are YAML tasks, which a task cannot be made of
         return None
-    known = ", ".join(sorted(classes)) or "none"
+    known = listing(sorted(classes), name)
     return f"no registered class {name!r}; there are: {known}.{did_you_mean(name, classes)}"

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import gymnasium as gym
 
 from embodichain.utils.errors import ConfigError
-from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.suggest import did_you_mean, listing
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -96,7 +96,7 @@ def _find(env_id: str) -> EnvSpec:
     try:
         return REGISTERED_ENVS[env_id]
     except KeyError:
-        known = ", ".join(REGISTERED_ENVS) or "none"
+        known = listing(REGISTERED_ENVS, env_id, "embodichain list tasks")
         hint = did_you_mean(env_id, REGISTERED_ENVS)
         raise ConfigError(f"no environment {env_id!r}; registered: {known}.{hint}") from None
 

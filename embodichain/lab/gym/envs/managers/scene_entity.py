@@ -15,7 +15,7 @@ from pydantic import GetCoreSchemaHandler, TypeAdapter, ValidationError
 
 from embodichain.lab.gym.envs.cfg import Names, SceneEntityCfg
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.suggest import did_you_mean, listing
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.sim_manager import SimulationManager
@@ -95,7 +95,7 @@ def resolve_entity(
         cfg = _from_mapping(cfg)
     assets: dict[str, Any] = {**sim.robots, **sim.articulations, **sim.rigid_objects}
     if cfg.uid not in assets:
-        known = ", ".join(assets) or "none"
+        known = listing(assets, cfg.uid)
         hint = did_you_mean(cfg.uid, assets).strip()
         message = f"no entity is called {cfg.uid!r}; there are: {known}"
         raise ConfigError([Problem("uid", message, hint)])
