@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,19 +33,15 @@ _SHARES = ("success", "eval success")
 def main(arguments: list[str]) -> int:
     """Print a table of trainings, runs that differ by their seed in one line; draw their curves."""
     parser = VerbParser(VERBS["compare"])
-    parser.add_argument("runs", nargs="+", metavar="RUN", help="folders of trainings, or `last`")
+    parser.add_argument(
+        "runs", nargs="+", metavar="RUN", help="folders of trainings or of sweeps, or `last`"
+    )
     parser.add_argument("--output", "-o", metavar="OUT", help="a new picture: .png, .svg, .pdf")
     add_common(parser)
     options = parser.parse(arguments)
-    from embodichain.learning.comparison import group_runs, is_training, read_run
+    from embodichain.learning.comparison import group_runs, read_run
 
-    folders = list(dict.fromkeys(_folder(name) for name in options.runs))
-    others = [folder for folder in folders if not is_training(folder)]
-    if len(others) < len(folders):  # a pattern finds evaluations too
-        for folder in others:
-            sys.stderr.write(f"left out: {folder} is no training\n")
-        folders = [folder for folder in folders if folder not in others]
-    groups = group_runs(map(read_run, folders))
+    groups = group_runs(map(read_run, _trainings(options.runs)))
     if options.output is not None:
         from embodichain.learning.plots import plot_curves
 
@@ -63,11 +60,31 @@ def main(arguments: list[str]) -> int:
     return exits.OK
 
 
-def _folder(name: str) -> Path:
+def _trainings(names: Sequence[str]) -> list[Path]:
+    """The folders of what was named; the trainings of a sweep's folder.
+
+    A pattern finds evaluations, and files, too: these are left out, and said.
+    """
+    from embodichain.learning.comparison import trainings_in
+
+    found: list[Path] = []
+    others: list[Path] = []
+    for path in dict.fromkeys(map(_path, names)):
+        inside = trainings_in(path) if path.is_dir() else []
+        found += inside
+        others += [] if inside else [path]
+    if not found:
+        return others  # reading one of them says what is wrong with it
+    for path in others:
+        sys.stderr.write(f"left out: {path} is no training\n")
+    return list(dict.fromkeys(found))
+
+
+def _path(name: str) -> Path:
     path = newest_run("outputs", CHECKPOINT) if name == "last" else Path(name)
     if path is None:
         raise ConfigError("no training in outputs yet: embodichain train task=NAME")
-    if not path.is_dir():
+    if not path.exists():
         raise ConfigError(f"there is no run {name!r}")
     return path.resolve()
 

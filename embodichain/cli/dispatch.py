@@ -14,6 +14,7 @@ from contextlib import contextmanager, nullcontext
 from embodichain.cli import exits
 from embodichain.cli.reporting import report
 from embodichain.cli.starting import starting
+from embodichain.cli.stopping import signals_raise
 from embodichain.cli.verbs import VERBS, overview
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
@@ -57,7 +58,8 @@ def _call(arguments: list[str]) -> int:
 
         return complete(arguments[1:])
     if first in VERBS:
-        with _own_modules(), starting() if first in _CALL_STARTED else nullcontext():
+        start = starting() if first in _CALL_STARTED else nullcontext()
+        with signals_raise(), _own_modules(), start:
             module = importlib.import_module(f"embodichain.cli.{first.replace('-', '_')}")
             code: int = module.main(arguments[1:])
             return code

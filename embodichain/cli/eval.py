@@ -72,6 +72,7 @@ class _Plan:
         chosen = any(line.startswith("num_envs=") for line in overrides)
         fresh: dict[str, Any] = {"quiet": False, "json": False, "traceback": False}
         fresh |= {"viewer": {"name": "none"}, "resume": None, "max_steps": None, "video": None}
+        fresh |= {"allow_changed": False}
         fresh |= {"total_timesteps": None, "algo": None, "record": {}, "output_dir": "outputs"}
         if target.run is None and seed is None:
             seed = 0  # the same episodes each time, not drawn anew
@@ -99,12 +100,12 @@ class _Plan:
             sys.stderr.write(f"{run.resolved.task_name}: {run.folder}\n")
         check_film(run)
         result = evaluate_job(run, stop, self.asked)
-        result |= film_job(run, result["log"])
+        result |= film_job(run, stop, result["log"])
         if root.json:
             print_json(result)
         elif not root.quiet:
             print_evaluation(result)
-        if not result["complete"]:
+        if stop.stopped is not None:
             raise Interrupted(f"interrupted ({stop.stopped}); {run.folder} is complete up to there")
         return objective_of(result)
 

@@ -79,21 +79,22 @@ def evaluate_job(run: Job, stop: StopFlag, asked: Asked) -> dict[str, Any]:
     from embodichain.cli.arguments import to_json
     from embodichain.config.run_folder import write_atomically
 
-    found, log = _play(run, stop, asked)
+    found, log, changed = _play(run, stop, asked)
     result = {
         "task": run.resolved.task_name,
         "policy": run.root.policy,
         "deterministic": asked.deterministic,
         "folder": str(run.folder),
         "log": log,
+        "changed": changed,
         **found.as_dict(),
     }
     write_atomically(run.folder / EVAL_FILE, to_json(result, indent=2) + "\n")
     return result
 
 
-def _play(run: Job, stop: StopFlag, asked: Asked) -> tuple[Evaluation, str | None]:
-    """The evaluation from build to close, and where its log is."""
+def _play(run: Job, stop: StopFlag, asked: Asked) -> tuple[Evaluation, str | None, list[str]]:
+    """The evaluation from build to close, where its log is, and what changed since training."""
     from embodichain.cli.attach import attach_log, expect_log
     from embodichain.cli.policies import policy_of
     from embodichain.cli.progress import ProgressDisplay
@@ -119,7 +120,8 @@ def _play(run: Job, stop: StopFlag, asked: Asked) -> tuple[Evaluation, str | Non
             found = evaluate(env, policy, asked.episodes, seed=asked.seed, watch=watch)
     finally:
         env.close()  # finishes the log too
-    return found, str(recorder.stats.path) if recorder is not None else None
+    changed = [str(change) for change in getattr(policy, "changed", ())]
+    return found, str(recorder.stats.path) if recorder is not None else None, changed
 
 
 def _facts(counted: EpisodeStatistics) -> dict[str, str]:

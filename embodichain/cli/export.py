@@ -78,8 +78,10 @@ def _export(target: Target, overrides: list[str], out: Path, form: Format) -> di
     from embodichain.learning.policy import load_model
 
     fresh = {"viewer": {"name": "none"}, "algo": None, "num_envs": 1, "resume": None}
+    fresh |= {"allow_changed": False}
     resolved = target.resolve(overrides, fresh)
     policy = load_model(Path(target.policy))
+    policy.allow_changed = resolved.root.allow_changed
     env = make_env(resolved)
     try:
         worst = export_policy(policy, env, out, form, task=resolved.task_name)

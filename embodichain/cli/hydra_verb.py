@@ -60,8 +60,10 @@ def call_verb(name: Literal["run", "train"], job: Callable[..., None], arguments
                 raise ConfigError("--cfg prints YAML only: embodichain convert prints a gym config")
             _check_composes(name, overrides)
         elif options.multirun:
-            from embodichain.cli.sweeping import points, towards_scores
+            from embodichain.cli.labels import SWEPT_VARIABLE
+            from embodichain.cli.sweeping import points, swept, towards_scores
 
+            os.environ[SWEPT_VARIABLE] = ",".join(swept(overrides))
             for point in points(overrides, _MOST_CHECKED_JOBS):
                 _resolve(name, point)
             overrides = towards_scores(overrides)

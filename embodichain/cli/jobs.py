@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from embodichain.cli.labels import told_apart
 from embodichain.cli.logs import log_to
 from embodichain.cli.stopping import StopFlag
 from embodichain.utils.errors import ConfigError
@@ -72,7 +73,11 @@ def execute(verb: Verb, body: Callable[[Job, StopFlag], float | None]) -> float 
     resolved, folder = _claim(verb)
     command = os.environ.get(COMMAND_VARIABLE, f"embodichain {verb}")
     write_record(folder, resolved, shlex.split(command))
-    with log_to(folder / LOG_FILE) as log, StopFlag() as stop:
+    with (
+        told_apart(json=resolved.tree["json"]),
+        log_to(folder / LOG_FILE) as log,
+        StopFlag() as stop,
+    ):
         log.info("command: %s", command)
         for note in resolved.notes:
             log.warning("%s", note)

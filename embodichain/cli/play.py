@@ -38,7 +38,7 @@ def main(arguments: list[str]) -> int:
     os.environ[COMMAND_VARIABLE] = shlex.join(["embodichain", "play", *arguments])
     fresh: dict[str, Any] = {"quiet": False, "json": False, "traceback": False, "resume": None}
     fresh |= {"max_steps": None, "video": None, "total_timesteps": None, "algo": None}
-    fresh["output_dir"] = "outputs"
+    fresh |= {"output_dir": "outputs", "allow_changed": False}
     from embodichain.cli.run import job
     from embodichain.config.search_path import user_configs
 

@@ -23,13 +23,15 @@ def policy_of(root: RootCfg, env: BaseEnv, *, deterministic: bool = True) -> Pol
         deterministic: Whether a trained one takes its mean action.
 
     Raises:
-        ConfigError: There is no such policy, or its parameters are wrong.
+        ConfigError: There is no such policy, its parameters are wrong, or it was trained in
+            another task and ``allow_changed`` is not set.
     """
 
     def load(path: Path) -> Policy:
         from embodichain.learning.policy import load_policy
 
-        return load_policy(path, env, deterministic=deterministic)
+        changed = root.allow_changed
+        return load_policy(path, env, deterministic=deterministic, allow_changed=changed)
 
     chosen = root.policy or "random"
     if isinstance(chosen, str):

@@ -5,6 +5,7 @@ Written to stderr, so that stdout holds results only.
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from types import TracebackType
@@ -35,7 +36,7 @@ class ProgressDisplay:
         self.label, self.total, self.unit = label, total, unit
         self._bar: Progress | None = None
         self._quiet = quiet
-        self._live = not quiet and sys.stderr.isatty()
+        self._live = not quiet and sys.stderr.isatty() and os.environ.get("TERM") != "dumb"
         self._due = time.perf_counter() + (0.0 if self._live else _LINE_PERIOD)
 
     def __enter__(self) -> ProgressDisplay:
@@ -72,7 +73,7 @@ class ProgressDisplay:
             self._bar.refresh()
             self._due = time.perf_counter() + _LIVE_PERIOD
             return
-        sys.stderr.write(f"{self.label}: {count}  {text}\n")
+        sys.stderr.write(f"{self.label}: {count}  {text}".rstrip() + "\n")
         sys.stderr.flush()
         self._due = time.perf_counter() + _LINE_PERIOD
 

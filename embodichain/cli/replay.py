@@ -27,6 +27,7 @@ _MOST_EPISODES = 20
 _ACTIONS = ("verify", "video", "policy", "view")
 _ONLY_WITH = {
     "speed": ("video", "view"),
+    "allow-changed": ("policy",),
     "camera": ("video",),
     "size": ("video",),
     "host": ("view",),
@@ -47,6 +48,12 @@ def main(arguments: list[str]) -> int:
         "--speed", type=float, metavar="X", help="of --view and --video; 1 is real time"
     )
     parser.add_argument("--policy", metavar="P", help="play its episodes with this policy instead")
+    parser.add_argument(
+        "--allow-changed",
+        action="store_true",
+        default=None,
+        help="of --policy: also one trained in a task that is another than the log's",
+    )
     replay_view.add_arguments(parser)
     replay_video.add_arguments(parser)
     parser.add_argument("--quiet", "-q", action="store_true", help="no progress, no report")
@@ -73,7 +80,7 @@ def _check_together(options: argparse.Namespace) -> None:
     if len(what) > 1:
         raise ConfigError(f"--{what[0]} and --{what[1]} are two things: ask for one at a time")
     for name, actions in _ONLY_WITH.items():
-        if getattr(options, name) is not None and not set(actions) & set(what):
+        if getattr(options, name.replace("-", "_")) is not None and not set(actions) & set(what):
             raise ConfigError(f"--{name} needs {' or '.join(f'--{a}' for a in actions)}")
 
 

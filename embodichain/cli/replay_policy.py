@@ -131,7 +131,7 @@ def _play(
     from embodichain.cli.progress import ProgressDisplay
 
     root = resolved.root
-    root.policy = policy_name
+    root.policy, root.allow_changed = policy_name, bool(options.allow_changed)
     policy = policy_of(root, env)
     obs, _ = env.reset()
     same = all(

@@ -9,6 +9,9 @@ from pathlib import Path
 
 from embodichain.cli import exits
 from embodichain.cli.arguments import VerbParser, print_json
+from embodichain.cli.exits import Interrupted
+from embodichain.cli.filming import ended_early, shown
+from embodichain.cli.stopping import StopFlag
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["add_arguments", "film"]
@@ -34,24 +37,23 @@ def film(path: Path, options: argparse.Namespace) -> int:
     last = None if options.stop is None else options.stop - 1
     speed = 1.0 if options.speed is None else options.speed
     size = _size(options.size) if options.size is not None else (640, 480)
-    drawn = 0
-    with Log(path) as log, ProgressDisplay("film", None, "pictures", quiet=quiet) as display:
-
-        def progress(pictures: int) -> None:
-            nonlocal drawn
-            drawn = pictures
-            if display.due:
-                display.show(pictures, {})
-
+    display = ProgressDisplay("film", None, "pictures", quiet=quiet)
+    with Log(path) as log, StopFlag() as stop, display:
         part = options.env or 0, options.episode, options.start, last
-        film_log(log, out, *part, speed, size, options.camera, progress)
+        how = speed, size, options.camera
+        filmed = film_log(log, out, *part, *how, shown(display), lambda: stop.stopped is not None)
         for warning in log.warnings:
             sys.stderr.write(f"warning: {log.path}: {warning}\n")
+    if not filmed.pictures:
+        raise Interrupted(ended_early(stop, filmed, out))
     nbytes = out.stat().st_size
     if options.json:
-        print_json({"file": str(out), "pictures": drawn, "bytes": nbytes})
+        facts = {"pictures": filmed.pictures, "bytes": nbytes, "complete": filmed.whole}
+        print_json({"file": str(out), **facts})
     elif not options.quiet:
-        sys.stdout.write(f"{out}: {drawn} pictures, {nbytes / 1e6:.2f} MB\n")
+        sys.stdout.write(f"{out}: {filmed.pictures} pictures, {nbytes / 1e6:.2f} MB\n")
+    if not filmed.whole:
+        raise Interrupted(ended_early(stop, filmed, out))
     return exits.OK
 
 

@@ -20,7 +20,7 @@ __all__ = ["asks_to_resume", "resolve_resumed"]
 CONFIG = "config.yaml"
 MAY_CHANGE = (
     *("total_timesteps", "checkpoint", "eval", "record", "video", "sim", "output_dir"),
-    *("wandb", "quiet", "json", "traceback"),
+    *("wandb", "allow_changed", "quiet", "json", "traceback"),
 )
 """Keys (and what is below them) that may differ from the run's own."""
 
@@ -57,6 +57,7 @@ def resolve_resumed(overrides: Sequence[str]) -> Resolved:
         raise ConfigError(problems)
     checkpoint, state = find_resumable(folder)
     fresh = {"quiet": False, "json": False, "traceback": False, "resume": str(folder)}
+    fresh |= {"allow_changed": False}
     tree = {**_tree(folder / CONFIG), **fresh}
     for key, value in changes.items():
         # An option of the group `record` is its format: the rest of the run's own stays.

@@ -68,14 +68,14 @@ def _run(run: Job, stop: StopFlag) -> float | None:
     summary = summarize(outcome, facts)
     _write_summary(run.folder, summary)
     _log.info("summary: %s", json.dumps(summary, default=str))
-    summary |= film_job(run, log)
+    summary |= film_job(run, stop, log)
     if root.json:
         from embodichain.cli.arguments import print_json
 
         print_json(summary)
     elif not root.quiet:
         print_summary(summary)
-    if outcome.status == "interrupted":
+    if stop.stopped is not None:
         raise Interrupted(f"interrupted ({stop.stopped}); {run.folder} is complete up to there")
     return outcome.statistics.mean("return")
 

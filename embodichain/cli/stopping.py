@@ -1,21 +1,61 @@
-"""Signals as a flag that a loop reads, so that everything is closed before leaving.
+"""Signals as a flag that a loop reads, or as an exception: everything is closed before leaving.
 
 Ctrl-C and SIGTERM, and SIGUSR2: what batch systems send some time before they kill
-(`sbatch --signal=USR2@120`). All of them end a run after its current step.
+(`sbatch --signal=USR2@120`). All of them end a run after its current step, a film after its current
+picture, and whatever else is under way at once.
 """
 
 from __future__ import annotations
 
 import signal
 import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import Any
 
-__all__ = ["StopFlag"]
+from embodichain.cli.exits import Interrupted
+
+__all__ = ["StopFlag", "signals_raise"]
 
 _SIGNALS = [
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR2") if hasattr(signal, name)
 ]
+_TWICE = "interrupted twice: left without closing everything"
+
+
+@contextmanager
+def signals_raise() -> Iterator[None]:
+    """Within it a signal raises `Interrupted`: files that are being written are removed on the way.
+
+    The same signals again are ignored meanwhile, but for Ctrl-C, which leaves at once. Where a
+    `StopFlag` is up, that is what signals set.
+    """
+    came: list[str] = []
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        name = signal.Signals(number).name
+        if not came:
+            came.append(name)
+            raise Interrupted(f"interrupted ({name})")
+        if number == signal.SIGINT:
+            raise KeyboardInterrupt(_TWICE)
+
+    with _handled_by(handle):
+        yield
+
+
+@contextmanager
+def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Give our signals to a handler; outside the main thread nothing can, and nothing changes."""
+    before: dict[signal.Signals, Any] = {}
+    if threading.current_thread() is threading.main_thread():
+        before = {number: signal.signal(number, handler) for number in _SIGNALS}
+    try:
+        yield
+    finally:
+        for number, previous in before.items():
+            signal.signal(number, previous)
 
 
 class StopFlag:
@@ -30,12 +70,10 @@ class StopFlag:
 
     def __init__(self) -> None:
         self.stopped: str | None = None
-        self._before: dict[signal.Signals, Any] = {}
+        self._handled = _handled_by(self._raise_flag)
 
     def __enter__(self) -> StopFlag:
-        if threading.current_thread() is threading.main_thread():
-            for number in _SIGNALS:
-                self._before[number] = signal.signal(number, self._raise_flag)
+        self._handled.__enter__()
         return self
 
     def __exit__(
@@ -44,11 +82,9 @@ class StopFlag:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        for number, handler in self._before.items():
-            signal.signal(number, handler)
-        self._before.clear()
+        self._handled.__exit__(None, None, None)
 
     def _raise_flag(self, number: int, frame: FrameType | None) -> None:
         if self.stopped is not None and number == signal.SIGINT:
-            raise KeyboardInterrupt("interrupted twice: left without closing everything")
+            raise KeyboardInterrupt(_TWICE)
         self.stopped = signal.Signals(number).name

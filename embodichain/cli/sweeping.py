@@ -16,7 +16,7 @@ from hydra.core.override_parser.types import IntervalSweep, Override
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
-__all__ = ["BestPoint", "points", "towards_scores"]
+__all__ = ["BestPoint", "points", "swept", "towards_scores"]
 
 RESULTS_FILE = "optimization_results.yaml"
 _DIRECTION = "hydra.sweeper.direction"
@@ -42,6 +42,16 @@ def points(overrides: Sequence[str], most: int) -> Iterator[list[str]]:
         return
     for batch in BasicSweeper.split_arguments(parsed, max_batch_size=most)[:1]:
         yield from (list(job) for job in batch)
+
+
+def swept(overrides: Sequence[str]) -> list[str]:
+    """Return the keys that a sweep gives several values, as they are typed.
+
+    Args:
+        overrides: As typed, with sweeps.
+    """
+    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    return [override.key_or_group for override in parsed if override.is_sweep_override()]
 
 
 def towards_scores(overrides: Sequence[str]) -> list[str]:

@@ -11,17 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
+    from rich.table import Column, Table
 
 __all__ = ["console", "number", "print_facts", "print_table", "width"]
 
-_PIPE_WIDTH = 400  # nobody reads a pipe's margin: a table is never folded for grep
+_TEXT = 20
+"""Columns that folded text gets at least."""
+_PIPE_WIDTH = 100
+"""Columns of a line where there is no terminal: in files of logs, which people read too."""
 
 
 def width() -> int:
     """How many columns a line on stdout may have: the terminal's, or `COLUMNS`, where there is any.
 
-    A pipe without `COLUMNS` gets wide lines.
+    Elsewhere lines have 100, and more where a word needs it: nothing that is looked for is cut.
     """
     if sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit():
         return shutil.get_terminal_size().columns
@@ -33,7 +36,7 @@ def console(*, stderr: bool = False) -> Console:
     from rich.console import Console
 
     stream = sys.stderr if stderr else sys.stdout
-    columns = None if stream.isatty() else (_PIPE_WIDTH if stderr else width())
+    columns = None if stream.isatty() else width()
     return Console(file=stream, width=columns, highlight=False, markup=False)
 
 
@@ -78,7 +81,9 @@ def _table(title: str, names: Sequence[str], rows: Sequence[Mapping[str, Any]]) 
 
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False)
     for name in names:
-        table.add_column(name, overflow="fold")
+        cells = [number(row.get(name)) for row in rows]
+        words = not sys.stdout.isatty() and not any(" " in cell for cell in cells)
+        table.add_column(name, overflow="fold", no_wrap=words)
     for row in rows:
         table.add_row(*(number(row.get(name)) for name in names))
     return table
@@ -103,10 +108,14 @@ def print_facts(title: str, facts: Iterable[tuple[str, Any]]) -> None:
     from rich.table import Table
 
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, show_header=False)
+    rows = [(name, number(value)) for name, value in facts]
+    words = [len(word) for _, value in rows for word in value.split()]
     table.add_column()
-    table.add_column(overflow="fold")
-    for name, value in facts:
-        table.add_row(name, number(value))
+    table.add_column(
+        overflow="fold", min_width=max(words, default=None) if not sys.stdout.isatty() else None
+    )
+    for row in rows:
+        table.add_row(*row)
     _print(table)
 
 
@@ -117,9 +126,18 @@ def _print(table: Table) -> None:
 def _lines(table: Table) -> list[str]:
     """A table's lines without the blanks that fill them up to the right edge."""
     screen = console()
+    if not sys.stdout.isatty():
+        screen.width = max(screen.width, sum(_least(column) + 3 for column in table.columns))
     with screen.capture() as capture:
         screen.print(table)
     return [line.rstrip() for line in capture.get().splitlines()]
+
+
+def _least(column: Column) -> int:
+    """Columns of the screen that a column of a table needs where nothing looked for may be cut."""
+    if column.no_wrap:
+        return max((len(str(cell)) for cell in [column.header, *column.cells]), default=0)
+    return column.min_width or _TEXT
 
 
 def number(value: Any) -> str:

@@ -50,8 +50,7 @@ def _train(run: Job, stop: StopFlag) -> float | None:
     if asked is not None and evaluated is not None and summary["status"] == "finished":
         summary |= _evaluate(run, evaluated, stop, asked)
     _show(run, summary)
-    evaluation = summary["eval"]
-    if summary["status"] == "interrupted" or (evaluation and not evaluation["complete"]):
+    if summary["status"] == "interrupted" or stop.stopped is not None:
         raise Interrupted(f"interrupted ({stop.stopped}); what was learned is in {run.folder}")
     objective: float | None = summary["objective"]
     return objective
@@ -73,7 +72,7 @@ def _evaluate(run: Job, evaluated: Resolved, stop: StopFlag, asked: Asked) -> di
     resolved = dataclasses.replace(evaluated, tree=freeze({**evaluated.tree, "policy": policy}))
     found = evaluate_job(Job(resolved, resolved.root, run.folder), stop, asked)
     summary = add_evaluation(run.folder, found)
-    return summary | film_job(run, found["log"])
+    return summary | film_job(run, stop, found["log"])
 
 
 def _learn(run: Job, stop: StopFlag) -> dict[str, Any]:

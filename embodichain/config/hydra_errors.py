@@ -12,11 +12,12 @@ from hydra.errors import HydraException, MissingConfigException
 from embodichain.config.locate import display_path
 from embodichain.config.problems import COMMAND_LINE, LocatedProblem
 from embodichain.config.search_path import folder_of_source
-from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = ["COMPOSING", "explain", "explain_yaml"]
 
 
+_SHOWN_BY = {"task": "embodichain list tasks"}
 PLUGINS = {("hydra/launcher", "joblib"), ("hydra/sweeper", "optuna")}
 """Options that the packages of the extra `sweep` bring."""
 
@@ -71,7 +72,7 @@ def explain_yaml(error: yaml.YAMLError, path: Path | None = None) -> LocatedProb
 
 
 def _unchosen(group: str, loader: ConfigLoader) -> LocatedProblem:
-    options = ", ".join(loader.get_group_options(group))
+    options = listing(loader.get_group_options(group), shown_by=_SHOWN_BY.get(group, ""))
     message = f"missing value: choose one with {group}=NAME; there are: {options}"
     return LocatedProblem(group, message, source=COMMAND_LINE)
 
@@ -87,7 +88,8 @@ def _no_such_config(error: MissingConfigException, loader: ConfigLoader) -> Loca
     options = list(error.options or loader.get_group_options(group))
     if not options:
         return LocatedProblem("", f"there is no config '{name}'{place}", source=COMMAND_LINE)
-    message = f"unknown option {option!r}{place}; {group} is one of: {', '.join(options)}."
+    there = listing(options, option, _SHOWN_BY.get(group, ""))
+    message = f"unknown option {option!r}{place}; {group} is one of: {there}."
     return LocatedProblem(group, message, did_you_mean(option, options).strip(), COMMAND_LINE)
 
 

@@ -10,7 +10,7 @@ import importlib
 import importlib.metadata
 
 from embodichain.lab.gym.utils.registration import REGISTERED_ENVS
-from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = ["load_task_packages", "require_registered"]
 
@@ -53,5 +53,5 @@ def require_registered(env_id: str, *, allow_import: bool = True) -> str | None:
         load_task_packages()
     if name in REGISTERED_ENVS:
         return None
-    known = ", ".join(sorted(REGISTERED_ENVS)) or "none"
+    known = listing(sorted(REGISTERED_ENVS), name)
     return f"no registered class {name!r}; there are: {known}.{did_you_mean(name, REGISTERED_ENVS)}"

@@ -153,6 +153,8 @@ class RootCfg:
     total_timesteps: PositiveInt | None = None
     """Control steps of training, summed over environments."""
     policy: str | PolicyCfg | None = None
+    allow_changed: bool = False
+    """Whether a trained policy acts, and a training goes on, in a task that changed since."""
     resume: str | None = None
     """A training run's folder, or ``last``."""
     checkpoint: CheckpointCfg = CheckpointCfg()

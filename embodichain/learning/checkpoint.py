@@ -14,16 +14,27 @@ from typing import TYPE_CHECKING, Any
 
 from embodichain.config.newest import named_checkpoint
 from embodichain.learning.made_by import made_by
+from embodichain.learning.task_digest import TaskDigest
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from stable_baselines3.common.base_class import BaseAlgorithm
 
-__all__ = ["CHECKPOINTS", "FINAL", "find_checkpoint", "read_note", "save_checkpoint"]
+__all__ = [
+    "CHECKPOINTS",
+    "DIGEST",
+    "FINAL",
+    "find_checkpoint",
+    "read_digest",
+    "read_note",
+    "save_checkpoint",
+]
 
 CHECKPOINTS = "checkpoints"
 """Folder of checkpoints in a run folder."""
 FINAL = "final.zip"
+DIGEST = "trained_in"
+"""Key of the note with the JSON of a `TaskDigest`."""
 NOTE = "embodichain"
 """Key of the note in the zip's ``data``: an attribute, which Stable-Baselines3 saves as JSON."""
 _MEMBERS = ("data", "policy.pth")
@@ -35,7 +46,8 @@ def save_checkpoint(model: BaseAlgorithm, path: Path, note: Mapping[str, Any]) -
     Args:
         model: The model; gets the note as an attribute.
         path: Where to; the folder is made.
-        note: What a reader must know before loading: plain JSON with ``algo`` and ``group``.
+        note: What a reader must know before loading: plain JSON with ``algo`` and ``group``, and
+            what the task was (`DIGEST`).
 
     Raises:
         OSError: It cannot be written (the disk is full); nothing is left behind.
@@ -99,6 +111,19 @@ def read_note(path: Path) -> dict[str, Any]:
     if algo is not None:
         return {"algo": algo, "group": "policy"}
     raise _wrong(path, "it does not say which algorithm made it")
+
+
+def read_digest(note: Mapping[str, Any], path: Path) -> TaskDigest | None:
+    """Return what a checkpoint's task was in training; None where its note does not say it.
+
+    Raises:
+        ConfigError: If what the note says is damaged.
+    """
+    text = note.get(DIGEST)
+    try:
+        return None if text is None else TaskDigest.from_json(str(text))
+    except ValueError as error:
+        raise _wrong(path, f"its digest of the task is damaged: {error}") from error
 
 
 def _wrong(path: Path, why: str) -> ConfigError:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,17 +20,29 @@ from numpy.typing import NDArray
 from embodichain.learning.statistics import RESAMPLES, Estimate, estimate
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["Curve", "Group", "TrainedRun", "band", "group_runs", "is_training", "read_run"]
+__all__ = [
+    "Curve",
+    "Group",
+    "TrainedRun",
+    "band",
+    "group_runs",
+    "is_training",
+    "read_run",
+    "trainings_in",
+]
 
 PROGRESS = "progress.csv"
 SUMMARY = "summary.json"
 STEPS, RETURN, SUCCESS = "time/total_timesteps", "rollout/ep_rew_mean", "rollout/success_rate"
 """Columns of Stable-Baselines3's logger."""
-# What runs of one group may differ in: the seed, and what changes no number.
+# What runs of one group may differ in: the seed, and what changes no number. `hydra` is how a sweep
+# was done: launcher, sweeper, folders.
 _APART = (
     *("seed", "output_dir", "quiet", "json", "traceback", "record", "viewer", "resume"),
-    *("eval", "video", "wandb"),
+    *("eval", "video", "wandb", "checkpoint", "sim", "allow_changed", "hydra"),
 )
+_FIRST = re.compile(r"[./@]")
+"""What ends the first word of a key: ``hydra/launcher``, ``hydra.launcher.n_jobs``."""
 
 F64 = NDArray[np.float64]
 
@@ -91,6 +104,18 @@ def is_training(folder: Path) -> bool:
     """
     path = folder / SUMMARY
     return path.is_file() and "train_seconds" in path.read_text(encoding="utf-8", errors="replace")
+
+
+def trainings_in(folder: Path) -> list[Path]:
+    """The trainings that a folder means: itself, or those that are its subfolders, as of a sweep.
+
+    Returns:
+        Folders, jobs of a sweep in the order of their numbers; empty where there is no training.
+    """
+    if is_training(folder):
+        return [folder]
+    found = [path for path in folder.iterdir() if path.is_dir() and is_training(path)]
+    return sorted(found, key=lambda path: (len(path.name), path.name))
 
 
 def read_run(folder: Path) -> TrainedRun:
@@ -175,9 +200,11 @@ def _overrides(folder: Path) -> list[str]:
         return []
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise ConfigError(f"cannot read {folder / 'overrides.yaml'}: {error}") from error
-    keys = {str(line): str(line).lstrip("+").partition("=")[0] for line in lines}
+    # Without the +: a sweep's jobs have it in front of everything.
+    plain = [str(line).lstrip("+") for line in lines]
+    keys = {line: line.partition("=")[0].lstrip("~") for line in plain}
     return sorted(
-        line for line, key in keys.items() if key != "task" and key.partition(".")[0] not in _APART
+        line for line, key in keys.items() if key != "task" and _FIRST.split(key)[0] not in _APART
     )
 
 

@@ -7,6 +7,7 @@ import importlib.util
 import logging
 from pathlib import Path
 
+from embodichain.learning.axes import set_axes
 from embodichain.learning.train_logs import PROGRESS_FILE
 
 __all__ = ["CURVES_FILE", "draw_curves"]
@@ -18,6 +19,7 @@ _PANELS = {
     "rollout/success_rate": "success rate",
     "rollout/ep_len_mean": "mean length (control steps)",
 }
+_SHARE = "rollout/success_rate"
 _log = logging.getLogger(__name__)
 
 
@@ -37,17 +39,15 @@ def draw_curves(run_dir: Path) -> Path | None:
         _log.info("no %s: pip install 'embodichain[plot]'", CURVES_FILE)
         return None
     from matplotlib.figure import Figure  # without pyplot: no display, no global state
-    from matplotlib.ticker import EngFormatter
 
     figure = Figure(figsize=(5 * len(columns), 3.5), layout="constrained")
     for axes, (name, points) in zip(
         figure.subplots(1, len(columns), squeeze=False)[0], columns.items(), strict=True
     ):
-        axes.plot(*zip(*points, strict=True))
-        axes.set_xlabel("environment steps")
-        axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 200k, 1M: long numbers overlap
+        steps, values = zip(*points, strict=True)
+        axes.plot(steps, values, marker="o" if len(points) == 1 else "")
+        set_axes(axes, steps[-1], values, share=name == _SHARE)
         axes.set_title(_PANELS[name])
-        axes.grid(alpha=0.3)
     path = run_dir / CURVES_FILE
     figure.savefig(path, dpi=100)
     return path

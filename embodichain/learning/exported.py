@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from embodichain.learning.columns import check_columns
 from embodichain.learning.spaces import flat_observation, observation_box
+from embodichain.learning.task_digest import Change, TaskDigest, check_unchanged
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -60,6 +61,7 @@ class PolicyMetadata:
         action_low: Smallest action of each column of its output.
         action_high: Largest action.
         embodichain: The version that wrote the file.
+        trained_in: The JSON of a `TaskDigest`: what the task was in training, where it is known.
     """
 
     task: str
@@ -69,6 +71,7 @@ class PolicyMetadata:
     action_low: tuple[float, ...]
     action_high: tuple[float, ...]
     embodichain: str
+    trained_in: str | None = None
 
     def to_json(self) -> str:
         """Return it as one JSON object."""
@@ -108,13 +111,19 @@ class ExportedPolicy:
         self.metadata = metadata
         self.name = name
         self.group = metadata.group if metadata is not None else "policy"
+        self.trained_in = _digest(metadata, name)
+        self.allow_changed = False
+        """Whether it acts in a task that has changed since training."""
+        self.changed: tuple[Change, ...] = ()
+        """What of the task that it was last checked against is another than in training."""
         self._env: BaseEnv | None = None
 
     def check(self, env: BaseEnv) -> None:
         """Check that the policy fits an environment, by its columns and by trying it once.
 
         Raises:
-            ConfigError: If it does not take the task's observations or give its actions.
+            ConfigError: If it does not take the task's observations or give its actions, or the
+                task changed since training and `allow_changed` is not set.
         """
         if self.metadata is not None:
             check_columns(self.name, self.metadata.columns, env, self.group)
@@ -131,6 +140,9 @@ class ExportedPolicy:
         if found != wanted:
             message = f"{self.name} gives actions {found}, this task needs {wanted}"
             raise ConfigError([Problem("policy", message)])
+        self.changed = check_unchanged(
+            self.name, self.trained_in, env, self.group, allow=self.allow_changed
+        )
         self._env = env
 
     def __call__(self, obs: EnvObs, env: BaseEnv) -> torch.Tensor:
@@ -146,6 +158,15 @@ class ExportedPolicy:
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Nothing is kept from step to step."""
+
+
+def _digest(metadata: PolicyMetadata | None, name: str) -> TaskDigest | None:
+    if metadata is None or metadata.trained_in is None:
+        return None
+    try:
+        return TaskDigest.from_json(metadata.trained_in)
+    except ValueError as error:
+        raise _wrong(Path(name), f"its digest of the task is damaged: {error}") from error
 
 
 def load_exported(path: Path) -> ExportedPolicy:

@@ -62,8 +62,9 @@ def export_policy(
         The largest difference of actions from Stable-Baselines3's own, in the task's units.
 
     Raises:
-        ConfigError: If the policy does not fit, remembers (it is recurrent), draws its actions, or
-            the file exists or cannot be written, or a package is missing.
+        ConfigError: If the policy does not fit, was trained in another task (and its
+            `allow_changed` is not set), remembers (it is recurrent), draws its actions, or the file
+            exists or cannot be written, or a package is missing.
         RuntimeError: If the written file acts otherwise; it is removed.
     """
     path = Path(path)
@@ -81,6 +82,7 @@ def export_policy(
         action_low=tuple(network.low.tolist()),
         action_high=tuple(network.high.tolist()),
         embodichain=__version__,
+        trained_in=policy.trained_in.to_json() if policy.trained_in is not None else None,
     )
     observations = _observations(policy)
     wanted = scale(policy.predict(observations))

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from embodichain.learning.axes import set_axes
 from embodichain.learning.comparison import RETURN, SUCCESS, Group, band
 from embodichain.utils.errors import ConfigError
 
@@ -62,6 +63,7 @@ def plot_curves(groups: Sequence[Group], path: Path) -> None:
 
 
 def _draw(axes: Any, groups: Sequence[Group], name: str) -> None:
+    last_step, drawn = 0.0, list[float]()
     for number, group in enumerate(groups):
         curves = [run.curves[name] for run in group.runs if name in run.curves]
         if not curves:
@@ -70,12 +72,14 @@ def _draw(axes: Any, groups: Sequence[Group], name: str) -> None:
             steps, mean, low, high = band(curves)
         except ValueError as error:
             raise ConfigError(f"{group.label}: {error}") from error
-        axes.plot(steps, mean, color=f"C{number}")
+        single = all(len(curve.steps) == 1 for curve in curves)
+        axes.plot(steps, mean, color=f"C{number}", marker="o" if single else "")
+        last_step = max(last_step, float(steps[-1]))
+        drawn += [*low.tolist(), *high.tolist()]
         if len(curves) > 1:
             axes.fill_between(steps, low, high, alpha=0.2, color=f"C{number}", linewidth=0)
     axes.set_ylabel(_AXES[name])
-    axes.set_xlabel("environment steps")
-    axes.grid(alpha=0.3)
+    set_axes(axes, last_step, drawn, share=name == SUCCESS)
 
 
 def _wrapped(label: str) -> str:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 from embodichain.learning.algorithms import algorithm_class
-from embodichain.learning.checkpoint import find_checkpoint, read_note
+from embodichain.learning.checkpoint import find_checkpoint, read_digest, read_note
 from embodichain.learning.exported import SUFFIXES, ExportedPolicy, load_exported
 from embodichain.learning.normalization import (
     NormalizeStatistics,
@@ -26,6 +26,7 @@ from embodichain.learning.normalization import (
     statistics_path,
 )
 from embodichain.learning.spaces import ActionScale, flat_observation, observation_box
+from embodichain.learning.task_digest import Change, TaskDigest, check_unchanged
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -42,7 +43,11 @@ _log = logging.getLogger(__name__)
 
 
 def load_policy(
-    path: str | Path, env: BaseEnv | None = None, *, deterministic: bool = True
+    path: str | Path,
+    env: BaseEnv | None = None,
+    *,
+    deterministic: bool = True,
+    allow_changed: bool = False,
 ) -> LearnedPolicy | ExportedPolicy:
     """Load a policy that `embodichain train` or `export`, or Stable-Baselines3 itself, has saved.
 
@@ -55,13 +60,16 @@ def load_policy(
             an ``.onnx``, ``.pt`` or ``.ts`` file; or a run folder with ``checkpoints/final.zip``.
         env: Where it will act; given, that it fits is checked now instead of at the first action.
         deterministic: The mean action; otherwise actions are drawn from torch's global generator.
+        allow_changed: Whether it also acts in a task that is another than in training, as far as
+            the file's `TaskDigest` tells; what changed is then a warning. A file without a digest
+            (of Stable-Baselines3 itself, of another program) is not compared, which is a warning.
 
     Returns:
         The policy: ``policy(obs, env) -> (N, A)``.
 
     Raises:
         ConfigError: If there is no such file, if it is no policy, if its statistics are missing, or
-            if it does not fit.
+            if it does not fit, or was trained in another task; names what differs.
     """
     file = find_checkpoint(path)
     policy: LearnedPolicy | ExportedPolicy
@@ -72,6 +80,9 @@ def load_policy(
     else:
         message = f"{file} gives mean actions only: leave deterministic=false out"
         raise ConfigError([Problem("policy", message)])
+    policy.allow_changed = allow_changed
+    if policy.trained_in is None:
+        _log.warning("%s does not say what it was trained in: the task is not compared", file)
     if env is not None:
         policy.check(env)
     return policy
@@ -102,6 +113,7 @@ def load_model(file: Path, *, deterministic: bool = True) -> LearnedPolicy:
     group = str(note.get("group", "policy"))
     policy = LearnedPolicy(model, group, str(file), deterministic, statistics)
     policy.algo, policy.task = str(note.get("algo")), note.get("task")
+    policy.trained_in = read_digest(note, file)
     return policy
 
 
@@ -136,6 +148,12 @@ class LearnedPolicy:
         """The algorithm's name, where the file says it."""
         self.task: str | None = None
         """The task's, likewise."""
+        self.trained_in: TaskDigest | None = None
+        """What its task was in training, likewise."""
+        self.allow_changed = False
+        """Whether it acts in a task that has changed since."""
+        self.changed: tuple[Change, ...] = ()
+        """What of the task that it was last checked against is another than in training."""
         self._env: BaseEnv | None = None
         self._scale: ActionScale | None = None
         self._state: tuple[NDArray[Any], ...] | None = None
@@ -146,7 +164,8 @@ class LearnedPolicy:
         """Check that the policy fits an environment.
 
         Raises:
-            ConfigError: If observation or action have another width than in training.
+            ConfigError: If observation or action have another width than in training, or the task
+                changed since and `allow_changed` is not set.
         """
         scale = ActionScale(env.single_action_space)
         pairs = (
@@ -160,6 +179,9 @@ class LearnedPolicy:
         ]
         if differences:
             raise ConfigError([Problem("policy", f"{self.name} {'; '.join(differences)}")])
+        self.changed = check_unchanged(
+            self.name, self.trained_in, env, self.group, allow=self.allow_changed
+        )
         self._env, self._scale = env, scale
         self._state, self._starts = None, np.ones(env.num_envs, np.bool_)
         return scale

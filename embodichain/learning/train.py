@@ -26,6 +26,7 @@ from embodichain.config.run_folder import write_atomically
 from embodichain.config.schema import LARGEST_TRAINING_SEED
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.learning.algorithms import build_algorithm, check_arguments, check_normalize
+from embodichain.learning.checkpoint import DIGEST, read_digest, read_note
 from embodichain.learning.curves import draw_curves
 from embodichain.learning.disk import telling_where
 from embodichain.learning.episodes import TrainStatistics
@@ -33,6 +34,7 @@ from embodichain.learning.evaluation import Evaluation
 from embodichain.learning.keeper import CheckpointKeeper, find_resumable
 from embodichain.learning.schedules import action_noise
 from embodichain.learning.session import Session
+from embodichain.learning.task_digest import TaskDigest, check_unchanged
 from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.learning.wandb_log import check_wandb, wandb_writers
 from embodichain.learning.watch import Progress
@@ -115,6 +117,7 @@ class _Plan:
     keep: int
     replay_buffer: bool
     resume: Path | None
+    allow_changed: bool
 
 
 def train(
@@ -249,6 +252,7 @@ def _plan(resolved: Resolved) -> _Plan:
         keep=root.checkpoint.keep,
         replay_buffer=root.checkpoint.replay_buffer,
         resume=None if root.resume is None else Path(root.resume),
+        allow_changed=root.allow_changed,
     )
 
 
@@ -263,11 +267,15 @@ def _learn(
     if found is not None and found[1]["env_steps"] >= plan.total_timesteps:
         message = f"{found[0]} has {found[1]['env_steps']} steps already: give more than these"
         raise ConfigError([Problem("total_timesteps", message)])
+    if found is not None:
+        before = read_digest(read_note(found[0]), found[0])
+        check_unchanged(str(found[0]), before, vec_env.base, GROUP, allow=plan.allow_changed)
+    digest = TaskDigest.of(vec_env.base, GROUP)
     statistics = TrainStatistics(plan.total_timesteps)
     session = Session(_build(plan, vec_env), vec_env, statistics, run_dir, writers)
     if found is not None:
         session.resume(*found)
-    note = {"algo": plan.algo, "group": GROUP, "task": plan.task}
+    note = {"algo": plan.algo, "group": GROUP, "task": plan.task, DIGEST: digest.to_json()}
     keeper = CheckpointKeeper(
         session, note, plan.every_steps, plan.keep, replay_buffer=plan.replay_buffer
     )

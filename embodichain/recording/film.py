@@ -10,6 +10,7 @@ import math
 import os
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import mujoco
@@ -22,7 +23,7 @@ from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 from embodichain.utils.video import VideoFile, need_encoder
 
-__all__ = ["FASTEST", "film_log"]
+__all__ = ["FASTEST", "Filmed", "film_log"]
 
 FASTEST = 60.0
 """Pictures a second at most; of what is faster, steps are left out."""
@@ -31,6 +32,21 @@ _SHADOW = 2048
 """Pixels along an edge of a shadow map at most; enough for a film."""
 _FRONT = (1.0, -0.8, 0.6)
 """From the scene's middle towards the eye where the scene has no camera."""
+
+
+@dataclass(frozen=True, slots=True)
+class Filmed:
+    """A film that was drawn.
+
+    Attributes:
+        pictures: In the file.
+        step: The control step of the last one; -1 without any.
+        whole: Whether it is all that was asked for.
+    """
+
+    pictures: int
+    step: int
+    whole: bool
 
 
 def film_log(
@@ -43,8 +59,9 @@ def film_log(
     speed: float = 1.0,
     size: tuple[int, int] = (640, 480),
     camera: str | None = None,
-    progress: Callable[[int], None] | None = None,
-) -> None:
+    progress: Callable[[Filmed], None] | None = None,
+    stop: Callable[[], bool] | None = None,
+) -> Filmed:
     """Draw an environment of a log into an MP4, a picture for each control step.
 
     Args:
@@ -58,7 +75,11 @@ def film_log(
             second step is drawn, or every third, and so on.
         size: Width and height in pixels, both even.
         camera: A camera of the scene; None is its ``default``, or else a view from the front.
-        progress: Called with the number of pictures drawn.
+        progress: Called after each picture.
+        stop: Asked before each picture; where it returns True, the film ends there, and is whole.
+
+    Returns:
+        What was drawn; nothing was written where that is no picture.
 
     Raises:
         ConfigError: If the file exists, or the environment, episode, steps or camera do not; if a
@@ -69,8 +90,8 @@ def film_log(
     need_encoder()
     if not isinstance(log, Log):
         with Log(log) as opened:
-            film_log(opened, out, env, episode, first, last, speed, size, camera, progress)
-        return
+            part = env, episode, first, last
+            return film_log(opened, out, *part, speed, size, camera, progress, stop)
     out = Path(out)
     if os.path.lexists(out):
         raise ConfigError(f"{out} exists; it is never replaced")
@@ -83,18 +104,23 @@ def film_log(
     look = _look(log.model, camera)
     rate = speed / log.dt
     every = max(1, math.ceil(rate / FASTEST - 1e-9))
+    filmed = Filmed(0, -1, whole=False)
     with ExitStack() as stack:
         renderer = SceneRenderer(_quick(log.model), *size)
         stack.callback(renderer.close)
         video = None
-        for drawn, _ in enumerate(playback.steps(span, every), start=1):
+        for step in playback.steps(span, every):
+            if stop is not None and stop():
+                return filmed
             if video is None:
                 video = stack.enter_context(VideoFile(out, size, rate / every))
             video.write(renderer.draw(playback.engine, 0, look))
+            filmed = Filmed(filmed.pictures + 1, step, whole=False)
             if progress is not None:
-                progress(drawn)
+                progress(filmed)
         if video is None:
             raise ConfigError(f"{log.path} has no such steps: there is nothing to film")
+        return replace(filmed, whole=True)
 
 
 def _quick(model: mujoco.MjModel) -> mujoco.MjModel:

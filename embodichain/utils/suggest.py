@@ -1,11 +1,18 @@
-"""Closest matches for misspelt names: "Did you mean 'x'?". Knows nothing of what the names are."""
+"""Names in messages: the closest match of a misspelt one, and what there is.
+
+Knows nothing of what the names are.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import SequenceMatcher
 
-__all__ = ["closest", "did_you_mean"]
+__all__ = ["closest", "did_you_mean", "listing"]
+
+_WHOLE = 20
+"""Names that a message lists one by one."""
+_FEW = 3
 
 
 def closest(word: str, candidates: Iterable[str], n: int = 1, cutoff: float = 0.6) -> list[str]:
@@ -38,6 +45,25 @@ def closest(word: str, candidates: Iterable[str], n: int = 1, cutoff: float = 0.
                 scored.append((ratio, candidate))
     scored.sort(key=lambda item: -item[0])  # stable: ties keep their order
     return [candidate for _, candidate in scored[:n]]
+
+
+def listing(names: Iterable[str], word: str = "", shown_by: str = "") -> str:
+    """Return what there is, for a message: up to 20 names, of more those closest to a word.
+
+    Args:
+        names: What there is.
+        word: What was written; without one the first names stand for the rest.
+        shown_by: The command that lists all of them.
+
+    Returns:
+        ``a, b``; ``none``; or ``a, b, c, ... (66 in all: `embodichain list terms`)``.
+    """
+    known = list(dict.fromkeys(names))
+    if len(known) <= _WHOLE:
+        return ", ".join(known) or "none"
+    few = closest(word, known, _FEW, cutoff=0.0) if word else known[:_FEW]
+    command = f": `{shown_by}`" if shown_by else ""
+    return f"{', '.join(few)}, ... ({len(known)} in all{command})"
 
 
 def did_you_mean(word: str, candidates: Iterable[str]) -> str:

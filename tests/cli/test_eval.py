@@ -77,7 +77,7 @@ def test_eval_repeats_and_changes_with_its_keys(
     drawn = told(capsys, *common, "deterministic=false")
     assert drawn["per_episode"] != first["per_episode"]
     assert drawn["per_episode"] == told(capsys, *common, "deterministic=false")["per_episode"]
-    more = told(capsys, *common, "task.max_episode_steps=3", "num_envs=1")
+    more = told(capsys, *common, "task.max_episode_steps=3", "num_envs=1", "allow_changed=true")
     assert more["per_episode"]["length"] == [3, 3]
     assert more["per_episode"]["env"] == [0, 0]
 

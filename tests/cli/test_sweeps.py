@@ -1,6 +1,7 @@
 """Sweeps: workers, searches, and what is said without the packages they need."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -56,6 +57,30 @@ def test_jobs_in_workers_are_those_of_one_process(tmp_path: Path) -> None:
         {n: [s[k] for k in kept] for n, s in jobs(tmp_path / d).items()} for d in ("many", "one")
     )
     assert many == one and [s[0] for _, s in sorted(many.items())] == [0, 1]
+
+
+def test_lines_of_parallel_jobs_begin_with_their_job(tmp_path: Path) -> None:
+    workers = ("hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+    arguments = ("run", "-m", *workers, "task=cart_pole", "seed=3,4", "max_steps=20", "num_envs=1")
+    command = [sys.executable, "-m", "embodichain", *arguments, "record=none"]
+    done = subprocess.run(
+        [*command, f"output_dir={tmp_path}"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    for job, seed in enumerate((3, 4)):
+        label = f"[{job} seed={seed}] "
+        assert f"{label}cart_pole: {tmp_path}" in done.stderr
+        assert re.search(rf"^{re.escape(label)} +seed +{seed}$", done.stdout, re.MULTILINE)
+    lines = [line for line in done.stdout.splitlines() if line]
+    assert all(line.startswith(("[0 seed=3] ", "[1 seed=4] ")) for line in lines)
+    told = subprocess.run(
+        [*command, "--json", f"output_dir={tmp_path / 'json'}"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    seeds = [json.loads(line)["seed"] for line in told.stdout.splitlines()]
+    assert sorted(seeds) == [3, 4], told.stderr
 
 
 @pytest.mark.parametrize(

@@ -14,10 +14,13 @@ REPO = Path(__file__).parents[2]
 PAGES = [REPO / "README.md", *sorted((REPO / "docs").glob("*.md"))]
 
 
-def blocks(language):
+MODULE = re.compile(r"^<!-- (\w+\.py) -->\n```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+def blocks(language, *, with_page=False):
     pattern = re.compile(rf"^```{language}\n(.*?)^```", re.MULTILINE | re.DOTALL)
     return [
-        pytest.param(text, id=f"{page.name}-{i}")
+        pytest.param(*((text, page) if with_page else (text,)), id=f"{page.name}-{i}")
         for page in PAGES
         for i, text in enumerate(pattern.findall(page.read_text(encoding="utf-8")))
     ]
@@ -31,9 +34,12 @@ def test_python_runs(code, tmp_path):
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("text", blocks("yaml"))
-def test_yaml_is_a_task(text, tmp_path):
-    """A block is a task file, or some of its sections."""
+@pytest.mark.parametrize(("text", "page"), blocks("yaml", with_page=True))
+def test_yaml_is_a_task(text, page, tmp_path, monkeypatch):
+    """A block is a task file, or some of its sections; it may name the page's own modules."""
+    monkeypatch.syspath_prepend(tmp_path)
+    for name, code in MODULE.findall(page.read_text(encoding="utf-8")):
+        (tmp_path / name).write_text(code, encoding="utf-8")
     assert isinstance(yaml.safe_load(text), dict)
     folder = tmp_path / "mine" / "task"
     folder.mkdir(parents=True)

@@ -9,6 +9,7 @@ from PIL import Image
 from stable_baselines3.common.logger import CSVOutputFormat
 
 from embodichain.cli import main
+from embodichain.learning.axes import set_axes
 from embodichain.learning.comparison import (
     RETURN,
     SUCCESS,
@@ -157,6 +158,50 @@ def test_what_a_pattern_finds_besides_is_left_out(make_run, tmp_path, capsys):
     out, err = capsys.readouterr()
     assert json.loads(out)["groups"][0]["folders"] == [str(training)]
     assert err == f"left out: {tmp_path / 'eval'} is no training\n"
+
+
+def test_the_folder_of_a_sweep_is_its_trainings(make_run, tmp_path, capsys):
+    how = ["hydra/launcher=joblib", "hydra.launcher.n_jobs=2", "sim.num_threads=1"]
+    for job in range(12):
+        overrides = [f"++{line}" for line in ("algo.n_steps=8", *how)]
+        make_run(str(job), seed=job, overrides=overrides)
+    sweep = tmp_path / "outputs/2026-01-01"
+    (sweep / "optimization_results.yaml").write_text("best_value: 1\n")
+    (sweep / "12").mkdir()  # a job that failed
+    alone = make_run("../alone", seed=20, overrides=["algo.n_steps=8"])
+    assert main(["compare", str(sweep), str(alone), "--json"]) == 0
+    out, err = capsys.readouterr()
+    (group,) = json.loads(out)["groups"]
+    assert group["label"] == "reach ppo algo.n_steps=8"
+    assert group["seeds"] == [*range(12), 20]
+    assert err == ""
+    files = sorted(map(str, sweep.iterdir()))  # as a shell's pattern gives them
+    assert main(["compare", *files, "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert len(json.loads(out)["groups"][0]["seeds"]) == 12
+    assert err.count("left out: ") == 2 and "optimization_results.yaml is no training" in err
+
+
+@pytest.mark.parametrize(
+    ("values", "share", "limits"),
+    [
+        ([0.0, 0.0], True, (-0.05, 1.05)),
+        ([0.2, 0.9], True, (-0.05, 1.05)),
+        ([300.0, 300.0001], False, (291.75, 308.25)),  # at least 5 % high, and a margin
+        ([0.0], False, (-0.55, 0.55)),
+        ([-10.0, 10.0], False, (-11.0, 11.0)),
+    ],
+)
+def test_flat_curves_look_flat(values, share, limits):
+    from matplotlib.figure import Figure
+
+    axes = Figure().subplots()
+    axes.plot([100.0] * len(values), values)
+    set_axes(axes, 100.0, values, share=share)
+    assert axes.get_ylim() == pytest.approx(limits, rel=1e-3)
+    assert axes.get_xlim() == pytest.approx((0.0, 105.0))
+    axes.figure.canvas.draw()
+    assert axes.yaxis.get_offset_text().get_text() == ""
 
 
 def test_odd_pictures(make_run, tmp_path, monkeypatch):

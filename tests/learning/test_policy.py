@@ -213,7 +213,7 @@ def test_observations_are_normalized_as_in_training(normalized, caplog):
     seen = vec_env.normalize_obs(np.float32([[0, 0, 0], [1, 0, 0]]))
     means, _ = model.predict(seen, deterministic=True)
     np.testing.assert_allclose(load_policy(path, env)(obs, env).numpy(), means, atol=1e-6)
-    assert caplog.text == ""  # a run of one's own is no stranger
+    assert "trust" not in caplog.text  # a run of one's own is no stranger
 
 
 def test_missing_statistics_are_one_error(normalized):

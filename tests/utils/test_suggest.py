@@ -1,6 +1,6 @@
 import pytest
 
-from embodichain.utils.suggest import closest, did_you_mean
+from embodichain.utils.suggest import closest, did_you_mean, listing
 
 TASKS = ["random_reach", "reach", "push_cube"]
 
@@ -37,3 +37,14 @@ def test_did_you_mean_reads_on_after_a_sentence():
 def test_bad_arguments_are_named(n, cutoff, message):
     with pytest.raises(ValueError, match=message):
         closest("x", ["y"], n=n, cutoff=cutoff)
+
+
+def test_a_few_names_are_listed_and_of_many_the_closest():
+    assert listing([]) == "none"
+    assert listing(TASKS, "reech") == "random_reach, reach, push_cube"
+    many = [f"joint{i:02}" for i in range(40)] + ["wrist", "elbow"]
+    assert listing(many, "wirst").startswith("wrist, ")
+    assert listing(many, "wirst").endswith(", ... (42 in all)")
+    assert listing(many, "wirst", "mine list").endswith(", ... (42 in all: `mine list`)")
+    assert listing(many, "wirst").count(", ") == 3
+    assert listing(many) == "joint00, joint01, joint02, ... (42 in all)"

@@ -96,6 +96,12 @@ class SimulationManager(UpstreamMembers, Declaration):
             raise RuntimeError("the simulation was destroyed")
         return self._engine
 
+    @property
+    def initial_row(self) -> F64:
+        """(nstate,) the state that a reset gives every environment, before events (a copy)."""
+        self.compile()
+        return self._initial_row.copy()
+
     def compile(self) -> None:
         """Compile the declared scene and start its engine; does nothing the second time."""
         if self._scene is not None:

@@ -14,6 +14,8 @@ from embodichain.recording.export.table import columns_of, parts_of
 
 __all__ = ["write"]
 
+_ROWS = 1000
+
 
 def write(log: Log, part: Part, path: Path) -> None:
     """Write the table."""
@@ -23,4 +25,6 @@ def write(log: Log, part: Part, path: Path) -> None:
             columns, values = columns_of(data)
             if index == 0:
                 writer.writerow([f"{c.name} [{c.unit}]" if c.unit else c.name for c in columns])
-            writer.writerows(zip(*(v.tolist() for v in values), strict=True))
+            for at in range(0, len(values[0]), _ROWS):  # between these a signal is heard
+                block = (v[at : at + _ROWS].tolist() for v in values)
+                writer.writerows(zip(*block, strict=True))

@@ -10,11 +10,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
 
 from embodichain.recording.api import Log
 from embodichain.recording.episodes import LogEpisode
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    from embodichain.recording.film import Filmed
 
 __all__ = ["FORMATS", "Format", "Part", "export", "required"]
 
@@ -75,7 +79,13 @@ _EXTRAS = {"rrd": "rerun"}
 
 
 def export(
-    log: Log, format: str, output: str | Path | None = None, part: Part | None = None
+    log: Log,
+    format: str,
+    output: str | Path | None = None,
+    part: Part | None = None,
+    *,
+    progress: Callable[[Filmed], None] | None = None,
+    stop: Callable[[], bool] | None = None,
 ) -> Path:
     """Write a log, or a part of it, in another format.
 
@@ -84,6 +94,10 @@ def export(
         format: Key of `FORMATS`.
         output: A new file; None puts it beside the log, under its name.
         part: Which part; None is all of it.
+        progress: For films, see `film_log`.
+        stop: For films, likewise: one that is stopped before its first picture is not there. Files
+            of other formats are whole or not there: an exception on the way, such as a
+            KeyboardInterrupt, removes them.
 
     Returns:
         The file, or the folder where the format is one.
@@ -107,9 +121,9 @@ def export(
     log.header.require_states(log.path)
     _require_steps(log, part)
     module = importlib.import_module(f"embodichain.recording.export.{chosen.module}")
-    write: Callable[[Log, Part, Path], None] = module.write
+    watching = {"progress": progress, "stop": stop} if format == "mp4" else {}
     with _new_file(path, chosen.suffix) as partial:
-        write(log, part, partial)
+        module.write(log, part, partial, **watching)
     return path
 
 
@@ -135,7 +149,7 @@ def _new_file(path: Path, suffix: str) -> Iterator[Path]:
         yield partial
         if partial.is_dir():
             partial.rename(path)  # refuses a name that is taken by anything but an empty folder
-        else:
+        elif partial.exists():
             os.link(partial, path)  # unlike a rename, it refuses a name that is taken
     except (FileExistsError, NotADirectoryError) as error:
         raise ConfigError(f"{path} exists; it is never replaced") from error

@@ -20,7 +20,7 @@ class Facts:
     """One step of the environment that is shown.
 
     Attributes:
-        step: Control steps since the beginning.
+        step: Number of the control step, from 0.
         seconds: Since the episode began, of simulated time.
         lines: What else is to be read, as name and text.
         rewards: Each term's share of this step's reward: its value times its weight.

@@ -132,7 +132,7 @@ class WebView(StepObserver):
             *((name, f"{value:.4g}") for name, value in _row(info["metrics"], i).items()),
         )
         seconds = info["elapsed_steps"].numpy().item(i) * env.step_dt
-        return Facts(step.control_step, seconds, lines, rewards, sums)
+        return Facts(step.control_step - 1, seconds, lines, rewards, sums)
 
 
 def _row(values: Mapping[str, Any], i: int) -> dict[str, float]:

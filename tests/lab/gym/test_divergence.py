@@ -150,7 +150,7 @@ def test_the_state_before_the_step_goes_to_the_run_folder(make_env, tmp_path):
     action = targets(env, 2)
     env.step(action)
     files = [path.name for path in (tmp_path / "diverged").iterdir()]
-    assert files == ["step_3_env_1.npz"]
+    assert files == ["step_2_env_1.npz"]
     dump = np.load(tmp_path / "diverged" / files[0], allow_pickle=False)
     np.testing.assert_array_equal(dump["action"], action[BAD].double())
     layout = env.sim.engine.component("qpos")

@@ -54,7 +54,7 @@ class StateDump:
         Args:
             folder: The run's folder; None writes nothing.
             rows: (N,) bool, who diverged.
-            control_step: When.
+            control_step: Number of the step, from 0: the one that a log of this run gives it.
             action: (N, A).
         """
         ids = np.flatnonzero(rows)

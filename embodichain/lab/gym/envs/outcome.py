@@ -179,7 +179,7 @@ class EnvOutcome(EnvAssembly):
             flat = memory.flatten(obs)
             reward = torch.where(rows, torch.zeros(()), reward)
             info = self._quarantine(info, flags, mask, rows)
-            self._dump.write(self.run_dir, mask, self.control_step + 1, given)
+            self._dump.write(self.run_dir, mask, self.control_step, given)
         memory.flat = flat
         diverged = np.zeros(len(given), np.bool_) if flags.diverged is None else flags.diverged
         info["diverged"] = torch.from_numpy(diverged)

@@ -16,7 +16,7 @@ import gymnasium as gym
 from gymnasium.vector import AutoresetMode
 
 from embodichain.utils.errors import ConfigError
-from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.suggest import did_you_mean, listing
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -99,7 +99,7 @@ def _find(env_id: str) -> EnvSpec:
     try:
         return REGISTERED_ENVS[env_id]
     except KeyError:
-        known = ", ".join(REGISTERED_ENVS) or "none"
+        known = listing(REGISTERED_ENVS, env_id, "embodichain list tasks")
         hint = did_you_mean(env_id, REGISTERED_ENVS)
         if env_id.startswith("embodichain/"):
             hint = " Ids of YAML tasks are made by gymnasium.make, gymnasium.make_vec."

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.cfg import JointDrivePropertiesCfg
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.names import listing, match
+from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import Problem
-from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = [
     "NO_EFFORT_LIMIT",
@@ -152,7 +152,7 @@ def _per_joint(
         else:
             ids, wrong = match(name, names, "joint", path)
             if wrong and parts:
-                message = f"{wrong[0].message}; control parts: {listing(parts)}"
+                message = f"{wrong[0].message}; control parts: {listing(parts, name)}"
                 hint = wrong[0].hint or did_you_mean(name, parts).strip()
                 wrong = [Problem(path, message, hint)]
             problems += wrong

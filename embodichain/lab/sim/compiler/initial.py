@@ -12,8 +12,9 @@ import numpy as np
 from embodichain.lab.sim.compiler.drives import FileJoints
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.joints import Mimics, movable_joints
-from embodichain.lab.sim.compiler.names import listing, match
+from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import Problem
+from embodichain.utils.suggest import listing
 
 __all__ = ["Keyframe", "read_keyframe", "resolve_qpos"]
 

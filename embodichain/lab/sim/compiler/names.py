@@ -1,23 +1,14 @@
-"""Names in configs against names in models: regexes, and messages that list what exists."""
+"""Names in configs against names in models: regexes, and uids."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from embodichain.utils.errors import Problem
-from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.suggest import did_you_mean, listing
 
-__all__ = ["check_uid", "listing", "match"]
-
-_SHOWN = 60
-
-
-def listing(names: Iterable[str]) -> str:
-    """Return names separated by commas, cut after the first 60; ``none`` if there are none."""
-    known = list(names)
-    more = f", ... ({len(known)} in all)" if len(known) > _SHOWN else ""
-    return (", ".join(known[:_SHOWN]) or "none") + more
+__all__ = ["check_uid", "match"]
 
 
 def match(
@@ -37,7 +28,7 @@ def match(
         return (), [Problem(path, f"malformed regex {pattern!r}: {error}")]
     if found:
         return found, []
-    message = f"no {what} matches {pattern!r}; there are: {listing(names)}"
+    message = f"no {what} matches {pattern!r}; there are: {listing(names, pattern)}"
     return (), [Problem(path, message, did_you_mean(pattern, names).strip())]
 
 

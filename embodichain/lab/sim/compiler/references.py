@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation
-from embodichain.lab.sim.compiler.names import listing, match
+from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import Problem
-from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = ["TERM_SECTIONS", "Known", "Picked", "check_reference", "check_references", "pick"]
 
@@ -72,7 +72,7 @@ def _check_light(path: str, uid: str, known: Known, open_scene: bool) -> list[Pr
     lights = [name for name, what in known.items() if what == "light"]
     if uid in lights or (open_scene and uid and uid not in known):
         return []
-    message = f"no light is called {uid!r}; there are: {listing(lights)}"
+    message = f"no light is called {uid!r}; there are: {listing(lights, uid)}"
     return [Problem(f"{path}.uid", message, did_you_mean(uid, lights).strip())]
 
 
@@ -149,7 +149,10 @@ def pick(
         there = [name for name, what in known.items() if what != "light"]
         what = f"no entity is called {uid!r}" if uid else "name an entity"
         hint = did_you_mean(uid, there).strip()
-        picked, problems = Picked(), [Problem("uid", f"{what}; there are: {listing(there)}", hint)]
+        picked, problems = (
+            Picked(),
+            [Problem("uid", f"{what}; there are: {listing(there, uid)}", hint)],
+        )
     if path:
         problems = [Problem(f"{path}.{p.path}", p.message, p.hint) for p in problems]
     return Picked() if problems else picked, problems

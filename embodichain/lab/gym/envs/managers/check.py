@@ -21,7 +21,7 @@ from embodichain.lab.gym.envs.managers.param_types import FORMS
 from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec, resolve_term
 from embodichain.lab.sim.sensors.cfg import readings
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = ["SECTIONS", "check_in_task", "check_params", "check_term", "check_terms"]
 
@@ -84,7 +84,7 @@ def check_in_task(
         if isinstance(value, str) and value not in there and name in spec.params:
             if section == "sensors" and cfg.id is not None:
                 continue  # Python code may add sensors
-            what, known = section.removesuffix("s"), ", ".join(there) or "none"
+            what, known = section.removesuffix("s"), listing(there, value)
             message = f"no {what} is called {value!r}; there are: {known}"
             found.append(Problem(name, message, did_you_mean(value, there).strip()))
     check = getattr(spec.func, "check_task", None)

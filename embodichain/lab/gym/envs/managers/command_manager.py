@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.cfg import CommandCfg
 from embodichain.lab.gym.envs.managers.base import BuiltTerm, Manager, Term
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.suggest import did_you_mean, listing
 
 if TYPE_CHECKING:
     import torch
@@ -146,7 +146,7 @@ class CommandManager(Manager[CommandCfg]):
             ConfigError: If there is no such command; lists those that exist.
         """
         if name not in self.terms:
-            known = ", ".join(self.terms) or "none"
+            known = listing(self.terms, name)
             message = f"no command is called {name!r}; there are: {known}"
             raise ConfigError([Problem(key, message, did_you_mean(name, self.terms).strip())])
         return name

@@ -19,7 +19,7 @@ from types import SimpleNamespace
 from typing import Any, Literal, TypeVar, get_args
 
 from embodichain.utils.errors import ConfigError
-from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = [
     "ENTRY_POINTS",
@@ -281,7 +281,7 @@ def resolve_term(
         raise ConfigError(f"{func!r} is a term of kind {', '.join(elsewhere)}, not {kind}")
     if kind == "action" and "eef" in func.lower():
         raise ConfigError(f"{func!r} is not available yet: {_EEF_LATER}")
-    names = ", ".join(sorted(TERMS[kind]))
+    names = listing(sorted(TERMS[kind]), func, "embodichain list terms")
     missing = "".join(f" Besides, {reason}." for reason in TERMS.broken)
     raise ConfigError(
         f"unknown {kind} term {func!r}; allowed: {names}, or package.module:function."

@@ -1,0 +1,227 @@
+"""`TaskDigest`: what a policy was trained in, model and MDP, and what of it is another elsewhere.
+
+It lies in checkpoints and in exported policies, as plain values rather than as a hash: a difference
+has a name and two values. The values are `physics_values`'s and `mdp_values`'s.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+
+from embodichain.lab.gym.mdp_values import mdp_values
+from embodichain.lab.sim.physics_values import physics_values
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+__all__ = ["ALLOW", "Change", "TaskDigest", "check_unchanged"]
+
+ALLOW = "allow_changed=true"
+"""What the command line takes to go on in a task that has changed."""
+
+TOLD = ("rewards", "corruption", "curriculum", "mujoco")
+"""Parts in which a policy acts as before: that they changed is told, and refused nowhere."""
+
+_FORMAT = 1
+_RELATIVE, _ABSOLUTE = 1e-6, 1e-12
+"""Differences of numbers that are none: a model compiled elsewhere may round otherwise."""
+_MOST_SHOWN = 12
+_NAMES = {
+    "timing": "task.",
+    "episode": "task.",
+    "initial": "initial ",
+    "space": "space of ",
+    "corruption": "task.enable_corruption",
+    "id": "task.id",
+    "mujoco": "MuJoCo",
+}
+"""What the names of a part's values begin with; else ``task.PART.``."""
+_Difference = tuple[str, Any, Any]
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One thing that is another than in training.
+
+    Attributes:
+        part: The part of the digest: ``model``, ``observations``...
+        name: What it is called: ``joint panda/panda_joint7: damping``, ``task.events.push.mode``.
+        before: Its value in training, as text.
+        now: Its value here, as text.
+    """
+
+    part: str
+    name: str
+    before: str
+    now: str
+
+    @property
+    def refused(self) -> bool:
+        """Whether the policy meets another task for it than it learned."""
+        return self.part not in TOLD
+
+    def __str__(self) -> str:
+        """Return ``NAME BEFORE -> NOW``."""
+        return f"{self.name} {self.before} -> {self.now}"
+
+
+@dataclass(frozen=True, slots=True)
+class TaskDigest:
+    """Plain values of a task, by part.
+
+    Attributes:
+        parts: ``model`` (element -> field -> value), the sections of `mdp_values`, and ``mujoco``,
+            the version.
+    """
+
+    parts: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, env: BaseEnv, group: str = "policy") -> TaskDigest:
+        """Describe a built environment; neither its number of environments nor its seed counts.
+
+        Args:
+            env: The environment.
+            group: The observation group that the policy sees.
+
+        Raises:
+            ValueError: If no observation is in the group.
+        """
+        model = {"model": physics_values(env.sim.engine.model), "mujoco": mujoco.__version__}
+        return cls({**model, **mdp_values(env, group)})
+
+    def to_json(self) -> str:
+        """Return it as one JSON object without spaces."""
+        return json.dumps({"format": _FORMAT, **self.parts}, separators=(",", ":"))
+
+    @classmethod
+    def from_json(cls, text: str) -> TaskDigest | None:
+        """Read it back; None where another version of the format was written.
+
+        Raises:
+            ValueError: If the text is damaged.
+        """
+        found = json.loads(text)
+        if not isinstance(found, dict):
+            raise ValueError("a digest is a JSON object")
+        return cls(found) if found.pop("format", None) == _FORMAT else None
+
+    def changes(self, now: TaskDigest) -> list[Change]:
+        """Return what is another in `now`: the model first, then the MDP by section."""
+        found: list[Change] = []
+        for part in dict.fromkeys([*self.parts, *now.parts]):
+            before, after = self.parts.get(part), now.parts.get(part)
+            pairs = _model(before, after) if part == "model" else _section(part, before, after)
+            found += [Change(part, name, _text(a, b), _text(b, a)) for name, a, b in pairs]
+        return found
+
+
+def check_unchanged(
+    name: str, trained_in: TaskDigest | None, env: BaseEnv, group: str, *, allow: bool
+) -> tuple[Change, ...]:
+    """Compare the task that a policy was trained in with the one where it is to act.
+
+    Args:
+        name: What messages call the policy.
+        trained_in: What lies beside the policy; None compares nothing.
+        env: Where it will act.
+        group: The observation group that it sees.
+        allow: Whether it acts there all the same; what changed is then a warning.
+
+    Returns:
+        What changed.
+
+    Raises:
+        ConfigError: If something changed that the policy meets, and `allow` is not set.
+    """
+    if trained_in is None:
+        return ()
+    changes = tuple(trained_in.changes(TaskDigest.of(env, group)))
+    refused = [change for change in changes if change.refused]
+    if refused and not allow:
+        lines = "".join(f"\n  {line}" for line in _shown(refused))
+        message = f"{name} was trained in another task (training -> now):{lines}"
+        raise ConfigError([Problem("policy", f"{message}\n  {ALLOW} goes on all the same")])
+    for line in _shown(list(changes)):
+        _log.warning("%s: changed since training: %s", name, line)
+    return changes
+
+
+def _shown(changes: list[Change]) -> list[str]:
+    lines = [str(change) for change in changes[:_MOST_SHOWN]]
+    more = len(changes) - len(lines)
+    return [*lines, f"... and {more} more"] if more else lines
+
+
+def _model(before: Any, now: Any) -> Iterator[_Difference]:
+    """Differences of two models: elements that are gone or new, and fields of the others."""
+    for element in dict.fromkeys([*before, *now]):
+        if element in before and element in now:
+            for field in dict.fromkeys([*before[element], *now[element]]):
+                values = before[element].get(field, 0), now[element].get(field, 0)
+                yield from _walk(f"{element}: {field}", *values)
+        elif element in before:
+            yield element, "there", None
+        else:
+            yield element, None, "here"
+
+
+def _section(part: str, before: Any, now: Any) -> Iterator[_Difference]:
+    """Differences of two sections, by the keys that the config has for them."""
+    name = _NAMES.get(part, f"task.{part}.")
+    if not isinstance(before or now, Mapping):
+        yield from _walk(name, before, now)
+        return
+    a, b = before or {}, now or {}
+    for key in dict.fromkeys([*a, *b]):
+        yield from _walk(f"{name}{key}", a.get(key), b.get(key))
+
+
+def _walk(name: str, before: Any, now: Any) -> Iterator[_Difference]:
+    """The smallest things that differ within two values."""
+    if isinstance(before, Mapping) and isinstance(now, Mapping):
+        for key in dict.fromkeys([*before, *now]):
+            yield from _walk(f"{name}.{key}", before.get(key), now.get(key))
+    elif isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
+        different = [i for i, pair in enumerate(zip(before, now, strict=True)) if not _same(*pair)]
+        if len(different) == 1:
+            yield from _walk(f"{name}[{different[0]}]", before[different[0]], now[different[0]])
+        elif different:
+            yield name, before, now
+    elif not _same(before, now):
+        yield name, before, now
+
+
+def _same(a: Any, b: Any) -> bool:
+    if isinstance(a, (int, float)) and isinstance(b, (int, float)):
+        return math.isclose(a, b, rel_tol=_RELATIVE, abs_tol=_ABSOLUTE)
+    if isinstance(a, list) and isinstance(b, list):
+        return len(a) == len(b) and all(map(_same, a, b))
+    return bool(a == b) or not (a or b)  # what is zero, false or empty is not written
+
+
+def _text(value: Any, other: Any) -> str:
+    """A value in a line; one that is not there, as what it means beside the other."""
+    if value is None or value == 0:
+        nothing = {bool: "false", int: "0", float: "0"}
+        return nothing.get(type(other), "none" if value is None else "0")
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return f"{value:.9g}"
+    if isinstance(value, list):
+        return f"[{', '.join(_text(item, 0) for item in value)}]"
+    if isinstance(value, Mapping) and "func" in value:
+        return str(value["func"])
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{k}: {_text(v, None)}' for k, v in value.items())}}}"
+    return str(value)
