@@ -71,7 +71,7 @@ BAD = {
     ),
     "unknown key at the root": bad(
         "command line: num_env: unknown key; allowed: task, sim, record, viewer, algo, "
-        "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, resume, "
+        "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, allow_changed, resume, "
         "checkpoint, eval, wandb, video, scene_png, gym_config, output_dir, quiet, json, "
         "traceback. Did "
         "you mean 'num_envs'?",
@@ -79,7 +79,7 @@ BAD = {
     ),
     "a task's key at the root": bad(
         "command line: rewards: unknown key; allowed: task, sim, record, viewer, algo, "
-        "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, resume, "
+        "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, allow_changed, resume, "
         "checkpoint, eval, wandb, video, scene_png, gym_config, output_dir, quiet, json, "
         "traceback. Did "
         "you mean 'task.rewards'?",
@@ -351,7 +351,7 @@ BAD = {
         "command line: algo.gamma: must be at most 1.0, got 2",
         "command line: seed: expected an integer, got 'x'",
         "command line: num_env: unknown key; allowed: task, sim, record, viewer, algo, "
-        "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, resume, "
+        "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, allow_changed, resume, "
         "checkpoint, eval, wandb, video, scene_png, gym_config, output_dir, quiet, json, "
         "traceback. Did "
         "you mean 'num_envs'?",

@@ -31,10 +31,11 @@ from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.initial import Keyframe, read_keyframe, resolve_qpos
 from embodichain.lab.sim.compiler.joints import movable_joints, read_joints, read_mimics
 from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
-from embodichain.lab.sim.compiler.names import listing, match
+from embodichain.lab.sim.compiler.names import match
 from embodichain.lab.sim.compiler.pose import initial_pose
 from embodichain.lab.sim.compiler.roots import set_root, strip_world
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import listing
 
 __all__ = ["ParsedArticulation", "parse_articulation", "parse_with_problems"]
 
