@@ -13,8 +13,8 @@ from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["convert_articulations", "convert_robot"]
 
-_PRESETS = {"URRobot": ("UniversalRobots/UR10/UR10.urdf", 6)}
-"""EmbodiChain's robot classes that are one file: the file, and its joints."""
+_PRESETS = {"URRobot": ("UniversalRobots/UR10/UR10.urdf", 6, {"arm": ["Joint[1-6]"]})}
+"""EmbodiChain's robot classes that are one file: the file, its joints, their control parts."""
 _PLAIN = ("Robot", "RobotCfg")
 """The class that adds nothing."""
 
@@ -37,7 +37,7 @@ def convert_robot(draft: Draft, data: Any) -> str:
 def convert_articulations(draft: Draft, data: Any) -> None:
     """Convert the section `articulation`."""
     for source, item in draft.items(data, ("articulation",)):
-        target = draft.entity(item, source, "articulations")
+        target = draft.entity(item, source, "articulations", fallback="fpath")
         if target is not None and draft.carry(item, source, target, ARTICULATION):
             _parts_of_articulation(draft, item, source, target)
 
@@ -49,8 +49,10 @@ def _file(draft: Draft, data: Mapping[str, Any]) -> int | None:
     joints = None
     preset = _PRESETS.get(str(kind))
     if not own and preset is not None:
-        fpath, joints = preset
+        fpath, joints, parts = preset
         draft.put(("robot", "fpath"), fpath, ("robot", kind_key))
+        if data.get("control_parts") is None:
+            draft.put(("robot", "control_parts"), parts, ("robot", kind_key))
         own = True
     elif kind is not None and preset is None and kind not in _PLAIN:
         _unknown_kind(draft, kind, kind_key, own)
@@ -108,5 +110,9 @@ def _parts_of_articulation(
             draft.carry(data[key], (*source, key), (*target, "drive_pros"), DRIVE)
     if data.get("attrs") is not None:
         convert_attrs(draft, data["attrs"], (*source, "attrs"), (*target, "attrs"))
-    if data.get("root_props") is not None:
-        draft.carry(data["root_props"], (*source, "root_props"), target, ROOT_PROPS)
+    root, where = data.get("root_props"), (*source, "root_props")
+    if root is not None and draft.carry(root, where, target, ROOT_PROPS):
+        collides = root.get("self_collision_enabled")
+        if collides is not None:
+            name = (*where, "self_collision_enabled")
+            draft.put((*target, "disable_self_collision"), not collides, name)

@@ -52,7 +52,6 @@ _RENDER = "MuJoCo's rasterizer draws, in a log viewer or with viewer=native"
 _USD = "USD is not read"
 _CAMERA = "cameras are not available yet"
 _IK = "inverse kinematics is not available yet"
-_COMPONENT = "components are not read: write their sections into this file"
 _RECORD = "the log of a run holds its trajectory: embodichain replay"
 _MESH = "MuJoCo collides a mesh by its convex hull"
 
@@ -93,9 +92,9 @@ TOP: Vocabulary = {
     "objective": "expert data is not collected here",
     "expansion": "scene expansion is not available",
     "task_program": "task programs are not available",
-    "environment": _COMPONENT,
-    "embodiment": _COMPONENT,
-    "scene": _COMPONENT,
+    "environment": HANDLED,
+    "embodiment": HANDLED,
+    "scene": HANDLED,
 }
 
 PHYSICS: Vocabulary = {
@@ -158,6 +157,7 @@ ARTICULATION: Vocabulary = {
     "use_usd_properties": _USD,
     "link_attrs": "attributes of single links are not available",
     "qpos_limits": "limits are those of the robot's file",
+    "asset_physics_mode": "physics comes from the file and from what stands here",
 }
 
 ROBOT: Vocabulary = {
@@ -184,7 +184,12 @@ DRIVE: Vocabulary = {
     "target_mode": "what a target is follows from the action terms",
 }
 
-ROOT_PROPS: Vocabulary = {"fixed_base": As("fix_base")}
+ROOT_PROPS: Vocabulary = {
+    "fixed_base": As("fix_base"),
+    "self_collision_enabled": HANDLED,
+    "min_position_iters": _PHYSX,
+    "min_velocity_iters": _PHYSX,
+}
 
 RIGID_OBJECT: Vocabulary = {
     **_POSE,
@@ -291,6 +296,7 @@ ENV: Vocabulary = {
     "target_control_frequency": HANDLED,
     "dataset": "the log holds every step: `embodichain export last --format lerobot` makes it",
     "task_instruction": "it belongs to data sets",
+    "success_params": "nothing reads it there either",
     "expert_trajectory": "expert data is not collected here",
     "filter_visual_rand": HANDLED,
     "filter_dataset_saving": "data sets are made of logs: `embodichain export --format lerobot`",
@@ -328,6 +334,7 @@ SECTIONS: Mapping[str, Vocabulary] = {
     "robot": ROBOT,
     "articulation[]": ARTICULATION,
     "drive_pros": DRIVE,
+    "root_props": ROOT_PROPS,
     "rigid_object[], background[]": RIGID_OBJECT,
     "attrs": ATTRS,
     **{f"shape ({kind})": keys for kind, keys in SHAPES.items()},

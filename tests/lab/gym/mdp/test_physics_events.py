@@ -391,6 +391,12 @@ def test_a_bigger_cube_rests_higher(make) -> None:
     assert height == pytest.approx([0.1] * 3, abs=2e-3)
 
 
+def test_one_factor_may_be_written_as_a_range_of_one_axis(make) -> None:
+    size = {**CUBE, "scale_factor_range": [[2], [2.0]]}
+    env = fired(make, "randomize_rigid_object_scale", size)
+    assert env.sim.get_rigid_object("cube").get_body_scale().tolist() == [[2.0] * 3] * 3
+
+
 def test_objects_share_a_draw_or_not(make) -> None:
     both = [{"uid": "cube"}, {"uid": "goal"}]
     for shared in (True, False):
