@@ -58,6 +58,7 @@ class SimulationManager(Declaration):
         self._initial_row: F64 = np.zeros(0)
         self._renderer: SceneRenderer | None = None
         self._viewer: NativeViewer | None = None
+        self._physics_enabled = True
         self.physics_seconds = 0.0
         """Wall time that physics steps took so far, in `update`."""
         self.instance_id = max(_instances, default=-1) + 1
@@ -142,7 +143,7 @@ class SimulationManager(Declaration):
     # -- running -------------------------------------------------------------------------------
 
     def update(self, physics_dt: float | None = None, step: int = 10) -> None:
-        """Advance physics by ``step`` steps.
+        """Advance physics by ``step`` steps, unless it is switched off (`enable_physics`).
 
         Args:
             physics_dt: None, or the configured timestep in seconds.
@@ -158,7 +159,7 @@ class SimulationManager(Declaration):
             )
         if step < 0:
             raise ValueError(f"step must not be negative, got {step}")
-        if step:
+        if step and self._physics_enabled:
             begun = time.perf_counter()
             self.engine.step(step)
             self.physics_seconds += time.perf_counter() - begun
@@ -193,6 +194,7 @@ class SimulationManager(Declaration):
             handle = self.get_asset(uid)
             if isinstance(handle, Articulation):
                 handle.drives.clear(ids)
+                handle.forget_efforts(ids)
 
     def _reset_some(self, ids: EnvIndex | None, uids: Collection[str]) -> None:
         engine = self.engine
@@ -271,13 +273,11 @@ class SimulationManager(Declaration):
         """Do nothing: there is no GPU engine yet, and the CPU's needs no start."""
 
     def enable_physics(self, enable: bool = True) -> None:
-        """Accept the call: physics runs when it is stepped.
+        """Switch physics on or off; while it is off, `update` takes no steps.
 
-        Raises:
-            NotImplementedError: If physics is to be switched off.
+        Poses, joints and targets can be set meanwhile, and are read where they were put.
         """
-        if not enable:
-            raise NotImplementedError("physics cannot be switched off: do not step it")
+        self._physics_enabled = enable
 
     def destroy(self, exit_process: bool = False) -> None:
         """Free the engine, the renderer and the viewer; returns, and never ends the process."""

@@ -11,7 +11,6 @@ __all__ = [
     "RigidConstraintCfg",
     "RigidObjectGroupCfg",
     "SoftObjectCfg",
-    "SolverCfg",
     "StereoCameraCfg",
     "URDFCfg",
 ]
@@ -60,12 +59,6 @@ class URDFCfg(_UnavailableCfg):
     """Not available: assembling one URDF from components comes later."""
 
     what = "URDF assembly is"
-
-
-class SolverCfg(_UnavailableCfg):
-    """Not available: IK solvers come later."""
-
-    what = "IK solvers are"
 
 
 class CameraCfg(_UnavailableCfg):

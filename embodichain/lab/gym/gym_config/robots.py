@@ -7,7 +7,7 @@ from typing import Any
 
 from embodichain.lab.gym.gym_config.draft import Draft, Path
 from embodichain.lab.gym.gym_config.rigid_objects import convert_attrs
-from embodichain.lab.gym.gym_config.vocabulary import ARTICULATION, DRIVE, ROBOT, ROOT_PROPS
+from embodichain.lab.gym.gym_config.vocabulary import ARTICULATION, DRIVE, ROBOT, ROOT_PROPS, SOLVER
 from embodichain.lab.sim.cfg import RobotCfg, name_of
 from embodichain.utils.suggest import did_you_mean
 
@@ -28,6 +28,7 @@ def convert_robot(draft: Draft, data: Any) -> str:
         draft.put(("robot", "uid"), data["uid"], ("robot", "uid"))
     joints = _file(draft, data)
     _init_qpos(draft, data.get("init_qpos"), joints)
+    _solvers(draft, data.get("solver_cfg"))
     _parts_of_articulation(draft, data, source, ("robot",))
     fields = draft.task.get("robot", {})
     uid, fpath = (str(fields.get(key) or "") for key in ("uid", "fpath"))
@@ -87,6 +88,16 @@ def _urdf(draft: Draft, urdf: Any, own: bool) -> None:
     else:
         message = "URDF assembly is not available; name one file in fpath"
         draft.refuse(("robot", "urdf_cfg"), message)
+
+
+def _solvers(draft: Draft, data: Any) -> None:
+    """Tool points by control part; a solver that names no part is the whole robot's."""
+    source: Path = ("robot", "solver_cfg")
+    if isinstance(data, Mapping) and any(key in SOLVER for key in data):
+        draft.carry(data, source, (*source, "default"), SOLVER)
+        return
+    for where, part, solver in draft.entries(data, source):
+        draft.carry(solver, where, (*source, part), SOLVER)
 
 
 def _init_qpos(draft: Draft, values: Any, joints: int | None) -> None:

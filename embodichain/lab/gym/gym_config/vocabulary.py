@@ -167,10 +167,31 @@ ROBOT: Vocabulary = {
     "init_qpos": HANDLED,
     "control_parts": KEEP,
     "urdf_cfg": HANDLED,
-    "solver_cfg": _IK,
+    "solver_cfg": HANDLED,
     "workspace_cfg": _IK,
     "sensors": _CAMERA,
     "enable_sensor": _CAMERA,
+}
+
+SOLVER: Vocabulary = {
+    "end_link_name": KEEP,
+    "root_link_name": KEEP,
+    "tcp": KEEP,
+    "class_type": "it gives the tool point; no solver runs",
+    "urdf_path": "kinematics are those of the robot",
+    "joint_names": "joints are those of the control part",
+    **dict.fromkeys(
+        (
+            *("ik_nearest_weight", "pos_eps", "rot_eps", "max_iterations", "dt", "damp"),
+            *("num_samples", "is_only_position_constraint", "ik_method", "ik_params", "mesh_path"),
+            *("fixed_input_tasks", "variable_input_tasks", "fail_on_joint_limit_violation"),
+            *("show_ik_warnings", "command_type", "use_relative_mode", "sort_ik", "safe_margin"),
+            *("dh_params", "qpos_limits", "T_b_ob", "T_e_oe", "link_lengths", "ur_type"),
+            *("rotation_directions", "a1", "a2", "b", "c1", "c2", "c3", "c4", "offsets"),
+            *("flip_axes", "has_parallelogram"),
+        ),
+        "a setting of a solver, and none runs",
+    ),
 }
 
 DRIVE: Vocabulary = {
@@ -334,6 +355,7 @@ SECTIONS: Mapping[str, Vocabulary] = {
     "robot": ROBOT,
     "articulation[]": ARTICULATION,
     "drive_pros": DRIVE,
+    "solver_cfg": SOLVER,
     "root_props": ROOT_PROPS,
     "rigid_object[], background[]": RIGID_OBJECT,
     "attrs": ATTRS,

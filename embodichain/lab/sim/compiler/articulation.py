@@ -26,6 +26,7 @@ from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
 from embodichain.lab.sim.compiler.names import match
 from embodichain.lab.sim.compiler.pose import initial_pose
 from embodichain.lab.sim.compiler.roots import set_root, strip_world
+from embodichain.lab.sim.compiler.tools import add_tools, resolve_tools
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["ParsedArticulation", "parse_articulation", "parse_with_problems"]
@@ -58,6 +59,7 @@ class ParsedArticulation:
         armature: Reflected inertia.
         mimic_ids: Joints that follow another: ``q = multiplier * q[parent] + offset``.
         control_parts: Part -> joint indices.
+        tools: Part (``default`` is the whole robot) -> the link that is its tool point.
         init_ctrl: (M,) initial controls of the file's own actuators (drive_type none).
         notes: What a user should be told about the file, one line each.
     """
@@ -87,6 +89,7 @@ class ParsedArticulation:
     mimic_multipliers: tuple[float, ...]
     mimic_offsets: tuple[float, ...]
     control_parts: dict[str, tuple[int, ...]]
+    tools: dict[str, str]
     init_ctrl: F64
     notes: tuple[str, ...]
 
@@ -101,11 +104,10 @@ def parse_articulation(uid: str, cfg: ArticulationCfg) -> ParsedArticulation:
     Raises:
         ConfigError: If the file is missing or malformed, or the config does not fit it; every
             mistake, with paths below `uid`.
-        NotImplementedError: If the config asks for URDF assembly or IK solvers.
+        NotImplementedError: If the config asks for URDF assembly.
     """
-    for key, what in (("urdf_cfg", "URDF assembly"), ("solver_cfg", "IK")):
-        if getattr(cfg, key, None) is not None:
-            raise NotImplementedError(f"{uid}: {what} ({key}) is not available yet")
+    if getattr(cfg, "urdf_cfg", None) is not None:
+        raise NotImplementedError(f"{uid}: URDF assembly (urdf_cfg) is not available yet")
     parsed, problems = parse_with_problems(uid, cfg)
     if parsed is None or problems:
         raise ConfigError([Problem(f"{uid}.{p.path}", p.message, p.hint) for p in problems])
@@ -136,6 +138,9 @@ def parse_with_problems(
     qpos, wrong = resolve_qpos(cfg.init_qpos, joints, mimics, keyframe)
     problems += wrong
     problems += check_attachments(file.spec, cfg.attachments)
+    links = [body.name for body in file.spec.bodies[1:]]  # the first is the world
+    tools, wrong = resolve_tools(cfg, parts, [*links, *cfg.attachments])
+    problems += wrong
     notes = [*file.notes, *(f"{file.path}: {n}" for n in strip_world(file.spec))]
     try:
         for key in list(file.spec.keys):
@@ -144,6 +149,7 @@ def parse_with_problems(
         prepare_shapes(file.spec, cfg, file.is_urdf)
         if not problems:
             add_attachments(file.spec, cfg.attachments)
+            add_tools(file.spec, tools)
         if cfg.gravcomp is not None:
             for body in file.spec.bodies[1:]:  # the first is the world
                 body.gravcomp = float(cfg.gravcomp)
@@ -181,6 +187,7 @@ def parse_with_problems(
             mimic_multipliers=mimics.multipliers,
             mimic_offsets=mimics.offsets,
             control_parts=parts,
+            tools={part: tool.link for part, tool in tools.items()},
             init_ctrl=_init_ctrl(file, model, keyframe, cfg),
             notes=tuple(notes),
         ),

@@ -77,13 +77,9 @@ def parse_scene(
 
 
 def _not_yet(cfg: ArticulationCfg) -> list[Problem]:
-    if not isinstance(cfg, RobotCfg):
+    if not isinstance(cfg, RobotCfg) or cfg.urdf_cfg is None:
         return []
-    return [
-        Problem(key, f"{what} is not available yet; leave it out")
-        for key, what in (("urdf_cfg", "URDF assembly"), ("solver_cfg", "IK"))
-        if getattr(cfg, key) is not None
-    ]
+    return [Problem("urdf_cfg", "URDF assembly is not available yet; leave it out")]
 
 
 def _check_light(cfg: LightCfg) -> list[Problem]:

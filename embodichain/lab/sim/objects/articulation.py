@@ -52,6 +52,8 @@ class Articulation(NamedJoints):
         self._driven: NDArray[np.int64] = self._all
         self._ctrl: Columns = slice(0)
         self._moving: F64 | None = None
+        self._applied: NDArray[np.bool_] | None = None  # (N, D) set by `set_qf` at `_applied_at`
+        self._applied_at: F64 = np.zeros(0)
 
     def bind(self, engine: Engine, index: EntityIndex) -> None:
         """Learn where the compiled model keeps this articulation."""
@@ -95,11 +97,28 @@ class Articulation(NamedJoints):
         damper = engine.acceleration_now("qfrc_damper")
         return spring[:, self.dofs] + damper[:, self.dofs]
 
+    def read_efforts(self) -> F64:
+        """(N, D) `read_qf`; what `set_qf` has set since the last physics step is read as it was."""
+        efforts = self.read_qf()
+        if self._applied is None:
+            return efforts
+        now = self.engine.state("time").reshape(-1) == self._applied_at
+        if not now.any():
+            self._applied = None
+            return efforts
+        applied = self.engine.state("qfrc_applied")[:, self.dofs]
+        return np.where(self._applied & now[:, None], applied, efforts)
+
+    def forget_efforts(self, ids: EnvIndex | None) -> None:
+        """Read efforts of the physics again: a reset clears what was set."""
+        if self._applied is not None:
+            self._applied[slice(None) if ids is None else ids] = False
+
     def proprioception(
         self, joint_ids: Columns | None = None
     ) -> tuple[tuple[torch.Tensor, ...], NDArray[np.float32]]:
         """(qpos, qvel, qf), each (N, k) float32, and (3, N, k) that they are views of."""
-        motion, qf = self._motion(), self.read_qf()
+        motion, qf = self._motion(), self.read_efforts()
         if joint_ids is not None:
             motion, qf = motion[:, :, joint_ids], qf[:, joint_ids]
         out = np.empty((3, *qf.shape), np.float32)
@@ -152,7 +171,11 @@ class Articulation(NamedJoints):
         return values if name is None else values[:, self.get_joint_ids(name)]
 
     def get_qf(self, name: str | None = None) -> torch.Tensor:
-        """Total drive efforts (N, k) of the last physics step."""
+        """Joint efforts (N, k): what `set_qf` has set, until a physics step.
+
+        After a step, and where nothing was set, they are what the drives gave in the last physics
+        step; an effort that was set still acts then, but is not counted.
+        """
         values = self._data.qf
         return values if name is None else values[:, self.get_joint_ids(name)]
 
@@ -236,13 +259,25 @@ class Articulation(NamedJoints):
     def set_qf(
         self, qf: Any, joint_ids: Any = None, env_ids: Any = None, name: str | None = None
     ) -> None:
-        """Apply joint efforts (n, k) in N m or N beside the drives, until overwritten or reset."""
+        """Apply joint efforts (n, k) in N m or N beside the drives, until overwritten or reset.
+
+        `get_qf` reads them back until the next physics step.
+        """
         ids, rows = self._ids(env_ids)
         joints = self._joints(joint_ids, name)
         joints = self._all if joints is None else joints
         values = as_rows(qf, rows, len(joints), f"{self.uid}: qf", shared=True)
         dofs = np.asarray(self.entity.dof_adr, np.int64)[joints]
         self.engine.write("qfrc_applied", values, ids, dofs)
+        time = self.engine.state("time").reshape(-1)
+        if self._applied is None or not np.array_equal(self._applied_at, time):
+            stale = (
+                np.ones(len(time), np.bool_) if self._applied is None else time != self._applied_at
+            )
+            fresh = np.zeros((len(time), self.dof), np.bool_)
+            self._applied = fresh if self._applied is None else self._applied & ~stale[:, None]
+            self._applied_at = time.copy()
+        self._applied[np.ix_(np.arange(len(time)) if ids is None else ids, joints)] = True
 
     def get_qpos_limits(self, name: str | None = None) -> torch.Tensor:
         """(N, k, 2) lower and upper limits."""
@@ -279,12 +314,28 @@ class Articulation(NamedJoints):
             armature=armature,
         )
 
-    def get_joint_drive(self) -> tuple[torch.Tensor, ...]:
-        """Stiffness, damping, max_effort, max_velocity, friction, armature, each (N, D)."""
+    def get_joint_drive(
+        self, joint_ids: Any = None, env_ids: Any = None
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Stiffness, damping, max_effort, max_velocity and friction, each (n, k).
+
+        The armature is `body_data.joint_armature`.
+
+        Args:
+            joint_ids: The k joints; None is all of them.
+            env_ids: The n environments; None is all N.
+        """
+        ids, _ = self._ids(env_ids)
+        joints = self._joints(joint_ids)
+        rows = np.arange(self.num_instances) if ids is None else ids
+        where = np.ix_(rows, self._all if joints is None else joints)
         d = self.drives
-        return tuple(
-            to_tensor(v)
-            for v in (d.stiffness, d.damping, d.max_effort, d.max_velocity, d.friction, d.armature)
+        return (
+            to_tensor(d.stiffness[where]),
+            to_tensor(d.damping[where]),
+            to_tensor(d.max_effort[where]),
+            to_tensor(d.max_velocity[where]),
+            to_tensor(d.friction[where]),
         )
 
     # -- links ---------------------------------------------------------------------------------

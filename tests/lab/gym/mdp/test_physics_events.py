@@ -239,7 +239,8 @@ def test_joint_parameters_are_what_the_handle_says(make) -> None:
         "upper_limit_range": {"Joint3": [2, 2]},
     }
     env = fired(make, "randomize_joint_parameters", {**ARM, **given})
-    _, damping, _, _, friction, armature = env.robot.get_joint_drive()
+    _, damping, _, _, friction = env.robot.get_joint_drive()
+    armature = env.robot.body_data.joint_armature
     for found, wanted in ((damping, 7), (friction, 2), (armature, 0.3)):
         assert found[2].tolist() == pytest.approx([wanted] * 6)
     dofs = env.robot.entity.dof_adr

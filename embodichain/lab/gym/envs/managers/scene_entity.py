@@ -37,6 +37,7 @@ class ResolvedEntity:
         joint_names: Their names.
         link_ids: Picked links; without a choice none, which means the root.
         link_names: Their names.
+        control_parts: Picked control parts.
         all_joints: Whether `joint_ids` is every joint in the entity's order, so that no indexing
             is needed.
     """
@@ -48,6 +49,7 @@ class ResolvedEntity:
     link_ids: tuple[int, ...] = ()
     link_names: tuple[str, ...] = ()
     all_joints: bool = False
+    control_parts: tuple[str, ...] = ()
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
@@ -58,6 +60,16 @@ class ResolvedEntity:
     def joints(self) -> list[int] | None:
         """`joint_ids` as handles take them: None is all."""
         return None if self.all_joints else list(self.joint_ids)
+
+    @property
+    def body_ids(self) -> tuple[int, ...]:
+        """EmbodiChain's name of `link_ids`."""
+        return self.link_ids
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """EmbodiChain's name of `link_names`."""
+        return self.link_names
 
     @property
     def link_name(self) -> str | None:
@@ -103,7 +115,7 @@ def resolve_entity(
     parsed = getattr(asset, "parsed", None)
     if parsed is None:
         return _object(cfg, asset)
-    joints = _joints(cfg, parsed)
+    joints, parts = _joints(cfg, parsed), _parts(cfg, parsed)
     links = _links(cfg, parsed)
     return ResolvedEntity(
         uid=cfg.uid,
@@ -113,6 +125,7 @@ def resolve_entity(
         link_ids=tuple(links),
         link_names=tuple(parsed.link_names[i] for i in links),
         all_joints=joints == list(range(len(parsed.joint_names))),
+        control_parts=parts,
     )
 
 
@@ -142,15 +155,21 @@ def _joints(cfg: SceneEntityCfg, parsed: Any) -> list[int]:
         return _ids(cfg.joint_ids, names, "joint", cfg.uid, "joint_ids")
     picked: list[int] = []
     mimic = {int(i) for i in parsed.mimic_ids}
-    if cfg.control_parts is not None:
-        parts = list(parsed.control_parts)
-        for part in _pick(cfg.control_parts, parts, "control part", cfg.uid, "control_parts"):
-            picked += [i for i in parsed.control_parts[parts[part]] if i not in mimic]
+    for part in _parts(cfg, parsed):
+        picked += [i for i in parsed.control_parts[part] if i not in mimic]
     if cfg.joint_names is not None:
         picked += _pick(cfg.joint_names, names, "joint", cfg.uid, "joint_names")
     if cfg.joint_names is None and cfg.control_parts is None:
         return [i for i in range(len(names)) if i not in mimic]
     return _ordered(picked, cfg)
+
+
+def _parts(cfg: SceneEntityCfg, parsed: Any) -> tuple[str, ...]:
+    if cfg.control_parts is None:
+        return ()
+    parts = list(parsed.control_parts)
+    picked = _pick(cfg.control_parts, parts, "control part", cfg.uid, "control_parts")
+    return tuple(parts[i] for i in picked)
 
 
 def _links(cfg: SceneEntityCfg, parsed: Any) -> list[int]:
