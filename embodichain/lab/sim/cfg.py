@@ -348,6 +348,8 @@ class LightCfg(ObjectBaseCfg):
     intensity: float = 30.0
     """Relative brightness; 30 is MuJoCo's full diffuse colour."""
     direction: Vec3 = (0.0, 0.0, -1.0)
+    radius: float = 1e2
+    """No effect: MuJoCo's lights have no falloff radius."""
 
 
 @configclass

@@ -15,6 +15,7 @@ from embodichain.lab.sim.cfg import (
 from embodichain.lab.sim.compiler import ParsedArticulation, parse_articulation
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
 from embodichain.lab.sim.objects.articulation import Articulation
+from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.sensors.base import BaseSensor
@@ -48,7 +49,7 @@ class Declaration:
         self.robots: dict[str, Robot] = {}
         self.articulations: dict[str, Articulation] = {}
         self.rigid_objects: dict[str, RigidObject] = {}
-        self.lights: dict[str, LightCfg] = {}
+        self.lights: dict[str, Light] = {}
         self.sensors: dict[str, BaseSensor] = {}
 
     @property
@@ -101,10 +102,11 @@ class Declaration:
         self.rigid_objects[uid] = obj
         return obj
 
-    def add_light(self, cfg: LightCfg) -> LightCfg:
-        """Add a light for pictures; it has no handle."""
-        self.lights[self._claim(cfg)] = cfg
-        return cfg
+    def add_light(self, cfg: LightCfg) -> Light:
+        """Add a light for pictures; see `add_robot` for what it raises."""
+        uid = self._claim(cfg)
+        light = self.lights[uid] = Light(cfg, uid, self._simulation())
+        return light
 
     def add_sensor(self, cfg: SensorCfg) -> BaseSensor:
         """Add a sensor to entities that are there already.
@@ -163,6 +165,10 @@ class Declaration:
         """A rigid object by uid, or None."""
         return self.rigid_objects.get(uid)
 
+    def get_light(self, uid: str) -> Light | None:
+        """A light by uid, or None."""
+        return self.lights.get(uid)
+
     def get_sensor(self, uid: str) -> BaseSensor | None:
         """A sensor by uid, or None."""
         return self.sensors.get(uid)
@@ -182,6 +188,10 @@ class Declaration:
     def get_rigid_object_uid_list(self) -> list[str]:
         """Uids of rigid objects, in order of addition."""
         return list(self.rigid_objects)
+
+    def get_light_uid_list(self) -> list[str]:
+        """Uids of lights, in order of addition."""
+        return list(self.lights)
 
     def get_sensor_uid_list(self) -> list[str]:
         """Uids of sensors, in order of addition."""

@@ -127,7 +127,7 @@ class SimulationManager(Declaration):
             cfg,
             [a.parsed for a in articulations],
             {uid: o.cfg for uid, o in self.rigid_objects.items()},
-            self.lights,
+            {uid: light.cfg for uid, light in self.lights.items()},
             self.sensor_plans(),
         )
         self._engine = CpuEngine(self._scene.model, self.num_envs, cfg.num_threads, cfg.persistent)
@@ -258,6 +258,7 @@ class SimulationManager(Declaration):
             "engine": self.engine.state_dict(),
             "drives": {uid: h.drives.state_dict() for uid, h in handles.items()},
             "objects": {uid: o.state_dict() for uid, o in self.rigid_objects.items()},
+            "lights": {uid: light.state_dict() for uid, light in self.lights.items()},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -268,6 +269,8 @@ class SimulationManager(Declaration):
             handles[uid].drives.load_state_dict(drives)
         for uid, properties in state["objects"].items():
             self.rigid_objects[uid].load_state_dict(properties)
+        for uid, light in state.get("lights", {}).items():  # states of older releases have none
+            self.lights[uid].load_state_dict(light)
 
     def init_gpu_physics(self) -> None:
         """Do nothing: there is no GPU engine yet, and the CPU's needs no start."""
