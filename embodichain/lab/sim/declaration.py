@@ -67,7 +67,7 @@ class Declaration:
         if self.compiled:
             raise RuntimeError(
                 "the scene is compiled already (by a step, a reset or a pose that was read): "
-                "add every robot and object first"
+                "add every robot and object first; what comes later can wait out of the way"
             )
         uid = name_of(cfg)
         if uid in self.asset_uids:
@@ -139,7 +139,10 @@ class Declaration:
             RuntimeError: If the scene is compiled already.
         """
         if self.compiled:
-            raise RuntimeError("the scene is compiled already: nothing can be removed")
+            raise RuntimeError(
+                "the scene is compiled already (by a step, a reset or a pose that was read): "
+                "nothing can be removed; an object can be moved out of the way (set_local_pose)"
+            )
         groups: tuple[dict[str, Any], ...] = (
             self.robots,
             self.articulations,

@@ -194,7 +194,7 @@ class SimulationManager(Declaration):
             handle = self.get_asset(uid)
             if isinstance(handle, Articulation):
                 handle.drives.clear(ids)
-                handle.forget_efforts(ids)
+                handle.set_efforts.forget(ids)
 
     def _reset_some(self, ids: EnvIndex | None, uids: Collection[str]) -> None:
         engine = self.engine

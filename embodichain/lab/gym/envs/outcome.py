@@ -87,7 +87,7 @@ class EnvOutcome(EnvAssembly):
         """What the class itself says of the step."""
         if not self._has_task_state:
             return dict(self.evaluate(**kwargs))
-        state = self.compute_task_state(**kwargs)
+        state: Any = self.compute_task_state(**kwargs)
         if not isinstance(state, tuple) or len(state) != 3:
             name = f"{type(self).__name__}.compute_task_state"
             raise TypeError(f"{name} must return (success, fail, metrics), got {state!r}")

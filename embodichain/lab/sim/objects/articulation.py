@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,9 +18,9 @@ from embodichain.lab.sim.objects._arrays import (
 from embodichain.lab.sim.objects.articulation_data import ArticulationData
 from embodichain.lab.sim.objects.drives import Drives
 from embodichain.lab.sim.objects.entity import not_available
-from embodichain.lab.sim.objects.named_joints import NamedJoints
+from embodichain.lab.sim.objects.link_masses import LinkMasses
+from embodichain.lab.sim.objects.set_efforts import SetEfforts
 from embodichain.utils.math import cross, pose_to_matrix
-from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import ArticulationCfg
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["Articulation"]
 
 
-class Articulation(NamedJoints):
+class Articulation(LinkMasses):
     """One jointed mechanism in N environments: D one-degree joints in qpos order, L links.
 
     Ball joints are simulated but stand in none of the joint arrays.
@@ -52,8 +51,7 @@ class Articulation(NamedJoints):
         self._driven: NDArray[np.int64] = self._all
         self._ctrl: Columns = slice(0)
         self._moving: F64 | None = None
-        self._applied: NDArray[np.bool_] | None = None  # (N, D) set by `set_qf` at `_applied_at`
-        self._applied_at: F64 = np.zeros(0)
+        self.set_efforts = SetEfforts(len(parsed.joint_names))
 
     def bind(self, engine: Engine, index: EntityIndex) -> None:
         """Learn where the compiled model keeps this articulation."""
@@ -100,19 +98,13 @@ class Articulation(NamedJoints):
     def read_efforts(self) -> F64:
         """(N, D) `read_qf`; what `set_qf` has set since the last physics step is read as it was."""
         efforts = self.read_qf()
-        if self._applied is None:
-            return efforts
-        now = self.engine.state("time").reshape(-1) == self._applied_at
-        if not now.any():
-            self._applied = None
+        if not self.set_efforts:
             return efforts
         applied = self.engine.state("qfrc_applied")[:, self.dofs]
-        return np.where(self._applied & now[:, None], applied, efforts)
+        return self.set_efforts.over(efforts, applied, self._time())
 
-    def forget_efforts(self, ids: EnvIndex | None) -> None:
-        """Read efforts of the physics again: a reset clears what was set."""
-        if self._applied is not None:
-            self._applied[slice(None) if ids is None else ids] = False
+    def _time(self) -> F64:
+        return self.engine.state("time").reshape(-1)
 
     def proprioception(
         self, joint_ids: Columns | None = None
@@ -269,15 +261,7 @@ class Articulation(NamedJoints):
         values = as_rows(qf, rows, len(joints), f"{self.uid}: qf", shared=True)
         dofs = np.asarray(self.entity.dof_adr, np.int64)[joints]
         self.engine.write("qfrc_applied", values, ids, dofs)
-        time = self.engine.state("time").reshape(-1)
-        if self._applied is None or not np.array_equal(self._applied_at, time):
-            stale = (
-                np.ones(len(time), np.bool_) if self._applied is None else time != self._applied_at
-            )
-            fresh = np.zeros((len(time), self.dof), np.bool_)
-            self._applied = fresh if self._applied is None else self._applied & ~stale[:, None]
-            self._applied_at = time.copy()
-        self._applied[np.ix_(np.arange(len(time)) if ids is None else ids, joints)] = True
+        self.set_efforts.mark(self._time(), joints, ids)
 
     def get_qpos_limits(self, name: str | None = None) -> torch.Tensor:
         """(N, k, 2) lower and upper limits."""
@@ -327,34 +311,13 @@ class Articulation(NamedJoints):
         """
         ids, _ = self._ids(env_ids)
         joints = self._joints(joint_ids)
-        rows = np.arange(self.num_instances) if ids is None else ids
+        d, rows = self.drives, np.arange(self.num_instances) if ids is None else ids
         where = np.ix_(rows, self._all if joints is None else joints)
-        d = self.drives
-        return (
-            to_tensor(d.stiffness[where]),
-            to_tensor(d.damping[where]),
-            to_tensor(d.max_effort[where]),
-            to_tensor(d.max_velocity[where]),
-            to_tensor(d.friction[where]),
-        )
+        first = to_tensor(d.stiffness[where]), to_tensor(d.damping[where])
+        limits = to_tensor(d.max_effort[where]), to_tensor(d.max_velocity[where])
+        return *first, *limits, to_tensor(d.friction[where])
 
     # -- links ---------------------------------------------------------------------------------
-
-    def body_of(self, link: str | None) -> int:
-        """MuJoCo body id of a link; None is the root link.
-
-        Raises:
-            ValueError: If there is no such link; lists the links.
-        """
-        if link is None:
-            return self.entity.root_body_id
-        try:
-            return int(self.entity.body_ids[self.parsed.link_names.index(link)])
-        except ValueError:
-            raise ValueError(
-                f"{self.uid} has no link {link!r}; there are: {', '.join(self.parsed.link_names)}."
-                f"{did_you_mean(link, self.parsed.link_names)}"
-            ) from None
 
     def get_link_pose(
         self, link_name: str, env_ids: Any = None, to_matrix: bool = False
@@ -374,47 +337,6 @@ class Articulation(NamedJoints):
         ids, _ = self._ids(env_ids)
         velocity = self.link_velocity(self.body_of(link_name))
         return velocity if ids is None else velocity[torch.from_numpy(ids)]
-
-    def get_mass(self, link_names: Sequence[str] | None = None) -> torch.Tensor:
-        """(N, k) link masses in kg."""
-        bodies = [self.body_of(n) for n in (link_names or self.parsed.link_names)]
-        return to_tensor(self.engine.model_field("body_mass")[:, bodies])
-
-    def set_mass(
-        self, mass: Any, link_names: Sequence[str] | None = None, env_ids: Any = None
-    ) -> None:
-        """Set link masses (n, k) in kg; each link's inertia scales with its mass."""
-        ids, rows = self._ids(env_ids)
-        bodies = np.asarray([self.body_of(n) for n in (link_names or self.parsed.link_names)])
-        new = as_rows(mass, rows, len(bodies), f"{self.uid}: mass")
-        if (new <= 0).any():
-            raise ValueError(f"{self.uid}: masses must be positive, got {new.min()}")
-        self.write_mass(new, bodies, ids)
-
-    def write_mass(
-        self, mass: F64, bodies: NDArray[np.int64], ids: EnvIndex | None, inertia: bool = True
-    ) -> None:
-        """Set masses (n, k) of bodies (k,), and their inertias with them; the door for terms.
-
-        Args:
-            mass: Positive, kg.
-            bodies: MuJoCo body ids.
-            ids: (n,) environments, or None for all.
-            inertia: False leaves inertias as they are.
-        """
-        engine, model = self.engine, self.engine.model
-        engine.write_model("body_mass", mass, ids, columns_of(bodies))
-        if inertia:
-            self.write_inertia(mass / model.body_mass[bodies], bodies, ids)
-        else:
-            engine.set_const_later(ids)
-
-    def write_inertia(self, factor: F64, bodies: NDArray[np.int64], ids: EnvIndex | None) -> None:
-        """Set inertias of bodies (k,) to (n, k) times the compiled ones."""
-        moments = self.engine.model.body_inertia[bodies] * factor[:, :, None]
-        columns = columns_of((3 * bodies[:, None] + np.arange(3)).reshape(-1))
-        self.engine.write_model("body_inertia", moments.reshape(len(factor), -1), ids, columns)
-        self.engine.set_const_later(ids)
 
     def clear_dynamics(self, env_ids: Any = None) -> None:
         """Stop all joints and the root, and remove applied efforts."""
