@@ -13,7 +13,7 @@ import yaml
 
 from embodichain.config.locate import ConfigFile, Locator, display_path
 from embodichain.config.problems import LocatedProblem
-from embodichain.lab.gym.gym_config.conversion import Conversion, convert
+from embodichain.lab.gym.gym_config.conversion import CLASSES, Conversion, convert
 from embodichain.lab.gym.gym_config.file import read_gym_config
 from embodichain.utils.errors import ConfigError
 
@@ -49,7 +49,8 @@ def load_gym_config(path: str | Path) -> GymConfig:
         ConfigError: It cannot be read; says why and where.
     """
     file = Path(path)
-    converted = convert(read_gym_config(file))
+    content = read_gym_config(file)
+    converted = convert(content, _registered(content.get("id")))
     root = _nodes(file)
     source = Locator([ConfigFile(file, "", root)]).source if root is not None else None
 
@@ -70,6 +71,15 @@ def override_of(path: str) -> str:
     """Return the override that means ``--gym-config PATH``, quoted for Hydra's grammar."""
     quoted = path.replace("\\", "\\\\").replace("'", "\\'")
     return f"gym_config='{quoted}'"
+
+
+def _registered(env_id: Any) -> tuple[str, ...]:
+    """The id, if it is one of EmbodiChain's that a package of the user's brings the class of."""
+    if env_id not in CLASSES:
+        return ()
+    from embodichain.config.plugins import require_registered  # Gymnasium: only when needed
+
+    return (env_id,) if require_registered(env_id) is None else ()
 
 
 def _line(problem: LocatedProblem) -> int:

@@ -96,14 +96,11 @@ class EpisodeStatistics:
 
 
 def judges_success(env: BaseEnv) -> bool:
-    """Whether a task says what success is: a metric, a termination, or its own `evaluate`."""
+    """Whether a task says what success is: a metric, a termination, or its class."""
     from embodichain.lab.gym.envs.hooks import overrides
 
-    cfg = env.cfg
-    declared = "success" in cfg.metrics or any(
-        term.kind == "success" for term in cfg.terminations.values()
-    )
-    return declared or overrides(env, ["evaluate"])["evaluate"]
+    declared = env.metric_manager.has_success or env.termination_manager.has_success
+    return declared or any(overrides(env, ["compute_task_state", "evaluate"]).values())
 
 
 def ended_values(

@@ -18,8 +18,8 @@ from stable_baselines3.common.env_util import is_wrapped
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
-from embodichain.lab.gym.envs.hooks import EnvHooks
 from embodichain.lab.gym.utils.spaces import named_obs
+from embodichain.learning.episode_statistics import judges_success
 from embodichain.learning.spaces import (
     ActionScale,
     flat_observation,
@@ -86,7 +86,7 @@ class SB3VecEnv(VecEnv):
         seen = observation_box(self.base, group) if self._named is None else self._named
         super().__init__(num_envs, seen, self._scale.space)
         self.metadata = dict(env.metadata)
-        self._has_success = _judges_success(self.base)
+        self._has_success = judges_success(self.base)
         self._start = time.time()
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, np.int64)
@@ -322,12 +322,6 @@ def _rows(observed: Observed, ids: NDArray[np.int64]) -> Iterable[Any]:
 def _numpy(tensor: Any) -> NDArray[Any]:
     array: NDArray[Any] = tensor.numpy(force=True)
     return array
-
-
-def _judges_success(env: BaseEnv) -> bool:
-    """Whether the task knows what a success is: ``info["success"]`` is always there."""
-    declared = env.metric_manager.has_success or env.termination_manager.has_success
-    return declared or type(env).evaluate is not EnvHooks.evaluate
 
 
 def _success(info: dict[str, Any]) -> Bool:

@@ -112,6 +112,47 @@ def test_unknown_keys_are_mistakes_and_nothing_is_written(
     assert [p.name for p in Path().iterdir()] == ["gym.yaml"]
 
 
+COMPOSED = """\
+id: StackBlocksTwo-v1
+physics: default
+environment: {component: environment.yaml}
+embodiment:
+  component: robot.yaml
+scene: {component: scene.yaml}
+"""
+EMPTY = "id: PushCubeRL\nrobot: null\nenv: {rewards: {win: {func: success_reward}}}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "mistakes"),
+    [
+        (COMPOSED, ["3: environment: ", "4: embodiment: ", "6: scene: "]),
+        (EMPTY, ["nothing is left to simulate"]),
+    ],
+    ids=["composition", "no entity"],
+)
+@pytest.mark.parametrize("ending", ["yaml", "json"])
+def test_what_would_run_an_empty_world_is_refused_by_every_verb(
+    text: str, mistakes: list[str], ending: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = f"task.{ending}"
+    content = text if ending == "yaml" else json.dumps(yaml.safe_load(text), indent=0)
+    Path(name).write_text(content)
+    told = []
+    for line in (
+        ["convert", name, "-o", "out.yaml"],
+        ["validate", name],
+        ["run", "--gym-config", name, "max_steps=2"],
+    ):
+        assert main(line) == 2
+        lines = capsys.readouterr().err.splitlines()
+        told.append("\n".join(line for line in lines if not line.startswith("note: ")))
+    assert told[0] == told[1] == told[2]
+    if ending == "yaml":
+        assert all(mistake in told[0] for mistake in mistakes)
+    assert [p.name for p in Path().iterdir()] == [name]
+
+
 def test_what_is_still_wrong_is_said_with_the_task(
     gym: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg
 from embodichain.lab.sim.urdf_cfg import URDFCfg
@@ -32,6 +32,7 @@ __all__ = [
     "RigidObjectCfg",
     "RobotCfg",
     "SimulationManagerCfg",
+    "SolverCfg",
     "URDFCfg",
     "WindowRecordCfg",
 ]
@@ -288,6 +289,36 @@ class ArticulationCfg(ObjectBaseCfg):
 
 
 @configclass
+class SolverCfg:
+    """Where a control part begins, ends and acts: its tool point. No solver runs by it.
+
+    A `tcp` becomes a link of its own, `PART_tcp` (`tcp` for the whole robot), that terms find as
+    the part's tool.
+    """
+
+    class_type: str = "SolverCfg"
+    """No effect: EmbodiChain's name of a solver."""
+    urdf_path: str | None = None
+    """No effect: kinematics are those of the robot."""
+    joint_names: list[str] | None = None
+    """No effect: joints are those of the control part."""
+    end_link_name: str | None = None
+    """The part's last link."""
+    root_link_name: str | None = None
+    """The part's first link; no effect, but it must exist."""
+    tcp: Any = None
+    """The tool point in the frame of `end_link_name`: a 4x4 matrix; None is that frame."""
+    ik_nearest_weight: list[float] | None = None
+    """No effect."""
+
+
+def _by_part(value: Any) -> Any:
+    """One solver, without the name of a part, is the whole robot's."""
+    flat = isinstance(value, Mapping) and any(key in value for key in ("class_type", "tcp"))
+    return {"default": value} if flat or isinstance(value, SolverCfg) else value
+
+
+@configclass
 class RobotCfg(ArticulationCfg):
     """An articulation with drives and named parts."""
 
@@ -296,8 +327,8 @@ class RobotCfg(ArticulationCfg):
     """Part name -> joint-name regexes."""
     urdf_cfg: URDFCfg | None = None
     """Several URDF files as one robot, instead of `fpath`."""
-    solver_cfg: Any = None
-    """IK solvers; not available yet (raises NotImplementedError)."""
+    solver_cfg: Annotated[dict[str, SolverCfg] | None, BeforeValidator(_by_part)] = None
+    """Control part -> where its tool point is; one `SolverCfg` is that of the whole robot."""
 
 
 @configclass
@@ -328,6 +359,8 @@ class LightCfg(ObjectBaseCfg):
     intensity: float = 30.0
     """Relative brightness; 30 is MuJoCo's full diffuse colour."""
     direction: Vec3 = (0.0, 0.0, -1.0)
+    radius: float = 1e2
+    """No effect: MuJoCo's lights have no falloff radius."""
 
 
 @configclass

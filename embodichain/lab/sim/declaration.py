@@ -17,6 +17,7 @@ from embodichain.lab.sim.compiler import ParsedArticulation, parse_articulation
 from embodichain.lab.sim.compiler.chatter import DriveChange, physics_step
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
 from embodichain.lab.sim.objects.articulation import Articulation
+from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.sensors.base import BaseSensor
@@ -51,7 +52,7 @@ class Declaration:
         self.robots: dict[str, Robot] = {}
         self.articulations: dict[str, Articulation] = {}
         self.rigid_objects: dict[str, RigidObject] = {}
-        self.lights: dict[str, LightCfg] = {}
+        self.lights: dict[str, Light] = {}
         self.sensors: dict[str, BaseSensor] = {}
         self.drive_changes: Mapping[str, Sequence[DriveChange]] = {}
         """What events may draw for the drives and links of articulations that are added, by uid."""
@@ -71,7 +72,7 @@ class Declaration:
         if self.compiled:
             raise RuntimeError(
                 "the scene is compiled already (by a step, a reset or a pose that was read): "
-                "add every robot and object first"
+                "add every robot and object first; what comes later can wait out of the way"
             )
         uid = name_of(cfg)
         if uid in self.asset_uids:
@@ -110,10 +111,11 @@ class Declaration:
         self.rigid_objects[uid] = obj
         return obj
 
-    def add_light(self, cfg: LightCfg) -> LightCfg:
-        """Add a light for pictures; it has no handle."""
-        self.lights[self._claim(cfg)] = cfg
-        return cfg
+    def add_light(self, cfg: LightCfg) -> Light:
+        """Add a light for pictures; see `add_robot` for what it raises."""
+        uid = self._claim(cfg)
+        light = self.lights[uid] = Light(cfg, uid, self._simulation())
+        return light
 
     def add_sensor(self, cfg: SensorCfg | CameraCfg) -> BaseSensor:
         """Add a sensor to entities that are there already.
@@ -149,7 +151,10 @@ class Declaration:
             RuntimeError: If the scene is compiled already.
         """
         if self.compiled:
-            raise RuntimeError("the scene is compiled already: nothing can be removed")
+            raise RuntimeError(
+                "the scene is compiled already (by a step, a reset or a pose that was read): "
+                "nothing can be removed; an object can be moved out of the way (set_local_pose)"
+            )
         groups: tuple[dict[str, Any], ...] = (
             self.robots,
             self.articulations,
@@ -175,6 +180,10 @@ class Declaration:
         """A rigid object by uid, or None."""
         return self.rigid_objects.get(uid)
 
+    def get_light(self, uid: str) -> Light | None:
+        """A light by uid, or None."""
+        return self.lights.get(uid)
+
     def get_sensor(self, uid: str) -> BaseSensor | None:
         """A sensor by uid, or None."""
         return self.sensors.get(uid)
@@ -194,6 +203,10 @@ class Declaration:
     def get_rigid_object_uid_list(self) -> list[str]:
         """Uids of rigid objects, in order of addition."""
         return list(self.rigid_objects)
+
+    def get_light_uid_list(self) -> list[str]:
+        """Uids of lights, in order of addition."""
+        return list(self.lights)
 
     def get_sensor_uid_list(self) -> list[str]:
         """Uids of sensors, in order of addition."""

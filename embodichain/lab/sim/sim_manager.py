@@ -53,6 +53,7 @@ class SimulationManager(UpstreamMembers, Declaration):
         self._initial_row: F64 = np.zeros(0)
         self._renderer: SceneRenderer | None = None
         self._viewer: NativeViewer | None = None
+        self._physics_enabled = True
         self.physics_seconds = 0.0
         """Wall time that physics steps took so far, in `update`."""
         self.instance_id = max(instances, default=-1) + 1
@@ -114,7 +115,7 @@ class SimulationManager(UpstreamMembers, Declaration):
             cfg,
             [a.parsed for a in articulations],
             {uid: o.cfg for uid, o in self.rigid_objects.items()},
-            self.lights,
+            {uid: light.cfg for uid, light in self.lights.items()},
             self.sensor_plans(),
         )
         self._engine = CpuEngine(self._scene.model, self.num_envs, cfg.num_threads, cfg.persistent)
@@ -130,7 +131,7 @@ class SimulationManager(UpstreamMembers, Declaration):
     # -- running -------------------------------------------------------------------------------
 
     def update(self, physics_dt: float | None = None, step: int = 10) -> None:
-        """Advance physics by ``step`` steps.
+        """Advance physics by ``step`` steps, unless it is switched off (`enable_physics`).
 
         Args:
             physics_dt: None, or the configured timestep in seconds.
@@ -146,7 +147,7 @@ class SimulationManager(UpstreamMembers, Declaration):
             )
         if step < 0:
             raise ValueError(f"step must not be negative, got {step}")
-        if step:
+        if step and self._physics_enabled:
             begun = time.perf_counter()
             self.engine.step(step)
             self.physics_seconds += time.perf_counter() - begun
@@ -181,6 +182,7 @@ class SimulationManager(UpstreamMembers, Declaration):
             handle = self.get_asset(uid)
             if isinstance(handle, Articulation):
                 handle.drives.clear(ids)
+                handle.set_efforts.forget(ids)
 
     def _reset_some(self, ids: EnvIndex | None, uids: Collection[str]) -> None:
         engine = self.engine
@@ -244,6 +246,7 @@ class SimulationManager(UpstreamMembers, Declaration):
             "engine": self.engine.state_dict(),
             "drives": {uid: h.drives.state_dict() for uid, h in handles.items()},
             "objects": {uid: o.state_dict() for uid, o in self.rigid_objects.items()},
+            "lights": {uid: light.state_dict() for uid, light in self.lights.items()},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -254,18 +257,18 @@ class SimulationManager(UpstreamMembers, Declaration):
             handles[uid].drives.load_state_dict(drives)
         for uid, properties in state["objects"].items():
             self.rigid_objects[uid].load_state_dict(properties)
+        for uid, light in state.get("lights", {}).items():  # states of older releases have none
+            self.lights[uid].load_state_dict(light)
 
     def init_gpu_physics(self) -> None:
         """Do nothing: there is no GPU engine yet, and the CPU's needs no start."""
 
     def enable_physics(self, enable: bool = True) -> None:
-        """Accept the call: physics runs when it is stepped.
+        """Switch physics on or off; while it is off, `update` takes no steps.
 
-        Raises:
-            NotImplementedError: If physics is to be switched off.
+        Poses, joints and targets can be set meanwhile, and are read where they were put.
         """
-        if not enable:
-            raise NotImplementedError("physics cannot be switched off: do not step it")
+        self._physics_enabled = enable
 
     def destroy(self, exit_process: bool = False) -> None:
         """Free the engine, the renderer and the viewer; returns, and never ends the process."""

@@ -10,7 +10,6 @@ __all__ = [
     "RigidConstraintCfg",
     "RigidObjectGroupCfg",
     "SoftObjectCfg",
-    "SolverCfg",
 ]
 
 
@@ -51,9 +50,3 @@ class GizmoCfg(_UnavailableCfg):
     """Not available: gizmos need the viewer they belong to."""
 
     what = "gizmos are"
-
-
-class SolverCfg(_UnavailableCfg):
-    """Not available: IK solvers come later."""
-
-    what = "IK solvers are"

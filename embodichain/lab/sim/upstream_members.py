@@ -14,7 +14,6 @@ from embodichain.lab.sim.objects.entity import not_available
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.sim.cfg import LightCfg
     from embodichain.lab.sim.objects.rigid_object import RigidObject
     from embodichain.lab.sim.sim_manager import SimulationManager
 
@@ -34,7 +33,6 @@ class UpstreamMembers:
     """Part of `SimulationManager`."""
 
     device: torch.device
-    lights: dict[str, LightCfg]
     rigid_objects: dict[str, RigidObject]
 
     @staticmethod
@@ -94,14 +92,6 @@ class UpstreamMembers:
     def has_non_static_rigid_object(self) -> bool:
         """Whether a rigid object can move."""
         return any(obj.cfg.body_type != "static" for obj in self.rigid_objects.values())
-
-    def get_light(self, uid: str) -> LightCfg | None:
-        """A declared light by uid, or None; it has no handle."""
-        return self.lights.get(uid)
-
-    def get_light_uid_list(self) -> list[str]:
-        """Uids of lights, in order of addition."""
-        return list(self.lights)
 
     # -- what can be asked, and is never there -----------------------------------------------------
 

@@ -154,3 +154,20 @@ def test_a_files_own_actuators_start_at_its_keyframe(tmp_path):
     assert sim.engine.state("ctrl").tolist() == [[0.0], [0.7]]
     with pytest.raises(ValueError, match="no drive"):
         sim.get_articulation("arm").set_qpos([0.1])
+
+
+def test_physics_can_be_switched_off(sim):
+    box = sim.get_rigid_object("box")
+    sim.enable_physics(False)
+    before = box.get_local_pose()
+    sim.update(step=5)
+    assert torch.equal(box.get_local_pose(), before)
+    moved = before.clone()
+    moved[:, 2] += 1.0
+    box.set_local_pose(moved)
+    sim.update(step=5)
+    assert torch.equal(box.get_local_pose(), moved)
+    assert (sim.engine.state("time") == 0).all()
+    sim.enable_physics(True)
+    sim.update(step=5)
+    assert (sim.engine.state("time") > 0).all()

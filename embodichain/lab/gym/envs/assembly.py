@@ -54,6 +54,8 @@ _OPTIONAL = (
     "_extend_reward",
     "check_truncated",
     "_hook_after_sim_step",
+    "compute_task_state",
+    "evaluate",
 )
 
 
@@ -92,6 +94,7 @@ class EnvAssembly(EnvBasics):
         self.sensors = {}
         self._detached_uids_for_reset = []
         self._camera_group_ids = []
+        self.affordance_datas = {}
         self._elapsed = np.zeros(count, np.int32)
         self._episode_ids = np.full(count, -1, np.int64)
         self._success = np.zeros(count, np.bool_)
@@ -105,6 +108,8 @@ class EnvAssembly(EnvBasics):
         self._repays = hooks["_extend_reward"]
         self._truncates = hooks["check_truncated"]
         self._hooks_steps = hooks["_hook_after_sim_step"]
+        self._has_task_state = hooks["compute_task_state"]
+        self._judges = self._has_task_state or hooks["evaluate"]
 
     def _build(self, kwargs: dict[str, Any]) -> None:
         cfg, sim = self.cfg, self.sim

@@ -181,12 +181,12 @@ class BaseEnv(EnvOutcome):
 
         In this order: `_preprocess_action`; action terms, then `_step_action`; physics;
         `_update_sim_state`, interval events, commands; the observation (robot, sensors,
-        `_extend_obs`, observation terms); info (`evaluate`, terminations, metrics); rewards
-        (`get_reward`, reward terms, `_extend_reward`); `_postprocess_action`; counters; who is
-        terminated or truncated; `_hook_after_sim_step`. With SAME_STEP, environments that are done
-        are then reset in place, and the observation returned is their new one. With NEXT_STEP that
-        happens in the next step, which gives them reward 0. With DISABLED it is the caller's
-        business.
+        `_extend_obs`, observation terms); info (`compute_task_state`, `evaluate`, terminations,
+        metrics); rewards (`get_reward`, reward terms, `_extend_reward`); `_postprocess_action`;
+        counters; who is terminated or truncated; `_hook_after_sim_step`. With SAME_STEP,
+        environments that are done are then reset in place, and the observation returned is their
+        new one. With NEXT_STEP that happens in the next step, which gives them reward 0. With
+        DISABLED it is the caller's business.
 
         Poses, velocities and sensors are those after the last physics step and all writes; efforts
         and contact forces (``qf``) are those within the last physics step.

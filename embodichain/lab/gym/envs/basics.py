@@ -56,6 +56,10 @@ class EnvBasics(EnvHooks, gym.Env[EnvObs, EnvAction]):
         control_step: Control steps since the environment was built.
         observers: Who watches.
         run_dir: Where states of environments that diverge are written; None is nowhere.
+        affordance_datas: What a task's own code hands around; no part of `state_dict` but for the
+            entries that event terms write.
+        rollout_buffer, action_bank: Always None, `current_rollout_step` 0: learners keep their own
+            buffers here, and there are no action banks. EmbodiChain's tasks ask for them.
         single_action_space: Action space of one environment.
         single_observation_space: Observation space of one environment.
         action_space: Of all N; its samples are numpy arrays (N, A).
@@ -67,6 +71,10 @@ class EnvBasics(EnvHooks, gym.Env[EnvObs, EnvAction]):
     control_step: int
     observers: list[StepObserver]
     run_dir: Path | None
+    affordance_datas: dict[str, Any]
+    rollout_buffer: None = None
+    current_rollout_step: int = 0
+    action_bank: None = None
     single_action_space: gym.Space[Any]
     single_observation_space: gym.Space[Any]
     action_space: gym.Space[Any]
@@ -151,6 +159,11 @@ class EnvBasics(EnvHooks, gym.Env[EnvObs, EnvAction]):
     def last_action(self) -> torch.Tensor:
         """(N, A) float32 action as last given to `step`; zeros after a reset. A copy."""
         return to_tensor(self._last_action)
+
+    @property
+    def _elapsed_steps(self) -> torch.Tensor:
+        """EmbodiChain's name of `elapsed_steps`, which its task classes read."""
+        return self.elapsed_steps
 
     # -- random numbers ------------------------------------------------------------------------
 
@@ -244,6 +257,14 @@ class EnvBasics(EnvHooks, gym.Env[EnvObs, EnvAction]):
     def flattened_observation_space(self) -> gym.spaces.Box:
         """Box of all N observations, each as one vector (N, W)."""
         return flat_space(self.observation_space, self.cfg.num_envs)
+
+    def set_affordance(self, key: str, value: Any) -> None:
+        """Keep a value in ``affordance_datas``, EmbodiChain's place for what tasks hand around."""
+        self.affordance_datas[key] = value
+
+    def get_affordance(self, key: str, default: Any = None) -> Any:
+        """Return a value of ``affordance_datas``."""
+        return self.affordance_datas.get(key, default)
 
     # -- observers -----------------------------------------------------------------------------
 

@@ -141,8 +141,21 @@ class EnvHooks:
         """Return the observation with more in it; observation terms run after this."""
         return obs
 
+    def compute_task_state(
+        self, **kwargs: Any
+    ) -> tuple[torch.Tensor, torch.Tensor, dict[str, torch.Tensor]]:
+        """Return success (N,) bool, failure (N,) bool, and metrics, (N,) each, by name.
+
+        Either ends the episode. Declared terminations and metrics are added to them.
+        """
+        nobody = torch.zeros(len(self._success), dtype=torch.bool)
+        return nobody, nobody.clone(), {}
+
     def evaluate(self, **kwargs: Any) -> Mapping[str, Any]:
-        """Return entries of ``info``; ``success`` and ``fail``, (N,) bool, end the episode."""
+        """Return entries of ``info``; ``success`` and ``fail``, (N,) bool, end the episode.
+
+        They go over those of `compute_task_state`.
+        """
         return {}
 
     def get_reward(self, obs: EnvObs, action: EnvAction, info: dict[str, Any]) -> torch.Tensor:

@@ -80,10 +80,24 @@ class EnvOutcome(EnvAssembly):
     # -- info ----------------------------------------------------------------------------------
 
     def get_info(self, **kwargs: Any) -> Info:
-        """Return ``elapsed_steps`` (N,) int32 and what `evaluate` gives."""
-        info: Info = {"elapsed_steps": torch.from_numpy(self._elapsed.copy())}
-        info.update(self.evaluate(**kwargs))
-        return info
+        """Return ``elapsed_steps`` (N,) int32, and what the class's own hooks give."""
+        return {"elapsed_steps": torch.from_numpy(self._elapsed.copy()), **self._own_info(kwargs)}
+
+    def _own_info(self, kwargs: dict[str, Any]) -> Info:
+        """What the class itself says of the step."""
+        if not self._has_task_state:
+            return dict(self.evaluate(**kwargs))
+        state: Any = self.compute_task_state(**kwargs)
+        if not isinstance(state, tuple) or len(state) != 3:
+            name = f"{type(self).__name__}.compute_task_state"
+            raise TypeError(f"{name} must return (success, fail, metrics), got {state!r}")
+        success, fail, metrics = state
+        kept = {name: torch.as_tensor(value).detach().clone() for name, value in metrics.items()}
+        for name, value in kept.items():
+            if value.shape != (self.cfg.num_envs,):
+                found = tuple(value.shape)
+                raise ValueError(f"metric {name!r} must be ({self.cfg.num_envs},), got {found}")
+        return {"success": success, "fail": fail, "metrics": kept, **self.evaluate(**kwargs)}
 
     @cached_property
     def _shows_info(self) -> bool:
@@ -95,14 +109,14 @@ class EnvOutcome(EnvAssembly):
         return hooks or any(len(manager) for manager in managers)
 
     def _judge(self, obs: EnvObs, action: EnvAction, kwargs: dict[str, Any]) -> tuple[Info, Flags]:
-        """Info: `evaluate`, then terminations, then metrics."""
+        """Info: the class's own, then terminations, then metrics."""
         count = self.cfg.num_envs
         if self._shows_info:
             info = self.get_info(**kwargs)
             if type(info) is not dict:  # EmbodiChain's is a TensorDict
                 info = dict(info.items())
         else:  # `step` puts the count of steps there
-            info = {"elapsed_steps": None, **self.evaluate(**kwargs)}
+            info = {"elapsed_steps": None, **self._own_info(kwargs)}
         judged = self._shows_info or "success" in info or "fail" in info
         time_out: Mask | None = None
         if judged:
@@ -130,7 +144,7 @@ class EnvOutcome(EnvAssembly):
     def _check_terms(self, obs: EnvObs) -> None:
         """Refuse terms of the wrong shape, unless they may rely on a subclass's own ``info``."""
         own = type(self)
-        if own.evaluate is EnvOutcome.evaluate and own.get_info is EnvOutcome.get_info:
+        if not self._judges and own.get_info is EnvOutcome.get_info:
             check_shapes(self, obs)  # type: ignore[arg-type]
 
     # -- reward --------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,11 +17,11 @@ from embodichain.lab.gym.gym_config.terms import convert_actions, convert_terms
 from embodichain.lab.gym.gym_config.vocabulary import ENV, PHYSICS, TOP
 from embodichain.utils.errors import Problem
 
-__all__ = ["Conversion", "convert"]
+__all__ = ["CLASSES", "Conversion", "convert"]
 
 _DEFAULT_DT = 0.01  # seconds a physics step, EmbodiChain's and ours
 _GENERIC = ("EmbodiedEnv-v1",)
-_CLASSES = (
+CLASSES = (
     *("SimpleTask-v1", "PushCubeRL", "CartPoleRL", "PointMassRL", "StackBlocksTwo-v1"),
     *("StackCups-v1", "ScoopIce-v1", "PlaceObjectDrawer-v1", "BlocksRankingSize-v1"),
     *("BlocksRankingRGB-v1", "MatchObjectContainer-v1", "PourWater-v3", "PourWaterAgent-v3"),
@@ -30,6 +30,8 @@ _CLASSES = (
     *("MicroDuckFlatRL-v1", "FrankaReachApg-v0"),
 )
 """Ids that are classes of EmbodiChain's own: their Python is not here."""
+_COMPONENTS = ("environment", "embodiment", "scene")
+_SIMULATED = ("robot", "objects", "articulations")
 _ORDER = (
     *("description", "id", "physics", "sim_steps_per_control", "max_episode_steps"),
     *("ignore_terminations", "robot", "objects", "articulations", "lights", "actions", "events"),
@@ -64,17 +66,20 @@ class Conversion:
         return ()
 
 
-def convert(config: Mapping[str, Any], *, ours: bool = False) -> Conversion:
+def convert(
+    config: Mapping[str, Any], registered: Collection[str] = (), *, ours: bool = False
+) -> Conversion:
     """Convert a gym config.
 
     Args:
         config: Its content, plain values; left as it is.
+        registered: Those of `CLASSES` that the user has registered a class for.
         ours: Whether it may hold keys of our own, and functions in the place of their names: what
             Python code declares.
     """
     draft = Draft(ours)
     draft.carry(config, (), (), TOP)
-    _identity(draft, config.get("id"))
+    _identity(draft, config.get("id"), registered)
     _physics(draft, config)
     robot = convert_robot(draft, config["robot"]) if config.get("robot") is not None else ""
     for section in ("background", "rigid_object"):
@@ -88,13 +93,16 @@ def convert(config: Mapping[str, Any], *, ours: bool = False) -> Conversion:
         convert_actions(draft, env, robot)
         for section in ("events", "observations", "rewards"):
             convert_terms(draft, section, env, robot)
+        if config.get("id") in CLASSES and "id" not in draft.task:
+            _note_lost_success(draft, config["id"])
     _suggest(draft, config)
+    _refuse_nothing(draft, config)
     task = {key: draft.task[key] for key in _ORDER if key in draft.task}
     name = "" if config.get("id") in (None, *_GENERIC) else str(config["id"])
     return Conversion(name, task, draft.origins, tuple(draft.notes), tuple(draft.problems))
 
 
-def _identity(draft: Draft, name: Any) -> None:
+def _identity(draft: Draft, name: Any, registered: Collection[str]) -> None:
     where = ("id",)
     if name is None:
         return
@@ -103,14 +111,37 @@ def _identity(draft: Draft, name: Any) -> None:
         return
     words = "A task" if name in _GENERIC else f"The task {name}"
     draft.put(("description",), f"{words}, converted from EmbodiChain's own form.", where)
-    if name in _CLASSES:
+    if name in CLASSES and name not in registered:
         message = (
             f"{name} is a Python class of EmbodiChain's: what it computes itself (success, "
-            "failure, further observations) is not here; declare it as terminations and metrics"
+            "failure, rewards) is not here; declare it as terms, or register a class of that id"
         )
         draft.note(where, message)
     elif name not in _GENERIC:
         draft.put(("id",), name, where)
+
+
+def _note_lost_success(draft: Draft, name: str) -> None:
+    """Say it where a reward waits for a success that nothing computes any more."""
+    for key, term in draft.task.get("rewards", {}).items():
+        if term["func"] == "success_reward":
+            message = (
+                f"it stays 0: success was computed by the Python class of {name}; declare a "
+                f"termination of kind success or a metric called success, or register the class"
+            )
+            draft.note(("env", "rewards", key), message)
+
+
+def _refuse_nothing(draft: Draft, config: Mapping[str, Any]) -> None:
+    """A task without robot, object and articulation would run, and simulate nothing."""
+    parts = [key for key in _COMPONENTS if config.get(key) is not None]
+    for key in parts:
+        message = "components of release 0.3 are not read: write their sections into this file"
+        draft.refuse((key,), message)
+    built_in_python = "id" in draft.task
+    if draft.problems or built_in_python or any(draft.task.get(key) for key in _SIMULATED):
+        return
+    draft.refuse((), "nothing is left to simulate: the file gives no robot, object or articulation")
 
 
 def _physics(draft: Draft, config: Mapping[str, Any]) -> None:

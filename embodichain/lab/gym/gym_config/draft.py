@@ -6,6 +6,7 @@ Knows paths and tables of keys; what a section means is `scene`'s and `terms`'.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from pathlib import PurePosixPath
 from typing import Any
 
 from embodichain.lab.gym.gym_config.vocabulary import HANDLED, As, Vocabulary
@@ -77,7 +78,8 @@ class Draft:
             elif rule is None:
                 self.unknown(where, vocabulary)
             elif isinstance(rule, str):
-                self.note(where, rule)
+                if value is not None and value != [] and value != {}:  # nothing is left out then
+                    self.note(where, rule)
             elif rule is not HANDLED:
                 name = rule.name if isinstance(rule, As) else str(key)
                 self.put((*target, name), value, where)
@@ -88,15 +90,21 @@ class Draft:
         hint = did_you_mean(where[-1], allowed)
         self.refuse(where, f"unknown key; known: {', '.join(allowed)}.", hint)
 
-    def entity(self, data: Any, source: Path, section: str) -> Path | None:
+    def entity(
+        self, data: Any, source: Path, section: str, fallback: str | None = None
+    ) -> Path | None:
         """Where an element of a list of entities goes: under its uid, which must be its own.
 
         Args:
             data: The element.
             source: Its path.
             section: The map of entities that it joins.
+            fallback: A key with a file, whose stem is the name of an element without uid.
         """
         uid = data.get("uid") if isinstance(data, Mapping) else None
+        if not uid and fallback is not None and isinstance(data, Mapping):
+            file = data.get(fallback)
+            uid = PurePosixPath(file.replace("\\", "/")).stem if isinstance(file, str) else None
         if not isinstance(uid, str) or not uid:
             self.refuse((*source, "uid"), "missing value: the name of the entity")
             return None

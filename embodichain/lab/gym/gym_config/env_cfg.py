@@ -12,6 +12,7 @@ from typing import Any
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.registry import TERMS, Kind
 from embodichain.lab.gym.gym_config.conversion import Conversion, convert
+from embodichain.lab.gym.utils.registration import REGISTERED_ENVS
 from embodichain.lab.sim.cfg import RenderCfg, SimulationManagerCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.from_dict import from_dict
@@ -48,7 +49,7 @@ def config_to_cfg(
     modules = [
         importlib.import_module(m) if isinstance(m, str) else m for m in manager_modules or ()
     ]
-    conversion = convert(_with_modules(config, modules))
+    conversion = convert(_with_modules(config, modules), tuple(REGISTERED_ENVS))
     if conversion.problems:
         raise ConfigError(conversion.problems)
     cfg = _checked(conversion)

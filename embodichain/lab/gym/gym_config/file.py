@@ -52,8 +52,13 @@ def read_gym_config(path: str | Path) -> dict[str, Any]:
 
 
 def is_gym_config(data: object) -> bool:
-    """Whether a file's content is a gym config: it has the map `env`, which no task of ours has."""
-    return isinstance(data, dict) and isinstance(data.get("env"), dict) and "task" not in data
+    """Whether a file's content is a gym config: it has a section that no task of ours has.
+
+    That is the map ``env``, or in a composition of release 0.3 ``environment`` or ``embodiment``.
+    """
+    if not isinstance(data, dict) or "task" in data:
+        return False
+    return isinstance(data.get("env"), dict) or "environment" in data or "embodiment" in data
 
 
 def _where(error: yaml.YAMLError) -> str:

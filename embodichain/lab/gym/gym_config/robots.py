@@ -12,6 +12,7 @@ from embodichain.lab.gym.gym_config.vocabulary import (
     DRIVE,
     ROBOT,
     ROOT_PROPS,
+    SOLVER,
     URDF,
     URDF_COMPONENT,
 )
@@ -21,8 +22,8 @@ from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["convert_articulations", "convert_robot"]
 
-_PRESETS = {"URRobot": ("UniversalRobots/UR10/UR10.urdf", 6)}
-"""EmbodiChain's robot classes that are one file: the file, and its joints."""
+_PRESETS = {"URRobot": ("UniversalRobots/UR10/UR10.urdf", 6, {"arm": ["Joint[1-6]"]})}
+"""EmbodiChain's robot classes that are one file: the file, its joints, their control parts."""
 _PLAIN = ("Robot", "RobotCfg")
 """The class that adds nothing."""
 
@@ -36,6 +37,7 @@ def convert_robot(draft: Draft, data: Any) -> str:
         draft.put(("robot", "uid"), data["uid"], ("robot", "uid"))
     joints = _file(draft, data)
     _init_qpos(draft, data.get("init_qpos"), joints)
+    _solvers(draft, data.get("solver_cfg"))
     _parts_of_articulation(draft, data, source, ("robot",))
     fields = draft.task.get("robot", {})
     uid, fpath = (str(fields.get(key) or "") for key in ("uid", "fpath"))
@@ -47,7 +49,7 @@ def convert_robot(draft: Draft, data: Any) -> str:
 def convert_articulations(draft: Draft, data: Any) -> None:
     """Convert the section `articulation`."""
     for source, item in draft.items(data, ("articulation",)):
-        target = draft.entity(item, source, "articulations")
+        target = draft.entity(item, source, "articulations", fallback="fpath")
         if target is not None and draft.carry(item, source, target, ARTICULATION):
             _parts_of_articulation(draft, item, source, target)
 
@@ -60,7 +62,9 @@ def _file(draft: Draft, data: Mapping[str, Any]) -> int | None:
     preset = _PRESETS.get(str(kind))
     fpath = ""
     if not own and preset is not None:
-        fpath, joints = preset
+        fpath, joints, parts = preset
+        if data.get("control_parts") is None:
+            draft.put(("robot", "control_parts"), parts, ("robot", kind_key))
         if urdf is None:
             draft.put(("robot", "fpath"), fpath, ("robot", kind_key))
         else:
@@ -111,6 +115,16 @@ def _urdf(draft: Draft, urdf: Any, preset: str) -> None:
     draft.put((*source, "components"), components, where)
 
 
+def _solvers(draft: Draft, data: Any) -> None:
+    """Tool points by control part; a solver that names no part is the whole robot's."""
+    source: Path = ("robot", "solver_cfg")
+    if isinstance(data, Mapping) and any(key in SOLVER for key in data):
+        draft.carry(data, source, (*source, "default"), SOLVER)
+        return
+    for where, part, solver in draft.entries(data, source):
+        draft.carry(solver, where, (*source, part), SOLVER)
+
+
 def _init_qpos(draft: Draft, values: Any, joints: int | None) -> None:
     """Values of joints that an assembly would have added are left out with it."""
     if values is None:
@@ -132,5 +146,9 @@ def _parts_of_articulation(
             draft.carry(data[key], (*source, key), (*target, "drive_pros"), DRIVE)
     if data.get("attrs") is not None:
         convert_attrs(draft, data["attrs"], (*source, "attrs"), (*target, "attrs"))
-    if data.get("root_props") is not None:
-        draft.carry(data["root_props"], (*source, "root_props"), target, ROOT_PROPS)
+    root, where = data.get("root_props"), (*source, "root_props")
+    if root is not None and draft.carry(root, where, target, ROOT_PROPS):
+        collides = root.get("self_collision_enabled")
+        if collides is not None:
+            name = (*where, "self_collision_enabled")
+            draft.put((*target, "disable_self_collision"), not collides, name)

@@ -39,6 +39,7 @@ _JOINTS = {
     "control_parts": "control_parts",
     "joint_names": "joint_names",
     "joint_ids": "joint_ids",
+    "preserve_order": "preserve_order",
 }
 """Parameters that pick a robot's joints -> the key of an `entity_cfg` that does."""
 _EVERY_JOINT = "actions have only these; robot/qpos, robot/qvel and robot/qf have every joint"
@@ -170,8 +171,9 @@ def _with_entity(
         return params
     rest = {k: v for k, v in params.items() if k not in picked}
     wanted = {_JOINTS[k]: v for k, v in picked.items() if k in _JOINTS and v is not None}
+    which = {} if wanted.keys() - {"preserve_order"} else entity
     uid = picked.get("robot_uid", entity["uid"])
-    return {"entity_cfg": {"uid": uid, **wanted} if wanted else {**entity, "uid": uid}, **rest}
+    return {"entity_cfg": {**which, "uid": uid, **wanted}, **rest}
 
 
 def _action_params(

@@ -52,7 +52,6 @@ _RENDER = "MuJoCo's rasterizer draws, in a log viewer or with viewer=native"
 _USD = "USD is not read"
 _CAMERA = "cameras are not available yet"
 _IK = "inverse kinematics is not available yet"
-_COMPONENT = "components are not read: write their sections into this file"
 _RECORD = "the log of a run holds its trajectory: embodichain replay"
 _MESH = "MuJoCo collides a mesh by its convex hull"
 
@@ -93,9 +92,9 @@ TOP: Vocabulary = {
     "objective": "expert data is not collected here",
     "expansion": "scene expansion is not available",
     "task_program": "task programs are not available",
-    "environment": _COMPONENT,
-    "embodiment": _COMPONENT,
-    "scene": _COMPONENT,
+    "environment": HANDLED,
+    "embodiment": HANDLED,
+    "scene": HANDLED,
 }
 
 PHYSICS: Vocabulary = {
@@ -158,6 +157,7 @@ ARTICULATION: Vocabulary = {
     "use_usd_properties": _USD,
     "link_attrs": "attributes of single links are not available",
     "qpos_limits": "limits are those of the robot's file",
+    "asset_physics_mode": "physics comes from the file and from what stands here",
 }
 
 ROBOT: Vocabulary = {
@@ -167,7 +167,7 @@ ROBOT: Vocabulary = {
     "init_qpos": HANDLED,
     "control_parts": KEEP,
     "urdf_cfg": HANDLED,
-    "solver_cfg": _IK,
+    "solver_cfg": HANDLED,
     "workspace_cfg": _IK,
     "sensors": _CAMERA,
     "enable_sensor": _CAMERA,
@@ -186,6 +186,26 @@ URDF: Vocabulary = {
     "fpath_prefix": _ASSEMBLED,
 }
 URDF_COMPONENT: Vocabulary = {"component_type": KEEP, "urdf_path": KEEP, "transform": KEEP}
+SOLVER: Vocabulary = {
+    "end_link_name": KEEP,
+    "root_link_name": KEEP,
+    "tcp": KEEP,
+    "class_type": "it gives the tool point; no solver runs",
+    "urdf_path": "kinematics are those of the robot",
+    "joint_names": "joints are those of the control part",
+    **dict.fromkeys(
+        (
+            *("ik_nearest_weight", "pos_eps", "rot_eps", "max_iterations", "dt", "damp"),
+            *("num_samples", "is_only_position_constraint", "ik_method", "ik_params", "mesh_path"),
+            *("fixed_input_tasks", "variable_input_tasks", "fail_on_joint_limit_violation"),
+            *("show_ik_warnings", "command_type", "use_relative_mode", "sort_ik", "safe_margin"),
+            *("dh_params", "qpos_limits", "T_b_ob", "T_e_oe", "link_lengths", "ur_type"),
+            *("rotation_directions", "a1", "a2", "b", "c1", "c2", "c3", "c4", "offsets"),
+            *("flip_axes", "has_parallelogram"),
+        ),
+        "a setting of a solver, and none runs",
+    ),
+}
 
 DRIVE: Vocabulary = {
     "drive_type": KEEP,
@@ -198,7 +218,12 @@ DRIVE: Vocabulary = {
     "target_mode": "what a target is follows from the action terms",
 }
 
-ROOT_PROPS: Vocabulary = {"fixed_base": As("fix_base")}
+ROOT_PROPS: Vocabulary = {
+    "fixed_base": As("fix_base"),
+    "self_collision_enabled": HANDLED,
+    "min_position_iters": _PHYSX,
+    "min_velocity_iters": _PHYSX,
+}
 
 RIGID_OBJECT: Vocabulary = {
     **_POSE,
@@ -305,6 +330,7 @@ ENV: Vocabulary = {
     "target_control_frequency": HANDLED,
     "dataset": "the log holds every step: `embodichain export last --format lerobot` makes it",
     "task_instruction": "it belongs to data sets",
+    "success_params": "nothing reads it there either",
     "expert_trajectory": "expert data is not collected here",
     "filter_visual_rand": HANDLED,
     "filter_dataset_saving": "data sets are made of logs: `embodichain export --format lerobot`",
@@ -343,6 +369,8 @@ SECTIONS: Mapping[str, Vocabulary] = {
     "robot.urdf_cfg": URDF,
     "articulation[]": ARTICULATION,
     "drive_pros": DRIVE,
+    "solver_cfg": SOLVER,
+    "root_props": ROOT_PROPS,
     "rigid_object[], background[]": RIGID_OBJECT,
     "attrs": ATTRS,
     **{f"shape ({kind})": keys for kind, keys in SHAPES.items()},

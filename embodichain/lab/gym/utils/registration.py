@@ -59,9 +59,10 @@ def register_env(
 
     Args:
         uid: The id, for example ``RandomReach-v1``.
-        max_episode_steps: Time limit in control steps. It becomes the environment's own, which
-            counts for every environment by itself; Gymnasium's `TimeLimit`, which cannot, is not
-            added. (It is if `gymnasium.make` itself is given ``max_episode_steps``.)
+        max_episode_steps: Time limit in control steps of environments that are made without a
+            config. It becomes the environment's own, which counts for every environment by itself;
+            Gymnasium's `TimeLimit`, which cannot, is not added. (It is if `gymnasium.make` itself
+            is given ``max_episode_steps``.)
         override: Whether to replace an environment of the same id; otherwise a second one is
             skipped with a warning.
         **kwargs: Defaults for the class's keyword arguments, of types that JSON knows.
@@ -111,7 +112,8 @@ def make(env_id: str, max_episode_steps: int | None = None, **kwargs: Any) -> Ba
 
     Args:
         env_id: The id.
-        max_episode_steps: Time limit in control steps; None is the registered one.
+        max_episode_steps: Time limit in control steps; None is that of the `cfg` given, without
+            one the registered limit.
         **kwargs: For the class; wins over the registered defaults.
 
     Raises:
@@ -119,7 +121,8 @@ def make(env_id: str, max_episode_steps: int | None = None, **kwargs: Any) -> Ba
     """
     spec = _find(env_id)
     env: BaseEnv = spec.cls(**{**copy.deepcopy(spec.default_kwargs), **kwargs})
-    limit = spec.max_episode_steps if max_episode_steps is None else max_episode_steps
+    registered = spec.max_episode_steps if kwargs.get("cfg") is None else None
+    limit = registered if max_episode_steps is None else max_episode_steps
     if limit is not None:
         env.max_episode_steps = limit
     return env

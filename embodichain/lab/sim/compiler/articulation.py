@@ -34,6 +34,7 @@ from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
 from embodichain.lab.sim.compiler.names import match
 from embodichain.lab.sim.compiler.pose import initial_pose
 from embodichain.lab.sim.compiler.roots import set_root, strip_world
+from embodichain.lab.sim.compiler.tools import add_tools, resolve_tools
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import listing
 
@@ -69,6 +70,7 @@ class ParsedArticulation:
         added_armature: What was added so that limited drives do not chatter.
         mimic_ids: Joints that follow another: ``q = multiplier * q[parent] + offset``.
         control_parts: Part -> joint indices.
+        tools: Part (``default`` is the whole robot) -> the link that is its tool point.
         init_ctrl: (M,) initial controls of the file's own actuators (drive_type none).
         notes: What a user should be told about the file, one line each.
     """
@@ -100,6 +102,7 @@ class ParsedArticulation:
     mimic_multipliers: tuple[float, ...]
     mimic_offsets: tuple[float, ...]
     control_parts: dict[str, tuple[int, ...]]
+    tools: dict[str, str]
     init_ctrl: F64
     notes: tuple[str, ...]
 
@@ -122,11 +125,7 @@ def parse_articulation(
     Raises:
         ConfigError: If the file is missing or malformed, or the config does not fit it; every
             mistake, with paths below `uid`.
-        NotImplementedError: If the config asks for IK solvers.
     """
-    for key, what in (("solver_cfg", "IK"),):
-        if getattr(cfg, key, None) is not None:
-            raise NotImplementedError(f"{uid}: {what} ({key}) is not available yet")
     parsed, problems = parse_with_problems(uid, cfg, step, changes)
     if parsed is None or problems:
         raise ConfigError([Problem(f"{uid}.{p.path}", p.message, p.hint) for p in problems])
@@ -163,6 +162,9 @@ def parse_with_problems(
     qpos, wrong = resolve_qpos(cfg.init_qpos, joints, mimics, keyframe)
     problems += wrong
     problems += check_attachments(file.spec, cfg.attachments)
+    links = [body.name for body in file.spec.bodies[1:]]  # the first is the world
+    tools, wrong = resolve_tools(cfg, parts, [*links, *cfg.attachments])
+    problems += wrong
     notes = [*file.notes, *(f"{file.path}: {n}" for n in strip_world(file.spec))]
     try:
         for key in list(file.spec.keys):
@@ -171,6 +173,7 @@ def parse_with_problems(
         prepare_shapes(file.spec, cfg, file.is_urdf)
         if not problems:
             add_attachments(file.spec, cfg.attachments)
+            add_tools(file.spec, tools)
         if cfg.gravcomp is not None:
             for body in file.spec.bodies[1:]:  # the first is the world
                 body.gravcomp = float(cfg.gravcomp)
@@ -214,6 +217,7 @@ def parse_with_problems(
             mimic_multipliers=mimics.multipliers,
             mimic_offsets=mimics.offsets,
             control_parts=parts,
+            tools={part: tool.link for part, tool in tools.items()},
             init_ctrl=_init_ctrl(file, model, keyframe, cfg),
             notes=tuple(notes),
         ),

@@ -110,10 +110,12 @@ class Picked:
         joints: Without a choice all active joints (no mimic joints); none of what is no
             articulation.
         links: Without a choice none.
+        parts: Control parts, by name.
     """
 
     joints: tuple[int, ...] = ()
     links: tuple[int, ...] = ()
+    parts: tuple[str, ...] = ()
 
 
 def check_reference(
@@ -190,7 +192,7 @@ def _pick_of(
             bodies += matched or ()
             problems += found
         bodies = _ordered(bodies, fields)
-    return Picked(tuple(picked), tuple(bodies)), problems
+    return Picked(tuple(picked), tuple(bodies), tuple(there[i] for i in parts or ())), problems
 
 
 def _matching(

@@ -11,7 +11,6 @@ from embodichain.lab.sim.cfg import (
     ArticulationCfg,
     LightCfg,
     RigidObjectCfg,
-    RobotCfg,
     SimulationManagerCfg,
 )
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
@@ -67,7 +66,6 @@ def parse_scene(
         found: list[Problem] = []
         if isinstance(entity.cfg, ArticulationCfg):
             articulation, found = parse_with_problems(entity.uid, entity.cfg)
-            found = _not_yet(entity.cfg) + found
             if articulation is not None:
                 parsed[entity.path] = articulation
             masked += entity.cfg.disable_self_collision
@@ -111,16 +109,6 @@ def raised_armature(
                 for i in np.flatnonzero(parsed.added_armature).tolist()
             }
     return found
-
-
-def _not_yet(cfg: ArticulationCfg) -> list[Problem]:
-    if not isinstance(cfg, RobotCfg):
-        return []
-    return [
-        Problem(key, f"{what} is not available yet; leave it out")
-        for key, what in (("solver_cfg", "IK"),)
-        if getattr(cfg, key) is not None
-    ]
 
 
 def _check_light(cfg: LightCfg) -> list[Problem]:

@@ -10,12 +10,12 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.objects.articulation import Articulation
     from embodichain.lab.sim.objects.articulation_data import ArticulationData
     from embodichain.lab.sim.objects.entity import BatchEntity
+    from embodichain.lab.sim.objects.light import Light
     from embodichain.lab.sim.objects.rigid_object import RigidBodyData, RigidObject
     from embodichain.lab.sim.objects.robot import Robot
     from embodichain.lab.sim.objects.unavailable import (
         ClothObject,
         Gizmo,
-        Light,
         RigidConstraint,
         RigidObjectGroup,
         SoftObject,
@@ -27,12 +27,12 @@ __getattr__, __dir__, _ = lazy_loader.attach(
         "articulation": ["Articulation"],
         "articulation_data": ["ArticulationData"],
         "entity": ["BatchEntity"],
+        "light": ["Light"],
         "rigid_object": ["RigidBodyData", "RigidObject"],
         "robot": ["Robot"],
         "unavailable": [
             "ClothObject",
             "Gizmo",
-            "Light",
             "RigidConstraint",
             "RigidObjectGroup",
             "SoftObject",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,9 +18,9 @@ from embodichain.lab.sim.objects._arrays import (
 from embodichain.lab.sim.objects.articulation_data import ArticulationData
 from embodichain.lab.sim.objects.drives import Drives
 from embodichain.lab.sim.objects.entity import not_available
-from embodichain.lab.sim.objects.named_joints import NamedJoints
+from embodichain.lab.sim.objects.link_masses import LinkMasses
+from embodichain.lab.sim.objects.set_efforts import SetEfforts
 from embodichain.utils.math import cross, pose_to_matrix
-from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import ArticulationCfg
@@ -32,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["Articulation"]
 
 
-class Articulation(NamedJoints):
+class Articulation(LinkMasses):
     """One jointed mechanism in N environments: D one-degree joints in qpos order, L links.
 
     Ball joints are simulated but stand in none of the joint arrays.
@@ -52,6 +51,7 @@ class Articulation(NamedJoints):
         self._driven: NDArray[np.int64] = self._all
         self._ctrl: Columns = slice(0)
         self._moving: F64 | None = None
+        self.set_efforts = SetEfforts(len(parsed.joint_names))
 
     def bind(self, engine: Engine, index: EntityIndex) -> None:
         """Learn where the compiled model keeps this articulation."""
@@ -92,11 +92,22 @@ class Articulation(NamedJoints):
         """(N, D) drive effort of the last physics step; passive damping is not in it."""
         return self.engine.acceleration_now("qfrc_actuator")[:, self.dofs]
 
+    def read_efforts(self) -> F64:
+        """(N, D) `read_qf`; what `set_qf` has set since the last physics step is read as it was."""
+        efforts = self.read_qf()
+        if not self.set_efforts:
+            return efforts
+        applied = self.engine.state("qfrc_applied")[:, self.dofs]
+        return self.set_efforts.over(efforts, applied, self._time())
+
+    def _time(self) -> F64:
+        return self.engine.state("time").reshape(-1)
+
     def proprioception(
         self, joint_ids: Columns | None = None
     ) -> tuple[tuple[torch.Tensor, ...], NDArray[np.float32]]:
         """(qpos, qvel, qf), each (N, k) float32, and (3, N, k) that they are views of."""
-        motion, qf = self._motion(), self.read_qf()
+        motion, qf = self._motion(), self.read_efforts()
         if joint_ids is not None:
             motion, qf = motion[:, :, joint_ids], qf[:, joint_ids]
         out = np.empty((3, *qf.shape), np.float32)
@@ -149,7 +160,11 @@ class Articulation(NamedJoints):
         return values if name is None else values[:, self.get_joint_ids(name)]
 
     def get_qf(self, name: str | None = None) -> torch.Tensor:
-        """Total drive efforts (N, k) of the last physics step."""
+        """Joint efforts (N, k): what `set_qf` has set, until a physics step.
+
+        After a step, and where nothing was set, they are what the drives gave in the last physics
+        step; an effort that was set still acts then, but is not counted.
+        """
         values = self._data.qf
         return values if name is None else values[:, self.get_joint_ids(name)]
 
@@ -233,13 +248,17 @@ class Articulation(NamedJoints):
     def set_qf(
         self, qf: Any, joint_ids: Any = None, env_ids: Any = None, name: str | None = None
     ) -> None:
-        """Apply joint efforts (n, k) in N m or N beside the drives, until overwritten or reset."""
+        """Apply joint efforts (n, k) in N m or N beside the drives, until overwritten or reset.
+
+        `get_qf` reads them back until the next physics step.
+        """
         ids, rows = self._ids(env_ids)
         joints = self._joints(joint_ids, name)
         joints = self._all if joints is None else joints
         values = as_rows(qf, rows, len(joints), f"{self.uid}: qf", shared=True)
         dofs = np.asarray(self.entity.dof_adr, np.int64)[joints]
         self.engine.write("qfrc_applied", values, ids, dofs)
+        self.set_efforts.mark(self._time(), joints, ids)
 
     def get_qpos_limits(self, name: str | None = None) -> torch.Tensor:
         """(N, k, 2) lower and upper limits."""
@@ -276,31 +295,26 @@ class Articulation(NamedJoints):
             armature=armature,
         )
 
-    def get_joint_drive(self) -> tuple[torch.Tensor, ...]:
-        """Stiffness, damping, max_effort, max_velocity, friction, armature, each (N, D)."""
-        d = self.drives
-        return tuple(
-            to_tensor(v)
-            for v in (d.stiffness, d.damping, d.max_effort, d.max_velocity, d.friction, d.armature)
-        )
+    def get_joint_drive(
+        self, joint_ids: Any = None, env_ids: Any = None
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Stiffness, damping, max_effort, max_velocity and friction, each (n, k).
+
+        The armature is `body_data.joint_armature`.
+
+        Args:
+            joint_ids: The k joints; None is all of them.
+            env_ids: The n environments; None is all N.
+        """
+        ids, _ = self._ids(env_ids)
+        joints = self._joints(joint_ids)
+        d, rows = self.drives, np.arange(self.num_instances) if ids is None else ids
+        where = np.ix_(rows, self._all if joints is None else joints)
+        first = to_tensor(d.stiffness[where]), to_tensor(d.damping[where])
+        limits = to_tensor(d.max_effort[where]), to_tensor(d.max_velocity[where])
+        return *first, *limits, to_tensor(d.friction[where])
 
     # -- links ---------------------------------------------------------------------------------
-
-    def body_of(self, link: str | None) -> int:
-        """MuJoCo body id of a link; None is the root link.
-
-        Raises:
-            ValueError: If there is no such link; lists the links.
-        """
-        if link is None:
-            return self.entity.root_body_id
-        try:
-            return int(self.entity.body_ids[self.parsed.link_names.index(link)])
-        except ValueError:
-            raise ValueError(
-                f"{self.uid} has no link {link!r}; there are: {', '.join(self.parsed.link_names)}."
-                f"{did_you_mean(link, self.parsed.link_names)}"
-            ) from None
 
     def get_link_pose(
         self, link_name: str, env_ids: Any = None, to_matrix: bool = False
@@ -320,47 +334,6 @@ class Articulation(NamedJoints):
         ids, _ = self._ids(env_ids)
         velocity = self.link_velocity(self.body_of(link_name))
         return velocity if ids is None else velocity[torch.from_numpy(ids)]
-
-    def get_mass(self, link_names: Sequence[str] | None = None) -> torch.Tensor:
-        """(N, k) link masses in kg."""
-        bodies = [self.body_of(n) for n in (link_names or self.parsed.link_names)]
-        return to_tensor(self.engine.model_field("body_mass")[:, bodies])
-
-    def set_mass(
-        self, mass: Any, link_names: Sequence[str] | None = None, env_ids: Any = None
-    ) -> None:
-        """Set link masses (n, k) in kg; each link's inertia scales with its mass."""
-        ids, rows = self._ids(env_ids)
-        bodies = np.asarray([self.body_of(n) for n in (link_names or self.parsed.link_names)])
-        new = as_rows(mass, rows, len(bodies), f"{self.uid}: mass")
-        if (new <= 0).any():
-            raise ValueError(f"{self.uid}: masses must be positive, got {new.min()}")
-        self.write_mass(new, bodies, ids)
-
-    def write_mass(
-        self, mass: F64, bodies: NDArray[np.int64], ids: EnvIndex | None, inertia: bool = True
-    ) -> None:
-        """Set masses (n, k) of bodies (k,), and their inertias with them; the door for terms.
-
-        Args:
-            mass: Positive, kg.
-            bodies: MuJoCo body ids.
-            ids: (n,) environments, or None for all.
-            inertia: False leaves inertias as they are.
-        """
-        engine, model = self.engine, self.engine.model
-        engine.write_model("body_mass", mass, ids, columns_of(bodies))
-        if inertia:
-            self.write_inertia(mass / model.body_mass[bodies], bodies, ids)
-        else:
-            engine.set_const_later(ids)
-
-    def write_inertia(self, factor: F64, bodies: NDArray[np.int64], ids: EnvIndex | None) -> None:
-        """Set inertias of bodies (k,) to (n, k) times the compiled ones."""
-        moments = self.engine.model.body_inertia[bodies] * factor[:, :, None]
-        columns = columns_of((3 * bodies[:, None] + np.arange(3)).reshape(-1))
-        self.engine.write_model("body_inertia", moments.reshape(len(factor), -1), ids, columns)
-        self.engine.set_const_later(ids)
 
     def clear_dynamics(self, env_ids: Any = None) -> None:
         """Stop all joints and the root, and remove applied efforts."""

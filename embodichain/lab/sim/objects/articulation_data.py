@@ -55,8 +55,11 @@ class ArticulationData:
 
     @property
     def qf(self) -> torch.Tensor:
-        """(N, D) total drive effort of the last physics step, N m or N: spring plus damper."""
-        return to_tensor(self._owner.read_qf())
+        """(N, D) N m or N: total drive effort of the last physics step, or what was set since.
+
+        See `Articulation.get_qf`.
+        """
+        return to_tensor(self._owner.read_efforts())
 
     @property
     def qpos_limits(self) -> torch.Tensor:

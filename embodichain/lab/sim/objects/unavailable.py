@@ -7,7 +7,6 @@ from typing import Any
 __all__ = [
     "ClothObject",
     "Gizmo",
-    "Light",
     "RigidConstraint",
     "RigidObjectGroup",
     "SoftObject",
@@ -51,9 +50,3 @@ class Gizmo(_Unavailable):
     """Not available: gizmos need the viewer they belong to."""
 
     why = "gizmos are not available"
-
-
-class Light(_Unavailable):
-    """Not available as a handle: declare lights; they are compiled into the scene."""
-
-    why = "lights are compiled into the scene; declare them with SimulationManager.add_light"

@@ -104,7 +104,7 @@ def test_spellings_of_release_0_3() -> None:
     assert task["physics"] == {"gravity": [0, 0, -9.81], "physics_dt": 0.005}
     assert task["sim_steps_per_control"] == 4  # 50 Hz of steps of 5 ms
     assert task["robot"]["fix_base"] is True
-    assert task["robot"]["drive_pros"]["damping"] == {"slider": 0.1, "hinge": 0.0}
+    assert task["robot"]["drive_pros"]["damping"] == {"slider_to_cart": 0.1, "cart_to_pole": 0.0}
     assert task["objects"]["ball"]["attrs"] == {
         "mass": 0.2,
         "linear_damping": 0.1,
@@ -113,7 +113,7 @@ def test_spellings_of_release_0_3() -> None:
     assert task["events"]["joints"]["func"] == "randomize_robot_qpos"  # a module's name is dropped
     effort = task["actions"]["cart"]
     assert effort["func"] == "joint_effort"
-    assert effort["params"]["entity_cfg"] == {"uid": "cart", "joint_names": ["slider"]}
+    assert effort["params"]["entity_cfg"] == {"uid": "cart", "joint_names": ["slider_to_cart"]}
     assert notes(conversion)["rigid_object.0.attrs.material_props.restitution"]
     assert conversion.origin(("objects", "ball", "attrs", "mass")) == (
         *("rigid_object", "0", "attrs", "mass_props"),
@@ -295,6 +295,86 @@ def test_components_of_a_robot_are_kept() -> None:
     assert notes(beside) == {"robot.urdf_cfg": "fpath names the robot's file"}
 
 
+COMPOSED = {
+    "id": "StackBlocksTwo-v1",
+    "physics": "default",
+    "environment": {"component": "environment.yaml"},
+    "embodiment": {"component": "robot.yaml"},
+    "scene": {"component": "scene.yaml"},
+}
+
+
+def test_compositions_of_release_0_3_are_refused() -> None:
+    found = {p.path: p.message for p in convert(COMPOSED).problems}
+    assert set(found) == {"environment", "embodiment", "scene"}
+    assert all("not read: write their sections into this file" in text for text in found.values())
+
+
+def test_what_would_leave_nothing_to_simulate_is_refused() -> None:
+    config = {"id": "PushCubeRL", "light": {"direct": [{"uid": "lamp"}]}, "env": {}}
+    assert "nothing is left to simulate" in only_problem(config)
+    group = {"rigid_object_group": [{"uid": "heap"}], "env": {}}
+    assert "nothing is left to simulate" in only_problem(group)
+    for config in (
+        {"id": "Mine-v0", "env": {}},  # its class may build the scene
+        {"robot": {"fpath": "a.urdf"}},
+        {"background": [{"uid": "a", "shape": {"shape_type": "Cube"}}]},
+        {"articulation": [{"uid": "a", "fpath": "a.urdf"}]},
+    ):
+        assert convert(config).problems == ()
+
+
+def test_a_reward_that_waits_for_a_lost_success_is_noted() -> None:
+    rewards = {"bonus": {"func": "success_reward", "weight": 10.0}}
+    config = {"id": "PushCubeRL", "robot": {"fpath": "a.urdf"}, "env": {"rewards": rewards}}
+    message = notes(convert(config))["env.rewards.bonus"]
+    assert message.startswith("it stays 0: success was computed by the Python class of PushCubeRL")
+    registered = convert(config, ("PushCubeRL",))
+    assert registered.task["id"] == "PushCubeRL" and registered.notes == ()
+    assert notes(convert({**config, "id": "EmbodiedEnv-v1"})) == {}
+
+
+def test_presets_bring_their_control_parts() -> None:
+    def parts(**robot: Any) -> Any:
+        return convert({"robot": {"robot_type": "URRobot", **robot}}).task["robot"]["control_parts"]
+
+    assert parts() == {"arm": ["Joint[1-6]"]}
+    assert parts(control_parts={"wrist": ["Joint6"]}) == {"wrist": ["Joint6"]}
+
+
+def test_an_articulation_without_uid_is_called_like_its_file() -> None:
+    drawer = {"fpath": "Drawer/sliding_drawer.urdf", "init_pos": [1, 0, 0]}
+    assert set(convert({"articulation": [drawer]}).task["articulations"]) == {"sliding_drawer"}
+    assert "uid: missing value" in only_problem({"articulation": [{"init_pos": [1, 0, 0]}]})
+
+
+def test_what_nothing_reads_there_is_a_note() -> None:
+    root = {"self_collision_enabled": True, "min_position_iters": 8, "min_velocity_iters": 2}
+    robot = {"fpath": "a.urdf", "asset_physics_mode": "override", "root_props": root}
+    conversion = convert({"robot": robot, "env": {"success_params": {"strict": False}}})
+    assert conversion.problems == ()
+    assert conversion.task["robot"] == {"fpath": "a.urdf", "disable_self_collision": False}
+    assert set(notes(conversion)) == {
+        "robot.asset_physics_mode",
+        "robot.root_props.min_position_iters",
+        "robot.root_props.min_velocity_iters",
+        "env.success_params",
+    }
+
+
+def test_the_order_of_joints_of_an_action_is_kept() -> None:
+    params = {"joint_names": ["Joint2", "Joint1"], "preserve_order": True}
+    config = read("push.yaml")
+    config["env"]["actions"] = {"arm": {"func": "JointPositionAction", "params": params}}
+    found = convert(config).task["actions"]["arm"]["params"]["entity_cfg"]
+    assert found == {"uid": "arm", **params}
+
+
+def test_empty_sections_are_no_news() -> None:
+    config = {"robot": {"fpath": "a.urdf"}, "rigid_object_group": [], "light": {"indirect": {}}}
+    assert convert(config).notes == ()
+
+
 def test_visual_events_are_left_out_where_that_is_asked_for() -> None:
     events = {"lamp": {"func": "embodichain.lab.gym.envs.managers.events.randomize_light"}}
     assert convert({"env": {"events": events}}).task["events"]["lamp"]["func"] == "randomize_light"
@@ -340,5 +420,6 @@ def test_files_that_cannot_be_read(tmp_path: Path) -> None:
 
 def test_what_a_gym_config_is() -> None:
     assert is_gym_config({"env": {}})
+    assert is_gym_config(COMPOSED)
     assert not is_gym_config({"task": {}, "env": {}})
     assert not is_gym_config({"robot": {}})

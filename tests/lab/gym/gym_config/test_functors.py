@@ -15,7 +15,7 @@ FUNCTORS = yaml.safe_load(Path(__file__).with_name("functors.yaml").read_text())
 def test_functor_is_a_term_or_listed(kind: str, name: str) -> None:
     params = dict.fromkeys(FUNCTORS[kind][name], 1)
     functor = {"func": name, "params": params}
-    conversion = convert({"env": {f"{kind}s": {"it": functor}}})
+    conversion = convert({"robot": {"fpath": "a.urdf"}, "env": {f"{kind}s": {"it": functor}}})
     assert conversion.problems == ()
     listed = {note.path for note in conversion.notes}
     made = conversion.task.get(f"{kind}s")

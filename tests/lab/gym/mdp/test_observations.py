@@ -1,12 +1,15 @@
 """Observations of objects, tools, targets, time and properties, on cases worked by hand."""
 
 import math
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from embodichain.lab.gym.envs.cfg import ActionTermCfg, ObservationCfg
+from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.gym.envs.cfg import ActionTermCfg, EnvCfg, ObservationCfg
 from embodichain.lab.sim.cfg import RobotCfg
 from embodichain.utils.errors import ConfigError
 from tests.helpers.ur10_task import CUBE_POS, GOAL_POS, HOME, UR10
@@ -206,7 +209,8 @@ def test_normalized_joint_data(make) -> None:
 @pytest.mark.parametrize(
     ("params", "part"),
     [
-        ({"joint_ids": [9]}, "6 joints"),
+        ({"joint_ids": [9]}, r"of which there are 6, numbered from 0; got \[9\]"),
+        ({"control_parts": "hand"}, "no control part of 'ur10' matches 'hand'"),
         ({"control_parts": "hand", "joint_ids": [1]}, "give either"),
         ({"limit": "limits"}, "'qpos_limits', 'qvel_limits' or 'qf_limits'"),
     ],
@@ -217,6 +221,53 @@ def test_wrong_normalization(make, params, part) -> None:
     )
     with pytest.raises(ConfigError, match=part):
         make(observations={"it": term})
+
+
+HAND = """<robot name="hand"><link name="base"/>
+  <link name="turn">{body}</link><link name="left">{body}</link><link name="right">{body}</link>
+  <link name="wheel">{body}</link>
+  <joint name="left" type="prismatic"><parent link="base"/><child link="left"/>
+    <limit lower="0" upper="0.05" effort="1" velocity="1"/></joint>
+  <joint name="right" type="prismatic"><parent link="base"/><child link="right"/>
+    <limit lower="0" upper="0.05" effort="1" velocity="1"/><mimic joint="left"/></joint>
+  <joint name="turn" type="revolute"><parent link="base"/><child link="turn"/>
+    <limit lower="-1" upper="3" effort="1" velocity="2"/></joint>
+  <joint name="wheel" type="continuous"><parent link="base"/><child link="wheel"/>
+    <limit effort="1" velocity="0"/></joint>
+</robot>""".format(
+    body='<inertial><mass value="1"/><inertia ixx="0.1" iyy="0.1" izz="0.1" '
+    'ixy="0" ixz="0" iyz="0"/></inertial>'
+)
+
+
+def hand_env(folder: Path, **params: Any) -> BaseEnv:
+    (folder / "hand.urdf").write_text(HAND)
+    term = ObservationCfg(
+        func="normalize_robot_joint_data", mode="modify", name="robot/qpos", params=params
+    )
+    robot = RobotCfg(uid="hand", fpath=str(folder / "hand.urdf"))
+    return BaseEnv(EnvCfg(num_envs=2, robot=robot, observations={"it": term}))
+
+
+def test_normalized_columns_are_those_of_the_active_joints(tmp_path: Path) -> None:
+    env = hand_env(tmp_path, joint_ids=[1, 2])
+    names = env.robot.joint_names
+    assert names == ["left", "right", "turn", "wheel"]
+    qpos = torch.tensor([[0.02, 0.02, 2.0, -math.pi / 2], [0.0, 0.0, -1.0, 3 * math.pi]])
+    env.robot.set_qpos(qpos, target=False)
+    found = env.get_obs()["robot"]["qpos"]
+    # columns 1 and 2 of the active joints left, turn, wheel
+    assert found.tolist() == [[pytest.approx(0.02), 0.75, 0.25], [0.0, 0.0, 2.0]]
+    env.close()
+
+
+def test_a_lower_limit_of_zero_is_a_limit(tmp_path: Path) -> None:
+    env = hand_env(tmp_path)
+    env.robot.set_qpos(torch.full((2, 4), 0.01), target=False)
+    assert env.get_obs()["robot"]["qpos"][:, 0].tolist() == pytest.approx([0.2, 0.2])
+    env.close()
+    with pytest.raises(ConfigError, match="without qvel_limits: wheel"):
+        hand_env(tmp_path, limit="qvel_limits")
 
 
 def test_normalization_wants_the_joints_columns(make) -> None:

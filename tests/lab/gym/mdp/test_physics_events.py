@@ -239,7 +239,8 @@ def test_joint_parameters_are_what_the_handle_says(make) -> None:
         "upper_limit_range": {"Joint3": [2, 2]},
     }
     env = fired(make, "randomize_joint_parameters", {**ARM, **given})
-    _, damping, _, _, friction, armature = env.robot.get_joint_drive()
+    _, damping, _, _, friction = env.robot.get_joint_drive()
+    armature = env.robot.body_data.joint_armature
     for found, wanted in ((friction, 2), (armature, 0.3)):
         assert found[2].tolist() == pytest.approx([wanted] * 6)
     dofs = env.robot.entity.dof_adr
@@ -391,6 +392,12 @@ def test_a_bigger_cube_rests_higher(make) -> None:
     env.sim.update(step=150)
     height = env.sim.get_rigid_object("cube").read_pose()[0][:, 2]
     assert height == pytest.approx([0.1] * 3, abs=2e-3)
+
+
+def test_one_factor_may_be_written_as_a_range_of_one_axis(make) -> None:
+    size = {**CUBE, "scale_factor_range": [[2], [2.0]]}
+    env = fired(make, "randomize_rigid_object_scale", size)
+    assert env.sim.get_rigid_object("cube").get_body_scale().tolist() == [[2.0] * 3] * 3
 
 
 def test_objects_share_a_draw_or_not(make) -> None:

@@ -211,7 +211,7 @@ def registries() -> dict[str, EventCfg]:
         "cube": event(
             "randomize_rigid_object_pose", **CUBE, position_range=[[-0.1] * 3, [0.1] * 3]
         ),
-        "all": event("register_info_to_env", registry=registry),
+        "all": event("register_info_to_env", registry=registry, sim_update=False),
     }
 
 

@@ -101,7 +101,10 @@ def test_mistakes_stand_at_their_path_in_the_file(tmp_path):
 
 
 def test_what_does_not_come_along_is_logged(caplog):
-    config_to_cfg({"headless": True, "rigid_object_group": [], "env": {"dataset": {}}})
+    group = {"uid": "heap", "folder_path": "things"}
+    config = {"robot": {"fpath": "a.urdf"}, "headless": True, "rigid_object_group": [group]}
+    nothing = {"soft_object": [], "cloth_object": None}
+    config_to_cfg({**config, **nothing, "env": {"dataset": {"it": {}}}})
     assert [r.getMessage().split(":")[0] for r in caplog.records] == [
         "rigid_object_group",
         "env.dataset",
@@ -112,5 +115,5 @@ def test_functors_are_found_in_modules_of_the_users(tmp_path, monkeypatch):
     (tmp_path / "my_functors.py").write_text("def nudge(env, env_ids, by): pass\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     events = {"nudge": {"func": "nudge", "params": {"by": 1}}}
-    cfg = config_to_cfg({"env": {"events": events}}, ["my_functors"])
+    cfg = config_to_cfg({"robot": {"fpath": "a"}, "env": {"events": events}}, ["my_functors"])
     assert cfg.events["nudge"].func == "my_functors:nudge"

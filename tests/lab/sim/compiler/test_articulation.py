@@ -370,12 +370,6 @@ def test_every_mistake_is_reported_at_once():
     }
 
 
-@pytest.mark.parametrize("key", ["solver_cfg"])
-def test_what_is_not_available_yet_says_so(key):
-    with pytest.raises(NotImplementedError, match=f"{key}.*not available yet"):
-        parse_articulation("a", RobotCfg(fpath=UR10, **{key: object()}))
-
-
 def test_shapes_with_repeated_names_are_no_matter(tmp_path, capfd):
     urdf = GRIPPER_URDF.replace("<visual>", '<visual name="x">').replace(
         "<collision>", '<collision name="x">'

@@ -19,6 +19,7 @@ from embodichain.lab.sim.cfg import (
     LightCfg,
     RigidObjectCfg,
     RobotCfg,
+    SolverCfg,
 )
 from embodichain.lab.sim.compiler import describe, describe_scene
 from embodichain.lab.sim.shapes import CubeCfg, MeshCfg, PlaneCfg, SphereCfg
@@ -197,7 +198,11 @@ def test_a_name_that_cannot_be_used_is_named(cfg, expected):
 @pytest.mark.parametrize(
     ("entity", "expected"),
     [
-        ({"solver_cfg": {}}, "robot.solver_cfg: IK is not available yet; leave it out"),
+        (
+            {"solver_cfg": {"default": SolverCfg(end_link_name="ee_lnk")}},
+            f"robot.solver_cfg.default.end_link_name: no link is called 'ee_lnk'; there are: "
+            f"{LINKS} Did you mean 'ee_link'?",
+        ),
         (
             {"body_scale": (2, 2, 2)},
             "robot.body_scale: articulations cannot be scaled yet, got [2.0, 2.0, 2.0]",

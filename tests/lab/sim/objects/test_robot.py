@@ -91,6 +91,36 @@ def test_a_velocity_target_is_followed(sim, robot):
     assert not robot.get_qvel(target=True).any()
 
 
+def test_efforts_are_read_as_they_were_set_until_a_step(sim, robot):
+    sim.update(step=1)
+    before = robot.get_qf()
+    robot.set_qf(torch.tensor([[7.0, -3.0]]), joint_ids=[5, 1], env_ids=[2])
+    expected = before.clone()
+    expected[2, [5, 1]] = torch.tensor([7.0, -3.0])
+    assert torch.equal(robot.get_qf(), expected)
+    assert torch.equal(robot.get_proprioception()["qf"], expected)
+    robot.set_qf(torch.full((3, 1), 4.0), joint_ids=[0])
+    expected[:, 0] = 4.0
+    assert torch.equal(robot.body_data.qf, expected)
+    robot.reset(env_ids=[2])
+    assert (robot.get_qf()[2] != expected[2]).any() and robot.get_qf()[0, 0] == 4.0
+    sim.update(step=1)
+    assert (robot.get_qf()[:, 0] != 4.0).all()
+    robot.set_qf(torch.ones(3, 6))
+    assert torch.equal(robot.get_qf(), torch.ones(3, 6))
+
+
+def test_drives_of_some_joints_and_environments(robot):
+    robot.set_joint_drive(damping=torch.tensor([[5.0]]), joint_ids=[4], env_ids=[1])
+    drive = robot.get_joint_drive()
+    assert len(drive) == 5 and all(value.shape == (3, 6) for value in drive)
+    some = robot.get_joint_drive(joint_ids=torch.tensor([4, 0]), env_ids=[0, 1])
+    assert some[1].tolist() == [[1e3, 1e3], [5.0, 1e3]]
+    assert robot.body_data.joint_armature.shape == (3, 6)
+    with pytest.raises(ValueError, match=r"\[0, 6\)"):
+        robot.get_joint_drive(joint_ids=[6])
+
+
 def test_gains_per_environment(sim, robot):
     robot.set_joint_drive(stiffness=torch.full((1, 6), 100.0), env_ids=[1])
     stiffness = robot.get_joint_drive()[0]

@@ -37,6 +37,12 @@ SECTIONS: dict[str, Kind] = {
 }
 """Sections of a task and the kind of term each holds."""
 
+_ENTITIES = (
+    *("entity_cfg", "source_entity_cfg", "target_entity_cfg", "end_effector_cfg", "object_cfg"),
+    *("goal_cfg", "reference_entity_cfg"),
+)
+"""Parameters that EmbodiChain takes for references to entities by their names alone; so is
+`entity_cfgs`, a list of them."""
 _REFERENCES = {"command_name": "commands", "sensor": "sensors"}
 """Parameters that name an entry of another section."""
 
@@ -179,7 +185,7 @@ def check_params(
             problems.append(Problem(f"{path}.{name}", message, hint))
             continue
         try:
-            values[name] = _convert(hints.get(name, Any), value)
+            values[name] = _convert(_meant(name, hints.get(name, Any), value), value)
         except ValidationError as error:
             hint = hints.get(name, Any)
             problems += [_problem(f"{path}.{name}", e, hint) for e in error.errors()]
@@ -188,6 +194,15 @@ def check_params(
             message = f"missing; {spec.label} needs it"
             problems.append(Problem(f"{path}.{name}", message))
     return values, problems
+
+
+def _meant(name: str, hint: Any, value: Any) -> Any:
+    """What a parameter is read as: without an annotation, its name tells references to entities."""
+    if hint is not Any or not isinstance(value, (Mapping, list)):
+        return hint
+    if name in _ENTITIES:
+        return SceneEntityCfg
+    return list[SceneEntityCfg] if name == "entity_cfgs" else hint
 
 
 def _convert(hint: Any, value: Any) -> Any:

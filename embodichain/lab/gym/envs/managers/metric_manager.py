@@ -79,7 +79,8 @@ class MetricManager(Manager[MetricCfg]):
         Args:
             obs: The step's observation.
             action: The step's action.
-            info: Gains ``metrics``: name -> (N,), this step included, left alone afterwards.
+            info: ``metrics`` in it gains name -> (N,), this step included, left alone afterwards;
+                what the environment's class put there stays.
 
         Returns:
             (N,) bool, the metric ``success``; None if there is none.
@@ -87,7 +88,7 @@ class MetricManager(Manager[MetricCfg]):
         Raises:
             ValueError: If a term's value has another shape than (N,); names the term.
         """
-        metrics: dict[str, torch.Tensor] = {}
+        metrics: dict[str, torch.Tensor] = dict(info.get("metrics", {}))
         info["metrics"] = metrics
         if self._count is None:
             return None
@@ -103,7 +104,7 @@ class MetricManager(Manager[MetricCfg]):
             kept = self._kept[name] = _JOIN[reduce](self._kept[name], value)
             metrics[name] = kept / self._count if reduce == "mean" else kept.clone()
         self._checked = True
-        success = metrics.get("success")
+        success = metrics.get("success") if self.has_success else None
         if success is None or success.dtype == torch.bool:
             return success
         return success != 0

@@ -17,6 +17,7 @@ __all__ = [
     "Angle",
     "Axes6",
     "Bounds",
+    "Box1",
     "Box2",
     "Box3",
     "Fraction",
@@ -26,6 +27,7 @@ __all__ = [
     "Range",
     "RangeOrBox",
     "Ranges",
+    "ScaleRange",
     "UnitInterval",
     "Vec3",
 ]
@@ -68,11 +70,17 @@ Range = Annotated[
 """[low, high]."""
 Bounds = Annotated[Sequence[float], Field(min_length=2, max_length=2), AfterValidator(_bounds)]
 """[low, high]; either may be infinite (``.inf`` in YAML)."""
+Box1 = Annotated[
+    list[Annotated[list[Finite], Field(min_length=1, max_length=1)]],
+    Field(min_length=2, max_length=2),
+    AfterValidator(_ordered),
+]
+"""[[low], [high]]."""
 Box2 = Annotated[list[Vec2], Field(min_length=2, max_length=2), AfterValidator(_ordered)]
 """[[x, y] low, [x, y] high]."""
 Box3 = Annotated[list[Vec3], Field(min_length=2, max_length=2), AfterValidator(_ordered)]
 """[[x, y, z] low, [x, y, z] high]."""
-FORMS = ("for all", "by name", "by axis")
+FORMS = ("for all", "for all axes", "by name", "by axis")
 """Tags of the forms that a range takes: they tell pydantic which form is meant, users nothing."""
 
 
@@ -85,6 +93,13 @@ def _axis_form(value: Any) -> str:
     return "by axis" if nested else "for all"
 
 
+def _scale_form(value: Any) -> str:
+    if _axis_form(value) == "for all":
+        return "for all"
+    alone = all(isinstance(v, Sequence) and len(v) == 1 for v in value)
+    return "for all axes" if alone else "by axis"
+
+
 Ranges = Annotated[
     Annotated[Range, Tag("for all")] | Annotated[dict[str, Range], Tag("by name")],
     Discriminator(_named_form),
@@ -95,6 +110,13 @@ RangeOrBox = Annotated[
     Discriminator(_axis_form),
 ]
 """[low, high], or [[x, y, z] low, [x, y, z] high]."""
+ScaleRange = Annotated[
+    Annotated[Range, Tag("for all")]
+    | Annotated[Box1, Tag("for all axes")]
+    | Annotated[Box3, Tag("by axis")],
+    Discriminator(_scale_form),
+]
+"""[low, high], [[low], [high]], or [[x, y, z] low, [x, y, z] high]."""
 Axes6 = dict[Literal["x", "y", "z", "roll", "pitch", "yaw"], Range]
 """{axis: [low, high]}: m and rad, or m/s and rad/s; an axis that is absent is 0."""
 

@@ -35,6 +35,7 @@ class ResolvedEntity:
         joint_names: Their names.
         link_ids: Picked links; without a choice none, which means the root.
         link_names: Their names.
+        control_parts: Picked control parts.
         path: Its key path, for messages; empty if Python code made it.
         all_joints: Whether `joint_ids` is every joint in the entity's order, so that no indexing
             is needed.
@@ -47,6 +48,7 @@ class ResolvedEntity:
     link_ids: tuple[int, ...] = ()
     link_names: tuple[str, ...] = ()
     all_joints: bool = False
+    control_parts: tuple[str, ...] = ()
     path: str = ""
 
     @classmethod
@@ -58,6 +60,16 @@ class ResolvedEntity:
     def joints(self) -> list[int] | None:
         """`joint_ids` as handles take them: None is all."""
         return None if self.all_joints else list(self.joint_ids)
+
+    @property
+    def body_ids(self) -> tuple[int, ...]:
+        """EmbodiChain's name of `link_ids`."""
+        return self.link_ids
+
+    @property
+    def body_names(self) -> tuple[str, ...]:
+        """EmbodiChain's name of `link_names`."""
+        return self.link_names
 
     @property
     def link_name(self) -> str | None:
@@ -119,6 +131,7 @@ def resolve_entity(
         joint_names=tuple(parsed.joint_names[i] for i in picked.joints),
         link_ids=picked.links,
         link_names=tuple(parsed.link_names[i] for i in picked.links),
+        control_parts=picked.parts,
         path=path,
         all_joints=picked.joints == tuple(range(len(parsed.joint_names))),
     )

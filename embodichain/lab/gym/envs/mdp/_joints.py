@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 __all__ = ["UNLIMITED", "Joints", "as_parameters", "pick_joints", "wrapped"]
 
+_HINGE = 3
+"""MuJoCo's ``mjJNT_HINGE``: modules of terms are listed without MuJoCo."""
 UNLIMITED = 1e9
 """Speeds and efforts at least this large are no limits (EmbodiChain's default is 1e10)."""
 
@@ -69,6 +71,13 @@ class Joints:
         applied = self.asset.engine.state("qfrc_applied")[:, self._dofs]
         found: F64 = self._pick(self.asset.read_qf()) + applied
         return found
+
+    def hinges(self) -> NDArray[np.bool_]:
+        """(K,) whether a joint turns, instead of sliding."""
+        model = self.asset.engine.model
+        kinds = model.jnt_type[model.dof_jntid[self._dofs]]
+        turns: NDArray[np.bool_] = kinds == _HINGE
+        return turns
 
     # -- limits ----------------------------------------------------------------------------------
 

@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 from embodichain.utils.math import quat_to_matrix
 
 if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.sim.engine.base import F64
 
-__all__ = ["Chain", "Posture", "apply", "links_below", "matmul"]
+__all__ = ["Chain", "Posture", "apply", "links_below", "matmul", "tool_links"]
 
 _SLIDE, _HINGE = 2, 3  # mjtJoint
 
@@ -166,6 +167,19 @@ def _constants(model: Any, joint: int, addresses: dict[int, int], offset: F64, t
         column=addresses[address],
         zero=float(model.qpos0[address]),
     )
+
+
+def tool_links(entity: ResolvedEntity) -> list[int]:
+    """The link that acts, as an index; several or none where that cannot be told.
+
+    It is the tool point that the robot's `solver_cfg` gives the picked control part (without one,
+    the whole robot), else the farthest link that all picked joints move.
+    """
+    parsed, parts = entity.asset.parsed, entity.control_parts or ("default",)
+    tool = parsed.tools.get(parts[0]) if len(parts) == 1 else None
+    if tool is not None:
+        return [parsed.link_names.index(tool)]
+    return links_below(entity.asset, entity.joint_ids)
 
 
 def links_below(asset: Any, joints: Sequence[int]) -> list[int]:

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 __all__ = ["stored"]
 
 T = TypeVar("T")
+_SHARED = ("affordance_datas",)
+"""Attributes of the environment that are made for terms to write into."""
 
 
 def stored(env: BaseEnv, name: str, first: Callable[[], T], path: str) -> T:
@@ -46,7 +48,7 @@ def _is_environments(name: str) -> bool:
     """Whether an attribute is `BaseEnv`'s own."""
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
-    return any(
+    return name not in _SHARED and any(
         name in vars(base) or name in vars(base).get("__annotations__", {})
         for base in BaseEnv.__mro__
     )

@@ -8,7 +8,7 @@ import numpy as np
 
 from embodichain.lab.gym.envs.mdp import _spatial
 from embodichain.lab.gym.envs.mdp._joints import as_parameters
-from embodichain.lab.gym.envs.mdp._kinematics import links_below
+from embodichain.lab.gym.envs.mdp._kinematics import tool_links
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ __all__ = ["distance_to", "target_position", "tool_of"]
 
 
 def target_position(env: BaseEnv, key: str) -> F64:
-    """(N, 3) metres, the position of the poses (N, 4, 4) that an event keeps as ``env.<key>``.
+    """(N, 3) metres: positions, or those of poses (N, 4, 4), that are kept as ``env.<key>``.
 
     The world's origin before the first reset, when nothing can have written the poses.
 
@@ -38,8 +38,12 @@ def target_position(env: BaseEnv, key: str) -> F64:
         )
         raise ConfigError([Problem("target_pose_key", message)])
     array = np.asarray(poses.detach() if hasattr(poses, "detach") else poses)
-    if array.shape != (env.num_envs, 4, 4):
-        raise ValueError(f"env.{key} must have shape ({env.num_envs}, 4, 4), got {array.shape}")
+    count = env.num_envs
+    if array.shape == (count, 3):
+        return array.astype(np.float64)
+    if array.shape != (count, 4, 4):
+        message = f"env.{key} must have shape ({count}, 4, 4) or ({count}, 3), got {array.shape}"
+        raise ValueError(message)
     return array[:, :3, 3].astype(np.float64)
 
 
@@ -52,7 +56,7 @@ def distance_to(position: F64, target: F64, use_xy_only: bool) -> F64:
 def tool_of(
     env: BaseEnv, end_effector_cfg: ResolvedEntity | None, part_name: str | None
 ) -> ResolvedEntity:
-    """The link that acts: the one given, else the farthest link that all joints of a part move.
+    """The link that acts: the one given, else a part's tool point, else its farthest link.
 
     Args:
         env: The environment.
@@ -71,7 +75,7 @@ def tool_of(
     with as_parameters({"control_parts": "part_name"}):
         entity = env.scene_entity({"uid": env.robot.uid, "control_parts": part_name})
     names = entity.asset.parsed.link_names
-    links = [names[i] for i in links_below(entity.asset, entity.joint_ids)]
+    links = [names[i] for i in tool_links(entity)]
     if len(links) != 1:
         message = f"name one link as the tool; the robot suggests {', '.join(links) or 'none'}"
         raise ConfigError([Problem("end_effector_cfg", message)])

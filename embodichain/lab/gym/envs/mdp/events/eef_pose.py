@@ -11,7 +11,7 @@ from embodichain.lab.gym.envs.managers.param_types import Box3
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._ik import Reach, solve
-from embodichain.lab.gym.envs.mdp._kinematics import Chain, links_below, matmul
+from embodichain.lab.gym.envs.mdp._kinematics import Chain, matmul, tool_links
 from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, quat_to_matrix
@@ -27,8 +27,8 @@ def reach_of(entity: ResolvedEntity, path: str = "entity_cfg") -> Reach:
     """The tool and the joints that move it, from a robot's picked joints and link.
 
     Args:
-        entity: The robot. Without a picked link the tool is the link farthest from its base among
-            those that all picked joints move.
+        entity: The robot. Without a picked link the tool is the picked part's tool point, else
+            the link farthest from its base among those that all picked joints move.
         path: The parameter, for messages.
 
     Raises:
@@ -37,7 +37,7 @@ def reach_of(entity: ResolvedEntity, path: str = "entity_cfg") -> Reach:
     asset = entity.asset
     if not entity.joint_ids:
         raise ConfigError([Problem(f"{path}.uid", f"{entity.uid!r} has no joints")])
-    links = list(entity.link_ids) or links_below(asset, entity.joint_ids)
+    links = list(entity.link_ids) or tool_links(entity)
     if len(links) != 1:
         names = [asset.parsed.link_names[link] for link in links]
         message = f"name one link as the tool; the picked joints suggest {names or 'none'}"

@@ -21,11 +21,6 @@ if TYPE_CHECKING:
 
 __all__ = ["RandomizeCameraFovy", "RandomizeCameraPose", "RandomizeLight"]
 
-_FULL_INTENSITY = 30.0
-"""`LightCfg.intensity` at which MuJoCo's diffuse colour is the light's colour."""
-_SPECULAR = 0.3
-"""MuJoCo's specular colour of a light, of its diffuse one (as compiled)."""
-
 
 def _box(box: Box3 | None) -> tuple[F64, F64] | None:
     return None if box is None else (constant(box[0]), constant(box[1]))
@@ -66,10 +61,9 @@ class RandomizeLight(Term):
             raise ConfigError([Problem("entity_cfg.uid", message, hint)])
         if color_range is not None and not all(0 <= c <= 1 for row in color_range for c in row):
             raise ConfigError([Problem("color_range", f"RGB in [0, 1], got {color_range}")])
-        cfg, self._engine = lights[uid], env.sim.engine
-        model = self._engine.model
-        self._light = int(model.light(uid).id)
-        self._pos0: F64 = np.array(model.light_pos[self._light], np.float64)
+        self._light = lights[uid]
+        cfg, model = self._light.cfg, env.sim.engine.model
+        self._pos0: F64 = np.array(model.light(uid).pos, np.float64)
         self._dir0: F64 = np.asarray(cfg.direction, np.float64)
         self._color0: F64 = np.asarray(cfg.color, np.float64)
         self._intensity0 = float(cfg.intensity)
@@ -84,10 +78,10 @@ class RandomizeLight(Term):
         draw = env.event_manager.draw
         if self._move is not None:
             moved = self._pos0 + draw("position", (3,), *self._move, env_ids)
-            self._write("light_pos", moved, env_ids)
+            self._light.write("light_pos", moved, env_ids)
         if self._turn is not None:
             turned = self._dir0 + draw("direction", (3,), *self._turn, env_ids)
-            self._write("light_dir", turned / norm(turned)[:, None], env_ids)
+            self._light.write("light_dir", turned / norm(turned)[:, None], env_ids)
         if self._color is None and self._intensity is None:
             return
         color: F64 = self._color0[None, :]
@@ -96,13 +90,7 @@ class RandomizeLight(Term):
         strength: F64 = np.full((1, 1), self._intensity0)
         if self._intensity is not None:
             strength = self._intensity0 + draw("intensity", (1,), *self._intensity, env_ids)
-        diffuse = color * (np.maximum(strength, 0.0) / _FULL_INTENSITY)
-        self._write("light_diffuse", diffuse, env_ids)
-        self._write("light_specular", _SPECULAR * diffuse, env_ids)
-
-    def _write(self, field: str, values: F64, env_ids: EnvIndex | None) -> None:
-        start = 3 * self._light
-        self._engine.write_model(field, values, env_ids, slice(start, start + 3))
+        self._light.write_emission(color, np.maximum(strength, 0.0), env_ids)
 
 
 def _camera(env: BaseEnv, name: str) -> int:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.base import Term
-from embodichain.lab.gym.envs.managers.param_types import RangeOrBox
+from embodichain.lab.gym.envs.managers.param_types import ScaleRange
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._model_fields import Distribution, Draw, Quantity, object_of
@@ -29,7 +29,7 @@ class _Scale(Term):
         self,
         entities: Sequence[ResolvedEntity],
         path: str,
-        scale_factor_range: RangeOrBox,
+        scale_factor_range: ScaleRange,
         same_scale_all_axes: bool,
         shared_sample: bool,
         fixed_density: bool,
@@ -38,6 +38,8 @@ class _Scale(Term):
         self._assets = [object_of(entity).asset for entity in entities]
         self._fixed_density = fixed_density
         bounds = np.asarray(scale_factor_range, np.float64)
+        if bounds.shape == (2, 1):  # EmbodiChain's way to write one factor for all axes
+            bounds = bounds[:, 0]
         if bounds.ndim == 2 and same_scale_all_axes:
             message = "a range for every axis needs same_scale_all_axes: false"
             raise ConfigError([Problem("scale_factor_range", message)])
@@ -92,6 +94,7 @@ class RandomizeRigidObjectScale(_Scale):
     Args:
         entity_cfg: The object.
         scale_factor_range: Factors [low, high], positive; or [[x, y, z] low, [x, y, z] high].
+            [[low], [high]] is EmbodiChain's way to write the former.
         same_scale_all_axes: True draws one factor; False one an axis (round shapes keep round).
         fixed_density: True lets the mass follow the volume; False keeps the compiled mass and
             changes the inertia only. A mass event that fires later sets the mass, and keeps the
@@ -106,7 +109,7 @@ class RandomizeRigidObjectScale(_Scale):
         self,
         env: BaseEnv,
         entity_cfg: ResolvedEntity,
-        scale_factor_range: RangeOrBox,
+        scale_factor_range: ScaleRange,
         same_scale_all_axes: bool = True,
         fixed_density: bool = True,
         distribution: Distribution = "uniform",
@@ -131,6 +134,7 @@ class RandomizeRigidObjectsScale(_Scale):
     Args:
         entity_cfgs: The objects.
         scale_factor_range: Factors [low, high], positive; or [[x, y, z] low, [x, y, z] high].
+            [[low], [high]] is EmbodiChain's way to write the former.
         same_scale_all_axes: True draws one factor; False one an axis.
         shared_sample: True scales all objects of an environment by the same draw.
         fixed_density: True lets masses follow volumes; False keeps the compiled masses.
@@ -144,7 +148,7 @@ class RandomizeRigidObjectsScale(_Scale):
         self,
         env: BaseEnv,
         entity_cfgs: list[ResolvedEntity],
-        scale_factor_range: RangeOrBox,
+        scale_factor_range: ScaleRange,
         same_scale_all_axes: bool = True,
         shared_sample: bool = False,
         fixed_density: bool = True,

@@ -217,7 +217,7 @@ class RegisterInfoToEnv(_Register):
             placed has settled.
 
     Example:
-        ``{func: register_info_to_env, mode: reset, params: {registry: [{entity_cfg: {uid: cube}, attrs: [get_body_scale], pose_register_params: {to_matrix: false}}]}}``
+        ``{func: register_info_to_env, mode: reset, params: {sim_update: false, registry: [{entity_cfg: {uid: cube}, attrs: [get_body_scale], pose_register_params: {to_matrix: false}}]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
@@ -225,7 +225,7 @@ class RegisterInfoToEnv(_Register):
         env: BaseEnv,
         registry: list[Registry],
         registration: str = "affordance_datas",
-        sim_update: bool = False,
+        sim_update: bool = True,
     ) -> None:
         super().__init__(env, registration)
         self._registry = [(env.scene_entity(entry.entity_cfg), entry) for entry in registry]

@@ -146,17 +146,18 @@ class JointEffort(_OfJoints):
 class NormalizeRobotJointData(Term):
     """Maps joint data of the robot from the joints' limits to a range: for ``mode: modify``.
 
-    (x - low) / (high - low) x (range[1] - range[0]) + range[0] in the columns of the picked joints;
-    other columns stay as they are, nothing is clipped. EmbodiChain's observation of the same name,
-    for ``robot/qpos``, ``robot/qvel`` and ``robot/qf`` (or any entry with a column for each active
-    joint).
+    (x - low) / (high - low) x (range[1] - range[0]) + range[0] in the picked columns; other columns
+    stay as they are, nothing is clipped. EmbodiChain's observation of the same name, for
+    ``robot/qpos``, ``robot/qvel`` and ``robot/qf`` (or any entry with a column for each active
+    joint). A hinge without position limits (URDF's ``continuous``) is mapped from [-pi, pi] rad.
 
     Example:
         ``{func: normalize_robot_joint_data, mode: modify, name: robot/qpos, params: {joint_ids:
         [0, 1]}}``
 
     Args:
-        joint_ids: The joints, as indices; None (and no `control_parts`) is all active ones.
+        joint_ids: The columns, which are those of the active joints: joints that mimic another one
+            have none. None (and no `control_parts`) is all of them.
         control_parts: One control part of the robot, instead.
         limit: ``qpos_limits`` in force; or the file's ``qvel_limits`` or ``qf_limits``, which reach
             from minus to plus the limit.
@@ -174,19 +175,20 @@ class NormalizeRobotJointData(Term):
         limit: Literal["qpos_limits", "qvel_limits", "qf_limits"] = "qpos_limits",
         range: Range = (0.0, 1.0),
     ) -> None:
-        self._of = pick_joints(env, None, None, joint_ids, control_parts)
         active = list(env.active_joint_ids)
-        strange = [int(i) for i in self._of.ids if int(i) not in active]
-        if strange:
-            message = f"joints {strange} are not active; active ones: {active}"
-            raise ConfigError([Problem("joint_ids", message)])
-        self._columns = [active.index(int(i)) for i in self._of.ids]
+        self._columns = _active_columns(env, active, joint_ids, control_parts)
         self._width = len(active)
+        self._of = pick_joints(env, None, None, [active[column] for column in self._columns])
         self._positions = limit == "qpos_limits"
-        most = np.asarray(getattr(self._of.asset.parsed, limit), np.float64)[self._of.ids]
-        self._most: F64 = most
-        limited = np.isfinite(most) if most.ndim == 1 else np.isfinite(most).all(axis=1)
-        _need_limits(self._of, limited & (np.atleast_2d(most.T)[0] != 0), "limit", limit)
+        most: F64 = np.asarray(getattr(self._of.asset.parsed, limit), np.float64)[self._of.ids]
+        self._most = most
+        self._turning = np.zeros(len(most), np.bool_)
+        if self._positions:
+            self._turning = ~np.isfinite(most).any(axis=1) & self._of.hinges()
+            limited = np.isfinite(most).all(axis=1) | self._turning
+        else:  # a file that gives no velocity or effort says 0
+            limited = np.isfinite(most) & (most > 0)
+        _need_limits(self._of, limited, "limit", limit)
         self._start, self._span = float(range[0]), float(range[1]) - float(range[0])
 
     def __call__(self, env: BaseEnv, data: torch.Tensor) -> torch.Tensor:
@@ -200,9 +202,34 @@ class NormalizeRobotJointData(Term):
         low, high = -self._most, self._most
         if self._positions:
             low, high = self._of.asset.drives.limits.of(self._of.ids, None)
+            low, high = np.where(self._turning, -np.pi, low), np.where(self._turning, np.pi, high)
         picked = values[:, self._columns]
         values[:, self._columns] = (picked - low) / (high - low) * self._span + self._start
         return torch.from_numpy(values.astype(np.float32))
+
+
+def _active_columns(
+    env: BaseEnv, active: list[int], joint_ids: list[int] | None, control_parts: str | None
+) -> list[int]:
+    """Columns among the active joints."""
+    if control_parts is None or env.robot is None:
+        columns = list(range(len(active))) if joint_ids is None else joint_ids
+        strange = [column for column in columns if not 0 <= column < len(active)]
+        if strange:
+            message = (
+                f"columns of the active joints, of which there are {len(active)}, numbered from 0; "
+                f"got {strange}"
+            )
+            raise ConfigError([Problem("joint_ids", message)])
+        return columns
+    if joint_ids is not None:
+        raise ConfigError([Problem("control_parts", "give either joint_ids or control_parts")])
+    part = env.scene_entity({"uid": env.robot.uid, "control_parts": control_parts})
+    idle = [n for n, i in zip(part.joint_names, part.joint_ids, strict=True) if i not in active]
+    if idle:
+        message = f"joints of {control_parts!r} are not active: {', '.join(idle)}"
+        raise ConfigError([Problem("control_parts", message)])
+    return [active.index(i) for i in part.joint_ids]
 
 
 def _need_limits(joints: Joints, limited: Any, path: str, what: str) -> None:

@@ -138,8 +138,9 @@ class LinkPose(Term):
 class GetRobotEefPose(Computed):
     """Pose of the robot's tool in the environment's frame: (N, 4, 4), or (N, 3) metres.
 
-    EmbodiChain's observation of the same name. The tool is the last link that hangs from the
-    part's last joint; it is read off the simulation, which is the forward kinematics.
+    EmbodiChain's observation of the same name. The tool is the tool point that the robot's
+    `solver_cfg` gives the part, else the last link that hangs from the part's last joint; it is
+    read off the simulation, which is the forward kinematics.
 
     Example:
         ``{func: get_robot_eef_pose, params: {position_only: true}}``

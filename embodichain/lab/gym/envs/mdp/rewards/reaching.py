@@ -166,8 +166,9 @@ class ReachingBehindObject(Judge):
         behind_offset: Metres.
         height_offset: Metres.
         distance_scale: 1/m.
-        part_name: A control part of the task's robot: its tool is the link farthest from the base
-            that all its joints move. None is the whole robot.
+        part_name: A control part of the task's robot: its tool is the tool point that the robot's
+            `solver_cfg` gives it, else the link farthest from the base that all its joints move.
+            None is the whole robot.
         end_effector_cfg: The tool's link, instead (ours).
 
     Example:

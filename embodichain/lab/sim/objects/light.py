@@ -1,0 +1,146 @@
+"""`Light`: handle over one light in N environments. Pictures show it; physics ignores it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows, to_tensor
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.cfg import LightCfg
+    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.sim_manager import SimulationManager
+
+__all__ = ["Light"]
+
+FULL_INTENSITY = 30.0
+"""`LightCfg.intensity` at which MuJoCo's diffuse colour is the light's colour."""
+SPECULAR = 0.3
+"""MuJoCo's specular colour of a light, of its diffuse one (as compiled)."""
+
+
+class Light:
+    """One light in N environments, each with its own position, colour and intensity.
+
+    Args:
+        cfg: Its config (kept as given).
+        uid: Its name in the scene.
+        sim: The simulation that owns it.
+    """
+
+    def __init__(self, cfg: LightCfg, uid: str, sim: SimulationManager) -> None:
+        self.cfg = cfg
+        self.uid = uid
+        self._sim = sim
+        count = sim.num_envs
+        self._color: F64 = np.tile(np.asarray(cfg.color, np.float64), (count, 1))
+        self._intensity: F64 = np.full((count, 1), float(cfg.intensity))
+        self._falloff: F64 = np.full((count, 1), float(cfg.radius))
+
+    @property
+    def num_instances(self) -> int:
+        """N."""
+        return self._sim.num_envs
+
+    @property
+    def device(self) -> torch.device:
+        """Where tensors handed out live."""
+        return self._sim.device
+
+    # -- numpy doors -----------------------------------------------------------------------------
+
+    def write(self, field: str, values: F64, ids: EnvIndex | None) -> None:
+        """Set ``light_pos`` or ``light_dir``, (n, 3), from checked arrays: the door for terms."""
+        engine = self._sim.engine
+        start = 3 * int(engine.model.light(self.uid).id)
+        engine.write_model(field, values, ids, slice(start, start + 3))
+
+    def write_emission(self, color: F64, intensity: F64, ids: EnvIndex | None) -> None:
+        """Set colours (n, 3) in [0, 1] and intensities (n, 1), which are taken as at least 0."""
+        where: Any = slice(None) if ids is None else ids
+        self._color[where], self._intensity[where] = color, intensity
+        diffuse = self._color[where] * (np.maximum(self._intensity[where], 0.0) / FULL_INTENSITY)
+        self.write("light_diffuse", diffuse, ids)
+        self.write("light_specular", SPECULAR * diffuse, ids)
+
+    def emission(self, ids: EnvIndex | None = None) -> tuple[F64, F64]:
+        """Colours (n, 3) and intensities (n, 1) as they are (copies)."""
+        where: Any = slice(None) if ids is None else ids
+        return self._color[where].copy(), self._intensity[where].copy()
+
+    # -- EmbodiChain's handle ----------------------------------------------------------------------
+
+    def _rows(
+        self, values: Any, width: int, env_ids: Any, what: str
+    ) -> tuple[F64, EnvIndex | None]:
+        ids = as_env_ids(env_ids, self.num_instances)
+        rows = self.num_instances if ids is None else len(ids)
+        array = values.detach().numpy() if isinstance(values, torch.Tensor) else np.asarray(values)
+        if width == 1:
+            array = array.reshape(-1, 1) if array.size == rows > 1 else array.reshape(-1)
+        return as_rows(array, rows, width, f"{self.uid}: {what}", shared=True), ids
+
+    def set_color(self, colors: Any, env_ids: Any = None) -> None:
+        """Set RGB in [0, 1], (n, 3), or (3,) for all n environments."""
+        values, ids = self._rows(colors, 3, env_ids, "color")
+        if not ((values >= 0) & (values <= 1)).all():
+            raise ValueError(f"{self.uid}: RGB in [0, 1], got {values.tolist()}")
+        self.write_emission(values, self.emission(ids)[1], ids)
+
+    def set_intensity(self, intensities: Any, env_ids: Any = None) -> None:
+        """Set intensities (n,), or one for all n environments; 30 is MuJoCo's full colour."""
+        values, ids = self._rows(intensities, 1, env_ids, "intensity")
+        if (values < 0).any():
+            raise ValueError(f"{self.uid}: intensity must not be negative, got {values.min()}")
+        self.write_emission(self.emission(ids)[0], values, ids)
+
+    def set_falloff(self, falloffs: Any, env_ids: Any = None) -> None:
+        """Remember radii (n,), or one: without effect, as MuJoCo's lights have none."""
+        values, ids = self._rows(falloffs, 1, env_ids, "falloff")
+        self._falloff[slice(None) if ids is None else ids] = values
+
+    def get_local_pose(self, to_matrix: bool = False) -> torch.Tensor:
+        """Positions (N, 3) in metres, or matrices (N, 4, 4) that only translate."""
+        engine = self._sim.engine
+        start = 3 * int(engine.model.light(self.uid).id)
+        position = to_tensor(engine.model_field("light_pos")[:, start : start + 3])
+        if not to_matrix:
+            return position
+        matrices = torch.eye(4).repeat(len(position), 1, 1)
+        matrices[:, :3, 3] = position
+        return matrices
+
+    def set_local_pose(self, pose: Any, env_ids: Any = None, to_matrix: bool = False) -> None:
+        """Set positions: (n, 3) or (3,), or with `to_matrix` those of (n, 4, 4) or (4, 4)."""
+        array = pose.detach().numpy() if isinstance(pose, torch.Tensor) else np.asarray(pose)
+        if to_matrix:
+            if array.shape[-2:] != (4, 4):
+                raise ValueError(f"{self.uid}: pose must be (n, 4, 4) or (4, 4), got {array.shape}")
+            array = array[..., :3, 3]
+        values, ids = self._rows(array, 3, env_ids, "pose")
+        self.write("light_pos", values, ids)
+
+    def reset(self, env_ids: Any = None) -> None:
+        """Give the light its configured position, colour and intensity."""
+        self.set_local_pose(np.asarray(self.cfg.init_pos, np.float64), env_ids)
+        self.set_color(np.asarray(self.cfg.color, np.float64), env_ids)
+        self.set_intensity(float(self.cfg.intensity), env_ids)
+        self.set_falloff(float(self.cfg.radius), env_ids)
+
+    # -- state -------------------------------------------------------------------------------------
+
+    def state_dict(self) -> dict[str, F64]:
+        """Colour, intensity and falloff (copies); the engine keeps the rest."""
+        return {
+            "color": self._color.copy(),
+            "intensity": self._intensity.copy(),
+            "falloff": self._falloff.copy(),
+        }
+
+    def load_state_dict(self, state: dict[str, F64]) -> None:
+        """Continue where `state_dict` was taken; the engine restores model fields."""
+        self._color[:], self._intensity[:] = state["color"], state["intensity"]
+        self._falloff[:] = state["falloff"]
