@@ -72,15 +72,15 @@ BAD = {
     "unknown key at the root": bad(
         "command line: num_env: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, allow_changed, "
-        "resume, checkpoint, eval, wandb, video, gym_config, output_dir, quiet, json, traceback. Did "
-        "you mean 'num_envs'?",
+        "resume, checkpoint, eval, wandb, video, gym_config, output_dir, quiet, json, traceback. "
+        "Did you mean 'num_envs'?",
         overrides=("num_env=4",),
     ),
     "a task's key at the root": bad(
         "command line: rewards: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, allow_changed, "
-        "resume, checkpoint, eval, wandb, video, gym_config, output_dir, quiet, json, traceback. Did "
-        "you mean 'task.rewards'?",
+        "resume, checkpoint, eval, wandb, video, gym_config, output_dir, quiet, json, traceback. "
+        "Did you mean 'task.rewards'?",
         overrides=("rewards.near.weight=2",),
     ),
     "a root key in a task": bad(
@@ -350,8 +350,8 @@ BAD = {
         "command line: seed: expected an integer, got 'x'",
         "command line: num_env: unknown key; allowed: task, sim, record, viewer, algo, "
         "num_envs, seed, device, episodes, max_steps, total_timesteps, policy, allow_changed, "
-        "resume, checkpoint, eval, wandb, video, gym_config, output_dir, quiet, json, traceback. Did "
-        "you mean 'num_envs'?",
+        "resume, checkpoint, eval, wandb, video, gym_config, output_dir, quiet, json, traceback. "
+        "Did you mean 'num_envs'?",
         task="mein",
         overrides=(
             "num_env=4",
