@@ -158,7 +158,7 @@ def test_train_writes_a_policy_that_run_plays(capsys: pytest.CaptureFixture[str]
     assert (trained["status"], trained["env_steps"], trained["seed"]) == ("finished", 64, 1)
     folder = Path(str(trained["folder"]))
     assert (folder / str(trained["checkpoint"])).is_file()
-    short = ("num_envs=2", "task.max_episode_steps=5", "record=none")
+    short = ("num_envs=2", "task.max_episode_steps=5", "allow_changed=true", "record=none")
     played = told(capsys, "run", "task=reach", "policy=last", *short)
     assert played["status"] == "finished"
     assert played["success_rate"] is not None

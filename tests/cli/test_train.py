@@ -125,6 +125,7 @@ def test_recurrent_policies_from_end_to_end(capsys):
     again = told(capsys, "eval", "last", "episodes=5", "record=none")
     assert again["returns"]["mean"] == found["eval"]["returns"]["mean"]
     played = ("policy=last", "task=reach", "task.max_episode_steps=4", "num_envs=2", "record=none")
+    played += ("allow_changed=true",)
     assert told(capsys, "run", *played)["episodes"] == 2
     assert main(["export", "policy", "last", "-o", "p.onnx"]) == 2
     assert "is recurrent: a file without memory cannot act as it does" in capsys.readouterr().err

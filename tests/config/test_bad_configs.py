@@ -16,7 +16,8 @@ def expected(case: Bad) -> list[str]:
     values = {
         "{cwd}": str(Path.cwd()),
         "{tasks}": ", ".join(list_options("task")),
-        "{rewards}": ", ".join(sorted(TERMS["reward"])),
+        "{rewards}": "within_distance, within_orientation, within_pose, "
+        f"... ({len(TERMS['reward'])} in all: `embodichain list terms`)",
         "{classes}": ", ".join(sorted(REGISTERED_ENVS)) or "none",
     }
     lines = list(case.says)
