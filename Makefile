@@ -34,15 +34,16 @@ venv: $(TESTS)
 
 # A stamp is newer than both files: nothing is installed again.
 # torch comes first and pinned: asked for by another package, pip would take the newest one.
-# Without build isolation the pinned setuptools builds, not the newest.
+# Python compiles what it imports at its first import: compiling all of torch beforehand takes longer
+# than installing it. Without build isolation the pinned setuptools builds, not the newest.
 $(RUNS): pyproject.toml constraints.txt | system
 	$(PYTHON) -m venv $(VENV)
-	$(PIP) install -c constraints.txt setuptools torch
-	$(PIP) install -c constraints.txt --no-build-isolation -e .
+	$(PIP) install --no-compile -c constraints.txt setuptools torch
+	$(PIP) install --no-compile -c constraints.txt --no-build-isolation -e .
 	touch $@
 
 $(TESTS): $(RUNS) | system-tests
-	$(PIP) install -c constraints.txt --no-build-isolation -e '.[dev]'
+	$(PIP) install --no-compile -c constraints.txt --no-build-isolation -e '.[dev]'
 	touch $@
 
 system:

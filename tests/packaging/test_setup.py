@@ -117,7 +117,8 @@ def make(repo: Path, goal: str, venv: Path) -> str:
 
 def installs(plan: str) -> list[str]:
     """What pip would be told to install."""
-    found = (line.partition(" install -c constraints.txt ")[2] for line in plan.splitlines())
+    pip = " install --no-compile -c constraints.txt "
+    found = (line.partition(pip)[2] for line in plan.splitlines())
     return [what for what in found if what]
 
 
