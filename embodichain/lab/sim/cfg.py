@@ -274,6 +274,9 @@ class ArticulationCfg(ObjectBaseCfg):
     )
     """Share of the links' weight that is held up (MuJoCo's gravcomp): 1 for an arm whose controller
     compensates gravity. None keeps the file's."""
+    collision: Literal["hull", "decompose"] = dataclasses.field(default="hull", kw_only=True)
+    """What the collision meshes of a URDF collide by: their convex hull, or convex parts
+    (`embodichain[decompose]`)."""
 
 
 @configclass
@@ -298,13 +301,17 @@ class RigidObjectCfg(ObjectBaseCfg):
     body_type: Literal["dynamic", "kinematic", "static"] = "dynamic"
     """dynamic: simulated; kinematic: moved only by code; static: never moves."""
     max_convex_hull_num: int = 1
-    """Only 1: MuJoCo collides a mesh by its convex hull."""
+    """Most convex parts that a mesh collides by (`embodichain[decompose]`); 1 is its hull, unless
+    `collision` says otherwise."""
     sdf_resolution: int = 0
     """No effect."""
     body_scale: Vec3 = (1.0, 1.0, 1.0)
     """Multiplies the shape's size."""
     use_usd_properties: bool = False
     """No effect: USD is not read."""
+    # ours
+    collision: Literal["hull", "decompose"] = dataclasses.field(default="hull", kw_only=True)
+    """What a mesh collides by: its convex hull, or as many convex parts as it takes."""
 
 
 @configclass
