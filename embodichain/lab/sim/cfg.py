@@ -8,6 +8,7 @@ imports MuJoCo or torch: `compiler` and `sim_manager` give these classes their m
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
@@ -357,7 +358,8 @@ def name_of(cfg: ObjectBaseCfg) -> str:
         return cfg.uid
     fpath = getattr(cfg, "fpath", None)
     if fpath:
-        return str(fpath).replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0]
+        # "menagerie:NAME" is called NAME
+        return re.split(r"[/\\:]", str(fpath))[-1].rsplit(".", 1)[0]
     raise ValueError(f"{type(cfg).__name__} has no uid")
 
 
