@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import warnings
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from embodichain.lab.sim.compiler.inertia_repair import repair_inertias
 from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
 from embodichain.lab.sim.compiler.urdf import PreparedUrdf, prepare_urdf
 from embodichain.lab.sim.engine.mujoco_log import install_log_handler
+from embodichain.lab.sim.meshes.conversion import convert_collision, reads
+from embodichain.lab.sim.meshes.part import MeshError
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["ModelFile", "compile_quietly", "locate", "read_model"]
@@ -118,8 +121,9 @@ def _read_mjcf(path: Path) -> ModelFile:
         spec.compiler.fusestatic = False  # tool frames keep their bodies
         _name_elements(spec)
         _make_absolute(spec, path.parent)
-        return ModelFile(path, False, spec, compile_quietly(spec))
-    except MUJOCO_ERRORS as error:
+        notes = [f"{path}: {note}" for note in _convert_meshes(spec)]
+        return ModelFile(path, False, spec, compile_quietly(spec), notes=notes)
+    except (MeshError, *MUJOCO_ERRORS) as error:
         raise _fail(path, error) from error
 
 
@@ -137,13 +141,23 @@ def _make_absolute(spec: mujoco.MjSpec, folder: Path) -> None:
                 asset.file = str(path.resolve())
 
 
+def _convert_meshes(spec: mujoco.MjSpec) -> Iterator[str]:
+    """Convert the meshes that MuJoCo does not read, such as ASCII STL; their shapes alone."""
+    for mesh in spec.meshes:
+        file = Path(mesh.file)
+        if mesh.file and file.is_file() and not reads(file):
+            mesh.file = str(convert_collision(file))
+            yield f"{file}: not a mesh that MuJoCo reads: converted, its shape alone"
+
+
 def _name_elements(spec: mujoco.MjSpec) -> None:
-    """Name bodies, joints, geoms and actuators that the file leaves without a name."""
+    """Name bodies, joints, geoms, actuators and cameras that the file leaves without a name."""
     for what, elements in (
         ("body", spec.bodies),
         ("joint", spec.joints),
         ("geom", spec.geoms),
         ("actuator", spec.actuators),
+        ("camera", spec.cameras),
     ):
         taken = {element.name for element in elements}
         for number, element in enumerate(elements):
