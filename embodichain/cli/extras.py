@@ -45,6 +45,7 @@ def _alone(package: str, purpose: str) -> tuple[str, Extra]:
 EXTRAS: dict[str, Extra] = dict(
     (
         _extra("robots", "robots of example-robot-data", "example-robot-data"),
+        _extra("decompose", "convex parts of meshes: collision: decompose", "coacd"),
         _extra("plot", "curves of trainings as PNG", "matplotlib"),
         _alone("tensorboard", "event files of trainings"),
         _extra("wandb", "trainings in Weights & Biases", "wandb"),

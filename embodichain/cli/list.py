@@ -41,7 +41,9 @@ def main(arguments: list[str]) -> int:
     if options.json:
         print_json({options.what: rows})
     else:
-        print_table(options.what, rows)
+        print_table(options.what, rows, detail="cannot load")
+        if options.what == "robots" and (absent := _absent_robots(rows)):
+            sys.stdout.write("not here:\n" + "".join(f"  {line}\n" for line in absent) + "\n")
     return exits.OK
 
 
@@ -85,12 +87,31 @@ def _description(source: ConfigSource, path: str) -> str:
 
 
 def _robots(options: argparse.Namespace) -> Rows:
-    from embodichain.data import list_robots
+    from embodichain.data import fault_of, list_robots
 
     return [
-        {"name": asset.name, "format": asset.format, "from": asset.source}
+        {
+            "name": asset.name,
+            "format": asset.format,
+            "from": asset.source,
+            "cannot load": fault_of(asset.path),
+        }
         for asset in list_robots()
     ]
+
+
+def _absent_robots(rows: Rows) -> list[str]:
+    """Places of robots of which there is nothing here, and how to fill them."""
+    from embodichain.data import data_root
+    from embodichain.data.menagerie import HOW
+
+    ways = {
+        "example-robot-data": "example-robot-data: `pip install 'embodichain[robots]'`",
+        "menagerie": HOW,
+        "EMBODICHAIN_DATA_ROOT": f"your own: files below {data_root()} ($EMBODICHAIN_DATA_ROOT)",
+    }
+    found = {row["from"].partition(",")[0] for row in rows}
+    return [way for place, way in ways.items() if place not in found]
 
 
 def _terms(options: argparse.Namespace) -> Rows:

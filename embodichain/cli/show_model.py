@@ -1,4 +1,4 @@
-"""What `show` says of a compiled scene: bodies, joints, actuators, and where everything starts."""
+"""What `show` says of a compiled scene: bodies, joints, actuators, cameras, where things start."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ def model_tables(env: BaseEnv) -> dict[str, Rows]:
         "joints": _joints(model),
         "actuators": _actuators(model),
         "drives": _drives(env),
+        "cameras": _cameras(model),
         "initial poses": _poses(env),
         "initial qpos": _qpos(env),
     }
@@ -121,6 +122,18 @@ def _limit(value: float) -> float | str:
 
 def _short(value: float) -> float | str:
     return float(f"{value:.3g}") if math.isfinite(value) else "no limit"
+
+
+def _cameras(model: Any) -> Rows:
+    """What pictures and films can be taken with; an entity's are called ``uid/NAME``."""
+    return [
+        {
+            "camera": camera.name,
+            "on body": model.body(int(model.cam_bodyid[camera.id])).name,
+            "field of view deg": float(model.cam_fovy[camera.id]),
+        }
+        for camera in map(model.camera, range(model.ncam))
+    ]
 
 
 def _poses(env: BaseEnv) -> Rows:

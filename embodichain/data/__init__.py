@@ -10,6 +10,7 @@ import lazy_loader
 if TYPE_CHECKING:
     from embodichain.data.catalog import Asset, list_assets, list_robots
     from embodichain.data.errors import DataNotFoundError
+    from embodichain.data.faults import fault_of
     from embodichain.data.lookup import get_data_path, resolve_package_uri
     from embodichain.data.places import data_root
 
@@ -18,6 +19,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
     submod_attrs={
         "catalog": ["Asset", "list_assets", "list_robots"],
         "errors": ["DataNotFoundError"],
+        "faults": ["fault_of"],
         "lookup": ["get_data_path", "resolve_package_uri"],
         "places": ["data_root"],
     },
@@ -27,6 +29,7 @@ __all__ = [
     "Asset",
     "DataNotFoundError",
     "data_root",
+    "fault_of",
     "get_data_path",
     "list_assets",
     "list_robots",

@@ -5,10 +5,12 @@ Files are told apart by name and by their first bytes; none is parsed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import itertools
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from embodichain.data.menagerie import PREFIX, main_file, menagerie_models, robot_files
 from embodichain.data.places import Place, places
 
 __all__ = ["Asset", "list_assets", "list_robots"]
@@ -36,11 +38,12 @@ class Asset:
 
 
 def list_robots() -> list[Asset]:
-    """Return every robot model (URDF or MJCF), sorted by place and name.
+    """Return every robot model (URDF or MJCF), sorted by place and name; Menagerie's come last.
 
     A name that a place before it already has is left out, as `get_data_path` would not find it.
     """
-    return list(_unique(_models(place) for place in places()))
+    own = (_models(place) for place in places() if place.label != "mujoco_menagerie")
+    return list(_unique(itertools.chain(own, [_menagerie()])))
 
 
 def list_assets() -> list[Asset]:
@@ -50,7 +53,7 @@ def list_assets() -> list[Asset]:
     return [*_unique(_files(place) for place in own), *robots]
 
 
-def _unique(groups: Iterator[Iterator[Asset]]) -> Iterator[Asset]:
+def _unique(groups: Iterable[Iterable[Asset]]) -> Iterator[Asset]:
     """Yield the assets of all groups, the first of each name."""
     seen: set[str] = set()
     for group in groups:
@@ -68,6 +71,16 @@ def _models(place: Place) -> Iterator[Asset]:
             # menagerie keeps scene.xml beside each robot: a floor and lights that include it
             if kind and not path.stem.startswith("scene"):
                 yield Asset(path.relative_to(place.folder).as_posix(), path, place.label, kind)
+
+
+def _menagerie() -> Iterator[Asset]:
+    """Yield the robots of Menagerie: a model's main file by the model's name, others by theirs."""
+    for name, folder in menagerie_models().items():
+        main = main_file(name, folder)
+        for path in robot_files(folder):
+            if _model_format(path):
+                file = "" if path == main else f"/{path.name}"
+                yield Asset(f"{PREFIX}{name}{file}", path.absolute(), "menagerie", "mjcf")
 
 
 def _files(place: Place) -> Iterator[Asset]:

@@ -13,7 +13,8 @@ from urllib.parse import unquote, urlsplit
 
 from embodichain.data.catalog import list_robots
 from embodichain.data.errors import DataNotFoundError
-from embodichain.data.places import Place, package_parents, places, python_package
+from embodichain.data.menagerie import HOW, PREFIX, find_model, menagerie_models
+from embodichain.data.places import package_parents, places, python_package
 from embodichain.utils.suggest import closest
 
 __all__ = ["get_data_path", "resolve_package_uri"]
@@ -28,9 +29,10 @@ def get_data_path(name: str | os.PathLike[str], near: str | os.PathLike[str] | N
     """Return the absolute path of a robot or object file (or folder).
 
     The first that exists is taken of: an absolute path; ``package://NAME/...`` (see
-    `resolve_package_uri`); the name beside `near`; in the working directory; in
-    ``$EMBODICHAIN_DATA_ROOT`` (``~/.cache/embodichain_data``); bundled with this package; in
-    example-robot-data, if installed; in a mujoco_menagerie that robot_descriptions has cached.
+    `resolve_package_uri`); ``menagerie:NAME`` (see `menagerie.find_model`); the name beside `near`;
+    in the working directory; in ``$EMBODICHAIN_DATA_ROOT`` (``~/.cache/embodichain_data``); bundled
+    with this package; in example-robot-data, if installed; in a mujoco_menagerie that
+    robot_descriptions has cached.
 
     Args:
         name: E.g. ``UniversalRobots/UR10/UR10.urdf``, ``panda_description/urdf/panda.urdf``,
@@ -47,6 +49,8 @@ def get_data_path(name: str | os.PathLike[str], near: str | os.PathLike[str] | N
         raise ValueError("name is empty: expected the path or name of a robot or object file")
     if _PACKAGE.match(text):
         return resolve_package_uri(text, near)
+    if text.startswith(PREFIX):
+        return str(find_model(text))
     path = Path(text).expanduser()
     if path.is_absolute():
         return _first_existing(text, [("absolute path", path)])
@@ -158,12 +162,8 @@ def _siblings(tried: list[tuple[str, Path]]) -> list[str]:
 def _advice(name: str) -> str:
     """Return the command that would provide `name`, as far as its name tells."""
     installed = {place.label: place for place in places()}
-    menagerie: Place = installed["mujoco_menagerie"]
-    if "menagerie" in name and not menagerie.folder.is_dir():
-        return (
-            "mujoco_menagerie is not in the cache: "
-            "`pip install robot_descriptions && robot_descriptions pull panda_mj_description`"
-        )
+    if "menagerie" in name and not menagerie_models():
+        return HOW
     if "example-robot-data" not in installed:
         return (
             'More robots: `pip install "embodichain[robots]"`. '

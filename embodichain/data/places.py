@@ -12,7 +12,14 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
-__all__ = ["Place", "data_root", "package_parents", "places", "python_package"]
+__all__ = [
+    "Place",
+    "data_root",
+    "descriptions_cache",
+    "package_parents",
+    "places",
+    "python_package",
+]
 
 ASSETS = Path(__file__).parent / "assets"
 
@@ -60,7 +67,7 @@ def places() -> list[Place]:
         robots = share / "example-robot-data" / "robots"
         if robots.is_dir():
             found.append(Place("example-robot-data", robots, "example-robot-data/robots"))
-    menagerie = _descriptions_cache() / "mujoco_menagerie"
+    menagerie = descriptions_cache() / "mujoco_menagerie"
     found.append(Place("mujoco_menagerie", menagerie, "mujoco_menagerie"))
     return found
 
@@ -79,7 +86,7 @@ def package_parents() -> list[Place]:
         *(Place("data of installed packages", share) for share in shares),
         *(Place("example-robot-data", share / "example-robot-data/robots") for share in shares),
         *(Place("ROS packages", folder) for folder in _ros_folders()),
-        Place("cache of robot_descriptions", _descriptions_cache()),
+        Place("cache of robot_descriptions", descriptions_cache()),
     ]
     return [place for place in parents if place.folder.is_dir()]
 
@@ -107,7 +114,7 @@ def _ros_folders() -> list[Path]:
     return [Path(prefix, "share") for prefix in ament if prefix] + [Path(p) for p in ros if p]
 
 
-def _descriptions_cache() -> Path:
+def descriptions_cache() -> Path:
     """Return the cache of the robot_descriptions package, which clones mujoco_menagerie into it."""
     cache = os.environ.get("ROBOT_DESCRIPTIONS_CACHE") or "~/.cache/robot_descriptions"
     return Path(cache).expanduser()

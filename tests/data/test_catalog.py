@@ -5,19 +5,17 @@ import sys
 
 import pytest
 
-from embodichain.data import get_data_path, list_assets, list_robots
-from tests.data.robot_catalog import (
-    AS_THEY_ARE,
-    NOT_LOADABLE,
-    VISUALS_UNREADABLE,
-    WITH_MENDED_INERTIA,
-)
+from embodichain.data import fault_of, get_data_path, list_assets, list_robots
+from tests.data.robot_catalog import LOADABLE, NOT_LOADABLE, REPAIRED
 
 
 @pytest.fixture(autouse=True)
 def world(tmp_path, monkeypatch):
     monkeypatch.setenv("EMBODICHAIN_DATA_ROOT", str(tmp_path / "store"))
     monkeypatch.setenv("ROBOT_DESCRIPTIONS_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setenv("MENAGERIE_CACHE_DIR", str(tmp_path / "menagerie"))
+    monkeypatch.delenv("MENAGERIE_PATH", raising=False)
+    monkeypatch.delenv("MENAGERIE_ROOT", raising=False)
     return tmp_path
 
 
@@ -52,7 +50,7 @@ def test_models_are_told_from_other_xml_and_scenes(world):
     put(world / "cache/mujoco_menagerie/hand/scene_left.xml", "<mujoco/>")
     robots = {robot.name: (robot.source, robot.format) for robot in list_robots()}
     assert robots["mine/arm.xml"] == ("EMBODICHAIN_DATA_ROOT", "mjcf")
-    assert robots["hand/hand.xml"] == ("mujoco_menagerie", "mjcf")
+    assert robots["menagerie:hand"] == ("menagerie", "mjcf")
     names = " ".join(robots)
     assert "package.xml" not in names
     assert "scene_left" not in names
@@ -77,12 +75,10 @@ def test_assets_are_robots_and_own_files(world):
 
 def test_the_catalogue_of_the_tests_covers_example_robot_data():
     """`robot_catalog` is what the compiler's tests go by: no robot may be missing from it."""
-    known = [*AS_THEY_ARE, *WITH_MENDED_INERTIA, *NOT_LOADABLE]
     installed = [robot.name for robot in list_robots() if robot.source == "example-robot-data"]
-    assert sorted(known) == sorted(installed)
-    assert len(AS_THEY_ARE) + len(WITH_MENDED_INERTIA) == 53
-    assert not VISUALS_UNREADABLE & NOT_LOADABLE.keys()
-    assert set(known) >= VISUALS_UNREADABLE
+    assert sorted([*LOADABLE, *NOT_LOADABLE]) == sorted(installed)
+    assert len(LOADABLE) == 67
+    assert REPAIRED.keys() <= LOADABLE.keys()
 
 
 def test_listing_imports_neither_torch_nor_mujoco():
@@ -92,3 +88,19 @@ def test_listing_imports_neither_torch_nor_mujoco():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_what_cannot_load_is_told_from_the_text_alone(world):
+    faults = {
+        robot.name: fault
+        for robot in list_robots()
+        if robot.source == "example-robot-data" and (fault := fault_of(robot.path))
+    }
+    assert faults.keys() == NOT_LOADABLE.keys()
+    assert all(reason in faults[name] for name, reason in NOT_LOADABLE.items())
+    broken = {"a.urdf": "<robot>", "b.urdf": "<robot xmlns:xacro='http://xacro'><xacro:a/></robot>"}
+    broken |= {"c.xml": "<mujoco><asset/></mujoco>", "d.xml": "<mujoco><worldbody/></mujoco>"}
+    words = ["not well-formed XML", "xacro", "no <worldbody>", ""]
+    for (name, text), word in zip(broken.items(), words, strict=True):
+        fault = fault_of(put(world / name, text))
+        assert word in fault and bool(word) == bool(fault)

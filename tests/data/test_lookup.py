@@ -25,7 +25,9 @@ def world(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path / "work")
     monkeypatch.setenv("EMBODICHAIN_DATA_ROOT", str(tmp_path / "store"))
     monkeypatch.setenv("ROBOT_DESCRIPTIONS_CACHE", str(tmp_path / "cache"))
-    monkeypatch.delenv("ROS_PACKAGE_PATH", raising=False)
+    monkeypatch.setenv("MENAGERIE_CACHE_DIR", str(tmp_path / "menagerie"))
+    for name in ("ROS_PACKAGE_PATH", "MENAGERIE_PATH", "MENAGERIE_ROOT"):
+        monkeypatch.delenv(name, raising=False)
     monkeypatch.delenv("AMENT_PREFIX_PATH", raising=False)
     return tmp_path
 
@@ -148,10 +150,14 @@ def test_without_example_robot_data_the_command_installs_it(monkeypatch):
     assert 'pip install "embodichain[robots]"' in str(raised.value)
 
 
-def test_without_a_cached_menagerie_the_command_fetches_it():
+@pytest.mark.parametrize(
+    "name", ["mujoco_menagerie/franka_emika_panda/panda.xml", "menagerie:franka_emika_panda"]
+)
+def test_without_menagerie_the_last_line_says_what_to_install(name):
     with pytest.raises(DataNotFoundError) as raised:
-        get_data_path("mujoco_menagerie/franka_emika_panda/panda.xml")
-    assert "robot_descriptions pull panda_mj_description" in raised.value.command
+        get_data_path(name)
+    assert str(raised.value).splitlines()[-1].startswith("MuJoCo Menagerie: set MENAGERIE_PATH")
+    assert "pip install mujoco-menagerie" in raised.value.command
 
 
 def test_the_error_survives_a_process_boundary():

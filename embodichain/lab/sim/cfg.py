@@ -8,6 +8,7 @@ imports MuJoCo or torch: `compiler` and `sim_manager` give these classes their m
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
@@ -286,6 +287,9 @@ class ArticulationCfg(ObjectBaseCfg):
     )
     """Share of the links' weight that is held up (MuJoCo's gravcomp): 1 for an arm whose controller
     compensates gravity. None keeps the file's."""
+    collision: Literal["hull", "decompose"] = dataclasses.field(default="hull", kw_only=True)
+    """What the collision meshes of a URDF collide by: their convex hull, or convex parts
+    (`embodichain[decompose]`)."""
 
 
 @configclass
@@ -340,13 +344,17 @@ class RigidObjectCfg(ObjectBaseCfg):
     body_type: Literal["dynamic", "kinematic", "static"] = "dynamic"
     """dynamic: simulated; kinematic: moved only by code; static: never moves."""
     max_convex_hull_num: int = 1
-    """Only 1: MuJoCo collides a mesh by its convex hull."""
+    """Most convex parts that a mesh collides by (`embodichain[decompose]`); 1 is its hull, unless
+    `collision` says otherwise."""
     sdf_resolution: int = 0
     """No effect."""
     body_scale: Vec3 = (1.0, 1.0, 1.0)
     """Multiplies the shape's size."""
     use_usd_properties: bool = False
     """No effect: USD is not read."""
+    # ours
+    collision: Literal["hull", "decompose"] = dataclasses.field(default="hull", kw_only=True)
+    """What a mesh collides by: its convex hull, or as many convex parts as it takes."""
 
 
 @configclass
@@ -394,7 +402,8 @@ def name_of(cfg: ObjectBaseCfg) -> str:
         return cfg.uid
     fpath = getattr(cfg, "fpath", None)
     if fpath:
-        return str(fpath).replace("\\", "/").rsplit("/", 1)[-1].rsplit(".", 1)[0]
+        # "menagerie:NAME" is called NAME
+        return re.split(r"[/\\:]", str(fpath))[-1].rsplit(".", 1)[0]
     urdf: URDFCfg | None = getattr(cfg, "urdf_cfg", None)
     if urdf is not None and urdf.stem():
         return urdf.stem()

@@ -141,12 +141,14 @@ class LoadOption:
 
 @configclass
 class MeshCfg(ShapeCfg):
-    """A mesh file; its convex hull collides."""
+    """A mesh file. It collides by its hull, or by convex parts (`RigidObjectCfg.collision`)."""
 
     shape_type: Literal["Mesh"] = "Mesh"
     visual_material: VisualMaterialCfg | None = None
     fpath: str = ""
-    """A path that `embodichain.data.get_data_path` finds: .obj, .stl or .msh."""
+    """A path that `embodichain.data.get_data_path` finds: .obj, .stl, .dae, .glb, .gltf, .ply, .off
+    or .msh. Coordinates are taken as they are, in metres, or by the unit and up axis of .dae. Its
+    colours are drawn unless `visual_material` is given."""
     load_option: LoadOption = LoadOption()
     compute_uv: bool = False
     """Accepted for compatibility."""

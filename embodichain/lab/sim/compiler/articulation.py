@@ -150,7 +150,7 @@ def parse_with_problems(
             p if p.path.startswith("urdf_cfg") else Problem("fpath", str(p), "")
             for p in error.problems
         ]
-    problems = _unsupported(cfg)
+    problems = _unsupported(cfg, file)
     _checked(lambda: initial_pose(cfg), problems)
     joints = read_joints(file.model, file.velocity_limits)
     mimics = read_mimics(file.model)
@@ -282,11 +282,16 @@ def _checked(check: Callable[[], Any], problems: list[Problem]) -> None:
         problems += error.problems
 
 
-def _unsupported(cfg: ArticulationCfg) -> list[Problem]:
+def _unsupported(cfg: ArticulationCfg, file: ModelFile) -> list[Problem]:
+    problems = []
     scale = tuple(float(s) for s in cfg.body_scale)
     if scale != (1.0, 1.0, 1.0):
-        return [Problem("body_scale", f"articulations cannot be scaled yet, got {list(scale)}")]
-    return []
+        message = f"articulations cannot be scaled yet, got {list(scale)}"
+        problems.append(Problem("body_scale", message))
+    if cfg.collision == "decompose" and not file.is_urdf:
+        message = "only of a URDF: an MJCF file says itself which shapes collide; leave it out"
+        problems.append(Problem("collision", message))
+    return problems
 
 
 def _control_parts(

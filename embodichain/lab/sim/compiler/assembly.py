@@ -45,17 +45,18 @@ def read_robot(cfg: ArticulationCfg) -> ModelFile:
             components have paths that begin with ``urdf_cfg``.
     """
     urdf: URDFCfg | None = getattr(cfg, "urdf_cfg", None)
+    convex_parts = cfg.collision == "decompose"
     if urdf is None:
-        return read_model(locate(cfg.fpath))
+        return read_model(locate(cfg.fpath), convex_parts)
     if cfg.fpath:
-        file = read_model(locate(cfg.fpath))
+        file = read_model(locate(cfg.fpath), convex_parts)
         file.notes.append("urdf_cfg has no effect: fpath names the robot's file")
         return file
-    return _assemble(urdf)
+    return _assemble(urdf, convex_parts)
 
 
-def _assemble(cfg: URDFCfg) -> ModelFile:
-    files, problems = _read(cfg)
+def _assemble(cfg: URDFCfg, convex_parts: bool) -> ModelFile:
+    files, problems = _read(cfg, convex_parts)
     transforms, wrong = _transforms(cfg)
     problems += wrong
     if problems:
@@ -100,7 +101,7 @@ def _last_link(file: ModelFile) -> str:
     return str(ET.parse(file.path).getroot().findall("link")[-1].get("name"))
 
 
-def _read(cfg: URDFCfg) -> tuple[dict[str, ModelFile], list[Problem]]:
+def _read(cfg: URDFCfg, convex_parts: bool) -> tuple[dict[str, ModelFile], list[Problem]]:
     """The files by component, and what is wrong with them."""
     files: dict[str, ModelFile] = {}
     problems: list[Problem] = []
@@ -118,7 +119,7 @@ def _read(cfg: URDFCfg) -> tuple[dict[str, ModelFile], list[Problem]]:
         elif kind in files:
             problems.append(Problem(f"{path}.component_type", f"another component is {kind!r}"))
         try:
-            file = read_model(locate(part.urdf_path))
+            file = read_model(locate(part.urdf_path), convex_parts)
         except ConfigError as error:
             problems += [Problem(f"{path}.urdf_path", str(p)) for p in error.problems]
             continue

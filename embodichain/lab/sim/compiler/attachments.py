@@ -8,9 +8,8 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import AttachmentCfg
-from embodichain.lab.sim.compiler.objects import check_shape, set_shape
+from embodichain.lab.sim.compiler.objects import add_shape, check_shape, set_contact
 from embodichain.lab.sim.compiler.pose import initial_pose
-from embodichain.lab.sim.compiler.visuals import surface
 from embodichain.lab.sim.shapes import PlaneCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -49,10 +48,6 @@ def add_attachments(spec: mujoco.MjSpec, attachments: Mapping[str, AttachmentCfg
     for number, (name, cfg) in enumerate(attachments.items()):
         pos, quat = initial_pose(cfg)
         body = spec.body(cfg.link).add_body(name=name, pos=pos, quat=quat)
-        geom = body.add_geom(name=f"{name}/geom")
-        set_shape(spec, geom, name, cfg.shape, _WHOLE)
-        geom.material = surface(spec, name, cfg.shape.visual_material, number)
+        geom = add_shape(spec, body, name, cfg.shape, _WHOLE, number)
         geom.mass = float(cfg.mass)
-        geom.friction[0] = float(cfg.dynamic_friction)
-        if not cfg.enable_collision:
-            geom.contype = geom.conaffinity = 0
+        set_contact(body, float(cfg.dynamic_friction), cfg.enable_collision)

@@ -5,22 +5,28 @@ What the spec then becomes in a scene is decided in `articulation`.
 
 from __future__ import annotations
 
+import re
 import warnings
 import xml.etree.ElementTree as ET
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import mujoco
 
 from embodichain.data import DataNotFoundError, get_data_path
+from embodichain.lab.sim.compiler.inertia_repair import repair_inertias
 from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
 from embodichain.lab.sim.compiler.urdf import PreparedUrdf, prepare_urdf
 from embodichain.lab.sim.engine.mujoco_log import install_log_handler
+from embodichain.lab.sim.meshes.conversion import convert_collision, reads
+from embodichain.lab.sim.meshes.part import MeshError
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["ModelFile", "compile_quietly", "locate", "read_model"]
 
-_MEND = "balanceinertia, boundmass 1e-6, boundinertia 1e-9"
+_FLAT = re.compile(r"mesh volume is too small: (\S+)")
+_SHELL = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
 
 
 @dataclass
@@ -61,8 +67,12 @@ def locate(fpath: str | None) -> Path:
     return path
 
 
-def read_model(path: Path) -> ModelFile:
+def read_model(path: Path, convex_parts: bool = False) -> ModelFile:
     """Parse and compile a URDF or MJCF file.
+
+    Args:
+        path: The file.
+        convex_parts: Split collision meshes of a URDF into convex parts.
 
     Raises:
         ConfigError: If it is malformed; names the file and, where known, the line.
@@ -79,7 +89,7 @@ def read_model(path: Path) -> ModelFile:
         raise ConfigError(
             f"{path}: neither URDF nor MJCF: its root is <{root.tag}>, not <robot> or <mujoco>"
         )
-    return _read_urdf(path, source, drop_visual_meshes=False)
+    return _read_urdf(path, root, source, convex_parts)
 
 
 def compile_quietly(spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -111,8 +121,9 @@ def _read_mjcf(path: Path) -> ModelFile:
         spec.compiler.fusestatic = False  # tool frames keep their bodies
         _name_elements(spec)
         _make_absolute(spec, path.parent)
-        return ModelFile(path, False, spec, compile_quietly(spec))
-    except MUJOCO_ERRORS as error:
+        notes = [f"{path}: {note}" for note in _convert_meshes(spec)]
+        return ModelFile(path, False, spec, compile_quietly(spec), notes=notes)
+    except (MeshError, *MUJOCO_ERRORS) as error:
         raise _fail(path, error) from error
 
 
@@ -130,13 +141,23 @@ def _make_absolute(spec: mujoco.MjSpec, folder: Path) -> None:
                 asset.file = str(path.resolve())
 
 
+def _convert_meshes(spec: mujoco.MjSpec) -> Iterator[str]:
+    """Convert the meshes that MuJoCo does not read, such as ASCII STL; their shapes alone."""
+    for mesh in spec.meshes:
+        file = Path(mesh.file)
+        if mesh.file and file.is_file() and not reads(file):
+            mesh.file = str(convert_collision(file))
+            yield f"{file}: not a mesh that MuJoCo reads: converted, its shape alone"
+
+
 def _name_elements(spec: mujoco.MjSpec) -> None:
-    """Name bodies, joints, geoms and actuators that the file leaves without a name."""
+    """Name bodies, joints, geoms, actuators and cameras that the file leaves without a name."""
     for what, elements in (
         ("body", spec.bodies),
         ("joint", spec.joints),
         ("geom", spec.geoms),
         ("actuator", spec.actuators),
+        ("camera", spec.cameras),
     ):
         taken = {element.name for element in elements}
         for number, element in enumerate(elements):
@@ -148,14 +169,15 @@ def _name_elements(spec: mujoco.MjSpec) -> None:
                 taken.add(name)
 
 
-def _read_urdf(path: Path, source: bytes, drop_visual_meshes: bool) -> ModelFile:
-    urdf = prepare_urdf(path, _parse_xml(path, source), source, drop_visual_meshes)
+def _read_urdf(path: Path, root: ET.Element, source: bytes, convex_parts: bool) -> ModelFile:
+    urdf = prepare_urdf(path, root, source, convex_parts)
     try:
         spec = mujoco.MjSpec.from_string(urdf.text)
     except MUJOCO_ERRORS as error:
         raise _fail(path, error, urdf) from error
     _name_elements(spec)
-    notes = list(urdf.notes)
+    urdf.meshes.finish(spec)
+    notes = [f"{path}: {note}" for note in urdf.meshes.notes]
     if urdf.estimated:
         notes.append(
             f"{path}: links {', '.join(urdf.estimated)} have no <inertial>: taken from their "
@@ -165,28 +187,27 @@ def _read_urdf(path: Path, source: bytes, drop_visual_meshes: bool) -> ModelFile
         body = spec.body(link)
         for geom in body.geoms if body is not None else ():
             geom.mass, geom.density = 0.0, 0.0
-    try:
-        return ModelFile(path, True, spec, compile_quietly(spec), urdf.velocity_limits, notes)
-    except MUJOCO_ERRORS as error:
-        first = error
-    if "inertia" in str(first) or "mjMINVAL" in str(first):
-        _mend_inertia(spec)
+    model = _compile_repaired(urdf, path, spec, notes)
+    return ModelFile(path, True, spec, model, urdf.velocity_limits, notes)
+
+
+def _compile_repaired(
+    urdf: PreparedUrdf, path: Path, spec: mujoco.MjSpec, notes: list[str]
+) -> mujoco.MjModel:
+    """Compile; meshes without volume and inertias that cannot be are repaired, which notes say."""
+    repaired = False
+    while True:
         try:
-            model = compile_quietly(spec)
+            return compile_quietly(spec)
         except MUJOCO_ERRORS as error:
-            first = error
-        else:
-            notes.append(f"{path}: {as_line(first)[0]}: mended with MuJoCo's {_MEND}")
-            return ModelFile(path, True, spec, model, urdf.velocity_limits, notes)
-    if not drop_visual_meshes and "mesh" in str(first).lower():
-        try:
-            return _read_urdf(path, source, drop_visual_meshes=True)
-        except ConfigError:
-            pass  # the visual meshes were not the reason: report the first error
-    raise _fail(path, first, urdf) from first
-
-
-def _mend_inertia(spec: mujoco.MjSpec) -> None:
-    spec.compiler.balanceinertia = True
-    spec.compiler.boundmass = 1e-6
-    spec.compiler.boundinertia = 1e-9
+            text, _ = as_line(error)
+            flat = _FLAT.search(text)
+            mesh = spec.mesh(flat[1]) if flat else None
+            if mesh is not None and mesh.inertia != _SHELL:
+                mesh.inertia = _SHELL
+                notes.append(f"{path}: mesh {mesh.name!r} has no volume: taken as a shell")
+            elif not repaired and ("inertia" in text or "mjMINVAL" in text):
+                repaired = True
+                notes.append(f"{path}: {repair_inertias(spec)}")
+            else:
+                raise _fail(path, error, urdf) from error

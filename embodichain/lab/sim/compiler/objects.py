@@ -5,12 +5,11 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from embodichain.data import DataNotFoundError, get_data_path
 from embodichain.lab.sim.cfg import RigidObjectCfg
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.inertia import inertia_about_axes
+from embodichain.lab.sim.compiler.object_meshes import add_mesh, check_mesh
 from embodichain.lab.sim.compiler.pose import initial_pose
-from embodichain.lab.sim.compiler.urdf import MESH_SUFFIXES
 from embodichain.lab.sim.compiler.visuals import surface
 from embodichain.lab.sim.shapes import (
     AnyShapeCfg,
@@ -23,10 +22,16 @@ from embodichain.lab.sim.shapes import (
 )
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["add_object", "check_object", "check_shape", "damping_of", "set_shape"]
+__all__ = [
+    "add_object",
+    "add_shape",
+    "check_object",
+    "check_shape",
+    "damping_of",
+    "set_contact",
+]
 
 _GEOM = mujoco.mjtGeom
-_HULL_VERTICES = 64
 
 
 def check_object(cfg: RigidObjectCfg) -> list[Problem]:
@@ -40,7 +45,15 @@ def check_object(cfg: RigidObjectCfg) -> list[Problem]:
     if scale.shape != (3,) or not (scale > 0).all():
         problems.append(Problem("body_scale", f"wants 3 positive numbers, got {scale.tolist()}"))
         scale = np.ones(3)
-    problems += check_shape(cfg.shape, scale)
+    if not cfg.max_convex_hull_num >= 1:
+        message = f"must be at least 1, got {cfg.max_convex_hull_num}"
+        return [*problems, Problem("max_convex_hull_num", message)]
+    parts = _convex_parts(cfg)
+    if parts != 1 and not isinstance(cfg.shape, MeshCfg):
+        name = "max_convex_hull_num" if cfg.max_convex_hull_num > 1 else "collision"
+        message = f"only a Mesh is split into convex parts, this is a {cfg.shape.shape_type}"
+        problems.append(Problem(name, message))
+    problems += check_shape(cfg.shape, scale, parts)
     if isinstance(cfg.shape, PlaneCfg) and cfg.body_type != "static":
         message = f"a Plane must be static, got {cfg.body_type!r}"
         problems.append(Problem("body_type", message))
@@ -55,14 +68,24 @@ def check_object(cfg: RigidObjectCfg) -> list[Problem]:
         problems.append(
             Problem("attrs.density", f"must be positive as mass is 0, got {attrs.density}")
         )
-    if cfg.max_convex_hull_num != 1:
-        message = f"only 1: MuJoCo collides a mesh by its hull, got {cfg.max_convex_hull_num}"
-        problems.append(Problem("max_convex_hull_num", message))
     return problems
 
 
-def check_shape(shape: AnyShapeCfg, scale: F64) -> list[Problem]:
-    """Return every mistake in a shape; paths begin with ``shape`` or ``body_scale``."""
+def _convex_parts(cfg: RigidObjectCfg) -> int | None:
+    """Most convex parts of a mesh: 1, its hull; None: as many as it takes."""
+    if cfg.max_convex_hull_num > 1:
+        return int(cfg.max_convex_hull_num)
+    return None if cfg.collision == "decompose" else 1
+
+
+def check_shape(shape: AnyShapeCfg, scale: F64, max_parts: int | None = 1) -> list[Problem]:
+    """Return every mistake in a shape; paths begin with ``shape`` or ``body_scale``.
+
+    Args:
+        shape: The shape.
+        scale: (3,) factors.
+        max_parts: Convex parts that a mesh collides by: 1, its hull; None: as many as it takes.
+    """
     problems = []
     for name in ("size", "radius", "height"):
         value = getattr(shape, name, None)
@@ -76,21 +99,8 @@ def check_shape(shape: AnyShapeCfg, scale: F64) -> list[Problem]:
         message = f"a {shape.shape_type} scales equally along x and y, got {scale.tolist()}"
         problems.append(Problem("body_scale", message))
     if isinstance(shape, MeshCfg):
-        problems += _check_mesh(shape)
+        problems += check_mesh(shape, max_parts)
     return problems
-
-
-def _check_mesh(shape: MeshCfg) -> list[Problem]:
-    if not shape.fpath:
-        return [Problem("shape.fpath", "a Mesh needs a file")]
-    try:
-        path = get_data_path(shape.fpath)
-    except DataNotFoundError as error:
-        return [Problem("shape.fpath", str(error))]
-    if not path.lower().endswith(MESH_SUFFIXES):
-        message = f"MuJoCo reads {', '.join(MESH_SUFFIXES)}, not {shape.fpath!r}; convert it"
-        return [Problem("shape.fpath", message)]
-    return []
 
 
 def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) -> tuple[F64, F64]:
@@ -113,24 +123,42 @@ def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) 
         # A body compiled as "simple" has a diagonal mass matrix, and could never get another
         # centre of mass per environment.
         body.simple = 0
-    geom = body.add_geom(name=f"{uid}/geom")
-    set_shape(spec, geom, uid, cfg.shape, np.asarray(cfg.body_scale, np.float64))
-    geom.material = surface(spec, uid, cfg.shape.visual_material, number)
+    scale = np.asarray(cfg.body_scale, np.float64)
+    geom = add_shape(spec, body, uid, cfg.shape, scale, number, _convex_parts(cfg))
     attrs = cfg.attrs
     if attrs.mass > 0:
         geom.mass = float(attrs.mass)
     else:
         geom.density = float(attrs.density)
-    geom.friction[0] = float(attrs.dynamic_friction)
-    if not attrs.enable_collision:
-        geom.contype = geom.conaffinity = 0
+    set_contact(body, float(attrs.dynamic_friction), attrs.enable_collision)
     return pos, quat
 
 
-def set_shape(
-    spec: mujoco.MjSpec, geom: mujoco.MjsGeom, uid: str, shape: AnyShapeCfg, scale: F64
-) -> None:
-    """Set type and size; MuJoCo's sizes are half sizes."""
+def add_shape(
+    spec: mujoco.MjSpec,
+    body: mujoco.MjsBody,
+    uid: str,
+    shape: AnyShapeCfg,
+    scale: F64,
+    number: int,
+    max_parts: int | None = 1,
+) -> mujoco.MjsGeom:
+    """Add geom ``uid/geom`` with type, size (half sizes, MuJoCo's) and material, and return it.
+
+    Args:
+        spec: The scene.
+        body: What gets it; a mesh of several colours or convex parts adds more geoms.
+        uid: Prefix of the names.
+        shape: The shape, checked.
+        scale: (3,) factors.
+        number: Chooses a colour where there is none.
+        max_parts: See `check_shape`.
+    """
+    geom = body.add_geom(name=f"{uid}/geom")
+    if isinstance(shape, MeshCfg):
+        add_mesh(spec, geom, uid, shape, scale, number, max_parts)
+        return geom
+    geom.material = surface(spec, uid, shape.visual_material, number)
     if isinstance(shape, CubeCfg):
         geom.type, geom.size = _GEOM.mjGEOM_BOX, 0.5 * np.asarray(shape.size) * scale
     elif isinstance(shape, SphereCfg):
@@ -138,18 +166,22 @@ def set_shape(
         even = radii[0] == radii[1] == radii[2]
         geom.type = _GEOM.mjGEOM_SPHERE if even else _GEOM.mjGEOM_ELLIPSOID
         geom.size = [radii[0], 0.0, 0.0] if even else radii
-    elif isinstance(shape, (CylinderCfg, CapsuleCfg)):
-        capsule = isinstance(shape, CapsuleCfg)
-        geom.type = _GEOM.mjGEOM_CAPSULE if capsule else _GEOM.mjGEOM_CYLINDER
-        geom.size = [shape.radius * scale[0], 0.5 * shape.height * scale[2], 0.0]
     elif isinstance(shape, PlaneCfg):
         geom.type = _GEOM.mjGEOM_PLANE
         geom.size = [0.5 * shape.size[0] * scale[0], 0.5 * shape.size[1] * scale[1], 1.0]
     else:
-        mesh = spec.add_mesh(name=f"{uid}/mesh", file=get_data_path(shape.fpath))
-        mesh.scale = scale
-        mesh.maxhullvert = _HULL_VERTICES
-        geom.type, geom.meshname = _GEOM.mjGEOM_MESH, mesh.name
+        capsule = isinstance(shape, CapsuleCfg)
+        geom.type = _GEOM.mjGEOM_CAPSULE if capsule else _GEOM.mjGEOM_CYLINDER
+        geom.size = [shape.radius * scale[0], 0.5 * shape.height * scale[2], 0.0]
+    return geom
+
+
+def set_contact(body: mujoco.MjsBody, friction: float, collides: bool) -> None:
+    """Set the sliding friction of a body's geoms, and whether they collide."""
+    for geom in body.geoms:
+        geom.friction[0] = friction
+        if not collides:
+            geom.contype = geom.conaffinity = 0
 
 
 def damping_of(model: mujoco.MjModel, body: int, cfg: RigidObjectCfg) -> F64:

@@ -200,7 +200,7 @@ def _index_object(model: mujoco.MjModel, uid: str, cfg: RigidObjectCfg) -> Entit
         root_body_id=body,
         pos0=pos,
         quat0=quat,
-        geom_ids=np.array([model.geom(f"{uid}/geom").id], np.int64),
+        geom_ids=np.flatnonzero(model.geom_bodyid == body).astype(np.int64),
         mocap_id=int(model.body_mocapid[body]),
         free_qpos_adr=int(model.jnt_qposadr[joint]) if joint >= 0 else -1,
         free_qvel_adr=int(model.jnt_dofadr[joint]) if joint >= 0 else -1,

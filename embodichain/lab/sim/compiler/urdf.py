@@ -1,4 +1,4 @@
-"""URDF text made ready for MuJoCo: import flags, absolute mesh paths, no unreadable visuals.
+"""URDF text made ready for MuJoCo: import flags, names, and meshes that it reads (`urdf_meshes`).
 
 `prepare_urdf` changes text only; MuJoCo parses the result in `files`.
 """
@@ -6,18 +6,14 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from xml.parsers import expat
 
-from embodichain.data import DataNotFoundError, resolve_package_uri
+from embodichain.lab.sim.compiler.urdf_meshes import UrdfMeshes
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["MESH_SUFFIXES", "PreparedUrdf", "element_lines", "prepare_urdf"]
-
-MESH_SUFFIXES = (".obj", ".stl", ".msh")
-"""Mesh formats that MuJoCo reads."""
+__all__ = ["PreparedUrdf", "element_lines", "prepare_urdf"]
 
 # Fixed links keep their bodies, visual shapes stay, and file names are used as resolved here.
 _FLAGS = {"fusestatic": "false", "discardvisual": "false", "strippath": "false", "meshdir": ""}
@@ -34,7 +30,7 @@ class PreparedUrdf:
         massless: Links without an inertial that no joint moves (fixed joint, or root): by URDF's
             rule they have no mass.
         estimated: Links without an inertial that move: their mass comes from their shapes.
-        notes: What was left out, one line each.
+        meshes: What became of its meshes.
     """
 
     text: str
@@ -42,7 +38,7 @@ class PreparedUrdf:
     velocity_limits: dict[str, float]
     massless: frozenset[str]
     estimated: tuple[str, ...]
-    notes: tuple[str, ...] = ()
+    meshes: UrdfMeshes
 
     def source_line(self, line: int) -> int | None:
         """Return the line of the user's file that a line of `text` came from."""
@@ -52,18 +48,8 @@ class PreparedUrdf:
         return None
 
 
-@dataclass
-class _Meshes:
-    """What happened to the meshes of a file."""
-
-    path: Path
-    drop_visuals: bool
-    dropped: dict[str, list[str]] = field(default_factory=dict)
-    problems: list[Problem] = field(default_factory=list)
-
-
 def prepare_urdf(
-    path: Path, root: ET.Element, source: bytes, drop_visual_meshes: bool = False
+    path: Path, root: ET.Element, source: bytes, convex_parts: bool = False
 ) -> PreparedUrdf:
     """Return the text MuJoCo should read instead of a URDF file.
 
@@ -71,11 +57,11 @@ def prepare_urdf(
         path: The file, for messages and relative mesh names.
         root: Its parsed ``<robot>`` element; it is changed in place.
         source: Its bytes.
-        drop_visual_meshes: Leave every visual mesh out, not only those in formats MuJoCo lacks.
+        convex_parts: Split collision meshes into convex parts.
 
     Raises:
         ConfigError: If the file has no links, needs xacro, names meshes that do not exist, or
-            collision meshes that MuJoCo cannot read.
+            collision meshes that cannot be read.
     """
     written = element_lines(source)
     line_of = {element: line for element, (_, line) in zip(root.iter(), written, strict=True)}
@@ -85,9 +71,8 @@ def prepare_urdf(
         )
     if root.find("link") is None:
         raise ConfigError([Problem("", f"{path}: the robot has no <link>")])
-    meshes = _Meshes(path, drop_visual_meshes)
-    for link in root.iter("link"):
-        _prepare_link(link, meshes)
+    meshes = UrdfMeshes(path, convex_parts)
+    meshes.prepare(root)
     if meshes.problems:
         raise ConfigError(meshes.problems)
     _drop_repeated_names(root)
@@ -100,7 +85,7 @@ def prepare_urdf(
     _set_flags(root)
     text = ET.tostring(root, encoding="unicode")
     lines = [line_of.get(element) for element in root.iter()]
-    return PreparedUrdf(text, lines, velocity, massless, estimated, tuple(_notes(meshes)))
+    return PreparedUrdf(text, lines, velocity, massless, estimated, meshes)
 
 
 def element_lines(source: bytes | str) -> list[tuple[str, int]]:
@@ -132,56 +117,6 @@ def _drop_repeated_names(root: ET.Element) -> None:
         if name in seen:
             shape.attrib.pop("name", None)
         seen.add(name)
-
-
-def _prepare_link(link: ET.Element, meshes: _Meshes) -> None:
-    name = link.get("name", "")
-    for kind in ("visual", "collision"):
-        for shape in link.findall(kind):
-            mesh = shape.find("geometry/mesh")
-            if mesh is not None and not _prepare_mesh(mesh, kind, name, meshes):
-                meshes.dropped.setdefault(name, []).append(mesh.get("filename", ""))
-                link.remove(shape)
-
-
-def _prepare_mesh(mesh: ET.Element, kind: str, link: str, meshes: _Meshes) -> bool:
-    """Make a mesh's path absolute; return whether the shape can stay."""
-    uri = mesh.get("filename", "")
-    suffix = Path(uri).suffix.lower()
-    visual = kind == "visual"
-    if visual and (meshes.drop_visuals or suffix not in MESH_SUFFIXES):
-        return False
-    if suffix not in MESH_SUFFIXES:
-        meshes.problems.append(
-            Problem(
-                "",
-                f"{meshes.path}: collision mesh {uri!r} of link {link!r} has format "
-                f"{suffix or 'none'}, which MuJoCo cannot read; convert it to one of: "
-                f"{', '.join(MESH_SUFFIXES)}",
-            )
-        )
-        return True
-    try:
-        mesh.set("filename", resolve_package_uri(uri, near=meshes.path))
-    except (DataNotFoundError, ValueError) as error:
-        meshes.problems.append(Problem("", f"{meshes.path}: {kind} mesh of link {link!r}: {error}"))
-    return True
-
-
-def _notes(meshes: _Meshes) -> Iterator[str]:
-    if not meshes.dropped:
-        return
-    files = [file for names in meshes.dropped.values() for file in names]
-    formats = sorted({Path(file).suffix or "no suffix" for file in files})
-    why = (
-        "MuJoCo could not read them"
-        if meshes.drop_visuals
-        else f"MuJoCo cannot read {', '.join(formats)}"
-    )
-    yield (
-        f"{meshes.path}: {len(files)} visual meshes left out ({why}); collision shapes are drawn "
-        f"instead for links {', '.join(meshes.dropped)}"
-    )
 
 
 def _without_inertial(root: ET.Element) -> tuple[frozenset[str], tuple[str, ...]]:

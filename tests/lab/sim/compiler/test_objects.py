@@ -168,7 +168,7 @@ def test_poses_can_be_said_in_three_ways():
         ),
         (
             RigidObjectCfg(max_convex_hull_num=4),
-            "thing.max_convex_hull_num: only 1: MuJoCo collides a mesh by its hull, got 4",
+            "thing.max_convex_hull_num: only a Mesh is split into convex parts, this is a Cube",
         ),
         (RigidObjectCfg(shape=MeshCfg()), "thing.shape.fpath: a Mesh needs a file"),
     ],
@@ -180,8 +180,8 @@ def test_an_object_that_cannot_be_built_is_named(cfg, message):
 
 
 def test_a_mesh_in_another_format_is_named(tmp_path):
-    shape = MeshCfg(fpath=write(tmp_path / "part.dae", "<x/>"))
-    with pytest.raises(ConfigError, match=r"MuJoCo reads \.obj, \.stl, \.msh, not .*part\.dae"):
+    shape = MeshCfg(fpath=write(tmp_path / "part.step", "<x/>"))
+    with pytest.raises(ConfigError, match=r"part\.step: format \.step is none of \.dae, \.glb"):
         only(RigidObjectCfg(shape=shape))
 
 

@@ -26,9 +26,9 @@ _HIDDEN_GROUP = 3
 
 
 class _Surface:
-    """The colours of an entity's visible shapes, and of an object its material.
+    """The colours of an entity's visible shapes, and of an object its materials.
 
-    An object has a material of its own. Links may share theirs, so of a robot the shapes' own
+    An object has materials of its own. Links may share theirs, so of a robot the shapes' own
     colours are written, which MuJoCo prefers over a material's.
     """
 
@@ -47,9 +47,9 @@ class _Surface:
         self.is_object = not hasattr(asset, "parsed")
         if not geoms:
             raise ConfigError([Problem("entity_cfg", f"nothing of {entity.uid!r} is visible")])
-        self._material = int(model.geom_matid[geoms[0]])
+        self._materials = sorted({int(model.geom_matid[g]) for g in geoms})
         self._field = "mat_rgba" if self.is_object else "geom_rgba"
-        ids = [self._material] if self.is_object else geoms
+        ids = self._materials if self.is_object else geoms
         self._columns: NDArray[np.int64] = np.concatenate([4 * i + np.arange(3) for i in ids])
 
     def paint(self, rgb: F64, env_ids: EnvIndex | None) -> None:
@@ -59,7 +59,7 @@ class _Surface:
 
     def fade(self, alpha: float, env_ids: EnvIndex | None) -> None:
         """Set an object's opacity."""
-        self._write("mat_rgba", alpha, env_ids, 4 * self._material + 3)
+        self._write("mat_rgba", alpha, env_ids, 4, 3)
 
     def finish(
         self, metallic: F64 | float | None, roughness: F64 | float | None, env_ids: EnvIndex | None
@@ -70,18 +70,23 @@ class _Surface:
         1 - roughness, as the compiler has it.
         """
         if metallic is not None:
-            self._write("mat_metallic", metallic, env_ids, self._material)
+            self._write("mat_metallic", metallic, env_ids)
         if roughness is not None:
-            self._write("mat_roughness", roughness, env_ids, self._material)
-            self._write("mat_specular", 0.5 * (1.0 - roughness), env_ids, self._material)
-            self._write("mat_shininess", 1.0 - roughness, env_ids, self._material)
+            self._write("mat_roughness", roughness, env_ids)
+            self._write("mat_specular", 0.5 * (1.0 - roughness), env_ids)
+            self._write("mat_shininess", 1.0 - roughness, env_ids)
 
     def emit(self, strength: float, env_ids: EnvIndex | None) -> None:
         """Let an object shine by itself."""
-        self._write("mat_emission", strength, env_ids, self._material)
+        self._write("mat_emission", strength, env_ids)
 
-    def _write(self, field: str, values: Any, env_ids: EnvIndex | None, column: int) -> None:
-        self._engine.write_model(field, values, env_ids, slice(column, column + 1))
+    def _write(
+        self, field: str, values: Any, env_ids: EnvIndex | None, width: int = 1, column: int = 0
+    ) -> None:
+        """Write one column of a field, which has `width` of them a material."""
+        for material in self._materials:
+            at = width * material + column
+            self._engine.write_model(field, values, env_ids, slice(at, at + 1))
 
 
 def _within_one(name: str, values: Any) -> None:

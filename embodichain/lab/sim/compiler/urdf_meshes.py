@@ -1,0 +1,166 @@
+"""The meshes of a URDF: where they lie, and what MuJoCo is given in their place.
+
+`UrdfMeshes` edits the file's XML before MuJoCo parses it; `finish` what MuJoCo made of it.
+"""
+
+from __future__ import annotations
+
+import copy
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import mujoco
+
+from embodichain.data import DataNotFoundError, resolve_package_uri
+from embodichain.lab.sim.meshes.conversion import (
+    MAX_STL_FACES,
+    MadePart,
+    convert_collision,
+    convert_visual,
+    has_materials,
+    reads,
+)
+from embodichain.lab.sim.meshes.decomposition import decompose
+from embodichain.lab.sim.meshes.part import MeshError
+from embodichain.utils.errors import Problem
+
+__all__ = ["UrdfMeshes", "color_geom"]
+
+_INERTIA = mujoco.mjtMeshInertia
+
+
+@dataclass
+class UrdfMeshes:
+    """What becomes of the meshes of one file.
+
+    Attributes:
+        path: The URDF.
+        convex_parts: Split collision meshes into convex parts.
+        looks: OBJ file made of a visual mesh -> its colour and texture.
+        shapes: OBJ files made of collision meshes.
+        notes: What of the meshes was lost, one line each.
+        problems: What cannot be loaded.
+    """
+
+    path: Path
+    convex_parts: bool = False
+    looks: dict[str, MadePart] = field(default_factory=dict)
+    shapes: set[str] = field(default_factory=set)
+    notes: list[str] = field(default_factory=list)
+    problems: list[Problem] = field(default_factory=list)
+    _missing: dict[str, str] = field(default_factory=dict)
+
+    def prepare(self, root: ET.Element) -> None:
+        """Give every mesh the path of a file that MuJoCo reads; a mesh may become several."""
+        for link in root.iter("link"):
+            for kind in ("visual", "collision"):
+                for shape in link.findall(kind):
+                    self._prepare(link, shape, visual=kind == "visual")
+        if self._missing:
+            first, *others = self._missing.values()
+            more = f"\n{len(others)} more mesh files are missing" if others else ""
+            self.problems.insert(0, Problem("", f"{self.path}: {first}{more}"))
+
+    def finish(self, spec: mujoco.MjSpec) -> None:
+        """Colour what was made of visual meshes; say how volumes are to be taken of the others."""
+        for mesh in spec.meshes:
+            if mesh.file in self.looks:
+                mesh.inertia = _INERTIA.mjMESH_INERTIA_SHELL  # weighs nothing; it may be open
+            elif mesh.file in self.shapes:
+                mesh.inertia = _INERTIA.mjMESH_INERTIA_CONVEX
+        files = {mesh.name: mesh.file for mesh in spec.meshes}
+        for geom in spec.geoms:
+            look = self.looks.get(files.get(geom.meshname, ""))
+            if look is not None:
+                color_geom(spec, geom, look)
+
+    def _prepare(self, link: ET.Element, shape: ET.Element, visual: bool) -> None:
+        mesh = shape.find("geometry/mesh")
+        if mesh is None:
+            return
+        uri, name = mesh.get("filename", ""), link.get("name", "")
+        what = f"{'visual' if visual else 'collision'} mesh of link {name!r}"
+        try:
+            path = Path(resolve_package_uri(uri, near=self.path))
+        except DataNotFoundError as error:
+            self._missing.setdefault(uri, f"{what}: {error}")
+            return
+        except ValueError as error:
+            self.problems.append(Problem("", f"{self.path}: {what}: {error}"))
+            return
+        try:
+            files = self._looks(path) if visual else self._shapes(path)
+        except (MeshError, OSError) as error:
+            link.remove(shape)
+            if visual:
+                self.notes.append(f"{what} left out: {error}")
+            else:
+                self.problems.append(Problem("", f"{self.path}: {what}: {error}"))
+            return
+        _replace(link, shape, files)
+
+    def _looks(self, path: Path) -> list[Path]:
+        if reads(path) and not has_materials(path):
+            return [path]
+        made = convert_visual(path)
+        self._tell_of_stl(path)
+        self.looks.update({str(part.mesh): part for part in made.parts})
+        self.notes += [note for note in made.notes if note not in self.notes]
+        return [part.mesh for part in made.parts]
+
+    def _shapes(self, path: Path) -> list[Path]:
+        if self.convex_parts:
+            files = list(decompose(path))
+        elif reads(path):
+            return [path]
+        else:
+            files = [convert_collision(path)]
+            self._tell_of_stl(path)
+        self.shapes.update(str(file) for file in files)
+        return files
+
+    def _tell_of_stl(self, path: Path) -> None:
+        """Say which STL files are not what MuJoCo takes their name for."""
+        note = f"{path}: not a binary STL file of at most {MAX_STL_FACES:,} faces: converted"
+        if path.suffix.lower() == ".stl" and note not in self.notes:
+            self.notes.append(note)
+
+
+def _replace(link: ET.Element, shape: ET.Element, files: list[Path]) -> None:
+    """Put one copy of a shape for each file where the shape stands."""
+    at = list(link).index(shape)
+    link.remove(shape)
+    for file, copied in zip(files, _copies(shape, len(files)), strict=True):
+        mesh = copied.find("geometry/mesh")
+        if mesh is not None:
+            mesh.set("filename", str(file))
+        link.insert(at, copied)
+        at += 1
+
+
+def _copies(shape: ET.Element, number: int) -> Iterator[ET.Element]:
+    yield shape  # the first is the file's own: messages know its line
+    for _ in range(number - 1):
+        yield copy.deepcopy(shape)
+
+
+def color_geom(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, look: MadePart) -> None:
+    """Give a shape the colour and the texture of its mesh; those win over a URDF's, as in RViz."""
+    if look.rgba is not None:
+        geom.rgba, geom.material = look.rgba, ""
+    if look.texture is None:
+        return
+    name = f"{look.mesh.stem}-{look.texture.stem}"
+    if spec.material(name) is None:
+        texture = spec.texture(look.texture.stem)
+        if texture is None:
+            texture = spec.add_texture(
+                name=look.texture.stem,
+                type=mujoco.mjtTexture.mjTEXTURE_2D,
+                file=str(look.texture),
+            )
+        material = spec.add_material(name=name, specular=0.2, shininess=0.3)
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = texture.name
+    geom.material, geom.rgba = name, (1.0, 1.0, 1.0, 1.0)
