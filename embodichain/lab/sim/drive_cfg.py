@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
+from typing import Annotated, Any, Literal
+
+from pydantic import ValidatorFunctionWrapHandler, WrapValidator
 
 from embodichain.utils.configclass import configclass
 
-__all__ = ["FileFirst", "JointDrivePropertiesCfg", "PerJoint"]
+__all__ = ["FileFirst", "Gain", "JointDrivePropertiesCfg", "PerJoint"]
 
 PerJoint = float | dict[str, float]
 """One value for all joints, or values keyed by joint-name regex or control-part name."""
@@ -15,6 +17,15 @@ PerJoint = float | dict[str, float]
 
 class FileFirst(float):
     """A default that yields to the robot file, where the file can say it; else the number it is."""
+
+
+def _kept(value: Any, validate: ValidatorFunctionWrapHandler) -> Any:
+    """What stands for "not given" still does in a config that was read back from a dict."""
+    return value if isinstance(value, FileFirst) else validate(value)
+
+
+Gain = Annotated[float | dict[str, float] | Literal["file"], WrapValidator(_kept)]
+""""file", one value for all joints, or values by joint-name regex or control-part name."""
 
 
 @configclass
@@ -28,11 +39,11 @@ class JointDrivePropertiesCfg:
 
     drive_type: Literal["force", "acceleration", "none"] = "force"
     """none: no drives; an MJCF file's actuators stay."""
-    stiffness: PerJoint | Literal["file"] = FileFirst(1e4)
+    stiffness: Gain = FileFirst(1e4)
     """N m/rad or N/m. "file" keeps an MJCF file's actuators, and is the default of an MJCF."""
-    damping: PerJoint | Literal["file"] = FileFirst(1e3)
+    damping: Gain = FileFirst(1e3)
     """N m s/rad or N s/m, inside the drive; the joint's own damping is the file's."""
-    max_effort: PerJoint | Literal["file"] = FileFirst(1e10)
+    max_effort: Gain = FileFirst(1e10)
     """N m or N, positive: bounds spring and damper together. "file" takes the limits of the URDF or
     MJCF, and is the default of an MJCF; 1e9 and more is no limit."""
     max_velocity: PerJoint | Literal["file"] | None = None
