@@ -22,6 +22,7 @@ def model_tables(env: BaseEnv) -> dict[str, Rows]:
         "actuators": _actuators(model),
         "drives": _drives(env),
         "cameras": _cameras(model),
+        "notes on files": _notes(env),
         "initial poses": _poses(env),
         "initial qpos": _qpos(env),
     }
@@ -69,18 +70,43 @@ def _joints(model: Any) -> Rows:
 
 
 def _actuators(model: Any) -> Rows:
-    rows = []
-    for index in range(model.nu):
-        limited = bool(model.actuator_forcelimited[index])
-        rows.append(
-            {
-                "actuator": model.actuator(index).name,
-                "joint": model.joint(int(model.actuator_trnid[index, 0])).name,
-                "stiffness": float(model.actuator_gainprm[index, 0]),
-                "effort": _floats(model.actuator_forcerange[index]) if limited else "no limit",
-            }
-        )
-    return rows
+    from embodichain.lab.sim.compiler.actuators import describe_actuators
+
+    return [
+        {
+            "actuator": actuator.name,
+            "kind": actuator.kind,
+            "on": actuator.target,
+            "gear": actuator.gear,
+            "gain": actuator.gain,
+            "stiffness": actuator.stiffness,
+            "damping": actuator.damping,
+            "ctrl range": _ranges(actuator.ctrlrange),
+            "force range": _range(actuator.forcerange),
+        }
+        for actuator in describe_actuators(model)
+    ]
+
+
+def _range(limits: Any) -> Any:
+    return "no limit" if limits is None else _floats(limits)
+
+
+def _ranges(limits: Any) -> Any:
+    """One range, or one for each input of an actuator that has several."""
+    if len(limits) == 1 or not any(limits):
+        return _range(limits[0])
+    return [_range(one) for one in limits]
+
+
+def _notes(env: BaseEnv) -> Rows:
+    """What the compiler changed or left out of robots' files."""
+    articulations = {**env.sim.robots, **env.sim.articulations}
+    return [
+        {"entity": uid, "note": note}
+        for uid, asset in articulations.items()
+        for note in asset.parsed.notes
+    ]
 
 
 def _drives(env: BaseEnv) -> Rows:

@@ -77,6 +77,7 @@ def state_columns(
         "xfrc_applied": lambda: _bodies(model, (*_FORCE, *_TORQUE), mocap=False),
         "mocap_pos": lambda: _bodies(model, _POSITION, mocap=True),
         "mocap_quat": lambda: _bodies(model, _QUAT, mocap=True),
+        "act": lambda: _activations(model),
         "ctrl": lambda: _controls(model),
     }
     found: dict[str, list[Column]] = {}
@@ -105,16 +106,29 @@ def _bodies(model: mujoco.MjModel, parts: Parts, mocap: bool) -> Iterator[Column
         yield from _named(model.body(body).name or f"body_{body}", parts)
 
 
+def _activations(model: mujoco.MjModel) -> Iterator[Column]:
+    for actuator in range(model.nactuator):
+        name, count = model.actuator(actuator).name, int(model.actuator_actnum[actuator])
+        name = name or f"actuator_{actuator}"
+        yield from (Column(name if count == 1 else f"{name}.{i}", "") for i in range(count))
+
+
 def _controls(model: mujoco.MjModel) -> Iterator[Column]:
-    for actuator in range(model.nu):
+    for actuator in range(model.nactuator):
         name = model.actuator(actuator).name
         on_joint = int(model.actuator_trntype[actuator]) == int(mujoco.mjtTrn.mjTRN_JOINT)
         joint = int(model.actuator_trnid[actuator, 0])
         if not name:
             name = model.joint(joint).name if on_joint else f"actuator_{actuator}"
+        inputs = int(model.actuator_ctrlnum[actuator])
+        if inputs != 1:
+            for i in range(inputs):
+                yield Column(f"{name}.{mujoco.mj_actuatorInputName(model, actuator, i) or i}", "")
+            continue
         # A position servo: force = kp (ctrl - qpos) - ..., so its control is a joint position.
         kp = float(model.actuator_gainprm[actuator, 0])
-        servo = on_joint and kp > 0 and float(model.actuator_biasprm[actuator, 1]) == -kp
+        plain = float(model.actuator_gear[model.actuator_outadr[actuator], 0]) == 1
+        servo = on_joint and plain and kp > 0 and float(model.actuator_biasprm[actuator, 1]) == -kp
         yield Column(name, _SERVO.get(int(model.jnt_type[joint]), "") if servo else "")
 
 

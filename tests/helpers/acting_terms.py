@@ -29,6 +29,11 @@ ACTIONS = {
     ),
     "relative_joint_position": _act("relative_joint_position", "Joint3", {"scale": 0.05}),
     "joint_position_to_limits": _act("joint_position_to_limits", "Joint4", {"scale": 0.2}),
+    # Before the velocity, which moves the target that it finds.
+    "actuator_ctrl": ActionTermCfg(
+        func="actuator_ctrl",
+        params={**ARM, "actuator_names": "Joint5", "scale": 0.1, "offset": -1.5, "clip": 1.0},
+    ),
     "joint_velocity": _act("joint_velocity", "Joint5", {"clip": 0.4}, delay=1),
     "joint_effort": _act("joint_effort", "Joint6", {"scale": 5.0}),
     "parallel_gripper": _act(

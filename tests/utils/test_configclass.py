@@ -8,6 +8,7 @@ from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.sim import cfg as sim_cfg
 from embodichain.lab.sim import shapes
 from embodichain.lab.sim.cfg import RigidObjectCfg, RobotCfg, SimulationManagerCfg
+from embodichain.lab.sim.drive_cfg import FileFirst
 from embodichain.utils.configclass import MISSING, configclass
 from embodichain.utils.errors import ConfigError
 
@@ -104,3 +105,13 @@ def test_what_is_not_here_yet_exists_and_says_so(name):
         getattr(sim_cfg, name)()
     with pytest.raises(AttributeError):
         sim_cfg.NothingCfg  # noqa: B018
+
+
+def test_gains_that_were_not_given_are_still_not_given_after_a_dict():
+    """An MJCF robot keeps its actuators when its config was written out and read again."""
+    again = RobotCfg.from_dict({"drive_pros": RobotCfg().to_dict()["drive_pros"]}).drive_pros
+    assert isinstance(again.stiffness, FileFirst) and isinstance(again.max_effort, FileFirst)
+    given = RobotCfg.from_dict({"drive_pros": {"stiffness": 1e4, "damping": "file"}}).drive_pros
+    assert not isinstance(given.stiffness, FileFirst) and given.damping == "file"
+    with pytest.raises(ConfigError, match="stiffness"):
+        RobotCfg.from_dict({"drive_pros": {"stiffness": "soft"}})

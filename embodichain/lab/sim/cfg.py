@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
+from embodichain.lab.sim.drive_cfg import JointDrivePropertiesCfg
 from embodichain.lab.sim.shapes import AnyShapeCfg, CubeCfg
 from embodichain.lab.sim.urdf_cfg import URDFCfg
 from embodichain.utils.configclass import configclass
@@ -40,9 +41,6 @@ __all__ = [
 
 Vec3 = Annotated[Sequence[float], Field(min_length=3, max_length=3)]
 Quat = Annotated[Sequence[float], Field(min_length=4, max_length=4)]
-PerJoint = float | dict[str, float]
-"""One value for all joints, or values keyed by joint-name regex or control-part name."""
-
 
 DEFAULT_RENDERER = "hybrid"
 
@@ -208,29 +206,6 @@ class RigidBodyAttributesCfg:
     """Sliding friction; a contact takes the larger of its two bodies' values."""
     static_friction: float = 0.5
     """No effect: MuJoCo has one sliding coefficient, `dynamic_friction`."""
-
-
-@configclass
-class JointDrivePropertiesCfg:
-    """PD drives of an articulation's joints, one value or a map by joint regex or control part."""
-
-    drive_type: Literal["force", "acceleration", "none"] = "force"
-    stiffness: PerJoint = 1e4
-    """N m/rad or N/m."""
-    damping: PerJoint = 1e3
-    """N m s/rad or N s/m, inside the drive; the joint's own damping is the file's."""
-    max_effort: PerJoint | Literal["file"] = 1e10
-    """N m or N, positive: bounds spring and damper together. "file" takes the limits of the URDF or
-    MJCF; 1e9 and more is no limit."""
-    max_velocity: PerJoint | Literal["file"] | None = None
-    """rad/s or m/s, positive: how fast actions move position targets, and the bound of velocity
-    actions. "file" takes the limits of the URDF. The joint itself is not clamped."""
-    friction: PerJoint = 0.0
-    """Dry friction loss, N m or N; 0 keeps the file's, a map with 0 clears it."""
-    # ours
-    armature: PerJoint | None = dataclasses.field(default=None, kw_only=True)
-    """Reflected rotor inertia, kg m^2 or kg. None keeps the file's and adds the least that keeps a
-    limited drive from chattering at the time step, which is said."""
 
 
 @configclass

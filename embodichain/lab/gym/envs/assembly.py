@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.actions import ActionCheck
 from embodichain.lab.gym.envs.basics import EnvBasics
+from embodichain.lab.gym.envs.cfg import ActionTermCfg, SceneEntityCfg
 from embodichain.lab.gym.envs.declared import (
     add_declared_robots,
     add_declared_scene,
@@ -119,6 +120,7 @@ class EnvAssembly(EnvBasics):
         # After each hook: what the config declares and an override left out.
         declared = add_declared_robots(sim, cfg)
         self.robot = self.robot if self.robot is not None else declared
+        self._declare_actions()
         if self.robot is not None and not self.active_joint_ids:
             self.active_joint_ids = list(self.robot.active_joint_ids)
         self._prepare_scene(**kwargs)
@@ -139,6 +141,19 @@ class EnvAssembly(EnvBasics):
         self._build_observations(kwargs)
         if cfg.sim_cfg.visualization is not None:
             cfg.sim_cfg.visualization.attach(self)
+
+    def _declare_actions(self) -> None:
+        """Let an MJCF robot be acted on through its actuators, if nothing else is said."""
+        robot = self.robot
+        chosen = self.active_joint_ids or getattr(self, "single_action_space", None) is not None
+        if not self._drives_declared or chosen or self._steps_actions or robot is None:
+            return
+        parsed = robot.parsed
+        passive = any(not parsed.drives[i] for i in robot.active_joint_ids)
+        if parsed.own_actuators or (passive and parsed.control_names):
+            params = {"entity_cfg": SceneEntityCfg(uid=robot.uid)}
+            self.cfg.actions = {"ctrl": ActionTermCfg(func="actuator_ctrl", params=params)}
+            self._drives_declared = False
 
     def _build_managers(self) -> None:
         cfg, env = self.cfg, self

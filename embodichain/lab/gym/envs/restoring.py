@@ -160,7 +160,7 @@ def _check(env: BaseEnv, snapshot: Snapshot) -> None:
 
 
 def _names(model: mujoco.MjModel) -> tuple[list[str], ...]:
-    kinds = (model.nbody, model.body), (model.njnt, model.joint), (model.nu, model.actuator)
+    kinds = (model.nbody, model.body), (model.njnt, model.joint), (model.nactuator, model.actuator)
     return tuple([named(i).name for i in range(count)] for count, named in kinds)
 
 

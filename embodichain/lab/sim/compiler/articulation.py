@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.cfg import ArticulationCfg
+from embodichain.lab.sim.compiler.actuators import Servos, control_names, read_servos
 from embodichain.lab.sim.compiler.assembly import read_robot
 from embodichain.lab.sim.compiler.attachments import add_attachments, check_attachments
 from embodichain.lab.sim.compiler.chatter import (
@@ -26,9 +27,14 @@ from embodichain.lab.sim.compiler.chatter import (
 )
 from embodichain.lab.sim.compiler.collision import prepare_shapes
 from embodichain.lab.sim.compiler.drives import DriveGains, apply_drives, resolve_drives
-from embodichain.lab.sim.compiler.files import ModelFile, compile_quietly
+from embodichain.lab.sim.compiler.files import compile_quietly
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.initial import Keyframe, read_keyframe, resolve_qpos
+from embodichain.lab.sim.compiler.initial import (
+    Keyframe,
+    initial_controls,
+    read_keyframe,
+    resolve_qpos,
+)
 from embodichain.lab.sim.compiler.joints import movable_joints, read_joints, read_mimics
 from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
 from embodichain.lab.sim.compiler.names import match
@@ -60,8 +66,9 @@ class ParsedArticulation:
         qpos_limits: (D, 2) rad or m; infinite where there is none.
         qvel_limits: From the file; inf where it has none. So `qf_limits`.
         init_qpos: Initial positions.
-        stiffness: Drive gains, as the model has them; 0 without a drive.
-        damping: Drive gains; a joint without a drive has its own damping here.
+        init_qvel: Initial velocities: the keyframe's, else 0.
+        stiffness: Gains of drives and of the file's servos; 0 without either.
+        damping: Likewise; a joint without either has its own damping here.
         joint_damping: Passive damping of the joints themselves, from the file.
         max_effort: Drive limits; inf is none.
         max_velocity: Of position targets and velocity actions; 1e10 is none.
@@ -71,7 +78,17 @@ class ParsedArticulation:
         mimic_ids: Joints that follow another: ``q = multiplier * q[parent] + offset``.
         control_parts: Part -> joint indices.
         tools: Part (``default`` is the whole robot) -> the link that is its tool point.
-        init_ctrl: (M,) initial controls of the file's own actuators (drive_type none).
+        own_actuators: Whether actuators of the file are among its actuators.
+        driven: (D,) joints with a drive of `drive_pros`, not a servo of the file.
+        drives: (D,) names of the actuators that take the joints' targets, drives and the file's
+            servos; an empty string where there is none.
+        servos: Both, as numbers.
+        control_names: (M,) its controls: the file's actuators in their order, then the drives.
+        ctrl_limits: (M, 2) what clamps the controls: the file's ranges, a drive's joint limits;
+            infinite where there is nothing.
+        init_ctrl: (M,) initial controls.
+        init_act: (K,) initial activations, in the order of its actuators.
+        keyframe: Where the file's keyframe puts the root and ball joints, or None.
         notes: What a user should be told about the file, one line each.
     """
 
@@ -89,6 +106,7 @@ class ParsedArticulation:
     qvel_limits: F64
     qf_limits: F64
     init_qpos: F64
+    init_qvel: F64
     stiffness: F64
     damping: F64
     joint_damping: F64
@@ -103,7 +121,15 @@ class ParsedArticulation:
     mimic_offsets: tuple[float, ...]
     control_parts: dict[str, tuple[int, ...]]
     tools: dict[str, str]
+    own_actuators: bool
+    driven: NDArray[np.bool_]
+    drives: tuple[str, ...]
+    servos: Servos
+    control_names: tuple[str, ...]
+    ctrl_limits: F64
     init_ctrl: F64
+    init_act: F64
+    keyframe: Keyframe | None
     notes: tuple[str, ...]
 
 
@@ -152,24 +178,25 @@ def parse_with_problems(
         ]
     problems = _unsupported(cfg, file)
     _checked(lambda: initial_pose(cfg), problems)
-    joints = read_joints(file.model, file.velocity_limits)
+    joints = read_joints(file.model, file.velocity_limits, is_urdf=file.is_urdf)
     mimics = read_mimics(file.model)
     parts, wrong = _control_parts(getattr(cfg, "control_parts", None), joints.names)
     problems += wrong
     gains, wrong = resolve_drives(cfg.drive_pros, joints, parts, mimics.ids)
     problems += [Problem(f"drive_pros.{p.path}", p.message, p.hint) for p in wrong]
-    keyframe = read_keyframe(file.model)
+    keyframe = read_keyframe(file.spec, file.model)
     qpos, wrong = resolve_qpos(cfg.init_qpos, joints, mimics, keyframe)
     problems += wrong
     problems += check_attachments(file.spec, cfg.attachments)
     links = [body.name for body in file.spec.bodies[1:]]  # the first is the world
     tools, wrong = resolve_tools(cfg, parts, [*links, *cfg.attachments])
     problems += wrong
-    notes = [*file.notes, *(f"{file.path}: {n}" for n in strip_world(file.spec))]
+    said = [*strip_world(file.spec), *_unused(file.spec, keyframe)]
     try:
         for key in list(file.spec.keys):
             file.spec.delete(key)
-        apply_drives(file.spec, cfg.drive_pros, gains, joints.names, mimics.ids)
+        drives, replaced = apply_drives(file.spec, gains, joints)
+        notes = [*file.notes, *(f"{file.path}: {line}" for line in (*said, *replaced))]
         prepare_shapes(file.spec, cfg, file.is_urdf)
         if not problems:
             add_attachments(file.spec, cfg.attachments)
@@ -188,6 +215,10 @@ def parse_with_problems(
     except (ConfigError, *MUJOCO_ERRORS) as error:
         text = str(error) if isinstance(error, ConfigError) else as_line(error)[0]
         return None, [*problems, Problem("fpath", f"{file.path}: {text}")]
+    servos = read_servos(model, movable_joints(model))
+    # A damping ratio is a gain only now: inertias may have changed.
+    kept = ~gains.driven & (servos.drive >= 0)
+    init_ctrl, init_act = initial_controls(model, servos, gains.driven, qpos, keyframe)
     return (
         ParsedArticulation(
             uid=uid,
@@ -204,10 +235,11 @@ def parse_with_problems(
             qvel_limits=joints.qvel_limits,
             qf_limits=joints.qf_limits,
             init_qpos=qpos,
-            stiffness=gains.stiffness,
-            damping=gains.damping,
+            init_qvel=np.zeros(len(qpos)) if keyframe is None else keyframe.qvel,
+            stiffness=np.where(kept, servos.stiffness, gains.stiffness),
+            damping=np.where(kept, servos.damping, gains.damping),
             joint_damping=joints.damping,
-            max_effort=gains.max_effort,
+            max_effort=np.where(kept, servos.max_effort, gains.max_effort),
             max_velocity=gains.max_velocity,
             friction=gains.friction,
             armature=gains.armature + added,
@@ -218,7 +250,18 @@ def parse_with_problems(
             mimic_offsets=mimics.offsets,
             control_parts=parts,
             tools={part: tool.link for part, tool in tools.items()},
-            init_ctrl=_init_ctrl(file, model, keyframe, cfg),
+            own_actuators=model.nactuator > int(gains.driven.sum()),
+            driven=gains.driven,
+            drives=tuple(
+                own or (model.actuator(int(servo)).name if servo >= 0 else "")
+                for own, servo in zip(drives, servos.drive, strict=True)
+            ),
+            servos=servos,
+            control_names=control_names(model),
+            ctrl_limits=_ctrl_limits(model, drives, joints.qpos_limits),
+            init_ctrl=init_ctrl,
+            init_act=init_act,
+            keyframe=keyframe,
             notes=tuple(notes),
         ),
         problems,
@@ -243,7 +286,7 @@ def _quieten(
     lacking = quiet_armature(
         model,
         names,
-        stiffness=gains.stiffness,
+        stiffness=np.where(gains.driven, gains.stiffness, 0.0),
         damping=np.where(gains.driven, gains.damping, 0.0),
         max_effort=gains.max_effort,
         home=home,
@@ -320,11 +363,25 @@ def _root_pose(model: mujoco.MjModel, root: str, keyframe: Keyframe | None) -> F
     return np.concatenate([model.body_pos[body], model.body_quat[body]])
 
 
-def _init_ctrl(
-    file: ModelFile, model: mujoco.MjModel, keyframe: Keyframe | None, cfg: ArticulationCfg
-) -> F64:
-    """Return the keyframe's controls of the actuators that are still the file's own."""
-    if cfg.drive_pros.drive_type != "none":
-        return np.zeros(0)
-    ctrl = keyframe.ctrl if keyframe is not None else {}
-    return np.array([ctrl.get(model.actuator(i).name, 0.0) for i in range(model.nu)], np.float64)
+def _ctrl_limits(model: mujoco.MjModel, drives: Sequence[str], qpos_limits: F64) -> F64:
+    """Return (nu, 2) limits of controls."""
+    limited = model.actuator_ctrllimited.astype(np.bool_)[:, None]
+    limits: F64 = np.where(limited, model.actuator_ctrlrange, [-np.inf, np.inf])
+    for name, low_high in zip(drives, qpos_limits, strict=True):
+        if name:
+            limits[model.actuator_ctrladr[model.actuator(name).id]] = low_high
+    return limits
+
+
+def _unused(spec: mujoco.MjSpec, keyframe: Keyframe | None) -> list[str]:
+    """Say which keyframes are left out, and which mocap bodies stand still."""
+    said: list[str] = []
+    others = [repr(key.name) for key in spec.keys if keyframe is None or key.name != keyframe.name]
+    if others:
+        used = keyframe.name if keyframe is not None else ""
+        said.append(f"it starts at its keyframe {used!r}; left out: {', '.join(others)}")
+    tops = list(spec.worldbody.bodies)
+    mocap = [repr(body.name) for body in tops if body.mocap]
+    if mocap and len(tops) > 1:
+        said.append(f"mocap bodies are fixed to its base: {', '.join(mocap)}")
+    return said

@@ -24,9 +24,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.cfg import JointDrivePropertiesCfg, SimulationManagerCfg
+from embodichain.lab.sim.cfg import SimulationManagerCfg
 from embodichain.lab.sim.compiler.drives import NO_EFFORT_LIMIT
 from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.drive_cfg import FileFirst, JointDrivePropertiesCfg
 from embodichain.utils.random import RandomStreams
 
 __all__ = [
@@ -66,6 +67,8 @@ def may_chatter(
     if step.integrator not in _IMPLICIT or any(c.quantity == "max_effort" for c in changes):
         return True
     limit = cfg.max_effort
+    if isinstance(limit, FileFirst):  # an MJCF's limit, if drives take the place of its actuators
+        return not (isinstance(cfg.stiffness, FileFirst) and isinstance(cfg.damping, FileFirst))
     return isinstance(limit, (str, Mapping)) or limit < NO_EFFORT_LIMIT
 
 

@@ -71,6 +71,5 @@ def time_constants(parsed: ParsedArticulation) -> F64:
 
 
 def _driven(parsed: ParsedArticulation) -> F64:
-    names = {parsed.model.actuator(i).name for i in range(parsed.model.nu)}
-    driven: F64 = np.array([name in names for name in parsed.joint_names], np.bool_)
+    driven: F64 = np.array([bool(name) for name in parsed.drives], np.bool_)
     return driven

@@ -14,9 +14,10 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.cfg import JointDrivePropertiesCfg
+from embodichain.lab.sim.compiler.actuators import JOINT_TRANSMISSIONS, Servos
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import match
+from embodichain.lab.sim.drive_cfg import FileFirst, JointDrivePropertiesCfg
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
@@ -24,11 +25,12 @@ __all__ = [
     "NO_EFFORT_LIMIT",
     "DriveGains",
     "FileJoints",
+    "Mask",
     "apply_drives",
-    "control_gain",
     "resolve_drives",
 ]
 
+Mask = NDArray[np.bool_]
 NO_EFFORT_LIMIT = 1e9
 """Efforts at least this large count as unlimited (EmbodiChain's default is 1e10)."""
 
@@ -46,13 +48,16 @@ class FileJoints:
     armature: F64
     inertia: F64
     """Joint-space inertia at qpos0 (`dof_M0`), kg m^2 or kg."""
+    servos: Servos | None = None
+    """What actuators of the file do; None where a file can have none (URDF)."""
 
 
 @dataclass(frozen=True, eq=False)
 class DriveGains:
     """Resolved drives of D joints, each (D,): what the model gets. Effort inf: no limit.
 
-    A joint without a drive has stiffness 0, its own damping and the file's effort limit.
+    Where `driven` is False there is no drive of ours: gains are those of the file's servo, if there
+    is one, and its effort limit is `max_effort` where `relimited`.
     """
 
     stiffness: F64
@@ -61,9 +66,10 @@ class DriveGains:
     max_velocity: F64
     friction: F64
     armature: F64
-    driven: NDArray[np.bool_]
-    armature_given: NDArray[np.bool_]
+    driven: Mask
+    armature_given: Mask
     """Joints whose armature the config gives."""
+    relimited: Mask
 
 
 def resolve_drives(
@@ -74,11 +80,15 @@ def resolve_drives(
 ) -> tuple[DriveGains, list[Problem]]:
     """Return one value of each property per joint, and every mistake in the config.
 
-    A map's keys are joint regexes or control-part names; parts are applied last. Joints that no key
-    names keep the field's default. Joints that mimic another one have no drive of their own: they
-    keep the file's damping. So does everything with ``drive_type: none``. A `friction` of 0 (the
-    default) keeps the file's; a map with 0 clears it. ``acceleration`` multiplies both gains by the
-    joint's inertia at qpos0.
+    A map's keys are joint regexes or control-part names; parts are applied last. Joints that mimic
+    another one have no drive of their own. A `friction` of 0 (the default) keeps the file's; a map
+    with 0 clears it. ``acceleration`` multiplies both gains by the joint's inertia at qpos0.
+
+    In a URDF every other joint has a drive, with the fields' defaults where no key names it. In an
+    MJCF those have one that `stiffness` or `damping` names (a number names what the file's
+    actuators act on, or all joints if it has none); what is not given is the file's own servo's,
+    else the fields' default.
+    Without a drive (`drive_type: none` included) joints keep the file's damping and actuators.
 
     Args:
         cfg: The drives' config.
@@ -87,49 +97,107 @@ def resolve_drives(
         mimic: Joints that mimic another one.
     """
     problems: list[Problem] = []
+    count, servos = len(joints.names), joints.servos
+    nobody = np.zeros(count, np.bool_)
 
-    def value(name: str, default: F64) -> F64:
-        return _per_joint(name, getattr(cfg, name), default, joints.names, parts, problems)
+    def value(name: str, default: F64) -> tuple[F64, Mask]:
+        """The values, and which joints were given one."""
+        wanted = getattr(cfg, name)
+        if wanted == "file" or (servos is not None and isinstance(wanted, FileFirst)):
+            return default.copy(), nobody
+        found = _per_joint(name, wanted, np.full(count, np.nan), joints.names, parts, problems)
+        given = ~np.isnan(found)
+        return np.where(given, found, default), given
 
-    count = len(joints.names)
-    stiffness = value("stiffness", np.full(count, 1e4))
-    damping = value("damping", np.full(count, 1e3))
+    stiffness, stiff = value("stiffness", _first(servos, "stiffness", np.full(count, 1e4)))
+    damping, damped = value("damping", _first(servos, "damping", np.full(count, 1e3)))
+    velocity = np.full(count, 1e10)
     if cfg.max_velocity == "file":
         velocity = np.minimum(joints.qvel_limits, 1e10)
-    elif cfg.max_velocity is None:
-        velocity = np.full(count, 1e10)
-    else:
-        velocity = value("max_velocity", np.full(count, 1e10))
+    elif cfg.max_velocity is not None:
+        velocity, _ = value("max_velocity", velocity)
     if not (velocity > 0).all():
         message = "must be positive; null is no limit"
         problems.append(Problem("max_velocity", message))
-    if cfg.max_effort == "file":
-        effort = joints.qf_limits.copy()
-    else:
-        effort = value("max_effort", np.full(count, 1e10))
+    files = servos is not None or cfg.max_effort == "file"
+    effort, limited = value("max_effort", joints.qf_limits if files else np.full(count, 1e10))
+    friction = joints.friction.copy()
+    if isinstance(cfg.friction, Mapping) or cfg.friction != 0:
+        friction, _ = value("friction", friction)
+    armature, armed = joints.armature.copy(), nobody
+    if cfg.armature is not None:
+        armature, armed = value("armature", armature)
     if not (effort > 0).all():
         message = "must be positive; a joint that shall not push needs stiffness 0 instead"
         problems.append(Problem("max_effort", message))
         effort = np.where(effort > 0, effort, np.inf)
     effort = np.where(effort >= NO_EFFORT_LIMIT, np.inf, effort)
-    friction = joints.friction.copy()
-    if isinstance(cfg.friction, Mapping) or cfg.friction != 0:
-        friction = value("friction", friction)
-    unknown: F64 = np.full(count, np.nan)
-    armature = unknown if cfg.armature is None else value("armature", unknown)
-    given = ~np.isnan(armature)
-    armature = np.where(given, armature, joints.armature)
-    if cfg.drive_type == "acceleration":
-        stiffness, damping = stiffness * joints.inertia, damping * joints.inertia
-    undriven = np.zeros(count, np.bool_)
-    undriven[list(mimic)] = True
+    driven = np.ones(count, np.bool_)
+    relimited = nobody.copy()
+    if servos is None:
+        problems += [
+            Problem(name, "a URDF holds no gains: give numbers")
+            for name in ("stiffness", "damping")
+            if getattr(cfg, name) == "file"
+        ]
+    else:
+        driven, wrong = _named(cfg, servos, stiff, damped)
+        problems += wrong
+        relimited = limited & ~driven & (servos.drive >= 0)
+        idle = limited & ~driven & ~relimited
+        if isinstance(cfg.max_effort, Mapping) and idle.any():
+            names = ", ".join(joints.names[i] for i in np.flatnonzero(idle))
+            message = f"joints without a drive or servo: {names}; give stiffness or damping"
+            problems.append(Problem("max_effort", message))
+    driven[list(mimic)] = False
     if cfg.drive_type == "none":
-        undriven[:] = True
-    stiffness = np.where(undriven, 0.0, stiffness)
-    damping = np.where(undriven, joints.damping, damping)
-    effort = np.where(undriven, joints.qf_limits, effort)
-    gains = DriveGains(stiffness, damping, effort, velocity, friction, armature, ~undriven, given)
+        driven[:] = relimited[:] = False
+    if cfg.drive_type == "acceleration":
+        stiffness = np.where(stiff | (servos is None), stiffness * joints.inertia, stiffness)
+        damping = np.where(damped | (servos is None), damping * joints.inertia, damping)
+    # Without a drive: the file's servo, or the joint itself.
+    own = np.zeros(count), joints.damping, joints.qf_limits
+    if servos is not None:
+        servo = servos.drive >= 0
+        own = (
+            servos.stiffness,
+            np.where(servo, servos.damping, joints.damping),
+            np.where(servo, servos.max_effort, joints.qf_limits),
+        )
+    stiffness = np.where(driven, stiffness, own[0])
+    damping = np.where(driven, damping, own[1])
+    effort = np.where(driven | relimited, effort, own[2])
+    gains = DriveGains(
+        stiffness, damping, effort, velocity, friction, armature, driven, armed, relimited
+    )
     return gains, problems
+
+
+def _first(servos: Servos | None, name: str, default: F64) -> F64:
+    """What the file's position servos say, where there are any."""
+    if servos is None:
+        return default
+    return np.where(servos.stiffness > 0, getattr(servos, name), default)
+
+
+def _named(
+    cfg: JointDrivePropertiesCfg, servos: Servos, stiff: Mask, damped: Mask
+) -> tuple[Mask, list[Problem]]:
+    """Return which joints of an MJCF the gains name."""
+    driven = np.zeros(len(stiff), np.bool_)
+    problems: list[Problem] = []
+    for name, given in (("stiffness", stiff), ("damping", damped)):
+        if isinstance(getattr(cfg, name), Mapping):
+            driven |= given
+        elif given.any():
+            driven |= servos.actuated | (servos.count == 0)
+            if not driven.any() and cfg.drive_type != "none":
+                message = (
+                    "one number is for the joints that the file's actuators act on, and these act "
+                    f"on tendons or sites only: name joints, as in {{'.*': {getattr(cfg, name):g}}}"
+                )
+                problems.append(Problem(name, message))
+    return driven, problems
 
 
 def _per_joint(
@@ -175,61 +243,73 @@ def _number(value: Any, path: str, problems: list[Problem]) -> float | None:
 
 
 def apply_drives(
-    spec: mujoco.MjSpec,
-    cfg: JointDrivePropertiesCfg,
-    gains: DriveGains,
-    names: Sequence[str],
-    mimic: Sequence[int],
-) -> None:
-    """Write gains into a spec: joints, and one actuator named like its joint for every drive.
+    spec: mujoco.MjSpec, gains: DriveGains, joints: FileJoints
+) -> tuple[tuple[str, ...], list[str]]:
+    """Write gains into a spec: joints, and one actuator for every drive, named like its joint.
 
-    The file's own actuators go, with the sensors that read them, unless ``drive_type`` is none.
+    Actuators of the file on joints that get a drive go, with the sensors that read them.
+
+    Returns:
+        The name of each joint's drive, empty where it has none, and what a user should be told.
     """
+    names, servos = joints.names, joints.servos
     for i, name in enumerate(names):
         joint = spec.joint(name)
         joint.armature = float(gains.armature[i])
         joint.frictionloss = float(gains.friction[i])
-    if cfg.drive_type == "none":
-        return
-    _remove_actuators(spec)
+    notes: list[str] = []
+    if servos is not None and gains.relimited.any():
+        own = list(spec.actuators)
+        changed = np.flatnonzero(gains.relimited)
+        servo_of = {int(row): own[servos.drive[row]] for row in changed}
+        for row, servo in servo_of.items():
+            _limit(servo, float(gains.max_effort[row] / abs(servos.gear[row])))
+        limited = ", ".join(repr(servo.name) for servo in servo_of.values())
+        notes.append(f"max_effort (drive_pros) replaces the force limits of {limited}")
+    driven = [name for i, name in enumerate(names) if gains.driven[i]]
+    if servos is not None and not driven and not servos.count:
+        notes.append("no joint is driven: it has no actuators, and drive_pros names no joint")
+    notes += _remove_actuators(spec, driven)
+    taken = {actuator.name for actuator in spec.actuators}
+    drives = [""] * len(names)
     for i, name in enumerate(names):
+        if not gains.driven[i]:
+            continue
         joint = spec.joint(name)
         # Efforts are limited in the drive, where set_joint_drive can change them per environment.
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         joint.actfrcrange = [0.0, 0.0]
-        if i in mimic:
-            continue
+        drives[i] = name if name not in taken else f"{name}_drive"
         _add_drive(
             spec,
+            drives[i],
             name,
             float(gains.stiffness[i]),
             float(gains.damping[i]),
             float(gains.max_effort[i]),
         )
-
-
-def control_gain(stiffness: F64, damping: F64) -> F64:
-    """What a drive multiplies its control by: the damping where there is no stiffness.
-
-    The control is then a velocity target, else a position target; see `objects.drives`.
-    """
-    return np.where(stiffness > 0, stiffness, damping)
+    return tuple(drives), notes
 
 
 def _add_drive(
-    spec: mujoco.MjSpec, joint: str, stiffness: float, damping: float, effort: float
+    spec: mujoco.MjSpec, name: str, joint: str, stiffness: float, damping: float, effort: float
 ) -> None:
     """Force = stiffness x (ctrl - q) - damping x v, clamped to +-effort.
 
     Without stiffness damping x (ctrl - v): MuJoCo's velocity actuator.
     """
-    actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    actuator = spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
     actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
     actuator.gainprm[0] = stiffness if stiffness > 0 else damping
     actuator.biasprm[1] = -stiffness
     actuator.biasprm[2] = -damping
     actuator.ctrllimited = mujoco.mjtLimited.mjLIMITED_FALSE
+    _limit(actuator, effort)
+
+
+def _limit(actuator: mujoco.MjsActuator, effort: float) -> None:
+    """Clamp an actuator's force to +-effort; inf is no limit."""
     limited = bool(np.isfinite(effort))
     actuator.forcelimited = (
         mujoco.mjtLimited.mjLIMITED_TRUE if limited else mujoco.mjtLimited.mjLIMITED_FALSE
@@ -238,10 +318,28 @@ def _add_drive(
         actuator.forcerange = [-effort, effort]
 
 
-def _remove_actuators(spec: mujoco.MjSpec) -> None:
-    gone = {actuator.name for actuator in spec.actuators}
-    for sensor in list(spec.sensors):
-        if sensor.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR and sensor.objname in gone:
-            spec.delete(sensor)
+def _remove_actuators(spec: mujoco.MjSpec, joints: Sequence[str]) -> list[str]:
+    """Take out the actuators on joints, and the sensors that read them; say so."""
+    gone = {
+        actuator.name: actuator.target
+        for actuator in spec.actuators
+        if int(actuator.trntype) in JOINT_TRANSMISSIONS and actuator.target in joints
+    }
+    deaf = [
+        sensor
+        for sensor in spec.sensors
+        if sensor.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR and sensor.objname in gone
+    ]
+    notes: list[str] = []
+    if gone:
+        pairs = ", ".join(f"{name!r} on {joint!r}" for name, joint in gone.items())
+        notes.append(f"drives (drive_pros) replace its actuators: {pairs}")
+    if deaf:
+        lost = ", ".join(repr(sensor.name) for sensor in deaf)
+        notes.append(f"sensors of replaced actuators left out: {lost}")
+    for sensor in deaf:
+        spec.delete(sensor)
     for actuator in list(spec.actuators):
-        spec.delete(actuator)
+        if actuator.name in gone:
+            spec.delete(actuator)
+    return notes

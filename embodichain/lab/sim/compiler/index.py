@@ -35,8 +35,12 @@ class EntityIndex:
         free_qvel_adr: Where its root's 6 velocities start in qvel, or -1.
         qpos_adr: (D,) columns of its joints in qpos, in the order of `joint_names`.
         dof_adr: (D,) columns of its joints in qvel.
-        actuator_ids: (D,) the drive of each joint, or -1.
-        own_actuator_ids: (M,) actuators that came with its file (drive_type none), in file order.
+        actuator_ids: (D,) the actuator that takes each joint's targets, or -1.
+        ctrl_ids: (D,) its column in ctrl, or -1.
+        velocity_ctrl_ids: (D,) column in ctrl of a velocity servo beside it, or -1.
+        own_actuator_ids: All its actuators, in the model's order.
+        own_ctrl_ids: (M,) all its controls: their columns in ctrl, in the model's order.
+        own_act_ids: (K,) all its activations: their columns in act.
     """
 
     uid: str
@@ -52,4 +56,8 @@ class EntityIndex:
     qpos_adr: Ids = field(default_factory=_none)
     dof_adr: Ids = field(default_factory=_none)
     actuator_ids: Ids = field(default_factory=_none)
+    ctrl_ids: Ids = field(default_factory=_none)
+    velocity_ctrl_ids: Ids = field(default_factory=_none)
     own_actuator_ids: Ids = field(default_factory=_none)
+    own_ctrl_ids: Ids = field(default_factory=_none)
+    own_act_ids: Ids = field(default_factory=_none)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from embodichain.lab.sim.compiler.actuators import JOINT_TRANSMISSIONS, read_servos
 from embodichain.lab.sim.compiler.drives import FileJoints
 from embodichain.lab.sim.compiler.index import F64, Ids
 
@@ -31,12 +32,15 @@ def movable_joints(model: mujoco.MjModel) -> Ids:
     return np.flatnonzero(np.isin(model.jnt_type, _JOINT_TYPES)).astype(np.int64)
 
 
-def read_joints(model: mujoco.MjModel, velocity_limits: Mapping[str, float]) -> FileJoints:
+def read_joints(
+    model: mujoco.MjModel, velocity_limits: Mapping[str, float], *, is_urdf: bool
+) -> FileJoints:
     """Return what a file says of its movable joints.
 
     Args:
         model: The file, compiled as it is.
         velocity_limits: Joint name -> limit, where the file has one (MuJoCo keeps none).
+        is_urdf: Whether it is a URDF, which holds no actuators.
     """
     ids = movable_joints(model)
     names = tuple(model.joint(i).name for i in ids)
@@ -53,16 +57,17 @@ def read_joints(model: mujoco.MjModel, velocity_limits: Mapping[str, float]) -> 
         friction=model.dof_frictionloss[dofs].copy(),
         armature=model.dof_armature[dofs].copy(),
         inertia=model.dof_M0[dofs].copy(),
+        servos=None if is_urdf else read_servos(model, ids),
     )
 
 
 def _effort_limits(model: mujoco.MjModel, ids: Ids) -> F64:
     """Return each joint's limit: its own, else that of an actuator on it, else inf."""
     limits: F64 = np.full(model.njnt, np.inf)
-    for actuator in range(model.nu):
+    for actuator in range(model.nactuator):
         joint = int(model.actuator_trnid[actuator, 0])
-        if model.actuator_trntype[actuator] == mujoco.mjtTrn.mjTRN_JOINT:
-            gear = abs(float(model.actuator_gear[actuator, 0]))
+        if model.actuator_trntype[actuator] in JOINT_TRANSMISSIONS:
+            gear = abs(float(model.actuator_gear[model.actuator_outadr[actuator], 0]))
             limits[joint] = min(limits[joint], gear * _actuator_limit(model, actuator))
     for joint in ids:
         if model.jnt_actfrclimited[joint]:
@@ -77,11 +82,12 @@ def _actuator_limit(model: mujoco.MjModel, actuator: int) -> float:
     motor = (
         model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
         and model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE
-        and model.actuator_ctrllimited[actuator]
+        and model.actuator_ctrllimited[model.actuator_ctrladr[actuator]]
     )
     if motor:
         gain = abs(float(model.actuator_gainprm[actuator, 0]))
-        return gain * float(np.abs(model.actuator_ctrlrange[actuator]).max())
+        control = int(model.actuator_ctrladr[actuator])
+        return gain * float(np.abs(model.actuator_ctrlrange[control]).max())
     return float(np.inf)
 
 

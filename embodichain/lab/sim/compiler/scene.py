@@ -13,7 +13,7 @@ from embodichain.lab.sim.cfg import LightCfg, RigidObjectCfg, SimulationManagerC
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.collision import MAX_MASKED, separate
 from embodichain.lab.sim.compiler.files import compile_quietly
-from embodichain.lab.sim.compiler.index import F64, EntityIndex
+from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
 from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
 from embodichain.lab.sim.compiler.names import check_uid
 from embodichain.lab.sim.compiler.objects import add_object, check_object, damping_of
@@ -163,9 +163,14 @@ def _index_articulation(model: mujoco.MjModel, parsed: ParsedArticulation) -> En
     prefix = f"{parsed.uid}/"
     bodies = np.array([model.body(prefix + name).id for name in parsed.link_names], np.int64)
     joints = np.array([model.joint(prefix + name).id for name in parsed.joint_names], np.int64)
-    own = [i for i in range(model.nu) if model.actuator(i).name.startswith(prefix)]
-    drives = {model.actuator(i).name: i for i in own}
-    driven = parsed.cfg.drive_pros.drive_type != "none"
+    own = [i for i in range(model.nactuator) if model.actuator(i).name.startswith(prefix)]
+    actuators = {model.actuator(i).name.removeprefix(prefix): i for i in own}
+    targets: Ids = np.array([actuators.get(name, -1) for name in parsed.drives], np.int64)
+    alone = parsed.model
+    speeds: Ids = np.array(
+        [actuators[alone.actuator(int(a)).name] if a >= 0 else -1 for a in parsed.servos.velocity],
+        np.int64,
+    )
     root = int(model.body(prefix + parsed.root_link_name).id)
     pos, quat = initial_pose(parsed.cfg)
     free = -1 if parsed.fixed_base else int(model.body_jntadr[root])
@@ -182,11 +187,27 @@ def _index_articulation(model: mujoco.MjModel, parsed: ParsedArticulation) -> En
         free_qvel_adr=int(model.jnt_dofadr[free]) if free >= 0 else -1,
         qpos_adr=model.jnt_qposadr[joints].astype(np.int64),
         dof_adr=model.jnt_dofadr[joints].astype(np.int64),
-        actuator_ids=np.array(
-            [drives.get(prefix + n, -1) if driven else -1 for n in parsed.joint_names], np.int64
-        ),
-        own_actuator_ids=np.array([] if driven else own, np.int64),
+        actuator_ids=targets,
+        ctrl_ids=_first_controls(model, targets),
+        velocity_ctrl_ids=_first_controls(model, speeds),
+        own_actuator_ids=np.array(own, np.int64),
+        own_ctrl_ids=_ranges(model.actuator_ctrladr[own], model.actuator_ctrlnum[own]),
+        own_act_ids=_ranges(model.actuator_actadr[own], model.actuator_actnum[own]),
     )
+
+
+def _first_controls(model: mujoco.MjModel, actuators: Ids) -> Ids:
+    """Return the first control of each actuator; -1 stays."""
+    columns: Ids = np.full(len(actuators), -1, np.int64)
+    known = actuators >= 0
+    columns[known] = model.actuator_ctrladr[actuators[known]]
+    return columns
+
+
+def _ranges(starts: Ids, counts: Ids) -> Ids:
+    """Return the concatenation of ``start + arange(count)``."""
+    parts = [np.arange(a, a + n) for a, n in zip(starts, counts, strict=True)]
+    return np.concatenate([np.zeros(0), *parts]).astype(np.int64)
 
 
 def _index_object(model: mujoco.MjModel, uid: str, cfg: RigidObjectCfg) -> EntityIndex:
@@ -222,5 +243,8 @@ def _start(
             data.qpos[index.free_qpos_adr : index.free_qpos_adr + 7] = pose
     for parsed in articulations:
         data.qpos[entities[parsed.uid].qpos_adr] = parsed.init_qpos
+        for name, (quat, _) in (parsed.keyframe.balls if parsed.keyframe else {}).items():
+            start = int(model.joint(f"{parsed.uid}/{name}").qposadr[0])
+            data.qpos[start : start + 4] = quat
     mujoco.mj_kinematics(model, data)
     return data

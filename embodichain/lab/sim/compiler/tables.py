@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import LightCfg, RigidObjectCfg
+from embodichain.lab.sim.compiler.actuators import ActuatorDescription, describe_actuators
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.declaration import (
     SceneDeclaration,
@@ -20,7 +21,13 @@ from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
 from embodichain.lab.sim.compiler.scene_check import parse_scene
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["EntityDescription", "JointDescription", "SceneDescription", "describe_scene"]
+__all__ = [
+    "ActuatorDescription",
+    "EntityDescription",
+    "JointDescription",
+    "SceneDescription",
+    "describe_scene",
+]
 
 
 @dataclass(frozen=True)
@@ -38,7 +45,8 @@ class JointDescription:
         max_effort: Of its drive, else of the file; inf is none.
         armature: Reflected inertia.
         friction: Dry friction.
-        actuator: Its drive's name in the model, or an empty string.
+        actuator: What takes its position target, in the model: a drive or a servo of the file; or
+            an empty string.
         mimics: The joint it follows, or an empty string.
     """
 
@@ -70,6 +78,7 @@ class EntityDescription:
         mass: kg, all links.
         links: Names of its frames, parents before children.
         joints: Its hinges and slides.
+        actuators: Its file's actuators, then drives.
         colliding_geoms: How many of its geoms collide.
         control_parts: Part -> joint names.
     """
@@ -83,6 +92,7 @@ class EntityDescription:
     mass: float
     links: tuple[str, ...]
     joints: tuple[JointDescription, ...]
+    actuators: tuple[ActuatorDescription, ...]
     colliding_geoms: int
     control_parts: dict[str, tuple[str, ...]]
 
@@ -140,6 +150,7 @@ def describe_scene(cfg: SceneDeclaration) -> SceneDescription:
             "qpos": model.nq,
             "qvel": model.nv,
             "controls": model.nu,
+            "actuators": model.nactuator,
             "bodies": model.nbody,
             "geoms": model.ngeom,
         },
@@ -217,6 +228,7 @@ def _entity(
         mass=float(model.body_mass[index.body_ids].sum()),
         links=links,
         joints=joints,
+        actuators=tuple(describe_actuators(model)[i] for i in index.own_actuator_ids),
         colliding_geoms=int(np.count_nonzero(colliding)),
         control_parts=control_parts or {},
     )

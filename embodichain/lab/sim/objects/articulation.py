@@ -15,6 +15,7 @@ from embodichain.lab.sim.objects._arrays import (
     stacked_view,
     to_tensor,
 )
+from embodichain.lab.sim.objects.actuators import ActuatedJoints
 from embodichain.lab.sim.objects.articulation_data import ArticulationData
 from embodichain.lab.sim.objects.drives import Drives
 from embodichain.lab.sim.objects.entity import not_available
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
 __all__ = ["Articulation"]
 
 
-class Articulation(LinkMasses):
+class Articulation(LinkMasses, ActuatedJoints):
     """One jointed mechanism in N environments: D one-degree joints in qpos order, L links.
 
     Ball joints are simulated but stand in none of the joint arrays.
@@ -57,9 +58,9 @@ class Articulation(LinkMasses):
         """Learn where the compiled model keeps this articulation."""
         super().bind(engine, index)
         self._qpos, self.dofs = columns_of(index.qpos_adr), columns_of(index.dof_adr)
-        actuators = np.asarray(index.actuator_ids, np.int64)
-        self._driven = self._all if (actuators >= 0).all() else np.flatnonzero(actuators >= 0)
-        self._ctrl = columns_of(actuators[self._driven])
+        controls = np.asarray(index.ctrl_ids, np.int64)
+        self._driven = self._all if (controls >= 0).all() else np.flatnonzero(controls >= 0)
+        self._ctrl = columns_of(controls[self._driven])
         # qf is a field of the acceleration stage: ask for it before the first step. Whoever asks
         # first has it computed, which may move what was read before.
         engine.acceleration("qfrc_actuator")
@@ -207,10 +208,10 @@ class Articulation(LinkMasses):
             joints, columns = self._driven, self._ctrl
             if joints is not self._all:
                 if not len(joints):
-                    self.drives._actuators(self._all)
+                    self.drives.columns(self._all)
                 values = values[:, joints]
         else:
-            columns = columns_of(self.drives._actuators(joints))
+            columns = columns_of(self.drives.columns(joints))
         self.drives.write_target_qpos(values, joints, columns, ids)
 
     def write_qpos(

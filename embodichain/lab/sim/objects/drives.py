@@ -1,8 +1,9 @@
 """`Drives`: the PD drives of an articulation - gains per environment and targets.
 
-A drive is one actuator, whose force is ``clip(kp (target - q) - kd qvel, -effort, effort)``. A
-velocity target adds ``kd target_qvel`` and enters the control as ``target + (kd / kp)
-target_qvel``. Without stiffness the control is the velocity target itself.
+A drive is one actuator, whose force is ``clip(kp (target - q) - kd qvel, -effort, effort)``: what
+`drive_pros` adds, or a servo of the file (in units of its own: see `Transmission`). A velocity
+target adds ``kd target_qvel`` and enters the control as ``target + (kd / kp) target_qvel``. Without
+stiffness the control is the velocity target itself.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.objects._arrays import as_rows, columns_of
 from embodichain.lab.sim.objects.joint_limits import JointLimits
+from embodichain.lab.sim.objects.model_gains import NO_LIMIT, ModelGains
+from embodichain.lab.sim.objects.transmission import Transmission
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.base import F64, EnvIndex
@@ -22,9 +25,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Drives"]
 
-NO_LIMIT = 1e9
-"""Efforts at least this large count as unlimited (EmbodiChain's default is 1e10)."""
-_NO_EFFORT_LIMIT = 1e10
 _JOINT_FIELDS = {
     "joint_damping": "dof_damping",
     "friction": "dof_frictionloss",
@@ -62,6 +62,7 @@ class Drives:
         self._springless = False
         self._limits_vary = False
         self.strength: F64 = np.ones((count, len(parsed.joint_names)))
+        self._transmission = Transmission(parsed.servos)
         self.limits = JointLimits(np.asarray(parsed.qpos_limits, np.float64), count)
 
     def _actuators(self, joints: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -69,10 +70,16 @@ class Drives:
         if (ids < 0).any():
             names = [self._owner.joint_names[j] for j, a in zip(joints, ids, strict=True) if a < 0]
             raise ValueError(
-                f"{self._owner.uid}: joints {names} have no drive (drive_type none, or they mimic "
-                "another joint); set their position with target=False"
+                f"{self._owner.uid}: joints {names} have no drive (drive_type none, mimics of "
+                "others, or without a servo in their file); set their position with target=False"
             )
         return ids
+
+    def columns(self, joints: NDArray[np.int64]) -> NDArray[np.int64]:
+        """(k,) columns in ``ctrl`` of the drives of joints; ValueError where there is none."""
+        self._actuators(joints)
+        found: NDArray[np.int64] = np.asarray(self._owner.entity.ctrl_ids, np.int64)[joints]
+        return found
 
     def write_target_qpos(
         self, target: F64, joints: NDArray[np.int64], columns: Any, ids: EnvIndex | None
@@ -93,14 +100,20 @@ class Drives:
             rows = slice(None) if ids is None else ids[:, None]
             clamped = self._control(clamped, (rows, joints))
         self._owner.engine.write("ctrl", clamped, ids, columns)
+        if self.has_velocity_target:
+            self._write_velocity_servos(joints, ids)
 
     @property
     def _mixes(self) -> bool:
         """Whether a control is something else than the position target."""
-        return self.has_velocity_target or self._springless
+        return self.has_velocity_target or self._springless or self._transmission.scales
 
     def _control(self, target: F64, where: Any) -> F64:
         """Controls of position targets (n, k) and of the velocity targets there."""
+        return self._transmission.control(self._mixed(target, where), where[1])
+
+    def _mixed(self, target: F64, where: Any) -> F64:
+        """The same, as if the actuator were the joint itself."""
         stiffness, velocity = self.stiffness[where], self.target_qvel[where]
         ratio = np.divide(
             self.damping[where], stiffness, out=np.zeros_like(stiffness), where=stiffness > 0
@@ -111,13 +124,14 @@ class Drives:
     def read_target_qpos(self) -> F64:
         """(N, D) position targets; the joint's position where nothing holds a position."""
         owner = self._owner
-        actuators = np.asarray(owner.entity.actuator_ids, np.int64)
-        driven = np.flatnonzero(actuators >= 0)
+        columns = np.asarray(owner.entity.ctrl_ids, np.int64)
+        driven = np.flatnonzero(columns >= 0)
         out = owner.read_qpos().copy()
-        control = owner.engine.state("ctrl")[:, actuators[driven]]
+        control = owner.engine.state("ctrl")[:, columns[driven]]
         if self._mixes:
             where = (slice(None), driven)
-            lead = self._control(np.zeros_like(control), where)
+            control = self._transmission.target(control, driven)
+            lead = self._mixed(np.zeros_like(control), where)
             control = np.where(self.stiffness[where] > 0, control - lead, out[where])
         out[:, driven] = control
         return out
@@ -144,13 +158,58 @@ class Drives:
         self, target: F64, joints: NDArray[np.int64], ids: EnvIndex | None
     ) -> None:
         """Set velocity targets (n, k) and fold them into the control."""
-        columns = self._actuators(joints)
+        columns = self.columns(joints)
         rows = np.arange(self._owner.num_instances) if ids is None else ids
         where = (rows[:, None], joints)
         position = self.read_target_qpos()[where]
         self.target_qvel[where] = target
         self.has_velocity_target = bool(self.target_qvel.any())
         self._owner.engine.write("ctrl", self._control(position, where), ids, columns)
+        self._write_velocity_servos(joints, ids)
+
+    def _write_velocity_servos(self, joints: NDArray[np.int64], ids: EnvIndex | None) -> None:
+        """Give velocity servos beside position servos their targets."""
+        owner = self._owner
+        columns = np.asarray(owner.entity.velocity_ctrl_ids, np.int64)[joints]
+        if not (columns >= 0).any():
+            return
+        joints = joints[columns >= 0]
+        target = self.target_qvel[slice(None) if ids is None else ids][:, joints]
+        scale = owner.parsed.servos.velocity_scale[joints]
+        owner.engine.write("ctrl", target * scale, ids, columns[columns >= 0])
+
+    def take_targets(
+        self,
+        control: F64,
+        joints: NDArray[np.int64],
+        ids: EnvIndex | None,
+        seconds: float | None = None,
+    ) -> F64:
+        """Return controls (n, k) of drives as they are written, and take them for the targets.
+
+        Position targets of drives that are not the file's are clamped to the joints' limits.
+
+        Args:
+            control: In the actuators' units.
+            joints: (k,) joint indices.
+            ids: (n,) environments, or None for all.
+            seconds: If given, targets keep to `max_velocity` (see `within_rate`).
+        """
+        where = (slice(None) if ids is None else ids[:, None], joints)
+        stiff = self.stiffness[where] > 0
+        target = asked = self._transmission.target(control, joints)
+        if seconds is not None:
+            most = self.max_velocity[where]
+            slow = self.within_rate(target, joints, seconds, ids)
+            target = np.where(stiff, slow, np.minimum(np.maximum(target, -most), most))
+        if self._mixes:
+            self.target_qvel[where] = np.where(stiff, 0.0, target)
+            self.has_velocity_target = bool(self.target_qvel.any())
+        low, high = self.limits.of(joints, ids)
+        clamped = np.minimum(np.maximum(target, low), high)
+        target = np.where(stiff & self._owner.parsed.driven[joints], clamped, target)
+        # What is not changed is written as it was given, to the bit.
+        return np.where(target == asked, control, self._transmission.control(target, joints))
 
     def clear(self, ids: EnvIndex | None) -> None:
         """Forget velocity targets, as a reset does, which has set the controls as compiled."""
@@ -162,7 +221,7 @@ class Drives:
             rows = np.arange(self._owner.num_instances) if ids is None else ids
             home = np.asarray(self._owner.parsed.init_qpos, np.float64)[changed]
             target = np.tile(home, (len(rows), 1))
-            columns = self._actuators(changed)
+            columns = self.columns(changed)
             self._owner.engine.write(
                 "ctrl", self._control(target, (rows[:, None], changed)), ids, columns
             )
@@ -242,11 +301,14 @@ class Drives:
         bias = engine.model.actuator_biasprm.shape[1]
         spring = self.stiffness[where] * self.strength[where]
         damper = self.damping[where] * self.strength[where]
-        gain = np.where(spring > 0, spring, damper)
+        gain = self._transmission.gain(np.where(spring > 0, spring, damper), where[1])
         engine.write_model("actuator_gainprm", gain, ids, columns_of(actuators * gains))
         for column, value in ((1, spring), (2, damper)):
             engine.write_model(
-                "actuator_biasprm", -value, ids, columns_of(actuators * bias + column)
+                "actuator_biasprm",
+                -self._transmission.feedback(value, where[1]),
+                ids,
+                columns_of(actuators * bias + column),
             )
 
     def _write_efforts(
@@ -264,8 +326,8 @@ class Drives:
         elif not compiled.any():
             return
         finite = np.where(limited, limit * self.strength[where], 0.0)
-        engine.write_model("actuator_forcerange", -finite, ids, columns_of(2 * actuators))
-        engine.write_model("actuator_forcerange", finite, ids, columns_of(2 * actuators + 1))
+        for side, bound in enumerate(self._transmission.force_range(finite, where[1])):
+            engine.write_model("actuator_forcerange", bound, ids, columns_of(2 * actuators + side))
 
     def put_limit(
         self,
@@ -284,9 +346,6 @@ class Drives:
     def take_over(self, ids: EnvIndex | None, fields: Mapping[str, NDArray[Any]]) -> None:
         """Read gains and limits out of a model that environments were given; no targets.
 
-        The model holds products: where stiffness and effort limit are scaled alike, or only a limit
-        is there, strength is what scaled them; else it is taken as 1.
-
         Args:
             ids: (n,) environments, or None for all.
             fields: Model fields, (size,) each, of all these environments; absent ones are as
@@ -295,51 +354,24 @@ class Drives:
         where: Any = slice(None) if ids is None else ids
         owner, parsed = self._owner, self._owner.parsed
         model, entity = owner.engine.model, owner.entity
-
-        def changed(name: str, columns: NDArray[np.int64], declared: Any) -> F64:
-            compiled = np.asarray(getattr(model, name), np.float64).reshape(-1)[columns]
-            given = np.asarray(fields.get(name, compiled), np.float64)
-            now = given if name not in fields else given.reshape(-1)[columns]
-            return np.where(now == compiled, np.asarray(declared, np.float64), now)
-
+        given = ModelGains(model, fields)
         dofs = np.asarray(entity.dof_adr, np.int64)
         for name, field in _JOINT_FIELDS.items():
-            getattr(self, name)[where] = changed(field, dofs, getattr(parsed, name))
+            getattr(self, name)[where] = given.read(field, dofs, getattr(parsed, name))
         joints = model.dof_jntid[dofs].astype(np.int64)
         for side in (0, 1):
-            limits = changed("jnt_range", 2 * joints + side, parsed.qpos_limits[:, side])
+            limits = given.read("jnt_range", 2 * joints + side, parsed.qpos_limits[:, side])
             if ids is not None or not np.array_equal(limits, self.limits.compiled[:, side]):
                 rows = np.arange(owner.num_instances) if ids is None else ids
                 self.limits.set(side, limits, np.arange(len(joints)), rows)
         actuators = np.asarray(entity.actuator_ids, np.int64)
         driven = np.flatnonzero(actuators >= 0)
-        actuators = actuators[driven]
-        bias = model.actuator_biasprm.shape[1] * actuators
-        springs = np.asarray(parsed.stiffness, np.float64)[driven]
-        dampers = np.asarray(parsed.damping, np.float64)[driven]
-        most = np.asarray(parsed.max_effort, np.float64)[driven]
-        stiffness = np.abs(changed("actuator_biasprm", bias + 1, springs))
-        damping = np.abs(changed("actuator_biasprm", bias + 2, dampers))
-        effort = changed("actuator_forcerange", 2 * actuators + 1, most)
-        limited = changed("actuator_forcelimited", actuators, -1.0)
-        effort = np.where(limited == 0, _NO_EFFORT_LIMIT, effort)
-        scale = np.divide(
-            effort, most, out=np.ones_like(most), where=(most > 0) & (most < NO_LIMIT)
-        )
-        alike = np.ones_like(scale, np.bool_)
-        for now, declared in ((stiffness, springs), (damping, dampers)):
-            factor = np.divide(now, declared, out=scale.copy(), where=declared > 0)
-            alike &= np.isclose(scale, factor, rtol=1e-9, atol=0.0)
-        for name, values in (
-            ("strength", np.where(alike, scale, 1.0)),
-            ("stiffness", np.where(alike, springs, stiffness)),
-            ("damping", np.where(alike, dampers, damping)),
-            ("max_effort", np.where(alike, most, effort)),
-        ):
+        gains = given.drives(parsed, self._transmission, actuators[driven], driven)
+        for name, values in gains.items():
             columns = getattr(self, name)[where]
             columns[:, driven] = values
             getattr(self, name)[where] = columns
-        undriven = np.flatnonzero(np.asarray(entity.actuator_ids, np.int64) < 0)
+        undriven = np.flatnonzero(actuators < 0)
         own = self.damping[where]
         own[:, undriven] = self.joint_damping[where][:, undriven]
         self.damping[where] = own

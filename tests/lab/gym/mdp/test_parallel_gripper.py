@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from embodichain.lab.gym.envs.cfg import ActionTermCfg
-from embodichain.lab.sim.cfg import RobotCfg
+from embodichain.lab.sim.cfg import JointDrivePropertiesCfg, RobotCfg
 from embodichain.utils.errors import ConfigError
 
 HAND = """<mujoco><worldbody><body name="palm"><geom size=".05" mass="1"/>
@@ -25,7 +25,9 @@ def hand(make, tmp_path):
     path.write_text(HAND)
 
     def build(joints: str = "finger_.*", **params):
-        robot = RobotCfg(uid="hand", fpath=str(path), init_qpos=[0.01, 0.01, 0.0])
+        drives = JointDrivePropertiesCfg(stiffness=1e4, damping=1e3)
+        qpos = [0.01, 0.01, 0.0]
+        robot = RobotCfg(uid="hand", fpath=str(path), init_qpos=qpos, drive_pros=drives)
         entity = {"uid": "hand", "joint_names": joints}
         term = ActionTermCfg(func="parallel_gripper", params={"entity_cfg": entity, **params})
         env = make(robot=robot, objects={}, actions={"grip": term})

@@ -62,15 +62,13 @@ def test_the_same_file_can_be_added_twice_and_parsed_robots_compiled_again():
 
 def test_a_files_keyframe_is_the_start_and_its_sensors_survive(tmp_path):
     name = write(tmp_path / "hopper.xml", HOPPER_MJCF)
-    own = RobotCfg(
-        fpath=name, fix_base=False, drive_pros=JointDrivePropertiesCfg(drive_type="none")
-    )
+    own = RobotCfg(fpath=name, fix_base=False)
     parsed = parse_articulation("h", own)
     assert parsed.init_qpos.tolist() == [0.5]  # of the keyframe called home
     assert parsed.init_ctrl.tolist() == [0.0, 0.5]
     model = scene_of({"h": own}).model
     index = scene_of({"h": own}).entities["h"]
-    assert index.actuator_ids.tolist() == [-1]
+    assert index.actuator_ids.tolist() == [1]
     assert [model.actuator(int(a)).name for a in index.own_actuator_ids] == ["h/spare", "h/servo"]
     names = [model.sensor(i).name for i in range(model.nsensor)]
     assert names == ["h/angle", "h/effort", "h/gyro"]
@@ -79,7 +77,7 @@ def test_a_files_keyframe_is_the_start_and_its_sensors_survive(tmp_path):
 
 def test_drives_replace_the_files_actuators_and_what_reads_them(tmp_path):
     name = write(tmp_path / "hopper.xml", HOPPER_MJCF)
-    cfg = RobotCfg(fpath=name, drive_pros=JointDrivePropertiesCfg(max_effort="file"))
+    cfg = RobotCfg(fpath=name, drive_pros=JointDrivePropertiesCfg(stiffness=9.0))
     parsed = parse_articulation("h", cfg)
     model = scene_of({"h": cfg}).model
     assert [model.actuator(i).name for i in range(model.nu)] == ["h/hip"]

@@ -27,9 +27,10 @@ ONE_JOINT = """<mujoco>
 
 
 def one_joint(tmp_path, inertia: float, **drives) -> RobotCfg:
-    """A hinge with this inertia and a limited drive."""
+    """A hinge with this inertia and a limited drive, with the gains of a URDF's by default."""
     path = write(tmp_path / "one.xml", ONE_JOINT.format(inertia=inertia))
-    return RobotCfg(uid="one", fpath=path, drive_pros=JointDrivePropertiesCfg(**drives))
+    pros = JointDrivePropertiesCfg(**{"stiffness": 1e4, "damping": 1e3, **drives})
+    return RobotCfg(uid="one", fpath=path, drive_pros=pros)
 
 
 def physics(dt: float, integrator: str = "implicitfast") -> SimulationManagerCfg:

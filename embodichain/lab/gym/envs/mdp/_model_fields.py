@@ -223,6 +223,6 @@ def driven_joints(entity: ResolvedEntity) -> NDArray[np.int64]:
     if len(wrong) or not len(joints):
         names = ", ".join(asset.parsed.joint_names[i] for i in wrong) or "(no joint)"
         message = f"joints of {entity.uid!r} without a drive: {names}"
-        hint = "the file's own actuators (drive_type: none): use randomize_actuator_strength"
+        hint = "for motors and the like of an MJCF file use randomize_actuator_strength"
         raise ConfigError([Problem("entity_cfg", message, hint)])
     return joints

@@ -5,16 +5,15 @@ What is done with the value is each term's own business.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.action_manager import ActionTerm
-from embodichain.lab.gym.envs.mdp.actions._per_joint import joint_clip, per_joint
+from embodichain.lab.gym.envs.mdp.actions._affine import Affine
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    import torch
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -33,8 +32,12 @@ class JointTerm(ActionTerm):
         driven: Whether every joint must have a drive.
 
     Raises:
-        ConfigError: If there is no joint, or one without a drive.
+        ConfigError: If there is no joint, or one without a drive, or one whose servo in the file
+            takes velocity targets only.
     """
+
+    sets_position: ClassVar[bool] = True
+    """Whether it needs drives that take position targets."""
 
     def __init__(self, env: BaseEnv, entity: ResolvedEntity, driven: bool = True) -> None:
         self._period = env.step_dt
@@ -50,7 +53,17 @@ class JointTerm(ActionTerm):
         actuators = np.asarray(asset.entity.actuator_ids)[self._ids]
         undriven = [n for n, a in zip(self.names, actuators, strict=True) if a < 0]
         if driven and undriven:
-            message = f"joints {undriven} have no drive (drive_type none, or they mimic another)"
+            message = (
+                f"joints {undriven} have no drive and no position servo (drive_type none, mimics, "
+                "or joints of an MJCF that its actuators or drive_pros leave alone)"
+            )
+            raise ConfigError([Problem("entity_cfg", message)])
+        parsed = asset.parsed
+        speeds = (parsed.servos.drive >= 0) & ~parsed.driven & (parsed.stiffness == 0)
+        fast = [n for n, i in zip(self.names, self._ids, strict=True) if speeds[i]]
+        if driven and self.sets_position and fast:
+            names = ", ".join(map(repr, fast))
+            message = f"joints {names} take velocity targets only: use joint_velocity"
             raise ConfigError([Problem("entity_cfg", message)])
         self._default: F64 = np.asarray(asset.parsed.init_qpos, np.float64)[self._ids]
 
@@ -74,18 +87,12 @@ class JointTerm(ActionTerm):
 
 
 class AffineJointTerm(JointTerm):
-    """A joint term whose value is centre + scale x clamp(action, clip), in float64.
-
-    The bounds of the action are `clip`; without one they follow from those of the value.
+    """A joint term whose value is affine in the action.
 
     Args:
         env: The environment.
         entity: The robot and the joints picked.
-        scale: `PerJoint`, not 0; joints that a map leaves out get 1.
-        offset: `PerJoint`; joints that a map leaves out get 0.
-        clip: `JointClip`, or None.
-        centre: (A,) added to the offset.
-        limits: Low and high of the value, (A,) each, finite: needed without `clip`.
+        scale, offset, clip, centre, limits: See `Affine`.
         driven: See `JointTerm`.
     """
 
@@ -101,28 +108,6 @@ class AffineJointTerm(JointTerm):
         driven: bool = True,
     ) -> None:
         super().__init__(env, entity, driven)
-        self._scale: F64 = per_joint(scale, self.names, "scale", 1.0)
-        if (self._scale == 0).any():
-            raise ConfigError([Problem("scale", "must not be 0")])
-        self._centre: F64 = per_joint(offset, self.names, "offset", 0.0) + centre
-        self._clips = clip is not None
-        if clip is not None:
-            self._least, self._most = joint_clip(clip, self.names, "clip")
-        elif limits is not None:
-            ends = (np.asarray(limits, np.float64) - self._centre) / self._scale
-            self._least, self._most = np.minimum(*ends), np.maximum(*ends)
-        self.low: NDArray[np.float32] = self._least.astype(np.float32)
-        self.high: NDArray[np.float32] = self._most.astype(np.float32)
-        self._plain = bool((self._scale == 1).all() and not self._centre.any())
-
-    def _value(self, action: torch.Tensor) -> F64:
-        """(N, A) the value of an action."""
-        given: F64 = action.numpy()
-        if self._clips:
-            given = np.minimum(np.maximum(given, self.low), self.high)  # float32: no conversion
-        return given if self._plain else self._centre + self._scale * given
-
-    def _action_for(self, value: F64 | float) -> F64:
-        """(A,) or (N, A) the action that gives a value, as far as the bounds allow."""
-        found: F64 = np.clip((value - self._centre) / self._scale, self._least, self._most)
-        return found
+        affine = Affine(self.names, scale, offset, clip, centre, limits)
+        self.low, self.high = affine.low, affine.high
+        self._value, self._action_for = affine.value, affine.action_for

@@ -72,14 +72,21 @@ JointClip = Annotated[
 """[low, high] (or c for [-c, c]) for all joints, a list of such pairs, or {joint regex: pair}."""
 
 
-def per_joint(value: Any, names: Sequence[str], path: str, default: float | None = None) -> F64:
-    """Spread a `PerJoint` over joints.
+def per_joint(
+    value: Any,
+    names: Sequence[str],
+    path: str,
+    default: float | None = None,
+    what: str = "joint",
+) -> F64:
+    """Spread a `PerJoint` over joints, or other named things.
 
     Args:
         value: As declared.
         names: The A joints.
         path: Key path of the parameter, for messages.
         default: What joints get that no regex of a map matches; None demands that all match.
+        what: What a name is, for messages.
 
     Returns:
         (A,) float64.
@@ -88,36 +95,41 @@ def per_joint(value: Any, names: Sequence[str], path: str, default: float | None
         ConfigError: If a list is not one a joint; if a regex matches no joint, or one that another
             regex matches as well; or if a joint is left without a value. Lists the joints.
     """
-    return _spread(value, names, path, () if default is None else (default,), False)[:, 0]
+    fallback = () if default is None else (default,)
+    return _spread(value, names, path, fallback, False, what)[:, 0]
 
 
-def joint_clip(value: Any, names: Sequence[str], path: str) -> tuple[F64, F64]:
+def joint_clip(value: Any, names: Sequence[str], path: str, what: str = "joint") -> tuple[F64, F64]:
     """Low and high, (A,) each, of a `JointClip`; raises as `per_joint`, without a default."""
-    low, high = _spread(_intervals(value), names, path, (), True).T.copy()
+    low, high = _spread(_intervals(value), names, path, (), True, what).T.copy()
     return low, high
 
 
-def _spread(value: Any, names: Sequence[str], path: str, default: Any, paired: bool) -> F64:
+def _spread(
+    value: Any, names: Sequence[str], path: str, default: Any, paired: bool, what: str
+) -> F64:
     """(A, width) one row a joint."""
     count, width = len(names), 2 if paired else 1
     if isinstance(value, Mapping):
-        rows = _matched(value, names, path)
+        rows = _matched(value, names, path, what)
         missing = [name for name in names if name not in rows]
         if missing and not default:
-            problem = Problem(path, f"says nothing about joints: {', '.join(missing)}")
+            problem = Problem(path, f"says nothing about {what}s: {', '.join(missing)}")
             raise ConfigError([problem])
         value = [rows.get(name, default[0] if default else None) for name in names]
     elif not isinstance(value, (list, tuple)) or (paired and isinstance(value, tuple)):
         value = [value] * count
     if len(value) != count:
-        message = f"needs one value or {count}, one a joint; got {len(value)}"
+        message = f"needs one value or {count}, one a {what}; got {len(value)}"
         raise ConfigError([Problem(path, message)])
     found: F64 = np.asarray(value, np.float64).reshape(count, width)
     return found
 
 
-def _matched(value: Mapping[str, Any], names: Sequence[str], path: str) -> dict[str, Any]:
-    """Joint -> value of the one regex that matches it in full."""
+def _matched(
+    value: Mapping[str, Any], names: Sequence[str], path: str, what: str
+) -> dict[str, Any]:
+    """Name -> value of the one regex that matches it in full."""
     found: dict[str, Any] = {}
     source: dict[str, str] = {}
     for pattern, one in value.items():
@@ -127,11 +139,11 @@ def _matched(value: Mapping[str, Any], names: Sequence[str], path: str) -> dict[
         except re.error as error:
             raise ConfigError([Problem(where, f"malformed regex: {error}")]) from error
         if not hits:
-            message = f"no joint of this term matches {pattern!r}; there are: {', '.join(names)}"
+            message = f"no {what} of this term matches {pattern!r}; there are: {', '.join(names)}"
             raise ConfigError([Problem(where, message, did_you_mean(pattern, names).strip())])
         for name in hits:
             if name in source:
-                message = f"joint {name!r} is matched by {source[name]!r} as well"
+                message = f"{what} {name!r} is matched by {source[name]!r} as well"
                 raise ConfigError([Problem(where, message)])
             source[name], found[name] = pattern, one
     return found

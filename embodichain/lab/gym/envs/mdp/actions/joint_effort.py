@@ -30,9 +30,9 @@ class JointEffort(AffineJointTerm):
     EmbodiChain's QfTerm, Isaac Lab's JointEffortAction. The effort is applied to the joint itself
     (MuJoCo's ``qfrc_applied``), constant over a control step, whatever the drive type: a drive that
     is there acts beside it, as in EmbodiChain. For pure effort control declare
-    ``drive_pros: {drive_type: none}`` (the limit is then the file's) or stiffness and damping 0 (a
-    stiff drive would hold its own target; a warning says so). A randomized actuator strength scales
-    what is applied.
+    ``drive_pros: {drive_type: none}`` (URDF; the limit is then the file's) or stiffness and damping
+    0 (a stiff drive would hold its own target; a warning says so). A randomized actuator strength
+    scales what is applied.
 
     Example:
         ``{func: joint_effort, params: {entity_cfg: {uid: ur10}, scale: 10.0, clip: [-1, 1]}}``
@@ -59,7 +59,7 @@ class JointEffort(AffineJointTerm):
         if stiff:
             logger.warning(
                 "joint_effort: joints %s have a drive with stiffness that holds its own target "
-                "beside the effort; drive_pros: {drive_type: none} leaves the effort alone",
+                "beside the effort; drive_pros: {stiffness: 0, damping: 0} leaves the effort alone",
                 ", ".join(stiff),
             )
 

@@ -48,6 +48,8 @@ class JointVelocity(AffineJointTerm):
         ConfigError: If a joint has no drive, or neither stiffness nor damping.
     """
 
+    sets_position = False
+
     def __init__(
         self,
         env: BaseEnv,

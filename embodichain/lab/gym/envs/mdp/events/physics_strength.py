@@ -37,8 +37,8 @@ class RandomizeActuatorStrength(Term):
 
     Gain, bias and force limits are scaled together, so force = factor x nominal force for the same
     control, position and velocity. It works on drives (`get_joint_drive` keeps the nominal gains,
-    whatever randomizes those) and on a file's own actuators (``drive_type: none``). Passive
-    damping of the joint is no actuator's.
+    whatever randomizes those), on servos of an MJCF file, and on what else of the file acts on a
+    joint. Passive damping of the joint is no actuator's.
 
     Args:
         entity_cfg: The robot or articulation; joint names or control parts pick joints.
@@ -63,7 +63,8 @@ class RandomizeActuatorStrength(Term):
         joints = np.asarray(entity_cfg.joint_ids, np.int64)
         driven = joints[np.asarray(index.actuator_ids, np.int64)[joints] >= 0]
         dofs = np.asarray(index.dof_adr, np.int64)[joints]
-        own = _own_actuators(asset.engine.model, index.own_actuator_ids, dofs)
+        others = np.setdiff1d(index.own_actuator_ids, index.actuator_ids)
+        own = _own_actuators(asset.engine.model, others, dofs)
         names = [asset.parsed.joint_names[i] for i in driven]
         names += [asset.engine.model.actuator(i).name or f"actuator {i}" for i in own]
         if not names:

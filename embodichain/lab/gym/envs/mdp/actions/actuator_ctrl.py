@@ -1,0 +1,133 @@
+"""The action that sets the controls of actuators, as the robot's file defines them."""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from embodichain.lab.gym.envs.cfg import Names
+from embodichain.lab.gym.envs.managers.action_manager import ActionTerm
+from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.mdp.actions._affine import Affine
+from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint
+from embodichain.lab.gym.utils.bounds import finite_limits
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    import torch
+    from numpy.typing import NDArray
+
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.sim.engine.base import F64
+
+__all__ = ["ActuatorCtrl"]
+
+
+@register_term("action", name="actuator_ctrl")
+class ActuatorCtrl(ActionTerm):
+    """Controls of actuators (MuJoCo's ``ctrl``): ctrl = offset + scale x clamp(action, clip).
+
+    One column a control, in the model's order: the actuators of an MJCF file in the file's order,
+    then the drives that ``drive_pros`` adds, in joint order; an actuator with several inputs has
+    several columns (``NAME.INPUT``). Targets of drives and servos keep to ``max_velocity``. It is
+    the action of an MJCF robot whose task declares none.
+
+    Example:
+        ``{func: actuator_ctrl, params: {entity_cfg: {uid: ur10}, actuator_names: "Joint[1-3]"}}``
+
+    Args:
+        entity_cfg: The robot.
+        actuator_names: Regexes over the names of controls; null is all of them.
+        scale: Units of ctrl per unit of action: a number, one a control, or {regex: number}.
+        offset: Units of ctrl, likewise.
+        clip: Bounds of the action: [low, high], pairs one a control, or {regex: [low, high]}.
+            Without it they are the controls' ranges, seen through scale and offset: the file's
+            ctrlrange, and for position servos and drives without one the joint's limits (+-2 pi
+            where it has none).
+
+    Raises:
+        ConfigError: If a regex matches no control, joints are picked, or a control has no range and
+            there is no `clip`.
+    """
+
+    def __init__(
+        self,
+        env: BaseEnv,
+        entity_cfg: ResolvedEntity,
+        actuator_names: Names | None = None,
+        scale: PerJoint = 1.0,
+        offset: PerJoint = 0.0,
+        clip: JointClip | None = None,
+    ) -> None:
+        self._period = env.step_dt
+        self._asset: Any = entity_cfg.asset
+        parsed = getattr(self._asset, "parsed", None)
+        if parsed is None or not parsed.control_names:
+            message = f"{entity_cfg.uid!r} has no actuators"
+            raise ConfigError([Problem("entity_cfg.uid", message)])
+        if list(entity_cfg.joint_ids) != self._asset.active_joint_ids:
+            message = "picks joints; this term picks actuators: actuator_names"
+            raise ConfigError([Problem("entity_cfg", message)])
+        self._which: NDArray[np.int64] = _picked(actuator_names, parsed.control_names)
+        self.names = tuple(parsed.control_names[i] for i in self._which)
+        limits = None if clip is not None else self._ranges(parsed)
+        affine = Affine(self.names, scale, offset, clip, limits=limits, what="actuator")
+        self.low, self.high = affine.low, affine.high
+        self._value, self._action_for = affine.value, affine.action_for
+        self._initial: F64 = parsed.init_ctrl[self._which]
+
+    def _ranges(self, parsed: Any) -> tuple[F64, F64]:
+        """Low and high of the controls, (A,) each, finite."""
+        limits: F64 = parsed.ctrl_limits.copy()
+        index = self._asset.entity
+        joints = np.flatnonzero((index.ctrl_ids >= 0) & (parsed.stiffness > 0))
+        low, high = finite_limits(parsed.qpos_limits, joints)
+        ends = np.sort(np.stack([low, high], axis=1) * parsed.servos.scale[joints, None], axis=1)
+        places = np.searchsorted(index.own_ctrl_ids, index.ctrl_ids[joints])
+        limits[places] = np.where(np.isfinite(limits[places]), limits[places], ends)
+        low, high = limits[self._which].T.copy()
+        finite = np.isfinite(low) & np.isfinite(high)
+        endless = [name for name, good in zip(self.names, finite, strict=True) if not good]
+        if endless:
+            message = (
+                f"actuators without a ctrlrange: {', '.join(endless)}; give the bounds of the "
+                "action, as in actions: {ctrl: {func: actuator_ctrl, params: {entity_cfg: {uid: "
+                f"{self._asset.uid}}}, clip: [-1, 1]}}}}}}, or clip: {{NAME: [-1, 1], ...}}"
+            )
+            raise ConfigError([Problem("clip", message)])
+        return low, high
+
+    def apply(self, action: torch.Tensor) -> None:
+        """Write the controls of (N, A) actions."""
+        self._asset.write_ctrl(self._value(action), self._which, seconds=self._period)
+
+    def home(self) -> F64:
+        """(A,) the action that gives the initial controls, within the bounds."""
+        return self._action_for(self._initial)
+
+    def hold(self) -> F64:
+        """(N, A) the action that keeps the present controls, within the bounds."""
+        return self._action_for(self._asset.read_ctrl()[:, self._which])
+
+
+def _picked(patterns: Names | None, names: tuple[str, ...]) -> NDArray[np.int64]:
+    """Indices of the controls that regexes match in full, in the model's order."""
+    if patterns is None:
+        return np.arange(len(names))
+    found: set[int] = set()
+    for pattern in [patterns] if isinstance(patterns, str) else patterns:
+        try:
+            hits = [i for i, name in enumerate(names) if re.fullmatch(pattern, name)]
+        except re.error as error:
+            message = f"malformed regex {pattern!r}: {error}"
+            raise ConfigError([Problem("actuator_names", message)]) from error
+        if not hits:
+            message = f"no actuator matches {pattern!r}; there are: {', '.join(names)}"
+            hint = did_you_mean(pattern, names).strip()
+            raise ConfigError([Problem("actuator_names", message, hint)])
+        found.update(hits)
+    return np.asarray(sorted(found), np.int64)

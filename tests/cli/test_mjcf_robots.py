@@ -1,0 +1,131 @@
+"""Tasks whose robots are MJCF files with actuators, as people run them: show, run, verify."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import embodichain.recording as recording
+from embodichain.cli import main
+from tests.helpers.mjcf_robots import HAND, UR5E, ZOO
+
+
+@pytest.fixture
+def task(tmp_path, monkeypatch):
+    """``task(text, **sections)``: a task ``mine`` with that robot; returns its config folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def write(text: str, **sections) -> str:
+        folder = tmp_path / "conf" / "task"
+        folder.mkdir(parents=True)
+        (folder / "robot.xml").write_text(text)
+        robot = {"uid": "r", "fpath": str(folder / "robot.xml"), "init_pos": [0, 0, 1]}
+        tree = {
+            "robot": {**robot, **sections.pop("robot", {})},
+            "max_episode_steps": 20,
+            **sections,
+        }
+        (folder / "mine.yaml").write_text(yaml.safe_dump(tree))
+        return str(folder.parent)
+
+    return write
+
+
+def test_show_lists_every_actuator(task, capsys):
+    folder = task(ZOO, actions={})
+    action = "{func: actuator_ctrl, params: {entity_cfg: {uid: r}, clip: 1.0}}"
+    words = ["task=mine", "--config-dir", folder, f"+task.actions.all={action}"]
+    assert main(["show", *words, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    rows = {row["actuator"]: row for row in told["actuators"]}
+    assert len(rows) == 16 and len(told["action vector"]) == 20
+    assert rows["r/geared_servo"] == {
+        "actuator": "r/geared_servo",
+        "kind": "position",
+        "on": "joint r/geared",
+        "gear": 3.0,
+        "gain": 7.0,
+        "stiffness": 7.0,
+        "damping": 0.5,
+        "ctrl range": "no limit",
+        "force range": "no limit",
+    }
+    kinds = {name: (row["kind"], row["on"]) for name, row in rows.items()}
+    assert kinds["r/pull"] == ("motor", "tendon r/sum")
+    assert kinds["r/lag"] == ("filterexact position", "joint r/lagging")
+    assert kinds["r/grip"] == ("adhesion", "body r/e")
+    assert kinds["r/wrist"] == ("so3", "ball joint r/socket")
+    assert rows["r/servo"]["force range"] == [-9.0, 11.0]
+    assert rows["r/wheel"]["ctrl range"] == [-5.0, 5.0]
+    assert main(["show", *words]) == 0
+    assert "r/geared_servo" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("text", "sections", "names"),
+    [
+        (UR5E, {}, ["r/shoulder_pan", "r/shoulder_lift", "r/elbow", "r/wrist_1"]),
+        (HAND, {}, ["r/fingers"]),
+        (
+            ZOO,
+            {
+                "actions": {
+                    "all": {
+                        "func": "actuator_ctrl",
+                        "params": {"entity_cfg": {"uid": "r"}, "clip": 0.5},
+                    }
+                },
+                "events": {
+                    "weak": {
+                        "func": "randomize_actuator_strength",
+                        "mode": "reset",
+                        "params": {
+                            "entity_cfg": {"uid": "r", "joint_names": ["servoed", "geared"]},
+                            "strength_range": [0.5, 1.5],
+                        },
+                    }
+                },
+            },
+            ["r/servo", "r/geared_servo", "r/wheel", "r/wrist.qw"],
+        ),
+    ],
+    ids=["ur5e", "hand", "zoo"],
+)
+def test_rollouts_of_its_own_actuators_verify_to_the_bit(task, text, sections, names, capfd):
+    folder = task(text, **sections)
+    words = ["task=mine", "num_envs=2", "max_steps=45", "episodes=99", "seed=3", "--quiet"]
+    assert main(["run", *words, "--config-dir", folder]) == 0
+    capfd.readouterr()
+    assert main(["replay", "last", "--verify", "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["steps"] == 45
+    (path,) = Path("outputs").rglob("*.mcap")
+    with recording.open(path) as log:
+        controls = log.read("ctrl")
+        assert [c.name for c in log.columns["ctrl"]][: len(names)] == names
+        assert np.ptp(controls["ctrl"][..., 0]) > 0.1
+
+
+def test_drives_under_a_files_effort_limits_get_the_armature_that_they_need(task, capsys):
+    gains = {"stiffness": {"wrist_3_joint": 1e4}, "damping": {"wrist_3_joint": 1e3}}
+    folder = task(UR5E, robot={"drive_pros": gains})
+    assert main(["show", "task=mine", "--config-dir", folder, "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    # The drive alone needs 0.005 x 1e3 + 0.25 x 0.01^2 x 1e4 = 5.25; the servos are left alone.
+    armature = told["config"]["task"]["robot"]["drive_pros"]["armature"]
+    assert list(armature) == ["wrist_3_joint"] and 5.0 < armature["wrist_3_joint"] < 5.5
+
+
+def test_one_writes_over_a_files_gains_in_yaml(task, capsys):
+    folder = task(UR5E, robot={"drive_pros": {"stiffness": {"elbow_joint": 900}}})
+    words = ["show", "task=mine", "--config-dir", folder, "--json"]
+    assert main(words) == 0
+    told = json.loads(capsys.readouterr().out)
+    rows = {r["actuator"]: r for r in told["actuators"]}
+    assert rows["r/elbow_joint"]["stiffness"] == 900.0 and "r/elbow" not in rows
+    (note,) = [n["note"] for n in told["notes on files"] if "drive_pros" in n["note"]]
+    assert note.endswith("drives (drive_pros) replace its actuators: 'elbow' on 'elbow_joint'")
+    assert main([*words, "task.robot.drive_pros.stiffness=file"]) == 0
+    rows = {r["actuator"]: r for r in json.loads(capsys.readouterr().out)["actuators"]}
+    assert rows["r/elbow"]["stiffness"] == 2000.0
