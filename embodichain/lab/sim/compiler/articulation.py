@@ -27,7 +27,7 @@ from embodichain.lab.sim.compiler.chatter import (
 )
 from embodichain.lab.sim.compiler.collision import prepare_shapes
 from embodichain.lab.sim.compiler.drives import DriveGains, apply_drives, resolve_drives
-from embodichain.lab.sim.compiler.files import compile_quietly
+from embodichain.lab.sim.compiler.files import ModelFile, compile_quietly
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.initial import (
     Keyframe,

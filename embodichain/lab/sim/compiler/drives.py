@@ -98,13 +98,13 @@ def resolve_drives(
     """
     problems: list[Problem] = []
     count, servos = len(joints.names), joints.servos
-    nobody = np.zeros(count, np.bool_)
+    no_joint = np.zeros(count, np.bool_)
 
     def value(name: str, default: F64) -> tuple[F64, Mask]:
         """The values, and which joints were given one."""
         wanted = getattr(cfg, name)
         if wanted == "file" or (servos is not None and isinstance(wanted, FileFirst)):
-            return default.copy(), nobody
+            return default.copy(), no_joint
         found = _per_joint(name, wanted, np.full(count, np.nan), joints.names, parts, problems)
         given = ~np.isnan(found)
         return np.where(given, found, default), given
@@ -124,7 +124,7 @@ def resolve_drives(
     friction = joints.friction.copy()
     if isinstance(cfg.friction, Mapping) or cfg.friction != 0:
         friction, _ = value("friction", friction)
-    armature, armed = joints.armature.copy(), nobody
+    armature, armed = joints.armature.copy(), no_joint
     if cfg.armature is not None:
         armature, armed = value("armature", armature)
     if not (effort > 0).all():
@@ -133,7 +133,7 @@ def resolve_drives(
         effort = np.where(effort > 0, effort, np.inf)
     effort = np.where(effort >= NO_EFFORT_LIMIT, np.inf, effort)
     driven = np.ones(count, np.bool_)
-    relimited = nobody.copy()
+    relimited = no_joint.copy()
     if servos is None:
         problems += [
             Problem(name, "a URDF holds no gains: give numbers")
