@@ -185,7 +185,7 @@ def test_every_section_is_converted_or_listed() -> None:
         "id": "Python class of EmbodiChain's",
         "device": "CPU",
         "physics_config.bounce_threshold": "PhysX",
-        "robot.solver_cfg": "inverse kinematics",
+        "robot.solver_cfg.class_type": "no solver runs",
         "sensor.0": "cameras",
         "sensor.1": "sensors: {NAME: {sensor_type: contact",
         "light.direct.1": "rect",
