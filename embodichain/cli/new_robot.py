@@ -41,7 +41,6 @@ class RobotFacts:
         fpath: Its file, as it is looked up.
         position: (x, y, z) of its root, m; on or above the ground.
         home: Initial joint positions, rad or m.
-        joints: Their names.
         tool: The link that reaches.
         floating: Whether it stands on its own feet.
         limited: Whether its file has an effort limit for every driven joint.
@@ -54,7 +53,6 @@ class RobotFacts:
     fpath: str
     position: tuple[float, ...]
     home: tuple[float, ...]
-    joints: tuple[str, ...]
     tool: str
     floating: bool
     limited: bool
@@ -68,13 +66,12 @@ UR10 = RobotFacts(
     fpath="UniversalRobots/UR10/UR10.urdf",
     position=(0.0, 0.0, 1.0),
     home=(1.57, -1.57, 1.57, -1.57, -1.57, 0.0),
-    joints=("Joint1", "Joint2", "Joint3", "Joint4", "Joint5", "Joint6"),
     tool="ee_link",
     floating=False,
     limited=True,
     scale=0.6,
     radius=0.2,
-    marker=(-0.16, 0.66, 1.61),
+    marker=(-0.16, 0.69, 1.65),
 )
 """The robot of a task for which none is named: the one that is bundled, on a table's height."""
 
@@ -134,7 +131,6 @@ def _facts(parsed: ParsedArticulation, fpath: str, active: list[int], floating: 
         fpath=fpath,
         position=(0.0, 0.0, lift),
         home=tuple(round(float(value), 4) for value in home),
-        joints=names,
         tool=tool,
         floating=floating,
         limited=bool(((limits > 0) & (limits < math.inf)).all()),
