@@ -8,6 +8,7 @@ from pathlib import Path
 from string import Template
 
 from embodichain.cli.new_robot import RobotFacts, robot_words
+from embodichain.utils.errors import ConfigError
 
 __all__ = ["Names", "task_files"]
 
@@ -68,7 +69,13 @@ def task_files(names: Names, robot: RobotFacts, *, python: bool) -> dict[Path, s
         names: What they are called.
         robot: Whose task it is.
         python: Whether the task is a class that a short YAML names.
+
+    Raises:
+        ConfigError: If a class is wanted, which sets joint targets, and joints take none.
     """
+    if python and robot.passive:
+        message = "a Python task sets joint targets, and these joints have no position servo: "
+        raise ConfigError(f"--python: {message}{', '.join(robot.passive)}; leave --python out")
     words = {
         "task": names.task,
         "title": names.task.replace("_", " "),
@@ -113,14 +120,7 @@ $pedestal  marker:
     body_type: kinematic
     attrs: {enable_collision: false}
     init_pos: $marker
-actions:                           # joint targets around the initial pose, rad
-  arm:
-    func: default_offset_joint_position
-    params:
-      entity_cfg: {uid: $uid}
-      scale: $scale
-      clip: [-1, 1]
-events:
+${actions}events:
   place_marker:
     func: randomize_rigid_object_pose
     mode: reset
@@ -188,7 +188,7 @@ import torch
 from embodichain.data import get_data_path
 from embodichain.lab.gym.envs import BaseEnv
 from embodichain.lab.gym.utils.registration import register_env
-from embodichain.lab.sim.cfg import RigidBodyAttributesCfg, RigidObjectCfg, RobotCfg
+from embodichain.lab.sim.cfg import $imports
 from embodichain.lab.sim.objects import Robot
 from embodichain.lab.sim.shapes import SphereCfg
 from embodichain.lab.sim.types import EnvAction, EnvObs
@@ -212,7 +212,7 @@ class $cls(BaseEnv):
                 fpath=get_data_path("$fpath"),
                 init_pos=$tuple,
                 init_qpos=self.home,
-                $fixed,
+                $fixed,$gains
             )
         )
         limits = robot.body_data.qpos_limits[0][robot.active_joint_ids]

@@ -32,6 +32,33 @@ _PEDESTAL = """\
 """
 
 
+_IMPORTS = "RigidBodyAttributesCfg, RigidObjectCfg, RobotCfg"
+_DRIVEN_IMPORTS = """(
+    JointDrivePropertiesCfg,
+    RigidBodyAttributesCfg,
+    RigidObjectCfg,
+    RobotCfg,
+)"""
+_GAINS = """
+                drive_pros=JointDrivePropertiesCfg(stiffness=1e4, damping=1e3),"""
+_TARGETS = """\
+actions:                           # joint targets around the initial pose, rad
+  arm:
+    func: default_offset_joint_position
+    params:
+      entity_cfg: {{uid: {uid}}}
+      scale: {scale}
+      clip: [-1, 1]
+"""
+_CONTROLS = """\
+actions:                           # controls of its actuators
+  ctrl:
+    func: actuator_ctrl
+    params:
+      entity_cfg: {{uid: {uid}}}{bounds}
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class RobotFacts:
     """A robot as a task's files name it.
@@ -47,6 +74,10 @@ class RobotFacts:
         scale: What an action of 1 means, rad or m: one number, or joint -> number.
         radius: How far the marker may be from the tool, m.
         marker: (x, y, z) of the tool at the start, m.
+        own_actuators: Whether its file has actuators (MJCF), which then drive it.
+        passive: Joints without a drive or a servo; then actions are its actuators' controls.
+        unbounded: Whether one of these has no range.
+        bare: Whether nothing drives it but what `drive_pros` names (an MJCF without actuators).
     """
 
     uid: str
@@ -59,6 +90,10 @@ class RobotFacts:
     scale: float | dict[str, float]
     radius: float
     marker: tuple[float, ...]
+    own_actuators: bool = False
+    passive: tuple[str, ...] = ()
+    unbounded: bool = False
+    bare: bool = False
 
 
 UR10 = RobotFacts(
@@ -112,6 +147,7 @@ def _is_floating(model: Any) -> bool:
 
 def _facts(parsed: ParsedArticulation, fpath: str, active: list[int], floating: bool) -> RobotFacts:
     import mujoco
+    import numpy as np
 
     model, names = parsed.model, parsed.joint_names
     home = _home(parsed)
@@ -126,6 +162,7 @@ def _facts(parsed: ParsedArticulation, fpath: str, active: list[int], floating: 
     place = data.body(tool).xpos
     length = math.dist(place, data.body(parsed.root_link_name).xpos)
     limits = parsed.qf_limits[active]
+    passive = [names[i] for i in active if not parsed.drives[i]] if parsed.own_actuators else []
     return RobotFacts(
         uid=parsed.uid,
         fpath=fpath,
@@ -137,6 +174,10 @@ def _facts(parsed: ParsedArticulation, fpath: str, active: list[int], floating: 
         scale=_scale(parsed, active),
         radius=round(min(0.2, max(0.04, 0.25 * length)), 2),
         marker=tuple(round(float(v), 2) + 0.0 for v in (place[0], place[1], place[2] + lift)),
+        own_actuators=parsed.own_actuators,
+        passive=tuple(passive),
+        unbounded=not np.isfinite(parsed.ctrl_limits).all(),
+        bare=not parsed.control_names,
     )
 
 
@@ -224,6 +265,11 @@ def robot_words(robot: RobotFacts) -> dict[str, str]:
     on_pedestal = height > 0 and not robot.floating
     effort = ", max_effort: file" if robot.limited else ""
     drives = f"drive_pros: {{stiffness: 500, damping: 50{effort}}}"
+    if robot.own_actuators:
+        drives = "drive_pros: {stiffness: file}    # by the actuators of its file, as they are"
+    scale = _map(robot.scale) if isinstance(robot.scale, dict) else _number(robot.scale)
+    action = _CONTROLS if robot.passive else _TARGETS
+    bounds = "\n      clip: [-1, 1]" if robot.unbounded else ""
     held = "gravcomp: 1                      # it does not sag"
     pedestal = _PEDESTAL.format(height=_number(height), middle=_number(0.5 * height))
     return {
@@ -238,12 +284,14 @@ def robot_words(robot: RobotFacts) -> dict[str, str]:
         "radius": _number(robot.radius),
         "near": _number(near),
         "far": _number(4 * robot.radius),
-        "scale": _map(robot.scale) if isinstance(robot.scale, dict) else _number(robot.scale),
+        "actions": action.format(uid=robot.uid, scale=scale, bounds=bounds),
         "pedestal": pedestal if on_pedestal else "",
         "objects": "objects:\n" if on_pedestal else "",
         "tuple": f"({', '.join(map(repr, robot.position))})",
         "array": f"[{', '.join(map(repr, robot.home))}]",
         "fixed": "fix_base=False" if robot.floating else "gravcomp=1.0",
+        "imports": _DRIVEN_IMPORTS if robot.bare else _IMPORTS,
+        "gains": _GAINS if robot.bare else "",
     }
 
 

@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from embodichain.cli import main
+from tests.helpers.mjcf_robots import ROBOTS
 
 REPO = Path(__file__).parents[2]
 
@@ -209,12 +210,17 @@ _SMALL = """<mujoco model="small"><worldbody><body name="base">
         ("panda_description/urdf/panda.urdf", []),
         ("panda_description/urdf/panda.urdf", ["--python"]),
         ("small.xml", []),
+        ("small.xml", ["--python"]),
+        ("ur5e.xml", []),
+        ("ur5e.xml", ["--python"]),
+        ("hand.xml", []),
     ],
 )
 def test_a_task_fits_the_robot_that_is_named(
     file: str, flags: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    Path("small.xml").write_text(_SMALL)
+    for name, text in {"small": _SMALL, **ROBOTS}.items():
+        Path(f"{name}.xml").write_text(text)
     made = new(capsys, "my_reach", "--robot", file, *flags)
     assert "4 passed" in follow(made["next"])
     lint(*(path for path in made["wrote"] if path.endswith(".py")))
@@ -233,6 +239,20 @@ def test_what_is_written_of_a_robot(capsys: pytest.CaptureFixture[str]) -> None:
     assert params["scale"] == {"turn|bend": 0.4, "reach": 0.02}
     pair = task["rewards"]["distance"]["params"]
     assert pair["source_entity_cfg"] == {"uid": "small", "link_names": ["lower"]}
+
+
+def test_a_file_with_actuators_is_driven_by_them(capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("ur5e", "hand"):
+        Path(f"{name}.xml").write_text(ROBOTS[name])
+        new(capsys, f"my_{name}", "--robot", f"{name}.xml")
+    arm, hand = (
+        yaml.safe_load(Path(f"conf/task/my_{name}.yaml").read_text()) for name in ("ur5e", "hand")
+    )
+    assert arm["robot"]["drive_pros"] == hand["robot"]["drive_pros"] == {"stiffness": "file"}
+    assert arm["actions"]["arm"]["func"] == "default_offset_joint_position"
+    assert hand["actions"]["ctrl"]["func"] == "actuator_ctrl"
+    assert main(["new", "task", "mine", "--python", "--robot", "hand.xml"]) == 2
+    assert "these joints have no position servo: right_coupler_joint" in capsys.readouterr().err
 
 
 def test_a_robot_that_cannot_act_is_refused(capsys: pytest.CaptureFixture[str]) -> None:

@@ -29,7 +29,7 @@ def test_show_tells_what_is_built(capsys: pytest.CaptureFixture[str]) -> None:
     assert joints["ur10/Joint3"]["range"] == pytest.approx([-3.14159, 3.14159], abs=1e-4)
     actuators = {row["actuator"]: row for row in data["actuators"]}
     assert actuators["ur10/Joint1"]["stiffness"] == 500
-    assert actuators["ur10/Joint1"]["effort"] == [-330, 330]
+    assert actuators["ur10/Joint1"]["force range"] == [-330, 330]
     assert [row["camera"] for row in data["cameras"]] == ["default"]
     spaces = {row["space"]: row for row in data["spaces"]}
     assert (spaces["action"]["shape"], spaces["action"]["low"]) == ("(6,)", -1.0)

@@ -86,7 +86,8 @@ def test_the_published_order_and_defaults():
     )
     drive = RobotCfg().drive_pros
     assert (drive.drive_type, drive.stiffness, drive.damping) == ("force", 1e4, 1e3)
-    assert (drive.max_effort, drive.max_velocity, drive.friction) == (1e10, 1e10, 0.0)
+    # None for the 1e10 there: no limit, as there
+    assert (drive.max_effort, drive.max_velocity, drive.friction) == (1e10, None, 0.0)
     assert sim_cfg.ArticulationCfg().drive_pros.drive_type == "none"
     body = RigidObjectCfg().attrs
     assert (body.mass, body.density, body.linear_damping, body.angular_damping) == (
