@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 import torch
+import trimesh
 
 from embodichain.cli import main
 from embodichain.lab.gym.utils.gym_utils import config_to_cfg
@@ -31,23 +32,38 @@ def config(name: str) -> dict[str, Any]:
     return json.loads((CONFIGS / f"upstream_{name}.json").read_text())
 
 
-def without_assembly(content: dict[str, Any]) -> dict[str, Any]:
-    """The push-cube config with its arm alone, by the names of the arm's file."""
-    robot = content["robot"]
-    robot["fpath"] = robot.pop("urdf_cfg")["components"][0]["urdf_path"]
-    robot["control_parts"] = {"arm": ["Joint[1-6]"]}
-    robot["init_qpos"] = robot["init_qpos"][:6]
-    return content
+HAND = """<robot name="hand">
+{links}
+{fingers}
+</robot>"""
+LINK = """<link name="{name}"><inertial><mass value="{mass}"/>
+<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial>
+<collision><geometry><box size="0.03 0.03 0.04"/></geometry></collision></link>"""
+FINGER = """<joint name="finger{number}_joint" type="prismatic"><origin xyz="{x} 0 0.08"/>
+<parent link="hand_base"/><child link="finger{number}"/><axis xyz="{axis} 0 0"/>
+<limit lower="0" upper="0.04" effort="50" velocity="0.5"/></joint>"""
+
+
+@pytest.fixture(autouse=True)
+def downloaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The data root, with a two-finger hand where the push-cube config looks for its own."""
+    root = tmp_path / "data"
+    path = root / "DH_PGI_140_80" / "DH_PGI_140_80.urdf"
+    path.parent.mkdir(parents=True)
+    masses = {"hand_base": 0.8, "finger1": 0.1, "finger2": 0.1}
+    links = [LINK.format(name=name, mass=mass) for name, mass in masses.items()]
+    fingers = [FINGER.format(number=n, x=0.04 * sign, axis=sign) for n, sign in ((1, 1), (2, -1))]
+    path.write_text(HAND.format(links="\n".join(links), fingers="\n".join(fingers)))
+    monkeypatch.setenv("EMBODICHAIN_DATA_ROOT", str(root))
+    return root
 
 
 @pytest.fixture
 def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, Path]:
     """Both configs, in a folder that is the working directory."""
     monkeypatch.chdir(tmp_path)
-    cart = Path(shutil.copy(CONFIGS / "upstream_cart_pole.json", "cart_pole.json"))
-    push = Path("push_cube.json")
-    push.write_text(json.dumps(without_assembly(config("push_cube")), indent=2))
-    return {"cart_pole": cart, "push_cube": push}
+    names = ("cart_pole", "push_cube")
+    return {n: Path(shutil.copy(CONFIGS / f"upstream_{n}.json", f"{n}.json")) for n in names}
 
 
 @pytest.fixture
@@ -121,7 +137,7 @@ def test_the_cart_pole_class_reports_success() -> None:
 
 
 def test_the_push_cube_class_reports_success() -> None:
-    env = env_of(without_assembly(config("push_cube")), "PushCubeRL")
+    env = env_of(config("push_cube"), "PushCubeRL")
     assert isinstance(env, PushCube) and env.max_episode_steps == 100
     obs, _ = env.reset()
     assert obs["robot", "ee_pos"].shape == (3, 4, 4) and obs["object", "goal_pos"].shape == (3, 3)
@@ -132,7 +148,7 @@ def test_the_push_cube_class_reports_success() -> None:
     pose = cube.get_local_pose()
     pose[1, :2] = env.goal_pose[1, :2, 3]
     cube.set_local_pose(pose)
-    _, reward, terminated, _, info = env.step(torch.zeros(3, 6))
+    _, reward, terminated, _, info = env.step(torch.zeros(3, 8))  # the fingers are active, too
     far = torch.norm(cube.get_local_pose()[:, :2] - env.goal_pose[:, :2, 3], dim=1)
     assert info["success"][1] and terminated[1]
     bonus = info["rewards"]["success_bonus"]
@@ -182,7 +198,7 @@ cube = sim.add_rigid_object(
 chair = sim.add_rigid_object(
     cfg=RigidObjectCfg(
         uid="chair",
-        shape=MeshCfg(fpath=get_data_path("Chair/chair.obj")),
+        shape=MeshCfg(fpath=get_data_path("Chair/chair.glb")),
         body_type="dynamic",
         attrs=RigidBodyAttributesCfg(mass=3.0),
         body_scale=[0.5, 0.5, 0.5],
@@ -198,18 +214,10 @@ sim.destroy()
 """
 
 
-def box_obj(half: float) -> str:
-    corners = [(x * half, y * half, z * half) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]
-    quads = [(1, 2, 4, 3), (5, 7, 8, 6), (1, 5, 6, 2), (3, 4, 8, 7), (1, 3, 7, 5), (2, 6, 8, 4)]
-    lines = [f"v {x} {y} {z}" for x, y, z in corners]
-    return "\n".join([*lines, *(f"f {a} {b} {c} {d}" for a, b, c, d in quads), ""])
-
-
-def test_the_steps_of_the_scene_script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    chair = tmp_path / "data" / "Chair" / "chair.obj"
+def test_the_steps_of_the_scene_script(tmp_path: Path, downloaded: Path) -> None:
+    chair = downloaded / "Chair" / "chair.glb"
     chair.parent.mkdir(parents=True)
-    chair.write_text(box_obj(0.5))
-    monkeypatch.setenv("EMBODICHAIN_DATA_ROOT", str(tmp_path / "data"))
+    chair.write_bytes(trimesh.creation.box((1.0, 1.0, 1.0)).export(file_type="glb"))
     (tmp_path / "create_scene.py").write_text(SCENE)
     line = [sys.executable, "create_scene.py", "--headless", "--num_envs", "2"]
     done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True, timeout=300)
