@@ -74,7 +74,7 @@ def test_env_has_what_the_page_lists(terms) -> None:
 def test_the_action_pushes(terms) -> None:
     _, make = terms
     env = make()
-    assert env.action_manager.names == ("push/slider",)
+    assert env.action_manager.names == ("push/slider_to_cart",)
     env.step(torch.tensor([[0.0], [0.5], [-1.0]]))
     applied = env.sim.engine.state("qfrc_applied")[:, 0]
     np.testing.assert_allclose(applied, [0.0, 5.0, -10.0])

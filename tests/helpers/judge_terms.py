@@ -76,6 +76,7 @@ REWARDS: dict[str, dict[str, Any]] = {
     "constant": {"value": -0.1},
     "joint_velocity_penalty": {"robot_uid": "ur10"},
     "joint_vel_l1": ARM,
+    "joint_target_error": ARM,
     "joint_vel_l2": ARM,
     "joint_acc_l2": ARM,
     "joint_torques_l2": ARM,
