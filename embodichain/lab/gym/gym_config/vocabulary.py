@@ -53,7 +53,7 @@ _USD = "USD is not read"
 _CAMERA = "cameras are not available yet"
 _IK = "inverse kinematics is not available yet"
 _RECORD = "the log of a run holds its trajectory: embodichain replay"
-_MESH = "MuJoCo collides a mesh by its convex hull"
+_MESH = "a mesh collides by its hull; `collision: decompose` splits it into convex parts"
 
 TOP: Vocabulary = {
     "id": HANDLED,
