@@ -23,7 +23,7 @@ SIZES = (64, 1024)
 LIMIT = 0.10
 FIELDS = (
     *("actuator_biasprm", "actuator_gainprm", "body_inertia", "body_ipos"),
-    *("body_mass", "dof_armature", "dof_damping", "geom_friction"),
+    *("body_mass", "dof_armature", "actuator_biasprm", "geom_friction"),
 )
 """What the events below write; constants that MuJoCo derives are recomputed as well."""
 EVENTS = {

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
+import textwrap
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from embodichain.cli import exits
 from embodichain.cli.arguments import VerbParser, add_common, print_json
-from embodichain.cli.tables import print_table
+from embodichain.cli.tables import print_table, width
 from embodichain.cli.verbs import VERBS
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
@@ -43,7 +44,20 @@ def main(arguments: list[str]) -> int:
     else:
         print_table(options.what, rows, detail="cannot load")
         if options.what == "robots" and (absent := _absent_robots(rows)):
-            sys.stdout.write("not here:\n" + "".join(f"  {line}\n" for line in absent) + "\n")
+            sys.stdout.write("not here:\n")
+            for line in absent:
+                sys.stdout.write(
+                    textwrap.fill(
+                        line,
+                        width(),
+                        initial_indent="  ",
+                        subsequent_indent="    ",
+                        break_long_words=False,
+                        break_on_hyphens=False,
+                    )
+                    + "\n"
+                )
+            sys.stdout.write("\n")
     return exits.OK
 
 

@@ -17,7 +17,7 @@ import mujoco
 
 from embodichain.lab.gym.mdp_values import mdp_values
 from embodichain.lab.sim.physics_values import physics_values
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -150,7 +150,7 @@ def check_unchanged(
     if refused and not allow:
         lines = "".join(f"\n  {line}" for line in _shown(refused))
         message = f"{name} was trained in another task (training -> now):{lines}"
-        raise ConfigError([Problem("policy", f"{message}\n  {ALLOW} goes on all the same")])
+        raise ConfigError(f"{message}\n  {ALLOW} goes on all the same")
     for line in _shown(list(changes)):
         _log.warning("%s: changed since training: %s", name, line)
     return changes

@@ -72,7 +72,8 @@ def test_checkpoints_of_another_task_or_shape(run, capsys):
     tree = yaml.safe_load(config.read_text())
     tree["algo"]["policy_kwargs"]["net_arch"] = [8]
     config.write_text(yaml.safe_dump(tree))
-    err = refused(capsys, "train", f"resume={run}", "total_timesteps=128", "--quiet")
+    again = ("total_timesteps=128", "allow_changed=true", "--quiet")
+    err = refused(capsys, "train", f"resume={run}", *again)  # YAML was dumped in another order
     assert "final.zip does not fit the network that the run's config asks for: " in err
 
 

@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from embodichain.cli import main
+from embodichain.lab.gym.utils.registration import REGISTERED_ENVS
 
 CONFIGS = Path(__file__).parents[1] / "helpers" / "gym_configs"
 Run = Callable[..., CompletedProcess[str]]
@@ -133,8 +134,13 @@ EMPTY = "id: PushCubeRL\nrobot: null\nenv: {rewards: {win: {func: success_reward
 )
 @pytest.mark.parametrize("ending", ["yaml", "json"])
 def test_what_would_run_an_empty_world_is_refused_by_every_verb(
-    text: str, mistakes: list[str], ending: str, capsys: pytest.CaptureFixture[str]
+    text: str,
+    mistakes: list[str],
+    ending: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.delitem(REGISTERED_ENVS, "PushCubeRL", raising=False)  # no class builds the scene
     name = f"task.{ending}"
     content = text if ending == "yaml" else json.dumps(yaml.safe_load(text), indent=0)
     Path(name).write_text(content)

@@ -15,7 +15,7 @@ from embodichain.cli import main
 from embodichain.recording import inspect
 from tests.recording.test_film import pictures
 
-GUARD = 60.0
+GUARD = 240.0
 """Seconds after which something hangs."""
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
 

@@ -51,8 +51,8 @@ BAD = {
         "init_pos, init_rot, init_local_pose, init_quat, fpath, drive_pros, body_scale, "
         "attrs, fix_base, disable_self_collision, init_qpos, sleep_threshold, "
         "min_position_iters, min_velocity_iters, build_pk_chain, compute_uv, "
-        "use_usd_properties, attachments, gravcomp, control_parts, urdf_cfg, solver_cfg. "
-        "Did you mean 'init_qpos'?",
+        "use_usd_properties, attachments, gravcomp, collision, control_parts, urdf_cfg, "
+        "solver_cfg. Did you mean 'init_qpos'?",
         old="  init_qpos: [0",
         new="  init_qps: [0",
     ),
@@ -130,7 +130,8 @@ BAD = {
         new="      size: [0.1, wide, 0.1]",
     ),
     "neither number nor map": bad(
-        "command line: task.robot.drive_pros.stiffness: expected a number or a map, got 'stiff'",
+        "command line: task.robot.drive_pros.stiffness: expected a number or a map or 'file', "
+        "got 'stiff'",
         overrides=("task.robot.drive_pros.stiffness=stiff",),
     ),
     "neither number, map nor file": bad(
@@ -618,7 +619,7 @@ BAD = {
         "init_local_pose, init_quat, fpath, drive_pros, body_scale, attrs, fix_base, "
         "disable_self_collision, init_qpos, sleep_threshold, min_position_iters, "
         "min_velocity_iters, build_pk_chain, compute_uv, use_usd_properties, attachments, "
-        "gravcomp, control_parts, urdf_cfg, solver_cfg.",
+        "gravcomp, collision, control_parts, urdf_cfg, solver_cfg.",
         "command line: task.objects.box.shape.size: expected 3 values, got 2: [1, 2]",
         "conf/task/mine.yaml:20: task.events.move.mode: expected one of 'startup', "
         "'reset', 'interval', got 'intervall'. Did you mean 'interval'?",

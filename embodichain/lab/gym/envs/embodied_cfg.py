@@ -108,7 +108,7 @@ def _gym_config(cfg: EmbodiedEnvCfg) -> dict[str, Any]:
     env: dict[str, Any] = {key: getattr(cfg, key) for key in _OF_ENV if getattr(cfg, key)}
     env["extensions"] = cfg.extensions or {}
     if cfg.dataset is not None:
-        env["dataset"] = {}
+        env["dataset"] = {"recorder": None}  # its content means nothing here
     for section, kind in _SECTIONS.items():
         env[section] = {
             name: _functor(functor, kind) for name, functor in _named(getattr(cfg, section))

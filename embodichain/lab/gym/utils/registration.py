@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import gymnasium as gym
 from gymnasium.vector import AutoresetMode
 
+from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean, listing
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
-    from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.vector import NumpyVectorEnv
 
 __all__ = ["REGISTERED_ENVS", "EnvSpec", "build_env", "make", "make_vec", "register_env"]
@@ -28,6 +28,7 @@ __all__ = ["REGISTERED_ENVS", "EnvSpec", "build_env", "make", "make_vec", "regis
 logger = logging.getLogger(__name__)
 
 T = TypeVar("T", bound=Callable[..., Any])
+_DEFAULT_LIMIT = EnvCfg().max_episode_steps
 
 
 @dataclass(frozen=True)
@@ -112,8 +113,8 @@ def make(env_id: str, max_episode_steps: int | None = None, **kwargs: Any) -> Ba
 
     Args:
         env_id: The id.
-        max_episode_steps: Time limit in control steps; None is that of the `cfg` given, without
-            one the registered limit.
+        max_episode_steps: Time limit in control steps; None is that of the `cfg` given if it is
+            another than `EnvCfg`'s default, else the registered limit.
         **kwargs: For the class; wins over the registered defaults.
 
     Raises:
@@ -121,7 +122,8 @@ def make(env_id: str, max_episode_steps: int | None = None, **kwargs: Any) -> Ba
     """
     spec = _find(env_id)
     env: BaseEnv = spec.cls(**{**copy.deepcopy(spec.default_kwargs), **kwargs})
-    registered = spec.max_episode_steps if kwargs.get("cfg") is None else None
+    given = getattr(kwargs.get("cfg"), "max_episode_steps", _DEFAULT_LIMIT)
+    registered = spec.max_episode_steps if given == _DEFAULT_LIMIT else None
     limit = registered if max_episode_steps is None else max_episode_steps
     if limit is not None:
         env.max_episode_steps = limit

@@ -5,7 +5,7 @@ import numpy as np
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.cfg import ActionTermCfg, EnvCfg
 from embodichain.lab.gym.utils.bounds import joint_bounds
-from embodichain.lab.sim.cfg import RobotCfg
+from embodichain.lab.sim.cfg import JointDrivePropertiesCfg, RobotCfg
 
 ARM = """<mujoco><worldbody><body name="base"><geom size="0.1"/>
   <body name="a"><joint name="free" type="hinge" axis="0 0 1"/><geom size="0.1" pos="0.3 0 0"/>
@@ -27,7 +27,9 @@ def test_default_actions_and_joint_position_have_the_same_bounds(tmp_path) -> No
     term = ActionTermCfg(func="joint_position", params={"entity_cfg": {"uid": "arm"}})
     spaces = []
     for actions in ({}, {"arm": term}):
-        env = BaseEnv(EnvCfg(robot=RobotCfg(uid="arm", fpath=str(path)), actions=actions))
+        drives = JointDrivePropertiesCfg(stiffness=1e4, damping=1e3)
+        robot = RobotCfg(uid="arm", fpath=str(path), drive_pros=drives)
+        env = BaseEnv(EnvCfg(robot=robot, actions=actions))
         spaces.append(env.single_action_space)
         env.close()
     assert spaces[0] == spaces[1]
