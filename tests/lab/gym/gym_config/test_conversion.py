@@ -190,7 +190,7 @@ def test_every_section_is_converted_or_listed() -> None:
         "sensor.1": "sensors: {NAME: {sensor_type: contact",
         "light.direct.1": "rect",
         "light.indirect": "one background light",
-        "rigid_object.0.max_convex_hull_num": "convex hull",
+        "rigid_object.0.max_convex_hull_num": "collides by its hull",
         "rigid_object_group": "one by one",
         "articulation.0.build_pk_chain": "kinematics",
         "env.control_parts": "actions have only these",
