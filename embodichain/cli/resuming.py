@@ -15,7 +15,7 @@ from embodichain.utils.errors import ConfigError, Problem
 if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
 
-__all__ = ["asks_to_resume", "resolve_resumed"]
+__all__ = ["resolve_resumed"]
 
 CONFIG = "config.yaml"
 MAY_CHANGE = (
@@ -23,11 +23,6 @@ MAY_CHANGE = (
     *("wandb", "allow_changed", "quiet", "json", "traceback"),
 )
 """Keys (and what is below them) that may differ from the run's own."""
-
-
-def asks_to_resume(overrides: Sequence[str]) -> bool:
-    """Whether overrides say that a training goes on."""
-    return any(line.lstrip("+").startswith("resume=") for line in overrides)
 
 
 def resolve_resumed(overrides: Sequence[str]) -> Resolved:

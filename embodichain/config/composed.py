@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from embodichain.config import plain
 from embodichain.config.algorithms import DEFAULT_ALGORITHM
 from embodichain.config.hydra_errors import COMPOSING, explain
-from embodichain.config.hydra_state import config_loader
+from embodichain.config.hydra_loader import config_loader
 from embodichain.config.locate import ConfigFile, Locator
 from embodichain.config.overrides import ParsedOverrides, apply_values, parse
 from embodichain.config.problems import COMMAND_LINE, LocatedProblem
@@ -89,22 +90,25 @@ def compose(
             tree, locator = _partial(loader, config_name, parsed)
             return Composed(config_name, lines, tree, {}, locator, parsed.problems, usable=False)
         try:
-            config, files = _load(loader, config_name, parsed.for_hydra)
+            lines_of_groups = list(parsed.for_hydra)
+            config = loader.load_configuration(config_name, lines_of_groups, RunMode.RUN)
             chosen = _algorithm(config, parsed.values, loader.get_group_options("algo"))
             if chosen is not None:  # the group was left at null: load what it means
-                config, files = _load(loader, config_name, (*parsed.for_hydra, f"algo={chosen}"))
+                lines_of_groups.append(f"algo={chosen}")
+                config = loader.load_configuration(config_name, lines_of_groups, RunMode.RUN)
         except COMPOSING as error:
             found = [] if _follows(error, parsed) else explain(error, loader)
             problems = (*parsed.problems, *found)
             tree, locator = _partial(loader, config_name, parsed)
             return Composed(config_name, lines, tree, {}, locator, problems, usable=False)
     choices = dict(config.hydra.runtime.choices)
+    folders = [folder_of_source(s.schema, s.path) for s in config.hydra.runtime.config_sources]
+    files = partial(_files, loader, config_name, lines_of_groups, folders, gym)
     OmegaConf.set_struct(config, False)
     del config["hydra"]
     if gym is not None:
         choices["task"] = gym.name
         config["task"] = OmegaConf.merge(gym.task, config.get("task", {}))
-        files.insert(0, gym.file)
     problems = (*parsed.problems, *apply_values(config, parsed.values))
     locator = Locator(files, parsed.values)
     tree, unresolved = plain.resolve(config, locator)
@@ -154,15 +158,16 @@ def _gym_config(parsed: ParsedOverrides) -> tuple[GymConfig | None, ParsedOverri
     return gym, replace(parsed, for_hydra=for_hydra, problems=tuple(problems))
 
 
-def _load(
-    loader: ConfigLoader, config_name: str, for_hydra: Sequence[str]
-) -> tuple[DictConfig, list[ConfigFile]]:
-    """The merged config, and the files behind it in the order of merging, without Hydra's."""
-    config = loader.load_configuration(config_name, list(for_hydra), RunMode.RUN)
-    folders = [folder_of_source(s.schema, s.path) for s in config.hydra.runtime.config_sources]
-    defaults = loader.compute_defaults_list(config_name, list(for_hydra), RunMode.RUN)
-    files: list[ConfigFile] = []
-    for default in defaults.defaults:
+def _files(
+    loader: ConfigLoader,
+    config_name: str,
+    for_hydra: list[str],
+    folders: Sequence[Path | None],
+    gym: GymConfig | None,
+) -> list[ConfigFile]:
+    """The files behind a config in the order of merging, without Hydra's own."""
+    files = [] if gym is None else [gym.file]
+    for default in loader.compute_defaults_list(config_name, for_hydra, RunMode.RUN).defaults:
         name = default.config_path
         if name is None or name.startswith("hydra/"):
             continue
@@ -170,7 +175,7 @@ def _load(
         path = next((p for p in paths if p.is_file()), None)
         if path is not None:
             files.append(ConfigFile.read(path, default.package or ""))
-    return config, files
+    return files
 
 
 def _partial(
@@ -178,9 +183,9 @@ def _partial(
 ) -> tuple[dict[str, Any], Locator]:
     """The root's own values with overrides of them, where task and groups cannot be composed."""
     values = [o for o in parsed.values if o.key_or_group.split(".")[0] != "task"]
-    locator = Locator([], values)
+    locator = Locator(list, values)
     try:
-        config, _ = _load(loader, config_name, ["~task"])
+        config = loader.load_configuration(config_name, ["~task"], RunMode.RUN)
     except COMPOSING:
         return {}, locator
     OmegaConf.set_struct(config, False)

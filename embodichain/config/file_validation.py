@@ -67,7 +67,7 @@ def resolve_file(path: str | Path, verb: Verb = "run") -> Resolved:
     if is_gym_config(tree):
         return resolve(compose([override_of(str(file))], verb), verb)
     if isinstance(tree, dict) and isinstance(tree.get("task"), dict):
-        return resolve_tree(tree, Locator([parsed]).source, verb, allow_import=True)
+        return resolve_tree(tree, Locator(lambda: [parsed]).source, verb, allow_import=True)
     return resolve(_composed_option(file.resolve(), verb), _verb_of(file.resolve(), verb))
 
 
@@ -93,7 +93,9 @@ def _composed_option(file: Path, verb: Verb) -> Composed:
         link = Path(folder, "task", file.name).with_suffix(".yaml")
         link.parent.mkdir()
         link.symlink_to(file)
-        return compose([f"task={file.stem}"], verb, folder)
+        composed = compose([f"task={file.stem}"], verb, folder)
+        _ = composed.locator.files  # read while the folder is there
+        return composed
 
 
 def _verb_of(file: Path, verb: Verb) -> Verb:

@@ -52,7 +52,7 @@ def load_gym_config(path: str | Path) -> GymConfig:
     content = read_gym_config(file)
     converted = convert(content, _registered(content.get("id")))
     root = _nodes(file)
-    source = Locator([ConfigFile(file, "", root)]).source if root is not None else None
+    source = Locator(lambda: [ConfigFile(file, "", root)]).source if root is not None else None
 
     def located(problem: Any) -> LocatedProblem:
         place = source(problem.path) if source is not None else display_path(file)

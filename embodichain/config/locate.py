@@ -6,8 +6,9 @@ knows nothing of what keys mean.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from os.path import commonprefix
 from pathlib import Path
 from typing import Any, TextIO
@@ -72,13 +73,21 @@ class Locator:
     """Finds the source of dotted key paths.
 
     Args:
-        files: The composed files; of two that set a key, the later wins.
+        files: Reads the composed files when a place is first asked for; of two that set a key,
+            the later wins.
         overrides: Value overrides, applied after all files.
     """
 
-    def __init__(self, files: Sequence[ConfigFile], overrides: Sequence[Override] = ()) -> None:
-        self.files = tuple(files)
+    def __init__(
+        self, files: Callable[[], Sequence[ConfigFile]], overrides: Sequence[Override] = ()
+    ) -> None:
+        self._read = files
         self.overrides = tuple(overrides)
+
+    @cached_property
+    def files(self) -> tuple[ConfigFile, ...]:
+        """The composed files."""
+        return tuple(self._read())
 
     def source(self, path: str) -> str:
         """Return ``FILE:LINE`` or ``command line`` of a key, or of its nearest ancestor.

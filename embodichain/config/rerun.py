@@ -16,7 +16,7 @@ import yaml
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 
-from embodichain.config.hydra_state import config_loader
+from embodichain.config.hydra_loader import config_loader
 from embodichain.config.overrides import ParsedOverrides, apply_values, parse
 from embodichain.config.problems import COMMAND_LINE, LocatedProblem
 from embodichain.config.resolved import Resolved, resolve_tree

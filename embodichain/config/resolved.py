@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -43,9 +43,9 @@ class Resolved:
     notes: tuple[LocatedProblem, ...] = ()
     source: Callable[[str], str] = field(default=lambda path: "", repr=False, compare=False)
 
-    @property
+    @cached_property
     def root(self) -> RootCfg:
-        """A fresh `RootCfg` with everything filled in; changing it changes nothing here."""
+        """The config as data classes, everything filled in; not to be changed, see `changed`."""
         checked = check_types(thaw(self.tree))
         if checked.root is None or checked.problems:
             raise ConfigError(checked.problems)
@@ -55,6 +55,10 @@ class Resolved:
     def env_cfg(self) -> EnvCfg:
         """A fresh `EnvCfg` for `BaseEnv`: `num_envs`, `seed` and `sim_cfg` filled in."""
         return derive.env_cfg(self.root)
+
+    def changed(self, **values: Any) -> Resolved:
+        """Return the config with other values of keys of the root."""
+        return replace(self, tree=freeze({**self.tree, **values}))
 
     @contextmanager
     def locating(self, section: str = "") -> Iterator[None]:

@@ -6,7 +6,6 @@ How a checkpoint acts is in `policy.py`. Finding one and reading its note runs n
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from embodichain.config.newest import named_checkpoint
 from embodichain.learning.made_by import made_by
 from embodichain.learning.task_digest import TaskDigest
+from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -54,16 +54,8 @@ def save_checkpoint(model: BaseAlgorithm, path: Path, note: Mapping[str, Any]) -
     """
     setattr(model, NOTE, dict(note))
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("wb") as stream:
-            model.save(stream)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    with atomic_file(path) as temporary, temporary.open("wb") as stream:
+        model.save(stream)
 
 
 def find_checkpoint(path: str | Path) -> Path:

@@ -10,6 +10,7 @@ from typing import Any
 
 from embodichain.learning.axes import set_axes
 from embodichain.learning.comparison import RETURN, SUCCESS, Group, band
+from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["plot_curves"]
@@ -49,17 +50,14 @@ def plot_curves(groups: Sequence[Group], path: Path) -> None:
     # Once, below: what groups are called is as long as their overrides.
     colours = [Line2D([], [], color=f"C{i}") for i in range(len(groups))]
     figure.legend(colours, labels, loc="outside lower left", fontsize="small", frameon=False)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(temporary, dpi=150)
-        os.link(temporary, path)  # unlike a rename, it refuses a name that is taken
+        with atomic_file(path, new=True) as temporary:
+            figure.savefig(temporary, dpi=150)
     except FileExistsError as error:
         raise ConfigError(f"{path} exists; it is never replaced") from error
     except (OSError, ValueError) as error:
         raise ConfigError(f"cannot write {path}: {error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _draw(axes: Any, groups: Sequence[Group], name: str) -> None:

@@ -22,7 +22,6 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from embodichain.config import Resolved, make_env
 from embodichain.config.algorithms import DEFAULT_ALGORITHM, OffPolicyCfg, PpoCfg
 from embodichain.config.frozen import thaw
-from embodichain.config.run_folder import write_atomically
 from embodichain.config.schema import LARGEST_TRAINING_SEED
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.learning.algorithms import build_algorithm, check_arguments, check_normalize
@@ -38,6 +37,7 @@ from embodichain.learning.task_digest import TaskDigest, check_unchanged
 from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.learning.wandb_log import check_wandb, wandb_writers
 from embodichain.learning.watch import Progress
+from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = [
@@ -309,7 +309,7 @@ def _learn(
 
 
 def _write(run_dir: Path, summary: Mapping[str, Any]) -> None:
-    write_atomically(run_dir / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
+    write_text(run_dir / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
 
 
 def _build(plan: _Plan, vec_env: SB3VecEnv) -> BaseAlgorithm:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from embodichain.cli.dispatch import main
+from embodichain.cli import main
 
 CONFIGS = Path(__file__).parents[1] / "helpers" / "gym_configs"
 SHORT = ["max_steps=3", "--json"]
