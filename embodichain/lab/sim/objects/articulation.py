@@ -229,12 +229,12 @@ class Articulation(BatchEntity):
     def get_qpos(self, name: str | None = None, target: bool = False) -> torch.Tensor:
         """Joint positions (N, k), or their drive targets."""
         values = self._data.target_qpos if target else self._data.qpos
-        return values if name is None else values[:, self.get_joint_ids(name)]
+        return values[:, self.get_joint_ids(name)]
 
     def get_qvel(self, name: str | None = None, target: bool = False) -> torch.Tensor:
         """Joint velocities (N, k), or their drive targets."""
         values = self._data.target_qvel if target else self._data.qvel
-        return values if name is None else values[:, self.get_joint_ids(name)]
+        return values[:, self.get_joint_ids(name)]
 
     def get_qf(self, name: str | None = None) -> torch.Tensor:
         """Joint efforts (N, k): what `set_qf` has set, until a physics step.
@@ -242,8 +242,7 @@ class Articulation(BatchEntity):
         After a step, and where nothing was set, they are what the drives gave in the last physics
         step; an effort that was set still acts then, but is not counted.
         """
-        values = self._data.qf
-        return values if name is None else values[:, self.get_joint_ids(name)]
+        return self._data.qf[:, self.get_joint_ids(name)]
 
     def set_qpos(
         self,
@@ -350,17 +349,9 @@ class Articulation(BatchEntity):
             ValueError: If a shape is wrong, a value is negative or a joint has no drive.
         """
         ids, rows = self._ids(env_ids)
-        self.drives.set(
-            ids,
-            rows,
-            self._joints(joint_ids),
-            stiffness=stiffness,
-            damping=damping,
-            max_effort=max_effort,
-            max_velocity=max_velocity,
-            friction=friction,
-            armature=armature,
-        )
+        gains = {"stiffness": stiffness, "damping": damping, "max_effort": max_effort}
+        others = {"max_velocity": max_velocity, "friction": friction, "armature": armature}
+        self.drives.set(ids, rows, self._joints(joint_ids), **gains, **others)
 
     def get_joint_drive(
         self, joint_ids: Any = None, env_ids: Any = None
@@ -454,8 +445,7 @@ class Articulation(BatchEntity):
 
     def get_link_vel(self, link_name: str, env_ids: Any = None) -> torch.Tensor:
         """(n, 6) linear velocity of the link's origin, then angular velocity, world axes."""
-        ids, _ = self._ids(env_ids)
-        velocity = self.links.velocity(self.body_of(link_name))
+        velocity, (ids, _) = self.links.velocity(self.body_of(link_name)), self._ids(env_ids)
         return to_tensor(velocity if ids is None else velocity[ids])
 
     def link_velocity(self, body: int) -> torch.Tensor:
@@ -496,8 +486,6 @@ class Articulation(BatchEntity):
             dofs = np.concatenate([np.arange(start, start + 6), dofs])
         for field in ("qvel", "qacc_warmstart", "qfrc_applied"):
             self.engine.write(field, 0.0, ids, dofs)
-
-    # -- state ---------------------------------------------------------------------------------
 
     def forget_targets(self, ids: EnvIndex | None) -> None:
         """Note that a reset has given environments (n,), or all, their initial row."""
