@@ -9,7 +9,7 @@ import typing
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from embodichain.lab.gym.envs.managers.base import Term
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.managers.registry import Kind, describe_term, register_term
 from embodichain.utils.errors import ConfigError, Problem
 

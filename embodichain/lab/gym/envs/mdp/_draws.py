@@ -18,7 +18,7 @@ from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["Distribution", "Draw", "Operation", "Quantity", "Values", "Write"]
@@ -148,7 +148,7 @@ class Draw:
         self._bounds = [np.concatenate([q.factors[i] for q in self._quantities]) for i in (0, 1)]
         self._low, self._high = (constant(np.log(bound)) for bound in self._bounds)
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> list[F64]:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> list[F64]:
         """Values (n, m) of every quantity; do not write into them."""
         manager, slices = env.event_manager, self._columns.values()
         drawn = manager.draw_columns(self._columns, self._low, self._high, env_ids, self._normal)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.base import Term
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.managers.param_types import Box3, Positive, Ranges, ScaleRange
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
@@ -23,7 +23,7 @@ from embodichain.lab.gym.envs.mdp._model_fields import FIELDS, SCENE_FIELDS, Opt
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
 
 __all__ = ["Randomize"]
@@ -100,7 +100,7 @@ class Randomize(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity | None = None,
         entity_cfgs: list[ResolvedEntity] | None = None,
         scale: ScaleRange | None = None,
@@ -166,7 +166,7 @@ class Randomize(Term):
             self._add_entities(group, f"{group[0].uid}." if len(entities) > len(group) else "")
         self._draw = Draw(self._quantities, distribution)
 
-    def _add_scene(self, env: BaseEnv) -> None:
+    def _add_scene(self, env: TermContext) -> None:
         for name in self._ranges:
             if name not in SCENE_FIELDS:
                 message = f"missing: of which entity is {name!r} randomized?"
@@ -196,7 +196,7 @@ class Randomize(Term):
         self._quantities[label] = quantity
         self._writes.append([one.write(quantity.ids) for one in values])
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the fields of these environments."""
         for writes, values in zip(self._writes, self._draw(env, env_ids), strict=True):
             for write in writes:
