@@ -9,8 +9,8 @@ import typing
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.managers.registry import Kind, describe_term, register_term
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["alias"]

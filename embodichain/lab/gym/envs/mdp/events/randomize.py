@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.managers.param_types import Box3, Positive, Ranges, ScaleRange
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._draws import (
     Distribution,
     Draw,
