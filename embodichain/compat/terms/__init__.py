@@ -1,5 +1,3 @@
 """Terms under the names and parameters of EmbodiChain, Isaac Lab and mjlab."""
 
-from embodichain.compat.terms import randomizers
-
-__all__ = ["randomizers"]
+import embodichain.compat.terms.randomizers  # noqa: F401  (registers its terms)
