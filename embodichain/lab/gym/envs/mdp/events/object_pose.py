@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from pydantic import Field
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Box3
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp import _spatial
 from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, quat_multiply
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["RandomizeArticulationRootPose", "RandomizeRigidObjectPose"]
@@ -53,7 +53,7 @@ class RandomizeRigidObjectPose(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         position_range: Box3 | None = None,
         rotation_range: Box3 | None = None,
@@ -65,9 +65,6 @@ class RandomizeRigidObjectPose(Term):
         self._asset = asset = entity_cfg.asset
         self._stop = self._stopper(entity_cfg)
         self._steps = physics_update_step
-        # Revision of the orientations of mocap bodies when this one's were the initial ones.
-        self._stands: int | None = None
-        self._mocap = self._stop is None and asset.entity.mocap_id >= 0
         if relative_to is not None and not relative_position:
             message = "relative_to needs relative_position: true"
             raise ConfigError([Problem("relative_position", message)])
@@ -97,7 +94,7 @@ class RandomizeRigidObjectPose(Term):
         stop: Callable[[EnvIndex | None], None] = asset.stop
         return None if asset.is_non_dynamic else stop
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the poses of these environments."""
         quat0 = self._quat0 if env_ids is None else self._quat0[: len(env_ids)]
         quat: F64 | None = quat0
@@ -117,8 +114,6 @@ class RandomizeRigidObjectPose(Term):
             turn = euler_xyz_to_quat(angles)
             quat = quat_multiply(quat0, turn) if self._relative_rotation else turn
         self._asset.write_pose(pos, quat, env_ids)
-        if self._mocap and env_ids is None and self._turn is None:
-            self._stands = self._asset.engine.revision("mocap_quat")
         if self._stop is not None:
             self._stop(env_ids)
         if self._steps > 0:
@@ -126,10 +121,7 @@ class RandomizeRigidObjectPose(Term):
 
     def _stand_already(self, wanted: F64, env_ids: EnvIndex | None) -> bool:
         """Whether orientations need no write, which a log would keep."""
-        engine = self._asset.engine
-        if self._mocap and self._stands == engine.revision("mocap_quat"):
-            return True
-        if self._stop is not None or not engine.listeners:
+        if self._stop is not None or not self._asset.engine.listeners:
             return False
         now = self._asset.read_pose()[1]
         return bool(((now if env_ids is None else now[env_ids]) == wanted).all())
