@@ -24,18 +24,21 @@ from embodichain.config.algorithms import DEFAULT_ALGORITHM, OffPolicyCfg, PpoCf
 from embodichain.config.frozen import thaw
 from embodichain.config.schema import LARGEST_TRAINING_SEED
 from embodichain.lab.gym.envs.base_env import BaseEnv
-from embodichain.learning.algorithms import build_algorithm, check_arguments, check_normalize
+from embodichain.learning.algorithms import (
+    action_noise,
+    build_algorithm,
+    check_arguments,
+    check_normalize,
+)
 from embodichain.learning.checkpoint import DIGEST, read_digest, read_note
-from embodichain.learning.curves import draw_curves
-from embodichain.learning.disk import telling_where
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.evaluation import Evaluation
-from embodichain.learning.keeper import CheckpointKeeper, find_resumable
-from embodichain.learning.schedules import action_noise
+from embodichain.learning.keeper import CheckpointKeeper, find_resumable, telling_where
+from embodichain.learning.plots import draw_curves
 from embodichain.learning.session import Session
 from embodichain.learning.task_digest import TaskDigest, check_unchanged
+from embodichain.learning.train_logs import check_wandb, wandb_writers
 from embodichain.learning.vec_env import SB3VecEnv
-from embodichain.learning.wandb_log import check_wandb, wandb_writers
 from embodichain.learning.watch import Progress
 from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError, Problem

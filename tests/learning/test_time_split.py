@@ -3,7 +3,7 @@ from types import SimpleNamespace
 import pytest
 
 from embodichain.learning import time_split
-from embodichain.learning.time_split import TimeSplit
+from embodichain.learning.watch import TimeSplit
 
 
 def test_every_second_belongs_to_one_part(monkeypatch):
