@@ -42,6 +42,7 @@ _PLACES: Final[Mapping[str, tuple[str, ...]]] = {
     f"{_SIM}.unavailable": ("SoftObject",),
     f"{_SIM}.sensors": ("BaseSensor", "CameraCfg", "SensorCfg", "StereoCameraCfg"),
     f"{_SIM}.shapes": ("VisualMaterialCfg",),
+    f"{_MANAGERS}.term": ("ActionTerm",),
     f"{_DATA}.lookup": ("get_data_path",),
     f"{_UTILS}.configclass": ("configclass", "is_configclass"),
 }

@@ -1,4 +1,3 @@
-"""Terms under the names and parameters of EmbodiChain, Isaac Lab and mjlab.
+"""Terms under the names and parameters of EmbodiChain, Isaac Lab and mjlab."""
 
-Every module of this package that does not begin with "_" is imported when terms are looked up.
-"""
+import embodichain.compat.terms.randomizers  # noqa: F401  (registers its terms)

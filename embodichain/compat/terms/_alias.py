@@ -77,17 +77,18 @@ def alias(
             raise ConfigError(_under_own_names(error.problems, back)) from error
 
     ranges = getattr(target, "drive_ranges", {})
+    title = "".join(part.capitalize() for part in name.split("_"))
     members = {
         "__init__": __init__,
         "__doc__": f"{summary}\n\nArgs:\n"
         + "\n".join(lines)
         + f"\n\nExample:\n    ``{example}``\n",
         "__module__": caller or __name__,
-        "__qualname__": name,
+        "__qualname__": title,
         "__signature__": inspect.Signature(signature),
         "drive_ranges": {new: ranges[old] for new, old in renames.items() if old in ranges},
     }
-    made: type[Term] = type(name, (target,), members)
+    made: type[Term] = type(title, (target,), members)
     return register_term(kind, name=name)(made)
 
 

@@ -19,6 +19,7 @@ from types import SimpleNamespace
 from typing import Any, Literal, TypeVar, get_args
 
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.plugins import TERM_MODULES
 from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = [
@@ -66,17 +67,16 @@ _EEF_LATER = (
 logger = logging.getLogger(__name__)
 
 T = TypeVar("T", bound=Callable[..., Any])
+_BUILTIN = "embodichain.lab.gym.envs.mdp"
 _PACKAGES = (
-    "embodichain.lab.gym.envs.mdp.actions",
-    "embodichain.lab.gym.envs.mdp.commands",
-    "embodichain.lab.gym.envs.mdp.curriculum",
-    "embodichain.lab.gym.envs.mdp.events",
-    "embodichain.lab.gym.envs.mdp.observations",
-    "embodichain.lab.gym.envs.mdp.rewards",
-    "embodichain.lab.gym.envs.mdp.terminations",
-    "embodichain.compat.terms",
+    "actions",
+    "commands",
+    "curriculum",
+    "events",
+    "observations",
+    "rewards",
+    "terminations",
 )
-"""Packages whose modules register terms when they are imported, at the first look."""
 ENTRY_POINTS = "embodichain.terms"
 """Entry point group of packages with terms: each names a module that is imported with ours."""
 _PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
@@ -148,7 +148,9 @@ class _TermTable(Mapping[Kind, dict[str, TermSpec]]):
             self._loaded = True  # before: a module of terms may look terms up
             try:
                 for package in _PACKAGES:
-                    _import_modules(package)
+                    _import_modules(f"{_BUILTIN}.{package}")
+                for module in TERM_MODULES:
+                    importlib.import_module(module)
             except BaseException:
                 self._loaded = False
                 raise
