@@ -294,8 +294,7 @@ class Articulation(BatchEntity):
         """Set joint positions (n, k) from checked arrays, clamped to the limits."""
         joints = self._all if joints is None else joints
         columns = np.asarray(self.entity.qpos_adr, np.int64)[joints]
-        low, high = self.drives.limits.of(joints, ids)
-        clamped = np.minimum(np.maximum(values, low), high)
+        clamped = self.drives.limits.clamp(values, joints, ids)
         self.engine.write("qpos", clamped, ids, columns_of(columns))
 
     def set_qvel(
