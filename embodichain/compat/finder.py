@@ -1,7 +1,7 @@
 """The import hook behind EmbodiChain's paths: modules that only it has, names that ours lack.
 
-It acts on the modules of `names.upstream_modules` alone. A module of ours is loaded as usual, and its
-own names come first; only a name that it does not have is looked up in `names`.
+It acts on the modules of `names.upstream_modules` alone. A module of ours is loaded as usual, and
+its own names come first; only a name that it does not have is looked up in `names`.
 """
 
 from __future__ import annotations
