@@ -20,7 +20,7 @@ from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.config.gym_config import GymConfig
-    from embodichain.config.problems import LocatedProblem
+    from embodichain.config.locate import LocatedProblem
 
 __all__ = ["command"]
 

@@ -21,7 +21,7 @@ from embodichain.cli.output import print_json
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.config.problems import LocatedProblem
+    from embodichain.config.locate import LocatedProblem
     from embodichain.config.resolved import Resolved
 
 __all__ = ["command", "try_out"]
@@ -42,7 +42,7 @@ def command(
     words: tuple[str, ...], train: bool, config_dir: str | None, json: bool, traceback: bool
 ) -> int:
     """Print every mistake on stderr and exit 2, or say that there is none."""
-    from embodichain.config.problems import LocatedProblem
+    from embodichain.config.locate import LocatedProblem
 
     verb: Verb = "train" if train else "run"
     name = " ".join(words)

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from embodichain.config.composed import compose
-from embodichain.config.hydra_loader import config_loader
 from embodichain.config.introspect import field_names, type_at
 from embodichain.config.schema import RootCfg
+from embodichain.config.search_path import config_loader
 
 __all__ = ["complete_override"]
 

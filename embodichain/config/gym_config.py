@@ -11,8 +11,7 @@ from typing import Any
 
 import yaml
 
-from embodichain.config.locate import ConfigFile, Locator, display_path
-from embodichain.config.problems import LocatedProblem
+from embodichain.config.locate import ConfigFile, LocatedProblem, Locator, display_path
 from embodichain.lab.gym.gym_config.conversion import CLASSES, Conversion, convert
 from embodichain.lab.gym.gym_config.file import read_gym_config
 from embodichain.utils.errors import ConfigError

@@ -16,10 +16,10 @@ import yaml
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 
-from embodichain.config.hydra_loader import config_loader
+from embodichain.config.locate import COMMAND_LINE, LocatedProblem
 from embodichain.config.overrides import ParsedOverrides, apply_values, parse
-from embodichain.config.problems import COMMAND_LINE, LocatedProblem
 from embodichain.config.resolved import Resolved, resolve_tree
+from embodichain.config.search_path import config_loader
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["CONFIG", "resolve_again", "task_of"]

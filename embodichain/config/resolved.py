@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from embodichain.config import derive
-from embodichain.config.armature import with_armature
 from embodichain.config.check_types import check_types
 from embodichain.config.composed import Composed, compose
 from embodichain.config.derive import Verb
 from embodichain.config.frozen import freeze, thaw
-from embodichain.config.problems import LocatedProblem
+from embodichain.config.locate import LocatedProblem
 from embodichain.config.schema import RootCfg
-from embodichain.config.validation import check_tree, source_of, validate
+from embodichain.config.validation import check, check_tree, source_of
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -96,11 +95,10 @@ def resolve(
         ConfigError: Holds every mistake as a `LocatedProblem`.
     """
     composed = config if isinstance(config, Composed) else compose(config, verb, config_dir)
-    problems = validate(composed, verb)
-    if problems:
+    problems, types = check(composed, verb)
+    if problems or types.root is None:
         raise ConfigError(problems)
-    filled = derive.fill(composed.tree, verb, composed.locator.chosen)
-    tree, raised = with_armature(derive.settle(check_types(filled).tree, verb))
+    tree, raised = derive.with_armature(derive.settle(types.tree, verb), types.root)
     name = composed.choices.get("task") or "task"
     name = name.rpartition("/")[2]
     source = partial(source_of, composed=composed)
@@ -128,10 +126,9 @@ def resolve_tree(
     Raises:
         ConfigError: Holds every mistake as a `LocatedProblem`.
     """
-    problems = check_tree(tree, verb, allow_import=allow_import)
+    problems, types = check_tree(tree, verb, allow_import=allow_import)
     located = source if callable(source) else lambda path: source
-    if problems:
+    if problems or types.root is None:
         raise ConfigError([LocatedProblem.of(p, located(p.path)) for p in problems])
-    settled = derive.settle(check_types(derive.fill(tree, verb)).tree, verb)
-    settled, raised = with_armature(settled)
+    settled, raised = derive.with_armature(derive.settle(types.tree, verb), types.root)
     return Resolved(freeze(settled), (), task_name, raised, located)
