@@ -98,7 +98,7 @@ def attach_log(run: Job, env: BaseEnv) -> McapRecorder | None:
     if run.root.record.format == "none":
         return None
     from embodichain.config.frozen import dump_yaml
-    from embodichain.config.run_folder import LOG
+    from embodichain.config.newest import LOG
     from embodichain.recording import McapRecorder
 
     recorder = McapRecorder(

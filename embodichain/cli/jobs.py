@@ -160,7 +160,7 @@ def execute(
 
 def _pinned(resolved: Resolved) -> Resolved:
     """Replace `last` and links by the folder that they mean now: the next run changes that."""
-    from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
+    from embodichain.config.newest import CHECKPOINT, named_checkpoint, newest_run
 
     policy = resolved.tree["policy"]
     last = policy == "last"

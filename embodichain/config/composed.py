@@ -19,7 +19,6 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from embodichain.config import plain
 from embodichain.config.algorithms import DEFAULT_ALGORITHM
 from embodichain.config.hydra_errors import COMPOSING, explain
 from embodichain.config.locate import COMMAND_LINE, ConfigFile, LocatedProblem, Locator
@@ -30,7 +29,7 @@ from embodichain.utils.errors import ConfigError
 if TYPE_CHECKING:
     from embodichain.config.gym_config import GymConfig
 
-__all__ = ["WITHOUT_TASK", "Composed", "compose", "from_hydra", "list_options", "resolve"]
+__all__ = ["WITHOUT_TASK", "Composed", "compose", "from_hydra", "list_options"]
 
 WITHOUT_TASK = "~task"
 """The override that composes a config with no option of the group `task`."""
@@ -110,7 +109,7 @@ def compose(
         config["task"] = OmegaConf.merge(gym.task, config.get("task", {}))
     problems = (*parsed.problems, *apply_values(config, parsed.values))
     locator = Locator(files, parsed.values)
-    tree, unresolved = plain.resolve(config, locator)
+    tree, unresolved = _plain(config, locator)
     problems = (*problems, *unresolved)
     notes = gym.notes if gym is not None else ()
     return Composed(config_name, lines, tree, choices, locator, problems, notes=notes)
@@ -190,7 +189,7 @@ def _partial(
     OmegaConf.set_struct(config, False)
     del config["hydra"]
     apply_values(config, values)
-    return plain.resolve(config, locator)[0], locator
+    return _plain(config, locator)[0], locator
 
 
 def _algorithm(
@@ -216,7 +215,7 @@ def _follows(error: Exception, parsed: ParsedOverrides) -> bool:
 _INSTANTIATE = ("_target_", "_recursive_", "_convert_", "_partial_", "_args_")
 
 
-def resolve(config: DictConfig, locator: Locator) -> tuple[dict[str, Any], list[LocatedProblem]]:
+def _plain(config: DictConfig, locator: Locator) -> tuple[dict[str, Any], list[LocatedProblem]]:
     """Resolve interpolations everywhere.
 
     Args:

@@ -19,7 +19,7 @@ from embodichain.config.composed import Composed
 from embodichain.config.derive import Chosen, Verb, fill
 from embodichain.config.introspect import is_named_map, type_at
 from embodichain.config.locate import COMMAND_LINE, LocatedProblem
-from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
+from embodichain.config.newest import CHECKPOINT, named_checkpoint, newest_run
 from embodichain.config.schema import LARGEST_TRAINING_SEED, SUGGESTED_KEYS, RootCfg
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.check import SECTIONS, check_terms
