@@ -6,23 +6,16 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from embodichain.cli.output import number, print_facts
 from embodichain.cli.process import StopFlag
 from embodichain.cli.progress import ProgressDisplay
-from embodichain.learning.episode_statistics import (
-    EpisodeStatistics,
-    ended_values,
-    judges_success,
-)
+from embodichain.learning.episode_statistics import EpisodeStatistics, play
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.policies import Policy
 
-__all__ = ["Outcome", "play", "print_summary", "summarize"]
+__all__ = ["Outcome", "print_summary", "roll_out", "summarize"]
 
 Status = Literal["finished", "max_steps", "interrupted"]
 
@@ -51,7 +44,7 @@ class Outcome:
         return steps / self.seconds if self.seconds > 0 else 0.0
 
 
-def play(
+def roll_out(
     env: BaseEnv,
     policy: Policy,
     obs: Any,
@@ -72,34 +65,20 @@ def play(
         stop: Its flag ends the loop after a whole step.
     """
     statistics = EpisodeStatistics(env.num_envs, episodes)
-    has_success = judges_success(env)
     limit = float("inf") if max_steps is None else max_steps
     start = time.perf_counter()
-    status: Status = "finished"
-    while not statistics.complete:
-        if stop.stopped is not None or statistics.steps >= limit:
-            status = "interrupted" if stop.stopped is not None else "max_steps"
-            break
-        obs, reward, terminated, truncated, info = env.step(policy(obs, env))
-        done = _array(terminated) | _array(truncated)
-        ended = bool(done.any())
-        kept = ended_values(info, _array(terminated), has_success) if ended else {}
-        statistics.add(_array(reward), done, kept)
-        if ended:
-            policy.reset(np.flatnonzero(done))
+    status: Status = "finished" if stop.stopped is None else "interrupted"
+    for _ in play(env, policy, obs, statistics) if stop.stopped is None else ():
         if env.sim.is_window_open:  # for people who look on
             time.sleep(max(0.0, start + statistics.steps * env.step_dt - time.perf_counter()))
         if display.due:
             display.show(*_progress(statistics, max_steps, time.perf_counter() - start))
+        if not statistics.complete and (stop.stopped is not None or statistics.steps >= limit):
+            status = "interrupted" if stop.stopped is not None else "max_steps"
+            break
     seconds = time.perf_counter() - start
     display.show(*_progress(statistics, max_steps, seconds))
     return Outcome(status, statistics, seconds, stop.stopped)
-
-
-def _array(value: Any) -> NDArray[Any]:
-    """A tensor of the environment as numpy."""
-    array: NDArray[Any] = value.numpy(force=True)
-    return array
 
 
 def _progress(

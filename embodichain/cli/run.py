@@ -24,7 +24,7 @@ from embodichain.cli.jobs import Job, start
 from embodichain.cli.output import print_json, to_json
 from embodichain.cli.process import StopFlag, started
 from embodichain.cli.progress import ProgressDisplay
-from embodichain.cli.rollout import Outcome, play, print_summary, summarize
+from embodichain.cli.rollout import Outcome, print_summary, roll_out, summarize
 from embodichain.utils.atomic import write_text
 
 __all__ = ["SUMMARY_FILE", "command", "run_job"]
@@ -103,7 +103,7 @@ def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
         started()
         label, total = run.resolved.task_name, env.num_envs * episodes
         with ProgressDisplay(label, total, "episodes", quiet=run.quiet) as display:
-            outcome = play(env, policy, obs, episodes, root.max_steps, display, stop)
+            outcome = roll_out(env, policy, obs, episodes, root.max_steps, display, stop)
     finally:
         env.close()  # finishes the log too
         if start is not None:
