@@ -52,8 +52,8 @@ def resolve_resumed(overrides: Sequence[str]) -> Resolved:
     if problems:
         raise ConfigError(problems)
     checkpoint, state = find_resumable(folder)
-    fresh = {"quiet": False, "json": False, "traceback": False, "allow_changed": False}
-    fresh["resume"] = str(folder)
+    fresh: dict[str, Any] = {"quiet": False, "json": False, "traceback": False}
+    fresh |= {"allow_changed": False, "resume": str(folder)}
     tree = {**read_config(folder / CONFIG), **fresh}
     for key, value in changes.items():
         # An option of the group `record` is its format: the rest of the run's own stays.
