@@ -12,7 +12,6 @@ import lazy_loader
 
 from embodichain.compat import finder
 from embodichain.config.gymnasium_ids import register_with_gymnasium
-from embodichain.utils.plugins import TERM_MODULES
 
 if TYPE_CHECKING:
     from embodichain.config.factory import make
@@ -25,5 +24,8 @@ __all__ = ["__version__", "make"]
 
 finder.complete(sys.modules[__name__])
 finder.install()
+
+from embodichain.utils.plugins import TERM_MODULES  # noqa: E402  (found by the finder)
+
 TERM_MODULES.append("embodichain.compat.terms")
 register_with_gymnasium()
