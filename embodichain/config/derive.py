@@ -7,7 +7,6 @@ from a task's own values (`decimation`, `episode_length_s`, `physics`) is `BaseE
 from __future__ import annotations
 
 import copy
-import re
 import secrets
 from collections.abc import Callable, Mapping
 from typing import Any, Literal
@@ -16,6 +15,8 @@ from embodichain.config.locate import LocatedProblem
 from embodichain.config.schema import SUGGESTED_KEYS, RootCfg
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.sim.cfg import SimulationManagerCfg
+from embodichain.lab.sim.compiler.names import exact_pattern
+from embodichain.lab.sim.prepared_scene import PreparedScene
 
 __all__ = ["Chosen", "Verb", "env_cfg", "fill", "settle", "with_armature"]
 
@@ -106,7 +107,7 @@ def _merged(algo: dict[str, Any], suggested: dict[str, Any], path: str, chosen: 
 
 
 def with_armature(
-    tree: Mapping[str, Any], root: RootCfg
+    tree: Mapping[str, Any], prepared: PreparedScene
 ) -> tuple[dict[str, Any], tuple[LocatedProblem, ...]]:
     """Return a copy of a checked, settled tree with the armature that its joints lack.
 
@@ -114,32 +115,20 @@ def with_armature(
 
     Args:
         tree: A settled tree without mistakes.
-        root: The same as data classes.
+        prepared: Its scene, as checked; its articulations' configs are changed likewise.
 
     Returns:
         The tree, and a note for every articulation that was changed.
     """
-    from embodichain.lab.gym.envs.drive_changes import drive_changes
-    from embodichain.lab.sim.compiler.scene_check import raised_armature
-
     changed, notes = copy.deepcopy(dict(tree)), []
-    for path, armature in raised_armature(root.task, drive_changes(root.task.events)).items():
+    for path, raised in prepared.settle_armature().items():
         entity = changed["task"]
         for key in path.split("."):
             entity = entity[key]
         drives = entity["drive_pros"] = dict(entity.get("drive_pros") or {})
-        names = {_pattern(name): value for name, value in armature.items()}
+        names = {exact_pattern(name): value for name, value in raised.items()}
         drives["armature"] = {**(drives.get("armature") or {}), **names}
-        listed = ", ".join(f"{name}: {value:.4g}" for name, value in armature.items())
+        listed = ", ".join(f"{name}: {value:.4g}" for name, value in raised.items())
         message = f"raised to {{{listed}}}, because limited drives would chatter at the time step"
         notes.append(LocatedProblem(f"task.{path}.drive_pros.armature", message))
     return changed, tuple(notes)
-
-
-def _pattern(name: str) -> str:
-    """A joint's name as a regex that matches it."""
-    try:
-        plain = re.fullmatch(name, name) is not None
-    except re.error:
-        plain = False
-    return name if plain else re.escape(name)

@@ -18,6 +18,7 @@ from embodichain.config.locate import LocatedProblem
 from embodichain.config.schema import RootCfg
 from embodichain.config.validation import check, check_tree, source_of
 from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["Resolved", "Verb", "resolve", "resolve_tree"]
@@ -34,6 +35,7 @@ class Resolved:
         notes: What of a gym config was left out or is read otherwise, and what was derived that
             changes the physics.
         source: From a key path to where the key was set, or empty text.
+        prepared: The scene as the check has read and compiled it, for the first environment.
     """
 
     tree: Mapping[str, Any]
@@ -41,6 +43,7 @@ class Resolved:
     task_name: str
     notes: tuple[LocatedProblem, ...] = ()
     source: Callable[[str], str] = field(default=lambda path: "", repr=False, compare=False)
+    prepared: PreparedScene = field(default_factory=PreparedScene, repr=False, compare=False)
 
     @cached_property
     def root(self) -> RootCfg:
@@ -53,7 +56,9 @@ class Resolved:
     @property
     def env_cfg(self) -> EnvCfg:
         """A fresh `EnvCfg` for `BaseEnv`: `num_envs`, `seed` and `sim_cfg` filled in."""
-        return derive.env_cfg(self.root)
+        cfg = derive.env_cfg(self.root)
+        cfg.sim_cfg.prepared_scene = self.prepared
+        return cfg
 
     def changed(self, **values: Any) -> Resolved:
         """Return the config with other values of keys of the root."""
@@ -95,15 +100,15 @@ def resolve(
         ConfigError: Holds every mistake as a `LocatedProblem`.
     """
     composed = config if isinstance(config, Composed) else compose(config, verb, config_dir)
-    problems, types = check(composed, verb)
-    if problems or types.root is None:
-        raise ConfigError(problems)
-    tree, raised = derive.with_armature(derive.settle(types.tree, verb), types.root)
+    found = check(composed, verb)
+    if found.problems:
+        raise ConfigError(found.problems)
+    tree, raised = derive.with_armature(derive.settle(found.types.tree, verb), found.scene)
     name = composed.choices.get("task") or "task"
     name = name.rpartition("/")[2]
     source = partial(source_of, composed=composed)
     notes = (*composed.notes, *raised)
-    return Resolved(freeze(tree), composed.overrides, name, notes, source)
+    return Resolved(freeze(tree), composed.overrides, name, notes, source, found.scene)
 
 
 def resolve_tree(
@@ -126,9 +131,9 @@ def resolve_tree(
     Raises:
         ConfigError: Holds every mistake as a `LocatedProblem`.
     """
-    problems, types = check_tree(tree, verb, allow_import=allow_import)
+    found = check_tree(tree, verb, allow_import=allow_import)
     located = source if callable(source) else lambda path: source
-    if problems or types.root is None:
-        raise ConfigError([LocatedProblem.of(p, located(p.path)) for p in problems])
-    settled, raised = derive.with_armature(derive.settle(types.tree, verb), types.root)
-    return Resolved(freeze(settled), (), task_name, raised, located)
+    if found.problems:
+        raise ConfigError([LocatedProblem.of(p, located(p.path)) for p in found.problems])
+    settled, raised = derive.with_armature(derive.settle(found.types.tree, verb), found.scene)
+    return Resolved(freeze(settled), (), task_name, raised, located, found.scene)

@@ -1,7 +1,7 @@
 """All checks of a config in one report: types, values, terms, scene; each mistake with its place.
 
 The checks themselves live where their subjects do: types in `check_types`, terms in
-`lab.gym.envs.managers`, the scene in `lab.sim.compiler`.
+`lab.gym.envs.managers`, the scene in `lab.gym.envs.scene_check`.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,16 +25,32 @@ from embodichain.config.schema import LARGEST_TRAINING_SEED, SUGGESTED_KEYS, Roo
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.check import SECTIONS, check_terms
 from embodichain.lab.gym.policies import resolve_policy
+from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 from embodichain.utils.type_errors import show_value, unknown_key
 
-__all__ = ["check", "check_tree", "source_of", "validate"]
+__all__ = ["Check", "check", "check_tree", "source_of", "validate"]
 
 _SAME = {"episode_length_s": "max_episode_steps", "decimation": "sim_steps_per_control"}
 """Task keys that win over another one when given, see `EnvCfg`."""
 _ENTITY = re.compile(r"task(\.(robot|(robots|objects|articulations)(\.[^.]+)?)(\.(uid|fpath))?)?")
 """Paths whose loss makes references to entities fail that are not wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """A config that was checked as a whole.
+
+    Attributes:
+        problems: Every mistake; empty is good.
+        types: The config with the task's suggestions, as plain values and as data classes.
+        scene: The scene as it was read and compiled for the check.
+    """
+
+    problems: list[Problem]
+    types: TypeCheck
+    scene: PreparedScene
 
 
 def validate(composed: Composed, verb: Verb = "run") -> list[LocatedProblem]:
@@ -43,18 +60,16 @@ def validate(composed: Composed, verb: Verb = "run") -> list[LocatedProblem]:
         composed: What `compose` returned.
         verb: Whose suggested values count.
     """
-    return check(composed, verb)[0]
+    problems = check(composed, verb).problems
+    return [p if isinstance(p, LocatedProblem) else LocatedProblem.of(p, "") for p in problems]
 
 
-def check(composed: Composed, verb: Verb) -> tuple[list[LocatedProblem], TypeCheck]:
-    """Check a composed config as a whole.
+def check(composed: Composed, verb: Verb) -> Check:
+    """Check a composed config as a whole; its problems are `LocatedProblem`s.
 
     Args:
         composed: What `compose` returned.
         verb: Whose suggested values count.
-
-    Returns:
-        Every mistake, with its place, and the config with the task's suggestions as it was checked.
     """
     problems = list(composed.problems)
     if composed.usable:
@@ -62,13 +77,13 @@ def check(composed: Composed, verb: Verb) -> tuple[list[LocatedProblem], TypeChe
         lost = [p.path for p in (*problems, *unknown)]
         unknown += _said_twice(composed)
         chosen = composed.locator.chosen
-        found, types = check_tree(composed.tree, verb, chosen=chosen, lost=lost)
-        found = [*unknown, *found]
+        found = check_tree(composed.tree, verb, chosen=chosen, lost=lost)
     else:
-        types = check_types({**composed.tree, "task": {}})
-        found = types.problems
-    located = [LocatedProblem.of(p, source_of(p.path, composed)) for p in found]
-    return [*problems, *located], types
+        unknown, types = [], check_types({**composed.tree, "task": {}})
+        found = Check(types.problems, types, PreparedScene())
+    all_found = [*unknown, *found.problems]
+    located = [LocatedProblem.of(p, source_of(p.path, composed)) for p in all_found]
+    return replace(found, problems=[*problems, *located])
 
 
 def source_of(path: str, composed: Composed) -> str:
@@ -85,8 +100,8 @@ def check_tree(
     chosen: Chosen | None = None,
     lost: Sequence[str] = (),
     allow_import: bool = True,
-) -> tuple[list[Problem], TypeCheck]:
-    """Return the mistakes of a plain tree, by key path, and what its types are.
+) -> Check:
+    """Check a plain tree; mistakes are found by key path.
 
     Args:
         tree: A composed config, or one that was dumped.
@@ -103,15 +118,19 @@ def check_tree(
         _remove(rest, ".".join(problem.path.split(".")[:4]))  # task.suggested.VERB.KEY
     types = check_types(fill(rest, verb, chosen))
     problems += types.problems
-    missing = [*lost, *types.pruned]
+    missing, scene = [*lost, *types.pruned], PreparedScene()
     if types.root is not None:
-        further = _check_meaning(types.root, verb, missing, allow_import)
+        further = _check_meaning(types.root, verb, missing, allow_import, scene)
         problems += [p for p in further if not _below(p.path, missing)]
-    return list({p.path + p.message: p for p in problems}.values()), types
+    return Check(list({p.path + p.message: p for p in problems}.values()), types, scene)
 
 
 def _check_meaning(
-    root: RootCfg, verb: Verb, missing: Sequence[str], allow_import: bool
+    root: RootCfg,
+    verb: Verb,
+    missing: Sequence[str],
+    allow_import: bool,
+    scene: PreparedScene,
 ) -> list[Problem]:
     """Values, terms and scene, of what has the right types."""
     problems = _check_root(root, allow_import=allow_import)
@@ -125,9 +144,9 @@ def _check_meaning(
     known = {p.path for p in problems}
     in_task = check_terms(root.task, allow_import=allow_import)
     if not any(_ENTITY.fullmatch(path) for path in missing):
-        from embodichain.lab.sim.compiler import describe  # imports MuJoCo: only when needed
+        from embodichain.lab.gym.envs.scene_check import describe  # imports MuJoCo
 
-        in_task += describe(root.task)
+        in_task += describe(root.task, scene)
     found = [Problem(_in_task(p.path), p.message, p.hint) for p in in_task]
     return problems + [p for p in found if p.path not in known]
 
