@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 Rows = list[dict[str, Any]]
+_FAULT = "cannot load"
 _WHAT = ("tasks", "robots", "terms")
 
 
@@ -57,10 +58,17 @@ def command(
     if json:
         print_json({what: rows})
         return
-    print_table(what, rows)
-    if what == "robots" and (absent := _absent_robots(rows)):
-        lines = [f"{wrapped(line, '  ', '    ')}\n" for line in absent]
-        sys.stdout.write("".join(["not here:\n", *lines, "\n"]))
+    faults = [f"{row['name']}: {text}" for row in rows if (text := row.get(_FAULT))]
+    print_table(what, [{k: v for k, v in row.items() if k != _FAULT} for row in rows])
+    _print_list(_FAULT, faults)
+    if what == "robots":
+        _print_list("not here", _absent_robots(rows))
+
+
+def _print_list(title: str, lines: list[str]) -> None:
+    if lines:
+        folded = [f"{wrapped(line, '  ', '    ')}\n" for line in lines]
+        sys.stdout.write("".join([f"{title}:\n", *folded, "\n"]))
 
 
 def _tasks(config_dir: str | None) -> Rows:
@@ -100,7 +108,7 @@ def _robots(config_dir: str | None) -> Rows:
             "name": asset.name,
             "format": asset.format,
             "from": asset.source,
-            "cannot load": fault_of(asset.path),
+            _FAULT: fault_of(asset.path),
         }
         for asset in list_robots()
     ]

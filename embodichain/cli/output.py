@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
-    from rich.table import Table
+    from rich.table import Column, Table
 
 __all__ = [
     "console",
@@ -26,6 +26,10 @@ __all__ = [
     "wrapped",
 ]
 
+_TEXT = 20
+"""Columns that folded text gets at least."""
+_SHORT = 24
+"""Columns of cells of which no line is folded outside of a terminal: numbers with intervals."""
 _PIPE_WIDTH = 100
 """Columns of a line where there is no terminal: in log files, which people read too."""
 
@@ -108,8 +112,8 @@ def print_table(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
     table = _table(title)
     for name in rows[0]:
         cells = [number(row.get(name)) for row in rows]
-        words = not sys.stdout.isatty() and not any(" " in cell for cell in cells)
-        table.add_column(name, overflow="fold", no_wrap=words)
+        short = all(len(cell) <= _SHORT or " " not in cell for cell in cells)
+        table.add_column(name, overflow="fold", no_wrap=short and not sys.stdout.isatty())
     for row in rows:
         table.add_row(*(number(row.get(name)) for name in rows[0]))
     _print(table)
@@ -118,10 +122,12 @@ def print_table(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
 def print_facts(title: str, facts: Iterable[tuple[str, Any]]) -> None:
     """Print names and values side by side."""
     table = _table(title, show_header=False)
+    rows = [(name, number(value)) for name, value in facts]
+    words = [len(word) for _, value in rows for word in value.split()]
     table.add_column()
-    table.add_column(overflow="fold")
-    for name, value in facts:
-        table.add_row(name, number(value))
+    table.add_column(overflow="fold", min_width=0 if sys.stdout.isatty() else max(words, default=0))
+    for row in rows:
+        table.add_row(*row)
     _print(table)
 
 
@@ -133,15 +139,21 @@ def _table(title: str, **how: Any) -> Table:
 
 
 def _print(table: Table) -> None:
-    """Write a table without trailing blanks; outside of a terminal no word is cut."""
+    """Write a table without trailing blanks; outside of a terminal as wide as it has to be."""
     screen = console()
     if not sys.stdout.isatty():
-        unbound = screen.options.update(width=10_000)
-        screen.width = max(screen.width, screen.measure(table, options=unbound).minimum)
+        screen.width = max(screen.width, sum(_least(column) + 3 for column in table.columns))
     with screen.capture() as capture:
         screen.print(table)
     lines = (line.rstrip() for line in capture.get().splitlines())
     sys.stdout.write("\n".join(lines) + "\n\n")
+
+
+def _least(column: Column) -> int:
+    """Columns of the screen that a column of a table needs outside of a terminal."""
+    if column.no_wrap:
+        return max((len(str(cell)) for cell in [column.header, *column.cells]), default=0)
+    return column.min_width or _TEXT
 
 
 def number(value: Any) -> str:

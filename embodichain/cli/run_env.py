@@ -92,7 +92,7 @@ def command(**options: Any) -> None:
     if not flags.gym_config:
         raise ConfigError("no gym config is named: embodichain run-env --gym_config FILE")
     for flag, why in _NO_EFFECT.items():
-        if options[flag] not in (None, False):  # 0 is a value that was typed
+        if options[flag] is not None and options[flag] is not False:  # 0 is a value that was typed
             sys.stderr.write(f"note: --{flag} has no effect: {why}\n")
     flags.words = tuple(_overrides(flags))
     flags.cfg = flags.info = flags.config_dir = None
