@@ -26,10 +26,10 @@ __all__ = [
     "wrapped",
 ]
 
-_TEXT = 20
+_TEXT = 16
 """Columns that folded text gets at least."""
 _SHORT = 24
-"""Columns of cells of which no line is folded outside of a terminal: numbers with intervals."""
+"""Columns of cells that are not folded where there is room: names, numbers with intervals."""
 _PIPE_WIDTH = 100
 """Columns of a line where there is no terminal: in log files, which people read too."""
 
@@ -67,9 +67,12 @@ def say_warnings(path: object, warnings: Iterable[object]) -> None:
 
 def width() -> int:
     """Return the columns of a line on stdout: the terminal's, or `COLUMNS`, else 100."""
-    if sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit():
-        return shutil.get_terminal_size().columns
-    return _PIPE_WIDTH
+    return shutil.get_terminal_size().columns if _is_bounded() else _PIPE_WIDTH
+
+
+def _is_bounded() -> bool:
+    """Whether somebody says how wide lines may be; elsewhere a table may be wider than 100."""
+    return sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit()
 
 
 def wrapped(text: str, first: str = "", rest: str = "  ") -> str:
@@ -110,10 +113,17 @@ def print_table(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
         sys.stdout.write(f"{title}: none\n\n")
         return
     table = _table(title)
-    for name in rows[0]:
-        cells = [number(row.get(name)) for row in rows]
-        short = all(len(cell) <= _SHORT or " " not in cell for cell in cells)
-        table.add_column(name, overflow="fold", no_wrap=short and not sys.stdout.isatty())
+    columns = {name: [name, *(number(row.get(name)) for row in rows)] for name in rows[0]}
+    words = {
+        name: max(map(len, cells))
+        for name, cells in columns.items()
+        if all(len(cell) <= _SHORT or " " not in cell for cell in cells)
+    }
+    folded = len(columns) - len(words)
+    least = sum(words.values()) + 3 * len(columns) + _TEXT * bool(folded)
+    whole = not _is_bounded() or least <= width()
+    for name in columns:
+        table.add_column(name, overflow="fold", no_wrap=whole and name in words)
     for row in rows:
         table.add_row(*(number(row.get(name)) for name in rows[0]))
     _print(table)
@@ -125,7 +135,7 @@ def print_facts(title: str, facts: Iterable[tuple[str, Any]]) -> None:
     rows = [(name, number(value)) for name, value in facts]
     words = [len(word) for _, value in rows for word in value.split()]
     table.add_column()
-    table.add_column(overflow="fold", min_width=0 if sys.stdout.isatty() else max(words, default=0))
+    table.add_column(overflow="fold", min_width=0 if _is_bounded() else max(words, default=0))
     for row in rows:
         table.add_row(*row)
     _print(table)
@@ -141,7 +151,7 @@ def _table(title: str, **how: Any) -> Table:
 def _print(table: Table) -> None:
     """Write a table without trailing blanks; outside of a terminal as wide as it has to be."""
     screen = console()
-    if not sys.stdout.isatty():
+    if not _is_bounded():
         screen.width = max(screen.width, sum(_least(column) + 3 for column in table.columns))
     with screen.capture() as capture:
         screen.print(table)
