@@ -97,10 +97,7 @@ class EpisodeStatistics:
 
 def judges_success(env: BaseEnv) -> bool:
     """Whether a task says what success is: a metric, a termination, or its class."""
-    from embodichain.lab.gym.envs.hooks import overrides
-
-    declared = env.metric_manager.has_success or env.termination_manager.has_success
-    return declared or any(overrides(env, ["compute_task_state", "evaluate"]).values())
+    return env.judges_success
 
 
 def ended_values(

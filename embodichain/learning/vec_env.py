@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import inspect
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium as gym
@@ -330,7 +330,7 @@ def _success(info: dict[str, Any]) -> Bool:
     return _numpy(value).astype(np.bool_)
 
 
-def _by_name(values: dict[str, torch.Tensor], ids: NDArray[np.int64]) -> list[dict[str, Any]]:
+def _by_name(values: Mapping[str, torch.Tensor], ids: NDArray[np.int64]) -> list[dict[str, Any]]:
     """Plain values (N,) of several names, as a dict for each environment of `ids`."""
     found = {name: _numpy(value)[ids].tolist() for name, value in values.items()}
     return [{name: column[k] for name, column in found.items()} for k in range(len(ids))]
