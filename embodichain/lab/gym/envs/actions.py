@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -10,15 +10,28 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from embodichain.lab.gym.utils.spaces import joint_space
 from embodichain.lab.sim.objects._arrays import all_finite
 from embodichain.utils.tensor_mapping import leaves_of
 
 if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.managers.action_manager import ActionManager
     from embodichain.lab.sim.engine.base import F64
     from embodichain.lab.sim.objects.robot import Robot
     from embodichain.lab.sim.types import EnvAction
 
-__all__ = ["ActionCheck", "drive_robot"]
+__all__ = ["ActionCheck", "action_space", "drive_robot"]
+
+
+def action_space(
+    robot: Robot | None, joint_ids: Sequence[int], manager: ActionManager
+) -> gym.spaces.Box:
+    """Return the action space of one environment: that of action terms, or joint positions."""
+    if len(manager):
+        return gym.spaces.Box(manager.low, manager.high, dtype=np.float32)
+    if robot is None:
+        return gym.spaces.Box(0.0, 0.0, (0,), np.float32)
+    return joint_space(robot, joint_ids)
 
 
 class ActionCheck:

@@ -18,7 +18,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs import autoreset, restoring, scene_setup, seeding
-from embodichain.lab.gym.envs.actions import ActionCheck
+from embodichain.lab.gym.envs.actions import ActionCheck, action_space
 from embodichain.lab.gym.envs.autoreset import AutoresetMode
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.divergence import StateDump
@@ -32,7 +32,6 @@ from embodichain.lab.gym.envs.managers.action_manager import ActionManager
 from embodichain.lab.gym.envs.managers.base import Manager
 from embodichain.lab.gym.envs.managers.command_manager import CommandManager
 from embodichain.lab.gym.envs.managers.curriculum_manager import CurriculumManager
-from embodichain.lab.gym.envs.managers.dry_run import check_shapes
 from embodichain.lab.gym.envs.managers.event_manager import EventManager
 from embodichain.lab.gym.envs.managers.metric_manager import MetricManager
 from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
@@ -42,7 +41,7 @@ from embodichain.lab.gym.envs.observation import Observation
 from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
 from embodichain.lab.gym.envs.observers import Observers, StepRecord
 from embodichain.lab.gym.envs.snapshot import Snapshot, SnapshotSource
-from embodichain.lab.gym.utils.spaces import joint_space, observation_space
+from embodichain.lab.gym.utils.spaces import observation_space
 from embodichain.lab.sim.objects._arrays import as_env_ids
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
@@ -56,7 +55,6 @@ __all__ = ["BaseEnv", "EmbodiedEnv"]
 
 Step = tuple[EnvObs, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
 Mask = NDArray[np.bool_]
-F32 = NDArray[np.float32]
 Info = dict[str, Any]
 _ZERO = np.float32(0.0)
 
@@ -71,21 +69,17 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
     Args:
         cfg: The task; copied.
         render_mode: ``rgb_array`` or None.
-        autoreset_mode: SAME_STEP (the default), NEXT_STEP or DISABLED; also in
-            ``metadata["autoreset_mode"]`` of the instance.
+        autoreset_mode: SAME_STEP, NEXT_STEP or DISABLED; also in the instance's `metadata`.
         num_envs: N; wins over the config's.
         run_dir: Where states of environments that diverge are written; None is nowhere.
         **kwargs: Passed to the hooks that build.
 
     Attributes:
-        streams: The random numbers; `rand` and `randn` draw from them.
         sim_steps_per_control: K, physics steps a control step.
         control_step: Control steps since the environment was built.
-        run_dir: See above.
-        observers: Attached observers.
-        managers: The managers of each kind of terms, by section.
-        single_action_space, single_observation_space: Spaces of one environment.
-        action_space, observation_space: Of all N; samples are numpy arrays (N, ...).
+        managers: The manager of each kind of terms, by section.
+        single_action_space, single_observation_space: Spaces of one environment; those of all N
+            are `action_space` and `observation_space`.
 
     Raises:
         ConfigError: If the task is wrong; contains every mistake that can be found.
@@ -96,18 +90,8 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         "render_modes": ["rgb_array"],
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
-    streams: RandomStreams
-    control_step: int
     single_action_space: gym.Space[Any]
     single_observation_space: gym.Space[Any]
-    command_manager: CommandManager
-    observation_manager: ObservationManager
-    event_manager: EventManager
-    action_manager: ActionManager
-    reward_manager: RewardManager
-    termination_manager: TerminationManager
-    metric_manager: MetricManager
-    curriculum_manager: CurriculumManager
     managers: dict[str, Manager[Any]]
 
     def __init__(
@@ -124,14 +108,13 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"unknown render_mode {render_mode!r}; one of: rgb_array, None")
         self.render_mode = render_mode
-        self.run_dir = run_dir
+        self.run_dir, self.control_step = run_dir, 0
         self.sim_steps_per_control = cfg.sim_steps_per_control
         self.metadata = autoreset.instance_metadata(self, autoreset.parse_mode(autoreset_mode))
         self.metadata["render_fps"] = self.control_frequency
         self.streams = RandomStreams(seeding.first_seed(cfg.seed), cfg.num_envs)
         if cfg.seed is not None:
             seeding.seed_globals(self, self.streams.seed)
-        self.control_step = 0
         self.episodes = Episodes(cfg.num_envs, cfg.max_episode_steps)
         self.observers = Observers(self)
         # EmbodiChain shares one class-level list between all environments of a process.
@@ -144,7 +127,9 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         self.sim = SimulationManager(cfg.sim_cfg)
         self.sim.drive_changes = drive_changes(cfg.events)
         try:
-            self._build(kwargs)
+            self._build_scene(kwargs)
+            self._build_managers()
+            self._start(kwargs)
         except ConfigError as error:
             self.sim.destroy()
             by_hooks = not self.overridden.isdisjoint(("_setup_robot", "_prepare_scene"))
@@ -155,14 +140,8 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
 
     # -- building ------------------------------------------------------------------------------
 
-    @property
-    def judges_success(self) -> bool:
-        """Whether the task says what success is: a metric, a termination, or the class."""
-        declared = self.metric_manager.has_success or self.termination_manager.has_success
-        return declared or not self.overridden.isdisjoint(("compute_task_state", "evaluate"))
-
-    def _build(self, kwargs: dict[str, Any]) -> None:
-        """Build in EmbodiChain's order: robot, scene, sensors, then what needs physics."""
+    def _build_scene(self, kwargs: dict[str, Any]) -> None:
+        """Declare robot, scene, sensors, in this order, and compile them."""
         cfg, sim = self.cfg, self.sim
         self.drives_robot = not cfg.actions and bool(cfg.robot or cfg.robots)
         own = self._setup_robot(**kwargs)
@@ -183,17 +162,6 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         scene_setup.set_extensions(self, cfg.extensions)
         sim.compile()
         scene_setup.open_window(sim, cfg.sim_cfg)
-        self._build_managers()
-        self._build_actions(has_space)
-        sim.reset_objects_state()
-        self._init_sim_state(**kwargs)
-        self.event_manager.apply("startup", None)
-        sim.engine.forward()
-        self._dump = StateDump(sim.engine)
-        self._judge = StepJudge(self, self.overridden)
-        self._build_observations(kwargs)
-        if cfg.sim_cfg.visualization is not None:
-            cfg.sim_cfg.visualization.attach(self)
 
     def _build_managers(self) -> None:
         cfg = self.cfg
@@ -206,42 +174,40 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         self.reward_manager = RewardManager(self, cfg.rewards)
         self.termination_manager = TerminationManager(self, cfg.terminations)
         self.metric_manager = MetricManager(self, cfg.metrics)
-        managers: tuple[Manager[Any], ...] = (
-            *(self.command_manager, self.observation_manager, self.event_manager),
-            *(self.action_manager, self.reward_manager),
-            *(self.termination_manager, self.metric_manager),
-        )
-        self.managers = {manager.section: manager for manager in managers}
+        built: list[Manager[Any]] = [self.command_manager, self.observation_manager]
+        built += [self.event_manager, self.action_manager, self.reward_manager]
+        built += [self.termination_manager, self.metric_manager]
+        self.managers = {manager.section: manager for manager in built}
         self.curriculum_manager = CurriculumManager(self, cfg.curriculum)
         self.managers["curriculum"] = self.curriculum_manager
 
-    def _build_actions(self, has_space: bool) -> None:
-        joints, robot, actions = self.active_joint_ids, self.robot, self.action_manager
-        if len(actions):
-            self.single_action_space = gym.spaces.Box(actions.low, actions.high, dtype=np.float32)
-        elif not has_space:
-            self.single_action_space = (
-                gym.spaces.Box(0.0, 0.0, (0,), np.float32)
-                if robot is None
-                else joint_space(robot, joints)
-            )
-        space, count = self.single_action_space, self.num_envs
-        self.action_space = batch_space(space, count)
-        self._check_action = ActionCheck(space, count, self.device)
-        self.episodes.last_action = np.zeros((count, gym.spaces.utils.flatdim(space)))
-
-    def _build_observations(self, kwargs: dict[str, Any]) -> None:
+    def _start(self, kwargs: dict[str, Any]) -> None:
+        """Make spaces, run startup events, and observe once."""
+        cfg, sim, robot, joints = self.cfg, self.sim, self.robot, self.active_joint_ids
+        if getattr(self, "single_action_space", None) is None or len(self.action_manager):
+            self.single_action_space = action_space(robot, joints, self.action_manager)
+        space = self.single_action_space
+        self.action_space = batch_space(space, cfg.num_envs)
+        self._check_action = ActionCheck(space, cfg.num_envs, self.device)
+        self.episodes.last_action = np.zeros((cfg.num_envs, gym.spaces.utils.flatdim(space)))
+        sim.reset_objects_state()
+        self._init_sim_state(**kwargs)
+        self.event_manager.apply("startup", None)
+        sim.engine.forward()
+        self._dump = StateDump(sim.engine)
+        self._judge = StepJudge(self, self.overridden)
         own_code = self.overridden & {"get_obs", "_extend_obs"}
         self.observation_buffer = buffer = ObservationBuffer(
-            self.robot, self.active_joint_ids, self.observation_manager, not own_code
+            robot, joints, self.observation_manager, not own_code
         )
         saved = self.streams.state_dict()
         first = buffer.store(buffer.build(self.get_obs(**kwargs)))
-        if self.overridden.isdisjoint(("compute_task_state", "evaluate", "get_info")):
-            check_shapes(self, first)  # other classes may put entries into info that terms read
+        self._judge.check_terms(first)
         self.streams.load_state_dict(saved)  # this observation does not count
         self.single_observation_space = observation_space(first)
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, cfg.num_envs)
+        if cfg.sim_cfg.visualization is not None:
+            cfg.sim_cfg.visualization.attach(self)
 
     # -- reset ---------------------------------------------------------------------------------
 
@@ -360,7 +326,6 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         self._update_sim_state(**kwargs)
         self.event_manager.step(stepped)
         self.command_manager.step(stepped)
-
         obs = self._observe(kwargs, stepped)
         info, outcome = self._judge.info(obs, action, kwargs)
         reward = self._judge.reward(obs, action, info)
@@ -371,13 +336,13 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
             obs, reward = self.observation_buffer.without(obs, mask), np.where(mask, _ZERO, reward)
             self._dump.write(self.run_dir, mask, self.control_step, given)
         self.observation_buffer.store(obs)
-        diverged = np.zeros(self.num_envs, np.bool_) if mask is None else mask
-        info["diverged"] = torch.from_numpy(diverged)
+        info["diverged"] = torch.from_numpy(
+            np.zeros(len(given), np.bool_) if mask is None else mask
+        )
 
         episodes.advance()
         self.control_step += 1
-        info["elapsed_steps"] = self.elapsed_steps
-        over = episodes.over()
+        info["elapsed_steps"], over = self.elapsed_steps, episodes.over()
         if "check_truncated" in self.overridden:
             over |= as_mask(self.check_truncated(obs, info), self.num_envs, "check_truncated")
         terminated, truncated = ends(outcome, over, self.cfg.ignore_terminations)
@@ -396,9 +361,8 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         ids = episodes.ids.copy() if self.observers else episodes.ids
         obs = self._autoreset(obs, info, terminated, truncated)
         if self.observers:
-            record = StepRecord(
-                self.control_step, given, reward, terminated, truncated, info, obs, ids
-            )
+            results = reward, terminated, truncated, info, obs, ids
+            record = StepRecord(self.control_step, given, *results)
             for observer in self.observers:
                 observer.on_step(self, record)
         return obs, rewards, *flags, info
@@ -430,8 +394,6 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         self._reset_rows(ids, {})
         return self._observe_reset(ids, {})
 
-    # -- observation ---------------------------------------------------------------------------
-
     def _observe(self, kwargs: dict[str, Any], stepped: EnvIndex | None) -> Observation:
         """The observation that is returned, of environments that stepped or were reset."""
         self.observation_manager.stepped = stepped
@@ -458,16 +420,15 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         """Continue from a recorded moment: state, model fields and counters are as they were.
 
         With the recorded actions the recorded states follow, to the bit, until something random
-        happens: a log contains neither the counters of random streams nor the states of terms.
-        ``info["not_restored"]`` names both, as far as this task has them; they begin as at a reset.
+        happens: counters of random streams and states of terms are not in a log. They begin as at
+        a reset; ``info["not_restored"]`` names them.
 
         Args:
             log: An open log (`embodichain.recording.open`), or a snapshot that was taken of one.
             env: The recorded environment.
             episode: One of its episodes; None counts `step` from the start of the recording.
             step: Finished control steps of the episode, or of the recording; None is 0.
-            env_ids: The environments here that continue from there (sorted unique, or a mask);
-                None is all of them.
+            env_ids: The environments that continue here (sorted unique, or a mask); None is all.
 
         Returns:
             The observation and info of all N environments; rows of others are as before.
@@ -478,17 +439,13 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         snapshot = restoring.snapshot_of(log, env, episode, step)
         found = as_env_ids(env_ids, self.num_envs)
         ids = np.arange(self.num_envs) if found is None else found
-        model = self.sim.engine.model
-        restoring.check(snapshot, model, self.episodes.last_action.shape[1])
-        restoring.put(snapshot, self.sim, self.managers, ids)
-        self.episodes.set_last_action(ids, snapshot.last_action)
-        self.episodes.restore(ids, snapshot.elapsed, snapshot.episode)
-        self._task_success = torch.from_numpy(self.episodes.success.copy())
+        restoring.put(snapshot, self.sim, self.managers, self.episodes, ids)
+        self._task_success = self.is_task_success()
         for observer in self.observers:
             observer.on_reset(self, ids)
         obs = self._observe_reset(ids, {})
-        info = dict(self.get_info().items())
-        return obs, info | {"not_restored": restoring.not_restored(snapshot, model, self.managers)}
+        missing = restoring.not_restored(snapshot, self.sim.engine.model, self.managers)
+        return obs, {**self.get_info(), "not_restored": missing}
 
     def state_dict(self) -> dict[str, Any]:
         """Return everything needed to continue to the bit (copies).
@@ -497,14 +454,15 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         """
         return {
             "num_envs": self.num_envs,
-            "sim": self.sim.state_dict(),
-            "streams": self.streams.state_dict(),
-            "np_random": self.np_random.bit_generator.state,
-            "managers": {name: manager.state_dict() for name, manager in self.managers.items()},
             "control_step": self.control_step,
-            "episodes": self.episodes.state_dict(),
+            "np_random": self.np_random.bit_generator.state,
             "observation": self.observation_buffer.last.copy(),
+            "managers": {name: manager.state_dict() for name, manager in self.managers.items()},
+            **{name: part.state_dict() for name, part in self._parts().items()},
         }
+
+    def _parts(self) -> dict[str, Any]:
+        return {"sim": self.sim, "streams": self.streams, "episodes": self.episodes}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue exactly where `state_dict` was taken, in an environment of the same config.
@@ -517,20 +475,16 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
                 f"this state is of {saved['num_envs']} environments, "
                 f"the environment has {self.num_envs}"
             )
-        self.sim.load_state_dict(saved["sim"])
-        self.streams.load_state_dict(saved["streams"])
+        for name, part in self._parts().items():
+            part.load_state_dict(saved[name])
         self.np_random.bit_generator.state = saved["np_random"]
         for name, manager in self.managers.items():
             manager.load_state_dict(saved["managers"][name])
         self.control_step = saved["control_step"]
-        self.episodes.load_state_dict(saved["episodes"])
         self.observation_buffer.last = saved["observation"].copy()
 
     def close(self) -> None:
-        """Tell observers, and free the simulation; does nothing the second time.
-
-        Every observer is told and the simulation is freed, also if one of them raises.
-        """
+        """Tell observers, and free the simulation, also if one raises; once only."""
         if self._closed:
             return
         self._closed = True
@@ -543,4 +497,4 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
 
 
 EmbodiedEnv = BaseEnv
-"""EmbodiChain's name for an environment built from its config; here every environment can be."""
+"""EmbodiChain's name for an environment built from its config."""

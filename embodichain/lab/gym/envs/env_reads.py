@@ -19,7 +19,9 @@ from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
+    from embodichain.lab.gym.envs.managers.metric_manager import MetricManager
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+    from embodichain.lab.gym.envs.managers.termination_manager import TerminationManager
     from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
     from embodichain.lab.sim.engine.base import EnvIndex
     from embodichain.lab.sim.sim_manager import SimulationManager
@@ -40,6 +42,9 @@ class EnvReads:
     sensors: dict[str, Any]
     sim_steps_per_control: int
     observation_space: gym.Space[Any]
+    metric_manager: MetricManager
+    termination_manager: TerminationManager
+    overridden: frozenset[str]
     _detached_uids: list[str]
 
     # -- size and clock ------------------------------------------------------------------------
@@ -195,6 +200,12 @@ class EnvReads:
     def flattened_observation_space(self) -> gym.spaces.Box:
         """Box of all N observations, each as one vector (N, W)."""
         return flat_space(self.observation_space, self.num_envs)
+
+    @property
+    def judges_success(self) -> bool:
+        """Whether the task says what success is: a metric, a termination, or the class."""
+        declared = self.metric_manager.has_success or self.termination_manager.has_success
+        return declared or not self.overridden.isdisjoint(("compute_task_state", "evaluate"))
 
     # -- observers -----------------------------------------------------------------------------
 

@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.autoreset import blanked
-from embodichain.lab.gym.envs.managers.dry_run import JudgedEnv
+from embodichain.lab.gym.envs.managers.dry_run import JudgedEnv, check_shapes
 from embodichain.lab.sim.objects._arrays import all_finite, as_env_ids
 
 if TYPE_CHECKING:
@@ -193,8 +193,19 @@ class StepJudge:
 
     def __init__(self, env: _JudgedByHooks, overridden: frozenset[str]) -> None:
         self._env = env
+        # A class's own code may put entries into info that terms read.
+        self._checks = overridden.isdisjoint(("compute_task_state", "evaluate", "get_info"))
         self._get_reward = env.get_reward if "get_reward" in overridden else None
         self._extend_reward = env._extend_reward if "_extend_reward" in overridden else None
+
+    def check_terms(self, obs: EnvObs) -> None:
+        """Call every term once and check its shape, unless it may rely on the class's own info.
+
+        Raises:
+            ValueError: If a term's value is not (N,); names the term.
+        """
+        if self._checks:
+            check_shapes(self._env, obs)
 
     def info(self, obs: EnvObs, action: Any, kwargs: dict[str, Any]) -> tuple[Info, Outcome]:
         """Info of the step: the class's own, then terminations, then metrics."""

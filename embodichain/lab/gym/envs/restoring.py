@@ -19,12 +19,13 @@ from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.episodes import Episodes
     from embodichain.lab.gym.envs.managers.base import Manager
     from embodichain.lab.sim.engine.base import EnvIndex
     from embodichain.lab.sim.engine.cpu import CpuEngine
     from embodichain.lab.sim.sim_manager import SimulationManager
 
-__all__ = ["check", "not_restored", "put", "snapshot_of"]
+__all__ = ["not_restored", "put", "snapshot_of"]
 
 _ALWAYS = ("random streams", "sums of rewards and metrics over the episode")
 
@@ -54,16 +55,25 @@ def snapshot_of(
 
 
 def put(
-    snapshot: Snapshot, sim: SimulationManager, managers: Mapping[str, Manager[Any]], ids: EnvIndex
+    snapshot: Snapshot,
+    sim: SimulationManager,
+    managers: Mapping[str, Manager[Any]],
+    episodes: Episodes,
+    ids: EnvIndex,
 ) -> None:
-    """Give environments the state, the model and the terms' draws of a snapshot.
+    """Give environments the state, the model, the terms' draws and the counters of a snapshot.
 
     Args:
-        snapshot: What to put in; `check` it before.
+        snapshot: The snapshot.
         sim: The simulation.
         managers: All managers by section.
+        episodes: The counters.
         ids: (n,) sorted unique environments.
+
+    Raises:
+        ConfigError: If it is of another scene or another action space.
     """
+    _check(snapshot, sim.engine.model, episodes.last_action.shape[1])
     where = None if len(ids) == sim.num_envs else ids
     for manager in managers.values():
         manager.reset(where)
@@ -79,6 +89,8 @@ def put(
     sim.engine.forward(where)
     commands: Any = managers["commands"]
     commands.update(where)
+    episodes.restore(ids, snapshot.elapsed, snapshot.episode)
+    episodes.set_last_action(ids, snapshot.last_action)
 
 
 def _replay_draw(
@@ -90,7 +102,7 @@ def _replay_draw(
     if term is None:
         return
     if drawn.mode == "command" or (term.cfg.mode == drawn.mode and not term.cfg.is_global):
-        manager.again(drawn.term, where, drawn.values)
+        manager.replay(drawn.term, drawn.mode, where, drawn.values)
 
 
 def _put_model(
@@ -118,17 +130,7 @@ def _compiled(model: mujoco.MjModel, name: str) -> NDArray[Any]:
     return np.asarray(getattr(owner, last)).reshape(-1)
 
 
-def check(snapshot: Snapshot, model: mujoco.MjModel, width: int) -> None:
-    """Check that a snapshot is of this scene.
-
-    Args:
-        snapshot: The snapshot.
-        model: The compiled model here.
-        width: Columns of an action here.
-
-    Raises:
-        ConfigError: If it is of another scene or another action space.
-    """
+def _check(snapshot: Snapshot, model: mujoco.MjModel, width: int) -> None:
     for what, here, there in zip(
         ("bodies", "joints", "actuators"), _names(model), _names(snapshot.model), strict=True
     ):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from embodichain.lab.sim.objects._arrays import to_tensor
 from embodichain.lab.sim.objects.articulation import Articulation
-from embodichain.lab.sim.objects.entity import not_available
+from embodichain.lab.sim.unavailable import not_available
 from embodichain.utils.tensor_mapping import TensorMapping
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ _IK = "IK solvers come later"
 
 
 class Robot(Articulation):
-    """An articulation that is acted on."""
+    """An articulation with drives and control parts."""
 
     cfg: RobotCfg
 
@@ -29,8 +30,8 @@ class Robot(Articulation):
 
     def get_proprioception(self) -> TensorMapping:
         """Joint positions, velocities and efforts: ``qpos``, ``qvel``, ``qf``, (N, D) each."""
-        (qpos, qvel, qf), _ = self.proprioception()
-        return TensorMapping({"qpos": qpos, "qvel": qvel, "qf": qf}, (self.num_instances,))
+        parts = {"qpos": self.read_qpos(), "qvel": self.read_qvel(), "qf": self.read_efforts()}
+        return TensorMapping({name: to_tensor(values) for name, values in parts.items()})
 
     compute_fk = not_available("compute_fk", f"{_IK}; get_link_pose reads the simulated pose")
     compute_ik = not_available("compute_ik", _IK)
