@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.recording.foxglove.commands import Commands
-from embodichain.recording.foxglove.joints import Joints
-from embodichain.recording.foxglove.places import places
-from embodichain.recording.foxglove.scalars import identifier
+from embodichain.recording.views.markers import Commands
+from embodichain.recording.views.motion import scalar_joints
+from embodichain.recording.views.places import places
+from embodichain.recording.views.scalars import identifier
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -43,7 +43,7 @@ def foxglove_layout(env: BaseEnv, view_envs: Sequence[int]) -> dict[str, Any]:
         view_envs: Environments that the log shows.
     """
     model = env.sim.engine.model
-    drawn = ("scene", "markers") if Commands(env, view_envs).markers else ("scene",)
+    drawn = ("scene", "markers") if Commands(env).drawn else ("scene",)
     seen = [f"/env_{i}/{name}" for i in view_envs for name in drawn]
     topics = {topic: {"visible": True} for topic in seen}
     where = places(env, view_envs) if view_envs else np.zeros((1, 3))
@@ -94,7 +94,7 @@ def foxglove_layout(env: BaseEnv, view_envs: Sequence[int]) -> dict[str, Any]:
             "joint positions (rad, m)",
             {
                 label: f'{first}/joint_states.joints[:]{{name=="{name}"}}.position'
-                for name, label in _short(Joints(model).names).items()
+                for name, label in _short(list(scalar_joints(model))).items()
             },
         ),
         "Plot!reward": _plot("reward and its terms", _rewards(env, first)),

@@ -11,7 +11,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from embodichain.lab.gym.envs.managers.command_manager import CommandMarker, CommandTerm
 from embodichain.recording import McapRecorder, inspect
-from embodichain.recording.foxglove.markers import ABOVE, AXIS_LENGTH, METRES_PER_SPEED
+from embodichain.recording.views.markers import ABOVE, AXIS_LENGTH, METRES_PER_SPEED
 from embodichain.recording.options import RecordOptions
 from tests.recording.scene import MODEL, SmallEnv
 

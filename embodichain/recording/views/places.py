@@ -1,4 +1,4 @@
-"""Where viewed environments stand beside each other; physics knows nothing of it."""
+"""Positions of viewed environments beside each other, for viewers only."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def pitch_of(env: BaseEnv) -> float:
 
 
 def places(env: BaseEnv, env_ids: Sequence[int]) -> F64:
-    """(n, 3) where each of these environments stands: a square of those that are viewed."""
+    """(n, 3) position of each of these environments in ``world``, in a square, metres."""
     side = math.ceil(math.sqrt(len(env_ids)))
     index = np.arange(len(env_ids))
     grid = np.stack([index % max(side, 1), index // max(side, 1), 0 * index], axis=1)

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from embodichain.recording.shapes import PLANE_SIZE, mesh_of, shapes
+from embodichain.recording.views.shapes import PLANE_SIZE, mesh_of, shapes
 
 XML = """
 <mujoco>

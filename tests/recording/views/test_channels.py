@@ -1,4 +1,4 @@
-"""The channels for people, decoded by mcap-protobuf-support from the schemas in the file."""
+"""The channels for viewers, decoded by mcap-protobuf-support from the schemas in the file."""
 
 import json
 import re
@@ -12,11 +12,12 @@ from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSe
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from embodichain.recording import McapRecorder, inspect, recorder
-from embodichain.recording.foxglove.glb import glb
-from embodichain.recording.foxglove.layout import foxglove_layout
+import embodichain.recording as recording
+from embodichain.recording import McapRecorder, inspect
 from embodichain.recording.options import RecordOptions
-from embodichain.recording.shapes import Mesh
+from embodichain.recording.views.layout import foxglove_layout
+from embodichain.recording.views.meshes import glb
+from embodichain.recording.views.shapes import mesh_of
 from tests.recording.scene import MODEL, SmallEnv
 
 VIEW = RecordOptions(view_envs=(0, 2), view_hz=1000)  # every control step
@@ -66,12 +67,14 @@ def test_every_message_of_the_file_is_decoded(watched):
     found = decoded(path)
     assert len(found) == inspect(path).messages
     assert {topic for topic, _, _ in found} == {
-        "/sim/state", "/sim/step", "/sim/write", "/sim/event", "/episode", "/tf", "/log",
+        "/sim/start", "/sim/steps", "/episode", "/tf", "/log",
         "/env_0/scene", "/env_0/joint_states", "/env_0/metrics",
         "/env_2/scene", "/env_2/joint_states", "/env_2/metrics",
     }  # fmt: skip
-    state = next(content for topic, _, content in found if topic == "/sim/state")
-    assert (state.num_envs, len(state.state)) == (3, 3 * state.width)
+    runs = [content for topic, _, content in found if topic == "/sim/steps"]
+    assert runs[0].first == 0
+    ends = [run for run in runs if any(call.kind == "step" for call in run.calls)]
+    assert sum(run.count for run in ends) == 9
 
 
 def test_frames_stand_where_mujoco_puts_them(watched):
@@ -132,7 +135,7 @@ def test_the_scene_is_shown(watched):
     assert ends == pytest.approx([0, 0.3], abs=1e-12)
     wedge = entities["env_2/arm/fore"].models[0]
     assert (wedge.media_type, wedge.override_color, wedge.scale.z) == ("model/gltf-binary", True, 1)
-    assert wedge.data == glb(Mesh(MODEL.mesh_vert, MODEL.mesh_face))
+    assert wedge.data == glb(mesh_of(MODEL, MODEL.geom("arm/tip").id))
     plane = entities["env_2"].cubes[0]  # infinite: drawn as a thin slab whose top is z = 0
     assert plane.pose.position.z + plane.size.z / 2 == pytest.approx(0)
     assert plane.size.x == plane.size.y == pytest.approx(min(4.0, 2.5 * MODEL.stat.extent))
@@ -162,9 +165,10 @@ def test_metrics_are_flat_and_those_of_the_environment(watched):
         "reward_near_goal", "reward_effort", "metric_success",
     ]  # fmt: skip
     assert [m.elapsed_steps for m in found] == list(range(1, 10))
-    steps = [content for _, _, content in decoded(path, "/sim/step")]
-    assert [m.reward for m in found] == [s.reward[2] for s in steps]
-    assert [m.reward_near_goal for m in found] == [s.reward[2] for s in steps]
+    with recording.open(path) as log:
+        rewards = log.read("rewards", env=2)["rewards"][:, 0].tolist()
+    assert [m.reward for m in found] == rewards
+    assert [m.reward_near_goal for m in found] == rewards
     assert {m.metric_success for m in found} == {1.0}
     assert [m.truncated for m in found] == [0.0] * 8 + [1.0]
 
@@ -184,9 +188,11 @@ def test_the_log_tells_of_resets_and_divergence(record, poison):
 
 def test_the_log_tells_what_events_drew(record):
     path = record(steps=3, num_envs=3, options=RecordOptions(view_envs=[2], view_hz=1000))
-    drawn = [c for _, _, c in decoded(path, "/sim/event") if c.term == "move_goal"]
+    with recording.open(path) as log:
+        drawn = [event.drawn["position"] for event in log.events() if event.term == "move_goal"]
     lines = [c.message for _, _, c in decoded(path, "/log") if "move_goal" in c.message]
-    rows = [np.reshape(event.drawn[0].values, (3, 3))[2] for event in drawn]
+    rows = [positions[2] for positions in drawn]
+    assert len(rows) == 3
     assert lines == [
         "environment 2: move_goal (interval): position " + " ".join(f"{x:.4g}" for x in row)
         for row in rows
@@ -198,7 +204,8 @@ def test_events_at_intervals_have_lines_as_often_as_views_are_sampled(record):
     start = inspect(path).header.start_ns
     lines = [t for _, t, c in decoded(path, "/log") if "(interval)" in c.message]
     assert [(time - start) // 20_000_000 for time in lines] == [0, 4, 8, 12, 16, 20]
-    assert len([c for *_, c in decoded(path, "/sim/event") if c.mode == "interval"]) == 21
+    with recording.open(path) as log:
+        assert sum(event.mode == "interval" for event in log.events()) == 21
 
 
 def test_views_are_sampled_at_most_as_often_as_asked(record):
@@ -209,33 +216,10 @@ def test_views_are_sampled_at_most_as_often_as_asked(record):
     assert steps == [0, 4, 8, 12, 16, 20, 21]  # the last state in any case
 
 
-@pytest.mark.parametrize("options", [{}, {"every": 2}, {"view_hz": 1000}], ids=str)
-@pytest.mark.parametrize("case", [{}, {"settle": 3, "push": True}], ids=str)
-def test_samples_that_nobody_pushed_are_those_that_are_pushed(record, monkeypatch, options, case):
-    def seen(path):
-        viewers = [t for t in decoded(path) if not t[0].startswith("/sim/")]
-        start = inspect(path).header.start_ns
-        found = [(topic, time - start, _without_time(content)) for topic, time, content in viewers]
-        return sorted(found, key=lambda message: message[:2])
-
-    options = RecordOptions(view_envs=(0, 2), **{"view_hz": 20, **options})
-    followed = seen(record("followed.mcap", 40, options, **case))
-    pushing = recorder.Views
-    monkeypatch.setattr(recorder, "Views", lambda *a, rows_known: pushing(*a, rows_known=False))
-    pushed = seen(record("pushed.mcap", 40, options, **case))
-    assert {topic for topic, *_ in pushed} >= {"/tf", "/env_2/scene", "/env_0/joint_states"}
-    assert followed == pushed
-
-
-def _without_time(message):
-    """Text of a message, without the wall clock in it."""
-    return re.sub(r"(timestamp|lifetime) \{[^}]*\}", "", str(message))
-
-
 def test_no_views(record):
     path = record(options=RecordOptions(view_envs=()))
     assert {c.topic for c in inspect(path).channels} == {
-        "/log", "/episode", "/sim/state", "/sim/step", "/sim/physics", "/sim/write", "/sim/event",
+        "/log", "/episode", "/sim/start", "/sim/steps",
     }  # fmt: skip
 
 

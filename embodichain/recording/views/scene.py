@@ -1,4 +1,4 @@
-"""What an environment looks like: one `SceneEntity` a body, locked to the body's frame.
+"""`/env_I/scene`: one `SceneEntity` for each body, locked to the body's frame.
 
 Shapes become Foxglove's primitives: a capsule is a cylinder with two spheres, a mesh a model as GLB
 inside the message.
@@ -12,9 +12,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from embodichain.recording.foxglove.frames import frame_names
-from embodichain.recording.foxglove.glb import MEDIA_TYPE, glb
-from embodichain.recording.foxglove.messages import (
+from embodichain.recording.views.meshes import MEDIA_TYPE, glb
+from embodichain.recording.views.messages import (
     Color,
     CubePrimitive,
     CylinderPrimitive,
@@ -25,18 +24,16 @@ from embodichain.recording.foxglove.messages import (
     SceneUpdate,
     SpherePrimitive,
     Vector3,
+    set_time,
 )
-from embodichain.recording.foxglove.template import STAMP, Template, stamps
-from embodichain.recording.shapes import PLANE_SIZE, Shape, mesh_of, shapes
+from embodichain.recording.views.motion import frame_names
+from embodichain.recording.views.shapes import PLANE_SIZE, Shape, mesh_of, shapes
 
-__all__ = ["Props", "Scene"]
-
-
-_NO_NUMBERS = np.empty((1, 0))
+__all__ = ["Props", "scene_update"]
 
 
 class Props:
-    """What environments share: encoded meshes, whose triangles nothing randomizes.
+    """Encoded meshes, which all environments share.
 
     Args:
         ground: Metres that an infinite plane is drawn wide.
@@ -54,30 +51,26 @@ class Props:
         return self._encoded[key]
 
 
-class Scene:
-    """The entities of one environment; build a new one when its model fields change.
+def scene_update(time_ns: int, model: mujoco.MjModel, env_id: int, props: Props) -> bytes:
+    """Return the serialized `SceneUpdate` that replaces all entities of an environment.
 
     Args:
+        time_ns: Its time.
         model: The environment's model.
-        env_id: Which one.
-        props: Encoded meshes, this model's or of one with the same.
+        env_id: The environment.
+        props: Encoded meshes of this model, or of one with the same meshes.
     """
-
-    def __init__(self, model: mujoco.MjModel, env_id: int, props: Props) -> None:
-        names = frame_names(model, env_id)
-        entities: dict[int, Any] = {}
-        for shape in shapes(model):
-            entity = entities.get(shape.body)
-            if entity is None:
-                name = names[shape.body]
-                entity = SceneEntity(timestamp=STAMP, frame_id=name, id=name, frame_locked=True)
-                entities[shape.body] = entity
-            _DRAW[shape.kind](entity, model, shape, props)
-        self._template = Template(SceneUpdate(entities=entities.values()).SerializeToString(), 0)
-
-    def update(self, time_ns: int) -> bytes:
-        """`SceneUpdate` that replaces all entities, as bytes."""
-        return self._template.table(_NO_NUMBERS, stamps([time_ns])).tobytes()
+    names = frame_names(model, env_id)
+    entities: dict[int, Any] = {}
+    for shape in shapes(model):
+        entity = entities.get(shape.body)
+        if entity is None:
+            name = names[shape.body]
+            entity = entities[shape.body] = SceneEntity(frame_id=name, id=name, frame_locked=True)
+            set_time(entity.timestamp, time_ns)
+        _DRAW[shape.kind](entity, model, shape, props)
+    data: bytes = SceneUpdate(entities=entities.values()).SerializeToString()
+    return data
 
 
 def _color(shape: Shape) -> Any:

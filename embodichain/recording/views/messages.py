@@ -1,15 +1,15 @@
-"""Foxglove's published message classes that we write, under one roof.
+"""Foxglove's published message classes (foxglove-schemas-protobuf), and where messages go."""
 
-They come from the package foxglove-schemas-protobuf; nothing is declared here.
-"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 from foxglove_schemas_protobuf.ArrowPrimitive_pb2 import ArrowPrimitive
 from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
 from foxglove_schemas_protobuf.CylinderPrimitive_pb2 import CylinderPrimitive
-from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from foxglove_schemas_protobuf.JointState_pb2 import JointState
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.ModelPrimitive_pb2 import ModelPrimitive
@@ -19,16 +19,13 @@ from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.SpherePrimitive_pb2 import SpherePrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
-from google.protobuf.timestamp_pb2 import Timestamp
 
 __all__ = [
     "ArrowPrimitive",
     "Color",
     "CubePrimitive",
     "CylinderPrimitive",
-    "FrameTransform",
     "FrameTransforms",
-    "JointState",
     "JointStates",
     "Log",
     "ModelPrimitive",
@@ -36,13 +33,23 @@ __all__ = [
     "Quaternion",
     "SceneEntity",
     "SceneUpdate",
+    "Sink",
     "SpherePrimitive",
-    "Timestamp",
     "Vector3",
-    "timestamp",
+    "set_time",
 ]
 
 
-def timestamp(ns: int) -> Timestamp:
-    """Nanoseconds since the epoch as protobuf's Timestamp."""
-    return Timestamp(seconds=ns // 1_000_000_000, nanos=ns % 1_000_000_000)
+class Sink(Protocol):
+    """Where messages go: a file, or connected viewers."""
+
+    def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
+        """Declare a channel; `data` is the schema's FileDescriptorSet if `schema` has none."""
+
+    def send(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> None:
+        """Write or send serialized messages of one time, each with its topic."""
+
+
+def set_time(timestamp: Any, time_ns: int) -> None:
+    """Set a protobuf Timestamp to nanoseconds since the epoch."""
+    timestamp.seconds, timestamp.nanos = divmod(time_ns, 1_000_000_000)

@@ -1,6 +1,6 @@
-"""What a model looks like, whoever draws it: one `Shape` for every geom that MuJoCo shows.
+"""What a model looks like: one `Shape` for every geom that MuJoCo's viewers show.
 
-Groups 0 to 2 are shown, and what is not wholly transparent. A height field is a mesh here; a signed
+Groups 0 to 2 are shown unless they are fully transparent. A height field is a mesh here; a signed
 distance field shows the mesh it was compiled with.
 """
 
