@@ -6,8 +6,8 @@ What happens in a control step is a list of calls, in the order in which they ha
 kind      name                      mode                    arrays
 ========= ========================= ======================= =======================================
 write     field of the write        op of the write:        ``env_ids`` (n,) i8 if not all N,
-                                    state, model, reset,    ``values`` (n, k) f8 for state, model
-                                    set_const
+                                    state, model, reset,    ``values`` (n, k) f8 but for set_const;
+                                    set_const               of a reset the (n, nstate) rows it left
 physics                                                     ``env_ids`` (n,) i8 if not all N,
                                                             ``rows`` (n, moved) f8 as returned, or
                                                             ``hashes`` (n,) u8 of them, ``failed``
@@ -54,7 +54,7 @@ __all__ = ["DRAWN", "ArrayKind", "Call", "CallKind", "Run", "pack_run", "unpack_
 DRAWN = "drawn."
 """Names of arrays that an event drew begin so."""
 
-MOST_STEPS = 2**20
+MOST_STEPS = 2**12
 MOST_PHYSICS_STEPS = 1_000_000
 """Larger counts in a file are not believed."""
 
@@ -62,7 +62,7 @@ _SMALLEST_SHARED = 64
 """Bytes; smaller arrays are not compared with others."""
 _DTYPES = {"<f8": 8, "<f4": 4, "<i8": 8, "<u8": 8, "|b1": 1}
 _KINDS = {"write", "physics", "event", "step", "start"}
-_WRITES = {"state": True, "model": True, "reset": False, "set_const": False}
+_WRITES = {"state": True, "model": True, "reset": True, "set_const": False}
 """Operation of a write: whether it has values."""
 
 
@@ -255,7 +255,7 @@ def _wrong(
     have = {array.name: (array.dtype, array.shape) for array in kind.arrays}
     have.pop("env_ids", None)
     if kind.kind == "write":
-        return _wrong_write(kind, have, n)
+        return _wrong_write(kind, have, n, nstate)
     if kind.kind == "physics":
         have.pop("failed", None)
         if kind.nstep > MOST_PHYSICS_STEPS:
@@ -284,7 +284,9 @@ def _wrong(
     return ""
 
 
-def _wrong_write(kind: CallKind, have: Mapping[str, tuple[str, tuple[int, ...]]], n: int) -> str:
+def _wrong_write(
+    kind: CallKind, have: Mapping[str, tuple[str, tuple[int, ...]]], n: int, nstate: int
+) -> str:
     if kind.mode not in _WRITES:
         return f"unknown operation {kind.mode!r}"
     if not _WRITES[kind.mode]:
@@ -292,6 +294,8 @@ def _wrong_write(kind: CallKind, have: Mapping[str, tuple[str, tuple[int, ...]]]
     values = have.get("values", ("", ()))
     if len(have) != 1 or values[0] != "<f8" or len(values[1]) != 2 or values[1][0] != n:
         return f"a write to {kind.name!r} lacks values"
+    if kind.mode == "reset" and (kind.columns is not None or values[1][1] != nstate):
+        return "a reset lacks whole rows"
     if kind.columns is not None and len(kind.columns) != values[1][1]:
         return f"a write to {kind.name!r} has other columns than values"
     return ""

@@ -1,23 +1,32 @@
 """The channel `/episode`: how the episodes of every environment ended, viewed or not.
 
-One message for each control step in which episodes ended. Rewards of single steps are in
-`/sim/step`; the sums by term, metrics and reasons are here, because they cost next to nothing.
+One message for each control step in which episodes ended: returns, sums of each reward term,
+metrics, and what ended them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.observers import StepRecord
-from embodichain.recording import wire
-from embodichain.recording.mcap_file import Part
+from embodichain.recording.log_error import DamageError
+from embodichain.recording.schema import message_class
 
-__all__ = ["TOPIC", "EndedEpisode", "Ends", "EpisodeLog", "by_episode", "decode_ends"]
+__all__ = [
+    "TOPIC",
+    "EndedEpisode",
+    "Ends",
+    "EpisodeSums",
+    "by_episode",
+    "decode_ends",
+    "encode_ends",
+]
 
 TOPIC = "/episode"
 _OUTCOMES = ("success", "fail", "diverged")
@@ -28,7 +37,7 @@ Table = tuple[list[str], NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class Ends:
-    """What is known of episodes that end in a step, taken out of what may change afterwards.
+    """Episodes that end in a control step, copied out of what may change afterwards.
 
     Attributes:
         env_ids: (n,) environments.
@@ -80,8 +89,8 @@ def _table(values: Mapping[str, Any], ids: NDArray[np.int64], dtype: Any) -> Tab
     return list(values), found
 
 
-class EpisodeLog:
-    """Adds up rewards, and encodes what ends; where the log is written.
+class EpisodeSums:
+    """Returns and lengths of the episodes in progress, of all environments.
 
     Args:
         num_envs: N.
@@ -90,50 +99,50 @@ class EpisodeLog:
     def __init__(self, num_envs: int) -> None:
         self._episodes = np.full(num_envs, -1, np.int64)
         self._known = self._episodes.tobytes()
-        self._sums = np.zeros(num_envs)
-        self._lengths = np.zeros(num_envs, np.int64)
+        self.returns = np.zeros(num_envs)
+        """(N,) sums of rewards, in the order of the steps."""
+        self.lengths = np.zeros(num_envs, np.int64)
+        """(N,) control steps."""
 
-    def add(
-        self, step: int, reward: NDArray[Any], episode_ids: NDArray[np.int64], ends: Ends | None
-    ) -> tuple[Part, ...] | None:
-        """Take a step in; the message, if an episode ends in it."""
+    def add(self, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
+        """Add a control step: (N,) rewards, and the episodes it belongs to."""
         if episode_ids.tobytes() != self._known:  # a comparison of bytes is cheap to start
             self._known = episode_ids.tobytes()
             new = self._episodes != episode_ids
-            self._sums[new] = self._lengths[new] = 0
+            self.returns[new] = self.lengths[new] = 0
             self._episodes = episode_ids.copy()
-        self._sums += reward
-        self._lengths += 1
-        if ends is None:
-            return None
-        ids = ends.env_ids
-        message = (
-            wire.uint(1, step) + wire.array(2, ids, "<u4") + wire.array(3, episode_ids[ids], "<i8"),
-            wire.array(4, self._lengths[ids], "<u4") + wire.array(5, self._sums[ids], "<f8"),
-            wire.text(6, ends.terminated.tobytes()) + wire.text(7, ends.truncated.tobytes()),
-            b"" if ends.success is None else wire.text(8, ends.success.tobytes()),
-            _encode_table(9, ends.reasons),
-            _encode_table(11, ends.rewards),
-            _encode_table(13, ends.metrics),
-        )
-        self._sums[ids] = self._lengths[ids] = 0
-        return message
-
-    def add_steps(self, rewards: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
-        """Take steps in that end no episode, (K, N) of each."""
-        if episode_ids.tobytes() != self._known * len(rewards):
-            for reward, ids in zip(rewards, episode_ids, strict=True):
-                self.add(0, reward, ids, None)
-            return
-        # Sums one after another, as `add` makes them: `np.sum` may go about it in another order.
-        self._sums = np.add.accumulate(np.vstack([self._sums, rewards]))[-1]
-        self._lengths += len(rewards)
+        self.returns += reward
+        self.lengths += 1
 
 
-def _encode_table(number: int, table: Table) -> bytes:
-    names, values = table
-    data = b"".join(wire.text(number, name) for name in names)
-    return data + wire.text(number + 1, np.ascontiguousarray(values).tobytes())
+def encode_ends(step: int, ends: Ends, sums: EpisodeSums, episode_ids: NDArray[np.int64]) -> bytes:
+    """The message of `TOPIC` for episodes that ended in a control step.
+
+    Args:
+        step: The control step.
+        ends: What ended.
+        sums: Returns and lengths, that step included.
+        episode_ids: (N,) episodes of that step.
+    """
+    ids = ends.env_ids
+    message = message_class("Episodes")(
+        step=step,
+        env_ids=ids.tolist(),
+        episode_id=episode_ids[ids].tolist(),
+        length=sums.lengths[ids].tolist(),
+        total_reward=sums.returns[ids].tolist(),
+        terminated=ends.terminated.tobytes(),
+        truncated=ends.truncated.tobytes(),
+        success=b"" if ends.success is None else ends.success.tobytes(),
+        reason=ends.reasons[0],
+        reasons=ends.reasons[1].tobytes(),
+        reward_term=ends.rewards[0],
+        reward_sums=ends.rewards[1].ravel().tolist(),
+        metric=ends.metrics[0],
+        metrics=ends.metrics[1].ravel().tolist(),
+    )
+    data: bytes = message.SerializeToString()
+    return data
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,34 +177,33 @@ class EndedEpisode:
 
 
 def decode_ends(data: bytes | memoryview) -> list[EndedEpisode]:
-    """Read a message of `/episode`.
+    """Read a message of `TOPIC`.
 
     Raises:
-        WireError: If the bytes are none.
+        DamageError: If the bytes are none.
     """
-    f = wire.parse(data)
-    step = f.get(1, [0])[-1]
-    columns = [
-        wire.unpack(f, number, dtype)
-        for number, dtype in ((2, "<u4"), (3, "<i8"), (4, "<u4"), (5, "<f8"), (6, "?"), (7, "?"))
-    ]
-    n, success = len(columns[0]), wire.unpack(f, 8, "?")
-    if not isinstance(step, int) or any(len(c) != n for c in columns):
-        raise wire.WireError("an end of episodes lacks some of them")
-    if len(success) not in (0, n):
-        raise wire.WireError("an end of episodes lacks successes")
-    fired, rewards, metrics = (
-        _decode_table(f, number, n, dtype) for number, dtype in ((9, "?"), (11, "<f8"), (13, "<f8"))
-    )
+    message = message_class("Episodes")()
+    try:
+        message.ParseFromString(bytes(data))
+    except DecodeError as error:
+        raise DamageError(f"an end of episodes is damaged: {error}") from error
+    n = len(message.env_ids)
+    flags = _flags(message.terminated), _flags(message.truncated)
+    columns = message.episode_id, message.length, message.total_reward, *flags
+    if any(len(column) != n for column in columns):
+        raise DamageError("an end of episodes lacks some of them")
+    success: list[bool | None] = [*_flags(message.success)] or [None] * n
+    if len(success) != n:
+        raise DamageError("an end of episodes lacks successes")
+    fired = _rows(message.reason, _flags(message.reasons), n)
+    rewards = _rows(message.reward_term, message.reward_sums, n)
+    metrics = _rows(message.metric, message.metrics, n)
     found = []
-    for i in range(n):
-        env, episode, steps, total, terminated, truncated = (c[i].item() for c in columns)
-        known = bool(success[i]) if len(success) else None
+    for i, (env, known) in enumerate(zip(message.env_ids, success, strict=True)):
+        episode, steps, total, terminated, truncated = (column[i] for column in columns)
         why = tuple(name for name, value in fired[i].items() if value)
-        flags = terminated, truncated, known
-        found.append(
-            EndedEpisode(step, env, episode, steps, total, *flags, why, rewards[i], metrics[i])
-        )
+        said = message.step, env, episode, steps, total, terminated, truncated, known, why
+        found.append(EndedEpisode(*said, rewards[i], metrics[i]))
     return found
 
 
@@ -208,18 +216,14 @@ def by_episode(messages: Iterable[list[EndedEpisode]]) -> dict[tuple[int, int], 
     return found
 
 
-def _decode_table(fields: wire.Fields, number: int, n: int, dtype: str) -> list[dict[str, Any]]:
-    names = list(_texts(fields.get(number, [])))
-    values = wire.unpack(fields, number + 1, dtype)
-    if len(values) != n * len(names):
-        raise wire.WireError(f"{len(values)} values of {len(names)} names in {n} episodes")
-    rows = values.reshape(n, len(names)).tolist()
-    return [dict(zip(names, row, strict=True)) for row in rows]
+def _flags(data: bytes) -> list[bool]:
+    flags: list[bool] = (np.frombuffer(data, np.uint8) != 0).tolist()
+    return flags
 
 
-def _texts(values: list[Any]) -> Iterator[str]:
-    for value in values:
-        try:
-            yield bytes(value).decode()
-        except (TypeError, UnicodeDecodeError) as error:
-            raise wire.WireError(f"a name is not text: {error}") from error
+def _rows(names: Sequence[str], values: Sequence[Any], n: int) -> list[dict[str, Any]]:
+    """Name to value for each of n episodes; `values` is (n, names) by rows."""
+    width = len(names)
+    if len(values) != n * width:
+        raise DamageError(f"{len(values)} values of {width} names in {n} episodes")
+    return [dict(zip(names, values[i * width : (i + 1) * width], strict=True)) for i in range(n)]
