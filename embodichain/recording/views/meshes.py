@@ -36,8 +36,7 @@ def glb(mesh: Mesh) -> bytes:
         mesh: The mesh. Its z axis is up, glTF's is y: the node turns it, viewers turn it back.
     """
     corners = mesh.vertices[mesh.faces].reshape(-1, 3)
-    corners = np.concatenate([corners, corner_normals(mesh)], axis=1).astype("<f4")
-    rows, index = np.unique(corners, axis=0, return_inverse=True)
+    rows, index = _unique(np.concatenate([corners, corner_normals(mesh)], axis=1).astype("<f4"))
     points, normals = rows[:, :3], rows[:, 3:]
     buffers = [points.tobytes(), normals.tobytes(), index.astype("<u4").tobytes()]
     views, offset = [], 0
@@ -71,10 +70,24 @@ def glb(mesh: Mesh) -> bytes:
     return b"".join([head, *chunks, *buffers])
 
 
+def _unique(rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    """Return the distinct rows of (n, 6) float32, and which of them each row is.
+
+    `np.unique` with an axis takes five times as long.
+    """
+    words = rows.view(np.uint64)
+    order = np.lexsort(words.T)
+    new = np.ones(len(rows), np.bool_)
+    new[1:] = (words[order[1:]] != words[order[:-1]]).any(axis=1)
+    index = np.empty(len(rows), np.int64)
+    index[order] = np.cumsum(new) - 1
+    return rows[order[new]], index
+
+
 def corner_normals(mesh: Mesh) -> NDArray[np.float64]:
     """Return (3 F, 3) unit normals at the corners of (F, 3) faces.
 
-    Each is the area-weighted mean of the faces at its vertex that meet the corner's own face at less
+    Each is the area-weighted mean of the faces at its vertex that meet the corner's own at less
     than 40 degrees.
     """
     points = mesh.vertices[mesh.faces].astype(np.float64)
