@@ -1,11 +1,15 @@
 """`foxglove_layout.json`: a layout that shows a log at once, in Foxglove and its open forks.
 
 With a viewer's default layout only coordinate axes appear: scenes are hidden until switched on.
+What is the same in every layout is in ``layout.json``: transforms are preloaded, so that poses are
+right after a jump in time, and the grid lies above the floor, where it does not flicker.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,8 +35,6 @@ _PLOT = {
     "xAxisVal": "timestamp",
     "sidebarDimension": 150,
 }
-_ABOVE_FLOOR = 0.002
-"""Metres; a grid in the very plane of the floor flickers."""
 
 
 def foxglove_layout(env: BaseEnv, view_envs: Sequence[int]) -> dict[str, Any]:
@@ -42,105 +44,41 @@ def foxglove_layout(env: BaseEnv, view_envs: Sequence[int]) -> dict[str, Any]:
         env: The environment.
         view_envs: Environments that the log shows.
     """
-    model = env.sim.engine.model
+    text = resources.files(__package__).joinpath("layout.json").read_text("utf-8")
+    layout: dict[str, Any] = json.loads(text)
+    panels, model = layout["configById"], env.sim.engine.model
     drawn = ("scene", "markers") if Commands(env).drawn else ("scene",)
-    seen = [f"/env_{i}/{name}" for i in view_envs for name in drawn]
-    topics = {topic: {"visible": True} for topic in seen}
+    topics = [f"/env_{i}/{name}" for i in view_envs for name in drawn]
+    panels["3D!scene"]["topics"] = {topic: {"visible": True} for topic in topics}
     where = places(env, view_envs) if view_envs else np.zeros((1, 3))
     spread = float(np.ptp(where, axis=0).max())
+    panels["3D!scene"]["cameraState"] |= {
+        "distance": 1.8 * float(model.stat.extent) + 1.2 * spread,
+        "targetOffset": (model.stat.center + where.mean(axis=0)).tolist(),
+    }
     first = f"/env_{view_envs[0]}" if view_envs else "/env_0"
-    configs: dict[str, Any] = {
-        "3D!scene": {
-            "followMode": "follow-none",
-            "followTf": "world",
-            "scene": {
-                "transforms": {
-                    "showLabel": False,
-                    "axisScale": 0,
-                    "lineWidth": 0,
-                    "enablePreloading": True,  # right poses after a jump in time
-                }
-            },
-            "cameraState": {
-                "distance": 1.8 * float(model.stat.extent) + 1.2 * spread,
-                "perspective": True,
-                "phi": 65,
-                "thetaOffset": 135,
-                "target": [0, 0, 0],
-                "targetOffset": (model.stat.center + where.mean(axis=0)).tolist(),
-                "targetOrientation": [0, 0, 0, 1],
-                "fovy": 45,
-                "near": 0.05,
-                "far": 500,
-            },
-            "topics": topics,
-            "layers": {
-                "grid": {
-                    "layerId": "foxglove.Grid",
-                    "instanceId": "grid",
-                    "label": "Grid",
-                    "visible": True,
-                    "frameId": "world",
-                    "size": 10,
-                    "divisions": 10,
-                    "lineWidth": 1,
-                    "color": "#248eff66",
-                    "position": [0, 0, _ABOVE_FLOOR],
-                    "rotation": [0, 0, 0],
-                }
-            },
-        },
-        "Plot!joints": _plot(
-            "joint positions (rad, m)",
-            {
-                label: f'{first}/joint_states.joints[:]{{name=="{name}"}}.position'
-                for name, label in _short(list(scalar_joints(model))).items()
-            },
-        ),
-        "Plot!reward": _plot("reward and its terms", _rewards(env, first)),
-        "RosOut!log": {"searchTerms": [], "minLogLevel": 1, "topicToRender": "/log"},
+    joints = _short(list(scalar_joints(model)))
+    paths = {
+        k: f'{first}/joint_states.joints[:]{{name=="{v}"}}.position' for k, v in joints.items()
     }
-    return {
-        "configById": configs,
-        "globalVariables": {},
-        "userNodes": {},
-        "playbackConfig": {"speed": 1},
-        "layout": {
-            "direction": "row",
-            "first": "3D!scene",
-            "second": {
-                "direction": "column",
-                "first": "Plot!joints",
-                "second": {
-                    "direction": "column",
-                    "first": "Plot!reward",
-                    "second": "RosOut!log",
-                    "splitPercentage": 60,
-                },
-                "splitPercentage": 45,
-            },
-            "splitPercentage": 62,
-        },
-    }
-
-
-def _short(names: Sequence[str]) -> dict[str, str]:
-    """Names with what tells them apart: `arm/elbow` is `elbow` where only an arm has one."""
-    last = [name.rpartition("/")[2] for name in names]
-    pairs = zip(names, last, strict=True)
-    return {name: tail if last.count(tail) == 1 else name for name, tail in pairs}
-
-
-def _rewards(env: BaseEnv, first: str) -> dict[str, str]:
-    """Paths of the reward and of its terms, by label."""
+    panels["Plot!joints"] = _plot("joint positions (rad, m)", paths)
     manager = getattr(env, "reward_manager", None)  # environments of others may have none
     terms = [] if manager is None else sorted(manager.terms)
     paths = {name: f"{first}/metrics.reward_{identifier(name)}" for name in terms}
-    return {"reward": f"{first}/metrics.reward", **paths}
+    paths = {"reward": f"{first}/metrics.reward", **paths}
+    panels["Plot!reward"] = _plot("reward and its terms", paths)
+    return layout
+
+
+def _short(names: Sequence[str]) -> dict[str, str]:
+    """Names by what tells them apart: `arm/elbow` by `elbow` where only an arm has one."""
+    last = [name.rpartition("/")[2] for name in names]
+    pairs = zip(names, last, strict=True)
+    return {tail if last.count(tail) == 1 else name: name for name, tail in pairs}
 
 
 def _plot(title: str, values: Mapping[str, str]) -> dict[str, Any]:
-    """A plot of message paths by label."""
+    """Return a plot of message paths by label."""
     paths = [
         {
             "value": value,

@@ -13,9 +13,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.term_rows import TermRows
 from embodichain.lab.sim.engine.base import F64
-from embodichain.lab.sim.engine.rows import as_slice
 from embodichain.recording.schema import scalars_class, scalars_descriptor_set
 
 if TYPE_CHECKING:
@@ -40,7 +38,7 @@ class Scalars:
     """
 
     def __init__(self, step: StepRecord, env_ids: NDArray[np.int64], commands: Commands) -> None:
-        self._which = as_slice(env_ids)
+        self._which = env_ids
         found = commands.scalars()
         self._commands = [values for _, values in found]
         self._facts = [key for key in _FACTS if key in step.info]
@@ -90,9 +88,12 @@ class Scalars:
                 taken[at] = _array(info[key])[which]
                 at += 1
             for key, names in self._terms.items():
-                end = at + len(names)
-                _take_group(info.get(key, {}), names, which, taken[at:end])
-                at = end
+                group: Mapping[str, Any] = info.get(key, {})
+                if len(group) != len(names):
+                    raise KeyError(names)
+                for name in names:
+                    taken[at] = _array(group[name])[which]
+                    at += 1
         except KeyError as error:
             raise ValueError(
                 f"a step's scalars are not those of the first one: {self.names}"
@@ -110,17 +111,6 @@ class Scalars:
             self._message(**dict(zip(self.names, values, strict=True))).SerializeToString()
             for values in self.take(step).T.tolist()
         ]
-
-
-def _take_group(group: Mapping[str, Any], names: list[str], which: Any, out: F64) -> None:
-    """Copy (N,) values of T terms into (T, n); KeyError if the terms are others."""
-    if list(group) == names and isinstance(group, TermRows):
-        out[:] = group.rows[:, which]
-    elif len(group) != len(names):
-        raise KeyError(names)
-    else:
-        for row, name in zip(out, names, strict=True):
-            row[:] = _array(group[name])[which]
 
 
 def _array(value: Any) -> Any:
