@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -86,35 +88,26 @@ def _parts(
 ) -> Iterator[_Part]:
     """The steps of a span, those of each run together."""
     if not slices:
-        for run in runs(reader, span):
-            index = run.first + np.arange(run.steps)
-            index = index[(index >= span.first) & (index <= _last(span))] - run.first
-            if len(index):
-                yield run, index, {}
+        yield from _steps(reader, span)
         return
-    run: Run | None = None
-    done = 0
-    index, states = np.empty(0, np.int64), dict[str, F64]()
-    for this, t in follow(reader, rows, span):
-        if this is not run:
-            if run is not None:
-                yield run, index[:done], {name: values[:done] for name, values in states.items()}
-            run, done = this, 0
-            n, index = len(rows.env_ids), np.empty(run.count, np.int64)
-            states = {
-                name: np.empty((run.count, n, columns.stop - columns.start))
-                for name, columns in slices.items()
-            }
-        index[done] = t
-        for name, columns in slices.items():
-            states[name][done] = rows.rows[:, columns]
-        done += 1
-    if run is not None:
-        yield run, index[:done], {name: values[:done] for name, values in states.items()}
+    for _, steps in groupby(follow(reader, rows, span), key=lambda found: id(found[0])):
+        index: list[int] = []
+        states: dict[str, list[F64]] = {name: [] for name in slices}
+        for found in steps:
+            run, t = found
+            index.append(t)
+            for name, columns in slices.items():
+                states[name].append(rows.rows[:, columns].copy())
+        yield run, np.array(index), {name: np.stack(values) for name, values in states.items()}
 
 
-def _last(span: Span) -> int:
-    return np.iinfo(np.int64).max if span.last is None else span.last
+def _steps(reader: LogReader, span: Span) -> Iterator[_Part]:
+    """The same without rows: nothing is followed."""
+    last = sys.maxsize if span.last is None else span.last
+    for run in runs(reader, span):
+        index = np.arange(max(span.first - run.first, 0), min(last - run.first + 1, run.steps))
+        if len(index):
+            yield run, index, {}
 
 
 def first_step(reader: LogReader, span: Span) -> int | None:
