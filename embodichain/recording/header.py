@@ -6,14 +6,13 @@ import json
 import uuid
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mujoco
 
 from embodichain.lab.sim.engine.layout import row_layout
-from embodichain.recording.columns import Ranges, moved_ranges, width_of
+from embodichain.recording.columns import moved_ranges, width_of
 from embodichain.recording.log_error import LARGEST_CHUNK, DamageError, LogError
 from embodichain.recording.options import RecordLike
 from embodichain.utils.errors import ConfigError, Problem
@@ -59,6 +58,8 @@ class Header:
         model: Digest of the attachment model.mjb.
         state: ``all``, ``keyframes`` or ``none``.
         nstate: Columns of a whole row (`mjSTATE_INTEGRATION`).
+        moved: Columns that a physics step may write, as half-open ranges: what is recorded of rows
+            that physics returned.
         layout: Component of the row to its (start, stop) columns.
         view_envs: Environments shown to viewers.
         unverifiable: Why this log cannot be verified; empty if it can.
@@ -80,6 +81,7 @@ class Header:
     model: str
     state: str
     nstate: int
+    moved: list[tuple[int, int]]
     layout: dict[str, tuple[int, int]]
     view_envs: list[int]
     unverifiable: str = ""
@@ -116,6 +118,7 @@ class Header:
             found: dict[str, Any] = {
                 k: values[k] if k in text else json.loads(values[k]) for k in names
             }
+            found["moved"] = [(int(a), int(b)) for a, b in found["moved"]]
             found["layout"] = {k: (int(a), int(b)) for k, (a, b) in found["layout"].items()}
             header = cls(**found)
             header._check()
@@ -133,6 +136,9 @@ class Header:
         for name in ("control_dt", "physics_dt"):
             if not 0 < getattr(self, name) <= _LONGEST_STEP:
                 wrong.append(name)
+        edges = [edge for span in self.moved for edge in span]
+        if edges != sorted(edges) or not edges or edges[0] < 0 or edges[-1] > self.nstate:
+            wrong.append("moved")
         if any(not 0 <= a <= b <= self.nstate for a, b in self.layout.values()):
             wrong.append("layout")
         if {"qpos", "qvel"} - self.layout.keys():
@@ -185,11 +191,6 @@ class Header:
         return f"{begins}; {alone or 'its last file'}"
 
     @property
-    def moved(self) -> Ranges:
-        """Columns that physics writes."""
-        return _moved(tuple(self.layout.items()))
-
-    @property
     def moved_width(self) -> int:
         """How many columns physics writes."""
         return width_of(self.moved)
@@ -211,7 +212,7 @@ def check_part(first: Header, values: Mapping[str, str], part: int) -> None:
         header = Header.from_metadata(values)
     except LogError as error:
         raise DamageError(str(error)) from error
-    same = ("log_id", "model", "num_envs", "nstate", "layout", "start_ns", "state")
+    same = ("log_id", "model", "num_envs", "nstate", "moved", "layout", "start_ns", "state")
     if not first.log_id or any(getattr(first, n) != getattr(header, n) for n in same):
         raise DamageError("it is part of another log")
     if header.part != part:
@@ -232,6 +233,10 @@ def header_of(
     """
     model = env.sim.engine.model
     layout = row_layout(model)
+    nstate = max(columns.stop for columns in layout.values())
+    # MuJoCo's own reset in the middle of a step, and plugins, write inputs too.
+    resets = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    moved = [(0, nstate)] if resets or model.nplugin else moved_ranges(layout)
     return Header(
         task=task,
         seed=int(env.seed_value),
@@ -243,7 +248,8 @@ def header_of(
         mujoco_version=mujoco.__version__,
         model=model_digest,
         state=options.state,
-        nstate=max(columns.stop for columns in layout.values()),
+        nstate=nstate,
+        moved=moved,
         layout={name: (s.start, s.stop) for name, s in layout.items()},
         view_envs=[int(i) for i in options.view_envs],
         unverifiable=why_unverifiable(model, options.state),
@@ -270,8 +276,3 @@ def check_keyframes(options: RecordLike, model: mujoco.MjModel) -> None:
     if why:
         message = f"keyframes cannot be replayed: {why}; use record.state=all"
         raise ConfigError([Problem("record.state", message)])
-
-
-@lru_cache(maxsize=8)
-def _moved(layout: tuple[tuple[str, tuple[int, int]], ...]) -> Ranges:
-    return moved_ranges({name: slice(*columns) for name, columns in layout})

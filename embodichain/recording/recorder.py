@@ -158,9 +158,11 @@ class McapRecorder(StepObserver):
         self._calls.append((kind, arrays if ids is None else (ids.copy(), *arrays)))
 
     def _kind_of(self, write: Write, shape: tuple[int, ...] | None) -> CallKind:
-        named = None
-        if write.op in ("state", "model") and write.columns != slice(None):
-            named = _indices(write.columns, self._width_of(write))
+        columns, named = write.columns, None
+        if not isinstance(columns, slice):
+            named = tuple(columns.tolist())
+        elif write.op in ("state", "model") and columns != slice(None):
+            named = tuple(range(*columns.indices(self._width_of(write))))
         values = () if shape is None else (ArrayKind("values", "<f8", shape),)
         return CallKind("write", write.field, write.op, 0, named, _of(write.env_ids) + values)
 
@@ -311,11 +313,12 @@ class McapRecorder(StepObserver):
         run, now = self._run, time.monotonic()
         step_bytes, count = run.step_bytes, len(run.steps)
         begins = self._start_is_due(self._since_start + step_bytes * count)
+        full = self._max_bytes > 0 and self._log.is_full(self._max_bytes)
         old = run.steps and now - run.begun > RUN_SECONDS
-        if begins or old or count >= RUN_STEPS or step_bytes * count >= RUN_BYTES:
+        if begins or full or old or count >= RUN_STEPS or step_bytes * count >= RUN_BYTES:
             with self._writing.writes():
                 self._write_run()
-                if self._max_bytes and self._log.is_full(self._max_bytes):
+                if full:
                     self._log.roll(self._step)
                     self._write_start()
                     self._log.began()
@@ -400,12 +403,6 @@ class McapRecorder(StepObserver):
                 self._write_rest()
             self._views.close(self._step, self._engine.rows)
             self._log.finish(self._step)
-
-
-def _indices(columns: NDArray[np.int64] | slice, width: int) -> tuple[int, ...]:
-    if isinstance(columns, slice):
-        return tuple(range(*columns.indices(width)))
-    return tuple(columns.tolist())
 
 
 def _of(ids: EnvIndex | None, name: str = "env_ids") -> tuple[ArrayKind, ...]:

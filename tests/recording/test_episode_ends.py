@@ -10,8 +10,8 @@ import embodichain
 import embodichain.recording as recording
 from embodichain.lab.gym.envs.observers import StepRecord
 from embodichain.recording import McapRecorder, RecordOptions
-from embodichain.recording.episode_log import Ends, EpisodeLog, decode_ends
-from embodichain.recording.wire import WireError
+from embodichain.recording.episode_ends import Ends, EpisodeSums, decode_ends, encode_ends
+from embodichain.recording.log_error import DamageError
 
 
 @pytest.fixture(scope="module", params=["all", "none"])
@@ -87,47 +87,29 @@ def step_of(reward, episodes, terminated):
 
 
 def test_an_explicit_reset_begins_a_new_sum():
-    log, message = EpisodeLog(2), None
-    for step, (reward, episodes, terminated) in enumerate(
-        [([1.0, 1.0], [0, 0], [False, False]), ([2.0, 2.0], [1, 0], [True, True])]
+    sums = EpisodeSums(2)
+    for reward, episodes, terminated in (
+        ([1.0, 1.0], [0, 0], [False, False]),
+        ([2.0, 2.0], [1, 0], [True, True]),
     ):
         record = step_of(reward, episodes, terminated)
-        message = log.add(step, record.reward, record.episode_ids, Ends.of(record, {}))
-    first, second = decode_ends(b"".join(message))
+        sums.add(record.reward, record.episode_ids)
+    data = encode_ends(1, Ends.of(record, {}), sums, record.episode_ids)
+    first, second = decode_ends(data)
     assert (first.total_reward, first.steps, first.episode) == (2.0, 1, 1)
     assert (second.total_reward, second.steps, second.episode) == (3.0, 2, 0)
     assert (second.success, second.reasons, second.rewards) == (None, (), {})
 
 
-@pytest.mark.parametrize("num_envs", [1, 7])
-def test_steps_add_up_together_as_they_do_one_by_one(num_envs):
-    generator = np.random.default_rng(0)
-    together, alone = EpisodeLog(num_envs), EpisodeLog(num_envs)
-    for episode, count in enumerate([40, 33, 2]):
-        rewards = (1e6 * generator.normal(size=(count, num_envs))).astype(np.float32)
-        ids = np.full((count, num_envs), episode)
-        if episode == 1:
-            ids[20:, 0] = 9  # one was reset in between
-        together.add_steps(rewards, ids)
-        for reward, row in zip(rewards, ids, strict=True):
-            alone.add(0, reward, row, None)
-        record = step_of([0.5] * num_envs, ids[-1], [True] * num_envs)
-        ends = Ends.of(record, {})
-        assert together.add(7, record.reward, record.episode_ids, ends) == alone.add(
-            7, record.reward, record.episode_ids, ends
-        )
-
-
-def test_messages_that_are_none():
+def test_damaged_messages_are_read_or_refused():
     record = step_of([1.0, 1.0], [0, 0], [True, True])
-    parts = EpisodeLog(2).add(
-        3, record.reward, record.episode_ids, Ends.of(record, {"fell": [1, 0]})
-    )
-    data = b"".join(parts)
+    sums = EpisodeSums(2)
+    sums.add(record.reward, record.episode_ids)
+    data = encode_ends(3, Ends.of(record, {"fell": [1, 0]}), sums, record.episode_ids)
     assert [e.reasons for e in decode_ends(data)] == [("fell",), ()]
     for cut in range(1, len(data)):
         try:
             found = decode_ends(data[:cut])
-        except WireError:
+        except DamageError:
             continue
         assert [e.total_reward for e in found] in ([], [1.0, 1.0])
