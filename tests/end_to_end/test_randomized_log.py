@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from embodichain.recording import McapRecorder
-from embodichain.recording.replay import verify
+from embodichain.recording import verify
 from embodichain.recording.writer import LogWriter
 from tests.helpers.randomizers import CASES
 from tests.helpers.ur10_task import HOME, builder

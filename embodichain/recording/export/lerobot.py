@@ -19,7 +19,7 @@ from embodichain.recording.export.formats import Part, required
 from embodichain.recording.export.lerobot_features import Columns, Feature, features_of
 from embodichain.recording.export.lerobot_files import Frames, write_info, write_meta
 from embodichain.recording.export.lerobot_videos import Videos
-from embodichain.recording.header import LogError
+from embodichain.recording.log_error import LogError
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["write"]

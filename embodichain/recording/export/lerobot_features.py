@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.recording.api import Log
+from embodichain.recording.views.motion import scalar_joints
 
 __all__ = ["INDICES", "Columns", "Feature", "features_of"]
 
@@ -22,7 +23,6 @@ INDICES: Mapping[str, str] = {
     "task_index": "int64",
 }
 """Columns that every data set has, with their types."""
-_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 Columns = Mapping[str, NDArray[Any]]
 """Field of a log, `done` or `success` to (T, K) values of one episode."""
@@ -92,9 +92,9 @@ def _columns(model: mujoco.MjModel, field: str) -> tuple[list[int], list[int]]:
     )
     bounds = [*(int(at) for at in starts), int(total)]
     found: tuple[list[int], list[int]] = ([], [])
+    scalar = set(scalar_joints(model).values())
     for joint in range(model.njnt):
-        floats = int(model.jnt_type[joint]) not in _SCALAR
-        found[floats].extend(range(bounds[joint], bounds[joint + 1]))
+        found[joint not in scalar].extend(range(bounds[joint], bounds[joint + 1]))
     return found
 
 

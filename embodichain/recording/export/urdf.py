@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.recording.foxglove.frames import frame_names
+from embodichain.recording.views.motion import frame_names
 
 __all__ = ["urdf"]
 

@@ -1,27 +1,25 @@
-"""Plays a log through a `FoxgloveServer`: what people look at, at the speed at which it happened.
+"""Plays the channels for viewers of a log through a `FoxgloveServer`, in real time.
 
-The log may be broken: it is played up to where it can be read.
+A damaged log is played up to where it can be read.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing
 from pathlib import Path
 
-from embodichain.recording.chunks import ChunkFile
-from embodichain.recording.reader import LogReader
+from embodichain.recording.chunks import LogReader
 from embodichain.recording.viewers.foxglove_server import FoxgloveServer
 
 __all__ = ["declare_channels", "play_log"]
 
-_NOT_FOR_PEOPLE = ("/sim/", "/episode")
+_PROGRAMS = ("/sim/", "/episode")
 _PAUSE = 0.02
 
 
 def declare_channels(path: Path, server: FoxgloveServer) -> list[str]:
-    """Declare the log's channels for people, and return their topics.
+    """Declare the log's channels for viewers, and return their topics.
 
     Raises:
         ConfigError: If the file is missing, empty or not MCAP.
@@ -33,7 +31,7 @@ def declare_channels(path: Path, server: FoxgloveServer) -> list[str]:
             pass
         for channel in reader.channels.values():
             schema = reader.schemas.get(channel.schema_id)
-            if schema is not None and _is_for_people(channel.topic):
+            if schema is not None and _is_viewed(channel.topic):
                 server.channel(channel.topic, schema.name, schema.data)
                 topics.append(channel.topic)
     return topics
@@ -47,7 +45,7 @@ def play_log(
     speed: float = 1.0,
     again: bool = True,
 ) -> None:
-    """Play a log whose channels are declared; it waits while nobody looks.
+    """Play a log whose channels are declared; it waits while nothing is subscribed to.
 
     Args:
         path: The log.
@@ -59,7 +57,7 @@ def play_log(
     while not stopped():
         clock = _Clock(speed)
         still: dict[str, tuple[int, bytes]] = {}  # the newest scenes: they come seldom
-        for topic, log_time, data in _for_people(path):
+        for topic, log_time, data in _viewed(path):
             while not stopped() and not (server.wanted and clock.due(log_time)):
                 if not server.wanted:
                     clock.stop()
@@ -77,14 +75,14 @@ def play_log(
         server.begin_anew()
 
 
-def _for_people(path: Path) -> Iterator[tuple[str, int, bytes]]:
-    with closing(ChunkFile(path)) as file:
-        for topic, log_time, data in file.messages_in_time(_is_for_people):
+def _viewed(path: Path) -> Iterator[tuple[str, int, bytes]]:
+    with LogReader(path) as reader:
+        for topic, log_time, data in reader.messages_in_time(_is_viewed):
             yield topic, log_time, bytes(data)
 
 
-def _is_for_people(topic: str) -> bool:
-    return not topic.startswith(_NOT_FOR_PEOPLE)
+def _is_viewed(topic: str) -> bool:
+    return not topic.startswith(_PROGRAMS)
 
 
 class _Clock:

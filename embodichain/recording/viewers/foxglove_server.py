@@ -9,7 +9,7 @@ import threading
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from embodichain.recording.schemas import descriptor_set
+from embodichain.recording.schema import descriptor_set
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -37,7 +37,7 @@ def need_sdk() -> Any:
 
 
 class FoxgloveServer:
-    """Serves messages to whoever connects; what nobody has subscribed to costs nothing.
+    """Serves messages to viewers; a channel without subscribers costs nothing.
 
     Args:
         host: The address to listen on.
