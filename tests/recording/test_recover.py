@@ -6,8 +6,8 @@ from mcap.reader import make_reader
 
 from embodichain.cli import main
 from embodichain.recording import inspect, verify
-from embodichain.recording.options import RecordOptions
 from embodichain.recording.chunks import LogReader
+from embodichain.recording.options import RecordOptions
 from embodichain.recording.recover import recover
 from embodichain.utils.errors import ConfigError
 
