@@ -66,12 +66,9 @@ def runs(reader: LogReader, span: Span = _ALL) -> Iterator[Run]:
             run = unpack_run(payload, *sizes)
         except DamageError as error:
             raise LogError(f"{reader.path}: a message is damaged: {error}") from error
-        if time_ns != header.start_ns + run.first * header.period_ns:
-            raise LogError(
-                f"{reader.path}: a message is damaged: step {run.first} has another's time"
-            )
-        if bool(run.of_kind("start")) != is_start:
-            raise LogError(f"{reader.path}: a message is damaged: it belongs to another channel")
+        why = _wrong(run, time_ns, is_start, header)
+        if why:
+            raise LogError(f"{reader.path}: a message is damaged: {why}")
         gap = is_start and header.every > 1
         if expected is not None and (run.first < expected if gap else run.first != expected):
             why = "is missing" if run.first > expected else "was moved"
@@ -82,6 +79,17 @@ def runs(reader: LogReader, span: Span = _ALL) -> Iterator[Run]:
         expected = run.first + run.steps
         if span.ends_before(expected):
             return
+
+
+def _wrong(run: Run, time_ns: int, is_start: bool, header: Header) -> str:
+    """What does not fit the rest of the log; empty if all does."""
+    if time_ns != header.start_ns + run.first * header.period_ns:
+        return f"step {run.first} has another's time"
+    if bool(run.of_kind("start")) != is_start:
+        return "it belongs to another channel"
+    if not header.keyframe_every and any("hashes" in call.arrays for call in run.calls):
+        return f"step {run.first} has no rows"
+    return ""
 
 
 def _needed(reader: LogReader, span: Span) -> list[ChunkPlace] | None:

@@ -35,7 +35,7 @@ def test_the_episodes_that_are_there_are_whole(record, state, case):
             assert expected[field][WANTED].tobytes() == found[field].tobytes(), field
         assert b.read("qpos", env=0, episode=6).steps.tolist() == list(range(42, 49))
         assert len(b.read("rewards", env=0, episode=5)) == 0
-        # Every reset that led to a recorded step has told what it drew: behind a gap, with that step.
+        # Every reset that led to a recorded step has told what it drew; behind a gap with it.
         wanted = [e for e in a.events() if e.step in {*WANTED, 20, 41}]
         drawn = [(e.step + (e.step in {20, 41}), e.term) for e in wanted]
         assert [(e.step, e.term) for e in b.events()] == drawn
