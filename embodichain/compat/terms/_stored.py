@@ -1,4 +1,4 @@
-"""What terms keep as attributes of the environment, for other terms and for users' code."""
+"""`stored`: values that terms share as attributes of the environment."""
 
 from __future__ import annotations
 
@@ -6,20 +6,21 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
 
-__all__ = ["stored"]
+__all__ = ["asset_of", "stored"]
 
 T = TypeVar("T")
-_PACKAGES = ("embodichain.lab.", "gymnasium.", "builtins")
 _SHARED = ("affordance_datas",)
 """Attributes of the environment that are made for terms to write into."""
+_PACKAGE = "embodichain.lab."
 
 
 def stored(env: TermContext, name: str, first: Callable[[], T], path: str) -> T:
-    """The value kept as ``env.<name>``; made by `first` where there is none.
+    """The value of ``env.<name>``; made by `first` where there is none.
 
     Args:
         env: The environment.
@@ -39,15 +40,38 @@ def stored(env: TermContext, name: str, first: Callable[[], T], path: str) -> T:
     found: Any = getattr(env, name)
     if type(found) is not type(first()):
         wanted = type(first()).__name__
-        message = f"env.{name} is a {type(found).__name__}; a {wanted} is kept there"
+        message = f"env.{name} is a {type(found).__name__}; a {wanted} is stored there"
         raise ConfigError([Problem(path, message)])
     value: T = found
     return value
 
 
 def _is_environments(env: TermContext, name: str) -> bool:
-    """Whether an attribute is the environment's own, and not one of a user's class."""
-    own = [base for base in type(env).__mro__ if base.__module__.startswith(_PACKAGES)]
+    """Whether an attribute is one of the package's own class of environments."""
+    own = [base for base in type(env).__mro__ if base.__module__.startswith(_PACKAGE)]
     return name not in _SHARED and any(
         name in vars(base) or name in vars(base).get("__annotations__", {}) for base in own
     )
+
+
+def asset_of(env: TermContext, uid: str, path: str, objects_only: bool = False) -> Any:
+    """The handle of an entity.
+
+    Args:
+        env: The environment.
+        uid: Its name.
+        path: The parameter that names it, for messages.
+        objects_only: Whether it must be a rigid object.
+
+    Raises:
+        ConfigError: If there is no such entity; lists those that exist.
+    """
+    sim = env.sim
+    assets: dict[str, Any] = dict(sim.rigid_objects)
+    if not objects_only:
+        assets = {**sim.robots, **sim.articulations, **assets}
+    if uid not in assets:
+        what = "rigid object" if objects_only else "entity"
+        message = f"no {what} is called {uid!r}; there are: {', '.join(assets) or 'none'}"
+        raise ConfigError([Problem(path, message, did_you_mean(uid, assets).strip())])
+    return assets[uid]
