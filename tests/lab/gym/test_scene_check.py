@@ -1,9 +1,9 @@
 import subprocess
 import sys
 
-import numpy as np
 import pytest
 
+from embodichain.lab.gym.envs import scene_check
 from embodichain.lab.gym.envs.cfg import (
     ActionTermCfg,
     EnvCfg,
@@ -13,6 +13,10 @@ from embodichain.lab.gym.envs.cfg import (
     RewardCfg,
     SceneEntityCfg,
 )
+from embodichain.lab.gym.envs.declared import add_declared_robots, add_declared_scene, frozen_cfg
+from embodichain.lab.gym.envs.drive_changes import drive_changes
+from embodichain.lab.gym.envs.scene_check import describe
+from embodichain.lab.sim import scene as scene_module
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
     JointDrivePropertiesCfg,
@@ -21,9 +25,11 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SolverCfg,
 )
-from embodichain.lab.sim.compiler import describe, describe_scene
+from embodichain.lab.sim.compiler import articulation
+from embodichain.lab.sim.physics_values import physics_values
+from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.lab.sim.shapes import CubeCfg, MeshCfg, PlaneCfg, SphereCfg
-from embodichain.utils.errors import ConfigError
+from embodichain.lab.sim.sim_manager import SimulationManager
 from tests.lab.sim.compiler.helpers import GRIPPER_URDF, HOME, UR10, write
 
 JOINTS = "Joint1, Joint2, Joint3, Joint4, Joint5, Joint6"
@@ -31,6 +37,9 @@ LINKS = (
     "base_link, shoulder_link, upper_arm_link, forearm_link, wrist_1_link, wrist_2_link, "
     "wrist_3_link, ee_link"
 )
+
+
+MASS = {"entity_cfg": {"uid": "ur10"}, "mass_range": [0.5, 2.0], "relative": True}
 
 
 def reach(**changes):
@@ -259,9 +268,9 @@ def test_checking_a_scene_imports_no_torch():
         "import sys\n"
         "from embodichain.lab.gym.envs.cfg import EnvCfg\n"
         "from embodichain.lab.sim.cfg import RobotCfg\n"
-        "from embodichain.lab.sim.compiler import describe, describe_scene\n"
+        "from embodichain.lab.gym.envs.scene_check import describe\n"
         f"cfg = EnvCfg(robot=RobotCfg(fpath={UR10!r}))\n"
-        "assert not describe(cfg) and describe_scene(cfg)\n"
+        "assert not describe(cfg)\n"
         "assert 'torch' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -271,44 +280,101 @@ def test_checking_changes_nothing_of_the_config():
     cfg = reach()
     before = cfg.to_dict()
     describe(cfg)
-    describe_scene(cfg)
     assert cfg.to_dict() == before
 
 
-# -- tables ----------------------------------------------------------------------------------------
+# -- one reading, one compilation ------------------------------------------------------------------
 
 
-def test_a_scene_is_described_in_tables():
-    scene = describe_scene(reach())
-    arm, goal = scene.entities
-    assert (arm.uid, arm.kind, arm.moves) == ("ur10", "articulation", "fixed base")
-    assert arm.links == tuple(LINKS.split(", "))
-    assert arm.position == (0.0, 0.0, 1.0)
-    assert arm.mass == pytest.approx(32.435)
-    assert arm.control_parts == {"arm": tuple(JOINTS.split(", "))}
-    joint = arm.joints[2]
-    assert (joint.name, joint.type, joint.actuator) == ("Joint3", "hinge", "ur10/Joint3")
-    assert joint.limits == pytest.approx((-np.pi, np.pi))
-    assert (joint.stiffness, joint.damping, joint.max_effort) == (500.0, 50.0, 150.0)
-    assert (goal.kind, goal.moves, goal.source) == ("object", "kinematic", "Sphere")
-    assert scene.timestep == 0.005  # the task's own physics
-    assert scene.gravity == (0.0, 0.0, -3.7)
-    assert scene.integrator == "implicitfast"
-    assert scene.sizes["controls"] == 6
-    assert scene.cameras == ("default",)
-    assert scene.lights == ("sun",)
+def simulated(cfg, prepared):
+    """The scene of a simulation that is built of a checked task, as `BaseEnv` builds it."""
+    cfg = frozen_cfg(cfg)
+    cfg.sim_cfg.prepared_scene = prepared
+    sim = SimulationManager(cfg.sim_cfg)
+    sim.drive_changes = drive_changes(cfg.events)
+    add_declared_robots(sim, cfg)
+    add_declared_scene(sim, cfg)
+    scene = sim.scene
+    sim.destroy()
+    return scene
 
 
-def test_mimic_joints_name_their_leader(tmp_path):
+@pytest.fixture
+def reading(monkeypatch):
+    """Counts the files that are read and the scenes that are compiled."""
+    counts = {"files": 0, "scenes": 0}
+
+    def counted(name, function):
+        def call(*args):
+            counts[name] += 1
+            return function(*args)
+
+        return call
+
+    for module in (scene_check, scene_module):
+        monkeypatch.setattr(module, "compile_scene", counted("scenes", module.compile_scene))
+    read = counted("files", articulation.read_robot)
+    monkeypatch.setattr(articulation, "read_robot", read)
+    return counts
+
+
+def test_a_simulation_takes_what_the_check_has_read_and_compiled(reading):
+    prepared = PreparedScene()
+    assert describe(reach(), prepared) == []
+    scene = simulated(reach(num_envs=3), prepared)
+    assert reading == {"files": 1, "scenes": 1}
+    model = scene.model
+    assert model.opt.timestep == 0.005  # the task's own physics
+    assert model.opt.gravity.tolist() == [0.0, 0.0, -3.7]
+    assert (model.nu, model.ncam, model.light(0).name) == (6, 1, "sun")
+    other = simulated(reach(), prepared)  # what was taken is gone
+    assert reading == {"files": 2, "scenes": 2}
+    assert physics_values(other.model) == physics_values(model)
+
+
+@pytest.mark.parametrize(
+    ("changes", "files"),
+    [
+        ({"physics": PhysicsTaskCfg(physics_dt=0.004)}, 1),  # drives depend on the time step
+        ({"physics": PhysicsTaskCfg(physics_dt=0.005, gravity=[0, 0, -9.81])}, 0),
+        ({"lights": {}}, 0),
+        ({"objects": {}}, 0),
+        ({"robot": reach().robot.replace(init_pos=(0, 0, 2))}, 1),
+        ({"robot": reach().robot.replace(drive_pros=JointDrivePropertiesCfg())}, 1),
+        ({"robot": reach().robot.replace(drive_pros=JointDrivePropertiesCfg(stiffness=1e4))}, 1),
+        ({"events": {"e": EventCfg("randomize_articulation_mass", params=MASS)}}, 1),
+    ],
+)
+def test_a_changed_config_is_read_and_compiled_anew(reading, changes, files):
+    prepared = PreparedScene()
+    assert describe(reach(), prepared) == []
+    cfg = reach(**changes)
+    sim_cfg = frozen_cfg(cfg).sim_cfg
+    scene = simulated(cfg, prepared)
+    assert reading == {"files": 1 + files, "scenes": 2}
+    assert scene.model.opt.timestep == sim_cfg.physics_dt
+
+
+def test_a_file_that_was_written_since_is_read_anew(reading, tmp_path):
     name = write(tmp_path / "g.urdf", GRIPPER_URDF)
-    scene = describe_scene(EnvCfg(robot=RobotCfg(fpath=name)))
-    left, right = scene.entities[0].joints
-    assert scene.entities[0].uid == "g"  # the file's stem
-    assert (left.mimics, right.mimics) == ("", "slide_left")
-    assert (left.actuator, right.actuator) == ("g/slide_left", "")
-    assert left.velocity_limit == 0.3
+    cfg, prepared = EnvCfg(robot=RobotCfg(fpath=name)), PreparedScene()
+    assert describe(cfg, prepared) == []
+    write(tmp_path / "g.urdf", GRIPPER_URDF.replace("slide_left", "slide_on_the_left"))
+    scene = simulated(cfg, prepared)
+    assert reading == {"files": 2, "scenes": 2}
+    assert scene.model.joint("g/slide_on_the_left").name
 
 
-def test_a_scene_with_mistakes_has_no_tables():
-    with pytest.raises(ConfigError, match="robot.init_qpos"):
-        describe_scene(reach(robot=RobotCfg(fpath=UR10, init_qpos=[1.0])))
+def test_armature_of_the_check_is_that_of_the_frozen_config(reading):
+    arm = JointDrivePropertiesCfg(stiffness=1e4, damping=1e3, max_effort="file")
+    cfg = reach(robot=reach().robot.replace(drive_pros=arm))
+    prepared = PreparedScene()
+    assert describe(cfg, prepared) == []
+    found = prepared.settle_armature()
+    assert list(found) == ["robot"] and len(found["robot"]) > 1
+    frozen = cfg.copy()
+    frozen.robot.drive_pros.armature = found["robot"]
+    model = simulated(frozen, prepared).model
+    assert reading == {"files": 1, "scenes": 1}
+    assert physics_values(simulated(frozen, None).model) == physics_values(model)
+    assert physics_values(simulated(cfg, None).model) == physics_values(model)

@@ -1,4 +1,10 @@
-"""What gains the fields of a model stand for, which hold products of gain and strength."""
+"""Drives in the units of their actuators: `Transmission`, and `ModelGains`, which reads them back.
+
+Our drives act on the joint as it is. A servo of an MJCF file has a gear, ``length = gear * q``,
+and its control may be in other units than its length: ``ctrl = scale * target``. With the joint's
+stiffness k, damping d and control gain g (``force = g * target - k * q - d * qvel``), those of the
+actuator are ``k / gear**2``, ``d / gear**2`` and ``g / (gear * scale)``.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +17,63 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import mujoco
 
-    from embodichain.lab.sim.compiler import ParsedArticulation
+    from embodichain.lab.sim.compiler.actuators import Servos
+    from embodichain.lab.sim.compiler.articulation import ParsedArticulation
     from embodichain.lab.sim.engine.base import F64
-    from embodichain.lab.sim.objects.transmission import Transmission
 
-__all__ = ["NO_EFFORT_LIMIT", "NO_LIMIT", "ModelGains"]
+__all__ = ["NO_LIMIT", "ModelGains", "Transmission"]
 
 NO_LIMIT = 1e9
 """Efforts at least this large count as unlimited (EmbodiChain's default is 1e10)."""
-NO_EFFORT_LIMIT = 1e10
+
+Joints = NDArray[np.int64]
+
+
+class Transmission:
+    """Converts numbers of D joints, each method for some of them (k,), to their actuators'.
+
+    Attributes:
+        scales: Whether a control is something else than a target anywhere.
+    """
+
+    def __init__(self, servos: Servos) -> None:
+        self._gear, self._scale, self._shares = servos.gear, servos.scale, servos.shares
+        self.scales = bool((self._scale != 1).any())
+
+    def control(self, target: F64, joints: Joints) -> F64:
+        """(n, k) controls of targets."""
+        return target * self._scale[joints] if self.scales else target
+
+    def target(self, control: F64, joints: Joints) -> F64:
+        """(n, k) targets of controls."""
+        return control / self._scale[joints] if self.scales else control
+
+    def gain(self, gain: F64, joints: Joints) -> F64:
+        """(n, k) ``gainprm[0]`` of control gains."""
+        return gain / (self._gear * self._scale)[joints]
+
+    def feedback(self, gain: F64, joints: Joints) -> F64:
+        """(n, k) ``-biasprm[1]`` of stiffness, ``-biasprm[2]`` of damping."""
+        return gain / self._gear[joints] ** 2
+
+    def feedback_of(self, bias: F64, joints: Joints) -> F64:
+        """(k,) stiffness or damping of ``biasprm``."""
+        return np.abs(bias) * self._gear[joints] ** 2
+
+    def force_range(self, effort: F64, joints: Joints) -> tuple[F64, F64]:
+        """(n, k) lower and upper ``forcerange`` of effort limits; a file's may be uneven."""
+        most = effort / np.abs(self._gear[joints])
+        low, high = self._shares[joints].T
+        return -most * low, most * high
+
+    def larger_side(self, joints: Joints) -> NDArray[np.int64]:
+        """(k,) column of ``forcerange`` that holds the limit itself: 1, or 0."""
+        low, high = self._shares[joints].T
+        return np.where(high >= low, 1, 0)
+
+    def effort_of(self, bound: F64, joints: Joints) -> F64:
+        """(k,) effort limit of the larger side of ``forcerange``."""
+        return np.abs(bound) * np.abs(self._gear[joints])
 
 
 class ModelGains:
@@ -90,7 +144,7 @@ class ModelGains:
             lambda bound: transmission.effort_of(bound, joints),
         )
         limited = self.read("actuator_forcelimited", actuators, -1.0)
-        effort = np.where(limited == 0, NO_EFFORT_LIMIT, effort)
+        effort = np.where(limited == 0, 1e10, effort)
         scale = np.divide(
             effort, most, out=np.ones_like(most), where=(most > 0) & (most < NO_LIMIT)
         )
