@@ -242,7 +242,7 @@ def explained(error: ConfigError, env: EnvHooks) -> ConfigError:
     The scene can only be checked from the config if no hook builds it.
     """
     from embodichain.lab.gym.envs.managers.check import check_terms
-    from embodichain.lab.sim.compiler import describe
+    from embodichain.lab.gym.envs.scene_check import describe
 
     problems = list(check_terms(env.cfg))
     if not any(overrides(env, ("_setup_robot", "_prepare_scene")).values()):
