@@ -14,8 +14,8 @@ from embodichain.lab.gym.envs.cfg import ActionTermCfg, EnvCfg, SceneEntityCfg
 from embodichain.lab.gym.envs.embodied_cfg import EmbodiedEnvCfg, fill_in
 from embodichain.lab.gym.envs.episodes import NO_LIMIT
 from embodichain.lab.gym.envs.managers.check import check_terms
+from embodichain.lab.gym.envs.scene_check import describe
 from embodichain.lab.sim.cfg import SimulationManagerCfg, name_of
-from embodichain.lab.sim.compiler import describe
 from embodichain.lab.sim.viewer import has_display
 from embodichain.utils.errors import ConfigError, Problem
 

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.objects._arrays import as_rows, columns_of
+from embodichain.lab.sim.objects.drive_units import NO_LIMIT, ModelGains, Transmission
 from embodichain.lab.sim.objects.joint_limits import JointLimits
-from embodichain.lab.sim.objects.model_gains import NO_LIMIT, ModelGains
-from embodichain.lab.sim.objects.transmission import Transmission
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation
