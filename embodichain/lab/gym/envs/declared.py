@@ -14,7 +14,6 @@ import numpy as np
 import torch
 
 from embodichain.lab.gym.envs.cfg import EnvCfg
-from embodichain.lab.gym.envs.embodied_cfg import EmbodiedEnvCfg, fill_in
 from embodichain.lab.gym.envs.hooks import EnvHooks, overrides
 from embodichain.lab.sim.cfg import SimulationManagerCfg, name_of
 from embodichain.utils.errors import ConfigError, Problem
@@ -57,8 +56,7 @@ def frozen_cfg(cfg: EnvCfg | None, num_envs: int | None = None) -> EnvCfg:
         NotImplementedError: If an `EmbodiedEnvCfg` declares a camera.
     """
     cfg = copy.deepcopy(cfg) if cfg is not None else EnvCfg()
-    if isinstance(cfg, EmbodiedEnvCfg):
-        fill_in(cfg)
+    cfg.complete()
     if num_envs is not None:
         cfg.num_envs = num_envs
     given: SimulationManagerCfg | None = cfg.sim_cfg  # EmbodiChain allows None
