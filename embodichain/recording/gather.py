@@ -72,14 +72,20 @@ def gather(
     except DifferenceFound as found:
         where = f"{reader.path} does not simulate to what it says"
         raise LogError(f"{where}: {found.difference}") from found
-    values = {}
+    values: dict[str, NDArray[Any]] = {}
+    named = {name: list(columns[name]) for name in names}
     for name in names:
-        shape = (0, len(ids), len(columns[name])) if name in (*slices, "actions") else (0, len(ids))
-        dtype = OUTCOMES[name][1] if name in OUTCOMES else np.float64
-        values[name] = np.concatenate([np.empty(shape, dtype), *pieces.pop(name)])
+        shape = (0, len(ids), len(named[name])) if name in (*slices, "actions") else (0, len(ids))
+        empty: NDArray[Any] = np.empty(shape, OUTCOMES[name][1] if name in OUTCOMES else np.float64)
+        try:
+            values[name] = np.concatenate(pieces.pop(name) or [empty])
+        except ValueError as error:
+            raise LogError(f"{reader.path}: steps differ in their {name}: {error}") from error
+    if "actions" in values:  # the first step of a damaged log may be unknown
+        named["actions"] = [Column(str(i), "") for i in range(values["actions"].shape[-1])]
     control_dt = reader.require_header().control_dt
     every_step = np.concatenate([np.empty(0, np.int64), *steps])
-    return LogArrays(every_step, ids, control_dt, {n: list(columns[n]) for n in names}, values)
+    return LogArrays(every_step, ids, control_dt, named, values)
 
 
 def _parts(
