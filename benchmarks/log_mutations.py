@@ -15,7 +15,8 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 from mcap.opcode import Opcode
 
-from embodichain.recording.chunks import MAGIC, chunk_content
+from embodichain.recording.chunks import MAGIC
+from embodichain.recording.mcap_records import chunk_content
 
 __all__ = ["KINDS", "mutate"]
 

@@ -14,18 +14,13 @@ import zlib
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from io import BytesIO
 from itertools import accumulate
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
 
-import lz4.frame  # type: ignore[import-untyped]
-import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata, Schema, Statistics
+from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
 
 from embodichain.recording.header import (
     METADATA,
@@ -34,11 +29,12 @@ from embodichain.recording.header import (
     Header,
     check_part,
 )
-from embodichain.recording.log_error import LARGEST_CHUNK, DamageError, LogError
+from embodichain.recording.log_error import DamageError, LogError
+from embodichain.recording.mcap_records import UNREADABLE, chunk_content, parse, reason_of
 from embodichain.recording.parts import first_file, missing_part, part_name
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["MAGIC", "ChunkPlace", "Found", "LogReader", "chunk_content"]
+__all__ = ["MAGIC", "ChunkPlace", "Found", "LogReader"]
 
 MAGIC = b"\x89MCAP0\r\n"
 CUT = "the file ends early: it was not closed, or cut"
@@ -52,19 +48,6 @@ _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQ")  # first and last log time, size
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _FOOTER = struct.Struct("<QQI")
-_UNREADABLE = (
-    *(McapError, struct.error, zlib.error, zstandard.ZstdError, UnicodeDecodeError),
-    *(IndexError, KeyError, MemoryError, OverflowError, RuntimeError, ValueError),  # lz4's
-)
-_PARSERS: dict[int, Any] = {
-    Opcode.ATTACHMENT: Attachment,
-    Opcode.CHANNEL: Channel,
-    Opcode.CHUNK: Chunk,
-    Opcode.METADATA: Metadata,
-    Opcode.SCHEMA: Schema,
-    Opcode.STATISTICS: Statistics,
-}
-
 Found = tuple[str, int, memoryview]
 """Topic, log time in ns, payload."""
 
@@ -214,8 +197,8 @@ class LogReader:
             self._note_all(part)
         except DamageError as error:
             self._damaged(part, str(error))
-        except _UNREADABLE as error:
-            self._damaged(part, f"a record is damaged ({_kind(error)})")
+        except UNREADABLE as error:
+            self._damaged(part, f"a record is damaged ({reason_of(error)})")
         return self.complete
 
     def _note_all(self, part: int) -> None:
@@ -259,7 +242,7 @@ class LogReader:
                 raise DamageError("a name is longer than its record")
             self._attachments[stream.read(n).decode()] = (at, length)
         elif opcode in _KEPT and length < _KEPT_LIMIT:
-            self._take(_parse(opcode, stream.read(length)), part)
+            self._take(parse(opcode, stream.read(length)), part)
 
     def _take(self, record: Any, part: int) -> None:
         if isinstance(record, Channel):  # the index repeats those of the chunks
@@ -328,7 +311,7 @@ class LogReader:
             (crc,) = struct.unpack("<I", data[-4:])
             if crc and zlib.crc32(memoryview(data)[:-4]) != crc:
                 raise DamageError("an attachment is damaged: its checksum is wrong")
-            found: Attachment = _parse(Opcode.ATTACHMENT, data)
+            found: Attachment = parse(Opcode.ATTACHMENT, data)
         except (DamageError, struct.error) as error:
             raise LogError(f"{self.path}: {name}: {error}") from error
         return found
@@ -428,7 +411,7 @@ class LogReader:
                     raise _UnknownChannelError(f"a message belongs to {unknown}")
                 found.append((topics[channel], log_time, data[at + _MESSAGE.size : at + length]))
             elif opcode in (Opcode.CHANNEL, Opcode.SCHEMA):
-                record = _parse(opcode, bytes(data[at : at + length]))
+                record = parse(opcode, bytes(data[at : at + length]))
                 if isinstance(record, Channel):
                     self.channels[record.id], topics[record.id] = record, record.topic
                 else:
@@ -459,57 +442,3 @@ def _check_end(stream: BinaryIO, length: int, summary_at: int) -> None:
         if crc != announced:
             raise DamageError("the index at its end is damaged: its checksum is wrong")
     stream.seek(end)
-
-
-def chunk_content(data: bytes) -> tuple[str, bytes]:
-    """Compression and unpacked records of a chunk's record.
-
-    Raises:
-        DamageError: If it cannot be unpacked, or is larger than any recorder makes it.
-    """
-    chunk: Chunk = _parse(Opcode.CHUNK, data)
-    name, size, packed = chunk.compression, chunk.uncompressed_size, chunk.data
-    if size > LARGEST_CHUNK:
-        raise DamageError(f"a chunk announces {size} bytes; more than {LARGEST_CHUNK} are no log")
-    if len(data) != 40 + len(name.encode()) + len(packed):
-        raise DamageError("a chunk is damaged: its length is wrong")
-    try:
-        content = _unpacked(name, packed, size)
-    except _UNREADABLE as error:
-        raise DamageError(f"a chunk is damaged ({_kind(error)})") from error
-    if len(content) != size:
-        raise DamageError("a chunk is damaged: its length is wrong")
-    if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
-        raise DamageError("a chunk is damaged: its checksum is wrong")
-    return name or "none", content
-
-
-def _unpacked(name: str, packed: bytes, size: int) -> bytes:
-    """Decompress to at most `size` bytes, whatever the compressed data say of themselves."""
-    if name == "":
-        return packed
-    if name == "lz4":
-        content: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size)
-        return content
-    if name == "zstd":
-        if zstandard.frame_content_size(packed) not in (size, -1):
-            raise DamageError("a chunk is damaged: its length is wrong")
-        return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
-    raise DamageError(f"a chunk has the compression {name[:20]!r}, which is not known")
-
-
-def _parse(opcode: int, data: bytes) -> Any:
-    """The record of an opcode.
-
-    Raises:
-        DamageError: If it is not what its opcode says.
-    """
-    try:
-        return _PARSERS[opcode].read(ReadDataStream(BytesIO(data)))
-    except _UNREADABLE as error:
-        raise DamageError(f"a record is damaged ({_kind(error)})") from error
-
-
-def _kind(error: BaseException) -> str:
-    text = " ".join(str(error).split())[:100]
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__

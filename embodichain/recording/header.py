@@ -18,7 +18,7 @@ from embodichain.recording.options import RecordLike
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.observers import ObservedEnv
 
 __all__ = [
     "FORMAT_VERSION",
@@ -220,7 +220,7 @@ def check_part(first: Header, values: Mapping[str, str], part: int) -> None:
 
 
 def header_of(
-    env: BaseEnv, options: RecordLike, model_digest: str, task: str, start_ns: int
+    env: ObservedEnv, options: RecordLike, model_digest: str, task: str, start_ns: int
 ) -> Header:
     """The metadata of a recording that begins.
 

@@ -34,7 +34,7 @@ from embodichain.recording.views.views import Views
 from embodichain.recording.writing import Writing
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.observers import ObservedEnv
 
 __all__ = ["McapRecorder", "RecordStats"]
 
@@ -84,7 +84,7 @@ class McapRecorder(StepObserver):
     def __init__(
         self,
         path: str | Path,
-        env: BaseEnv,
+        env: ObservedEnv,
         config: str = "",
         overrides: str | Sequence[str] = (),
         options: RecordLike | None = None,
@@ -134,7 +134,7 @@ class McapRecorder(StepObserver):
 
     # -- what happens ------------------------------------------------------------------------------
 
-    def on_write(self, env: BaseEnv, write: Write) -> None:
+    def on_write(self, env: ObservedEnv, write: Write) -> None:
         """Record a write outside physics, and of a reset the rows that it left."""
         op, field, ids, columns, values = write
         if op == "model":
@@ -182,7 +182,7 @@ class McapRecorder(StepObserver):
         """Whether something that happens in these environments is recorded."""
         return self._gate.open and self._keeps_state and (ids is None or len(ids) > 0)
 
-    def on_physics(self, env: BaseEnv, event: PhysicsEvent) -> None:
+    def on_physics(self, env: ObservedEnv, event: PhysicsEvent) -> None:
         """Show what physics receives; record what it returned."""
         phase, nstep, ids, rows, failed = event
         if phase == "before":
@@ -211,7 +211,7 @@ class McapRecorder(StepObserver):
             more = [a for a in (ids, result, failed) if a is not None]
             self._calls.append((kind, tuple(np.ascontiguousarray(a) for a in more)))
 
-    def on_event(self, env: BaseEnv, event: EventRecord) -> None:
+    def on_event(self, env: ObservedEnv, event: EventRecord) -> None:
         """Record that a term of the event manager fired, and what it drew."""
         if not self._gate.open:
             self._gate.hold(event)
@@ -229,14 +229,14 @@ class McapRecorder(StepObserver):
                 kind = self._kinds[key] = CallKind("event", term, mode, arrays=_of(ids) + arrays)
             self._calls.append((kind, tuple(values if ids is None else (ids.copy(), *values))))
 
-    def on_reset(self, env: BaseEnv, env_ids: EnvIndex) -> None:
+    def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
         """Show environments that were reset; begin or pause recording there (`record.every`)."""
         if self._gate.open:
             self._views.on_reset(env_ids)
         was_open = self._gate.open
         self._switched(env, was_open, self._gate.on_reset(env_ids))
 
-    def on_step(self, env: BaseEnv, step: StepRecord) -> None:
+    def on_step(self, env: ObservedEnv, step: StepRecord) -> None:
         """Record that a control step ended.
 
         Raises:
@@ -271,7 +271,7 @@ class McapRecorder(StepObserver):
         if self._gate.open:
             self._write_when_due()
 
-    def _switched(self, env: BaseEnv, was_open: bool, held: list[EventRecord] | None) -> None:
+    def _switched(self, env: ObservedEnv, was_open: bool, held: list[EventRecord] | None) -> None:
         """Between two steps: recording may have been paused, or goes on.
 
         Args:
@@ -364,7 +364,7 @@ class McapRecorder(StepObserver):
 
     # -- the end -----------------------------------------------------------------------------------
 
-    def on_close(self, env: BaseEnv) -> None:
+    def on_close(self, env: ObservedEnv) -> None:
         """The environment closes."""
         self.close()
 

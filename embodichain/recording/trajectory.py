@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64, EnvIndex
-from embodichain.lab.sim.engine.rows import as_slice, where
+from embodichain.lab.sim.engine.layout import as_slice, entries
 from embodichain.recording.block import Call, CallKind, Run, unpack_run
 from embodichain.recording.chunks import ChunkPlace, LogReader
 from embodichain.recording.header import Header
@@ -264,7 +264,7 @@ class Rows:
         else:
             start, stop = self.header.layout[call.kind.name]
             view = self._rows[:, start:stop]
-        view[where(local, columns_of(call.kind.columns))] = values
+        view[entries(local, columns_of(call.kind.columns))] = values
 
     def moved(self, columns: slice) -> slice | None:
         """Where columns of whole rows lie in what physics returned; None for its inputs."""
@@ -285,7 +285,7 @@ class Rows:
         whole = isinstance(take, slice)
         for here, there in self._ranges:
             found = returned[:, there]
-            rows[where(local, here)] = found if whole else found[take]
+            rows[entries(local, here)] = found if whole else found[take]
 
 
 def _side_by_side(ranges: list[tuple[int, int]]) -> list[tuple[slice, slice]]:

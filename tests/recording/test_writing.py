@@ -304,7 +304,7 @@ def test_ctrl_c_between_two_statements_loses_no_step_and_repeats_none(tmp_path):
         env, log = recorded(tmp_path / f"{line}.mcap", length=2)
         reached, passed = False, 0
 
-        def interrupt(frame, event, _, line=line):
+        def interrupt(frame, event, _, line=line, log=log):
             nonlocal passed, reached
             if event == "line" and frame.f_code.co_filename in watched:
                 if not log._writing.lock.locked() and passed == line:

@@ -19,7 +19,7 @@ from embodichain.recording.viewers.foxglove_server import DEFAULT_PORT, Foxglove
 from embodichain.recording.views.views import Views
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.observers import ObservedEnv
 
 __all__ = ["FoxgloveView"]
 
@@ -50,7 +50,7 @@ class FoxgloveView(StepObserver):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: ObservedEnv,
         host: str = "127.0.0.1",
         port: int | None = None,
         env_id: int = 0,
@@ -86,22 +86,22 @@ class FoxgloveView(StepObserver):
     def _now(self) -> int:
         return self._start_ns + self._step * self._period_ns
 
-    def on_write(self, env: BaseEnv, write: Write) -> None:
+    def on_write(self, env: ObservedEnv, write: Write) -> None:
         """Note which looks changed; they are read when they are shown."""
         if write.op == "model":
             self._views.on_model_write(write)
 
-    def on_event(self, env: BaseEnv, event: EventRecord) -> None:
+    def on_event(self, env: ObservedEnv, event: EventRecord) -> None:
         """Send a line of what a term of the event manager drew."""
         if self._looking:
             self._views.on_event(event)
 
-    def on_reset(self, env: BaseEnv, env_ids: EnvIndex) -> None:
+    def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
         """Show viewed environments' scenes again if they changed."""
         if self._looking:
             self._views.on_reset(env_ids)
 
-    def on_step(self, env: BaseEnv, step: StepRecord) -> None:
+    def on_step(self, env: ObservedEnv, step: StepRecord) -> None:
         """Show the new state if a picture is due; keep to the clock."""
         self._views.declare(step)
         self._step += 1
@@ -127,6 +127,6 @@ class FoxgloveView(StepObserver):
         shown = {int(match[1]) for match in found if match}
         self._views.show(shown or self._envs)
 
-    def on_close(self, env: BaseEnv) -> None:
+    def on_close(self, env: ObservedEnv) -> None:
         """Close the server and its connections."""
         self._server.close()

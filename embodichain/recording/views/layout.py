@@ -20,7 +20,7 @@ from embodichain.recording.views.places import places
 from embodichain.recording.views.scalars import identifier
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.observers import ObservedEnv
 
 __all__ = ["foxglove_layout"]
 
@@ -37,7 +37,7 @@ _PLOT = {
 }
 
 
-def foxglove_layout(env: BaseEnv, view_envs: Sequence[int]) -> dict[str, Any]:
+def foxglove_layout(env: ObservedEnv, view_envs: Sequence[int]) -> dict[str, Any]:
     """Return a layout with the scene, joint positions, the reward with its terms, and the log.
 
     Args:

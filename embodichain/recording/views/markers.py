@@ -19,7 +19,7 @@ from embodichain.recording.views.motion import frame_names
 from embodichain.utils.math import quat_multiply
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.observers import ObservedEnv
 
 __all__ = ["Commands"]
 
@@ -43,7 +43,7 @@ class Commands:
         env: The environment; it may have no commands.
     """
 
-    def __init__(self, env: BaseEnv) -> None:
+    def __init__(self, env: ObservedEnv) -> None:
         manager = getattr(env, "command_manager", None)  # environments of others may have none
         terms = {} if manager is None else dict(manager.terms)
         self._commands: dict[str, Any] = {name: term.instance for name, term in terms.items()}

@@ -27,8 +27,7 @@ from embodichain.recording.views.scene import Props, scene_update
 from embodichain.recording.views.shapes import LOOKS, PLANE_SIZE
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
-    from embodichain.lab.gym.envs.observers import EventRecord, StepRecord
+    from embodichain.lab.gym.envs.observers import EventRecord, ObservedEnv, StepRecord
 
 __all__ = ["SEEN", "Views"]
 
@@ -50,7 +49,7 @@ class Views:
     """
 
     def __init__(
-        self, env: BaseEnv, options: RecordLike, sink: Sink, now: Callable[[], int]
+        self, env: ObservedEnv, options: RecordLike, sink: Sink, now: Callable[[], int]
     ) -> None:
         self._ids = np.array(sorted(set(options.view_envs)), np.int64)
         self._is_viewed = np.zeros(env.num_envs, np.bool_)

@@ -9,10 +9,10 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from embodichain.lab.gym.envs.managers.command_manager import CommandMarker, CommandTerm
+from embodichain.lab.gym.envs.managers.term import CommandMarker, CommandTerm
 from embodichain.recording import McapRecorder, inspect
-from embodichain.recording.views.markers import ABOVE, AXIS_LENGTH, METRES_PER_SPEED
 from embodichain.recording.options import RecordOptions
+from embodichain.recording.views.markers import ABOVE, AXIS_LENGTH, METRES_PER_SPEED
 from tests.recording.scene import MODEL, SmallEnv
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 
-from embodichain.lab.gym.envs.managers.command_manager import CommandMarker, CommandTerm
+from embodichain.lab.gym.envs.managers.term import CommandMarker, CommandTerm
 from embodichain.lab.gym.envs.observers import StepObserver, StepRecord
 from embodichain.recording.options import RecordOptions
 from embodichain.recording.schema import scalars_class

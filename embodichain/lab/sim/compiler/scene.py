@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -38,8 +37,6 @@ from embodichain.utils.math import quat_multiply, quat_rotate
 
 __all__ = ["CompiledScene", "compile_scene"]
 
-_log = logging.getLogger(__name__)
-
 
 @dataclass(frozen=True, eq=False)
 class CompiledScene:
@@ -51,12 +48,15 @@ class CompiledScene:
         spec: What it was compiled from, for export as XML or archive.
         entities: Where each entity is in the model.
         sensors: Where each sensor is.
+        notes: What a user should be told, one line each: options of the robots' files that the
+            scene's replace, sensors that can report nothing.
     """
 
     model: mujoco.MjModel
     spec: mujoco.MjSpec
     entities: dict[str, EntityIndex]
     sensors: dict[str, SensorIndex] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
 def compile_scene(
@@ -65,13 +65,8 @@ def compile_scene(
     objects: Mapping[str, RigidObjectCfg],
     lights: Mapping[str, LightCfg],
     sensors: Mapping[str, SensorPlan] | None = None,
-    *,
-    report: bool = True,
 ) -> CompiledScene:
     """Compile one model; everything of an entity is named ``uid/NAME`` in it.
-
-    Options of the robots' files that the scene's replace, and whatever else was left out of the
-    files, are logged as warnings, once a file.
 
     Args:
         sim_cfg: Timestep, physics options, ground plane.
@@ -79,7 +74,6 @@ def compile_scene(
         objects: Rigid objects by uid.
         lights: Lights by uid.
         sensors: Sensors by uid.
-        report: Whether to log those warnings.
 
     Raises:
         ConfigError: If names clash, an object is wrong, or MuJoCo refuses the model.
@@ -95,15 +89,13 @@ def compile_scene(
         add_ground(spec)
     add_lights(spec, lights)
     masked = 0
+    notes: list[str] = []
     for parsed in articulations:
         child = parsed.spec.copy()
         if parsed.cfg.disable_self_collision:
             masked += 1
             separate(child, masked)
-        notes = _attach(spec, child, parsed)
-        if report:
-            for note in notes:
-                _log.warning("%s: %s", parsed.uid, note)
+        notes += _attach(spec, child, parsed)
     for number, (uid, cfg) in enumerate(objects.items()):
         add_object(spec, uid, cfg, number)
     add_sensors(spec, sensors)
@@ -111,9 +103,7 @@ def compile_scene(
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
         raise ConfigError(f"MuJoCo cannot compile the scene: {as_line(error)[0]}") from error
-    if report:
-        for note in deaf_sensors(model, sensors):
-            _log.warning("%s", note)
+    notes += deaf_sensors(model, sensors)
     entities = {p.uid: _index_articulation(model, p) for p in articulations}
     for uid, cfg in objects.items():
         index = entities[uid] = _index_object(model, uid, cfg)
@@ -121,7 +111,7 @@ def compile_scene(
             dofs = slice(index.free_qvel_adr, index.free_qvel_adr + 6)
             model.dof_damping[dofs] = damping_of(model, index.root_body_id, cfg)
     aim_camera(spec, model, _start(model, articulations, entities))
-    return CompiledScene(model, spec, entities, index_sensors(model, sensors))
+    return CompiledScene(model, spec, entities, index_sensors(model, sensors), tuple(notes))
 
 
 def _check(
@@ -144,19 +134,14 @@ def _check(
         raise ConfigError(problems)
 
 
-def _attach(
-    spec: mujoco.MjSpec, child: mujoco.MjSpec, parsed: ParsedArticulation
-) -> tuple[str, ...]:
+def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, parsed: ParsedArticulation) -> list[str]:
     """Attach an articulation at its pose; return what a user should be told."""
-    replaced = replace_options(child, spec)
-    notes = parsed.notes
-    if replaced:
-        what = "; ".join(replaced)
-        notes = (*notes, f"the scene's physics replaces options of {parsed.path}: {what}")
+    what = "; ".join(replace_options(child, spec))
+    options = f"{parsed.uid}: the scene's physics replaces options of {parsed.path}: {what}"
     pos, quat = initial_pose(parsed.cfg)
     frame = spec.worldbody.add_frame(pos=pos, quat=quat)
     spec.attach(child, frame=frame, prefix=f"{parsed.uid}/")
-    return notes
+    return [options] if what else []
 
 
 def _index_articulation(model: mujoco.MjModel, parsed: ParsedArticulation) -> EntityIndex:

@@ -12,8 +12,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from embodichain.lab.sim.compiler.entity_names import Known, check_reference
 from embodichain.lab.sim.compiler.names import check_uid, match
-from embodichain.lab.sim.compiler.references import Known, check_reference
 from embodichain.lab.sim.compiler.visuals import GROUND
 from embodichain.lab.sim.sensors.cfg import (
     ContactSensorCfg,

@@ -19,6 +19,7 @@ from types import SimpleNamespace
 from typing import Any, Literal, TypeVar, get_args
 
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.plugins import TERM_MODULES
 from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = [
@@ -148,6 +149,8 @@ class _TermTable(Mapping[Kind, dict[str, TermSpec]]):
             try:
                 for package in _PACKAGES:
                     _import_modules(f"{_BUILTIN}.{package}")
+                for module in TERM_MODULES:
+                    importlib.import_module(module)
             except BaseException:
                 self._loaded = False
                 raise

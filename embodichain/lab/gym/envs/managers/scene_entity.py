@@ -1,6 +1,6 @@
 """`ResolvedEntity`: what a `SceneEntityCfg` means in a scene, with joints and links as indices.
 
-What a reference picks is `compiler.references.pick`, which also checks a config before it is built.
+What a reference picks is `compiler.entity_names.pick`, which checks a config too.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def resolve_entity(
     if isinstance(cfg, ResolvedEntity):
         return cfg
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation  # imports MuJoCo
-    from embodichain.lab.sim.compiler.references import pick
+    from embodichain.lab.sim.compiler.entity_names import pick
 
     if not isinstance(cfg, SceneEntityCfg):
         cfg = _from_mapping(cfg)

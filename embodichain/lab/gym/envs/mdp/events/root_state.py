@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Axes6
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._root_state import (
     need_free_root,
     rpy_to_quat,
@@ -19,14 +19,14 @@ from embodichain.lab.gym.envs.mdp._root_state import (
 from embodichain.utils.math import quat_multiply
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["ResetRootStateUniform", "reset_scene_to_default"]
 
 
 @register_term("event")
-def reset_scene_to_default(env: BaseEnv, env_ids: EnvIndex | None) -> None:
+def reset_scene_to_default(env: TermContext, env_ids: EnvIndex | None) -> None:
     """Puts every entity into its configured state: poses, joints, drive targets, no velocity.
 
     Isaac Lab's event. A reset here does so before any event runs; as an `interval` event it puts
@@ -62,12 +62,13 @@ class ResetRootStateUniform(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         pose_range: Axes6 | None = None,
         velocity_range: Axes6 | None = None,
     ) -> None:
-        self._pose, self._velocity = six_axes(pose_range), six_axes(velocity_range)
+        self._pose = six_axes("pose", pose_range)
+        self._velocity = six_axes("velocity", velocity_range)
         if self._velocity is not None:
             need_free_root(entity_cfg)
         self._asset = asset = entity_cfg.asset
@@ -76,18 +77,18 @@ class ResetRootStateUniform(Term):
         self._pos0: F64 = np.tile(np.asarray(index.pos0, np.float64), (env.num_envs, 1))
         self._quat0: F64 = np.tile(np.asarray(index.quat0, np.float64), (env.num_envs, 1))
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the root states of these environments."""
         count = env.num_envs if env_ids is None else len(env_ids)
         pos, quat = self._pos0[:count], self._quat0[:count]
         if self._pose is not None:
-            drawn = env.event_manager.draw("pose", (6,), *self._pose, env_ids)
+            drawn = self._pose(env.event_manager, env_ids)
             pos = pos + drawn[:, :3]
             quat = quat_multiply(quat, rpy_to_quat(drawn[:, 3:]))
         asset = self._asset
         asset.write_pose(pos, quat, env_ids)
         if self._velocity is not None:
-            velocity = env.event_manager.draw("velocity", (6,), *self._velocity, env_ids)
+            velocity = self._velocity(env.event_manager, env_ids)
             write_root_velocity(asset, velocity, env_ids)
         elif self._floats:
             write_root_velocity(asset, np.zeros((count, 6)), env_ids)

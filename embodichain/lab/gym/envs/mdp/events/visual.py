@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from embodichain.lab.gym.envs.managers.base import Term
+from embodichain.lab.gym.envs.managers.drawing import Uniform
 from embodichain.lab.gym.envs.managers.param_types import Box3, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.mdp._ranges import constant
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.sim.shapes import VisualMaterialCfg
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["RandomizeVisualMaterial", "SetRigidObjectVisualMaterial"]
@@ -118,7 +118,7 @@ class RandomizeVisualMaterial(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         base_color_range: Box3 | None = None,
         metallic_range: Range | None = None,
@@ -139,11 +139,10 @@ class RandomizeVisualMaterial(Term):
         if base_color_range is None and not any(r is not None for r in ranges.values()):
             message = "missing: nothing is to change (or metallic_range, roughness_range)"
             raise ConfigError([Problem("base_color_range", message)])
-        self._color: tuple[F64, F64] | None = None
         if base_color_range is not None:
             _within_one("base_color_range", base_color_range)
-            self._color = constant(base_color_range[0]), constant(base_color_range[1])
-        self._finish: dict[str, tuple[F64, F64]] = {}
+        self._color = Uniform.within("base_color", base_color_range)
+        self._finish: list[Uniform] = []
         for name, bounds in ranges.items():
             if bounds is None:
                 continue
@@ -151,17 +150,13 @@ class RandomizeVisualMaterial(Term):
             if not self._surface.is_object:
                 message = "only of rigid objects: links share materials"
                 raise ConfigError([Problem(f"{name}_range", message)])
-            self._finish[name] = constant([bounds[0]]), constant([bounds[1]])
+            self._finish.append(Uniform(name, [bounds[0]], [bounds[1]]))
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write how the entity looks in these environments."""
         if self._color is not None:
-            rgb = env.event_manager.draw("base_color", (3,), *self._color, env_ids)
-            self._surface.paint(rgb, env_ids)
-        drawn = {
-            name: env.event_manager.draw(name, (1,), *bounds, env_ids)
-            for name, bounds in self._finish.items()
-        }
+            self._surface.paint(self._color(env.event_manager, env_ids), env_ids)
+        drawn = {value.name: value(env.event_manager, env_ids) for value in self._finish}
         self._surface.finish(drawn.get("metallic"), drawn.get("roughness"), env_ids)
 
 
@@ -179,7 +174,7 @@ class SetRigidObjectVisualMaterial(Term):
     """  # noqa: E501  (an example is one line)
 
     def __init__(
-        self, env: BaseEnv, entity_cfg: ResolvedEntity, mat_cfg: VisualMaterialCfg
+        self, env: TermContext, entity_cfg: ResolvedEntity, mat_cfg: VisualMaterialCfg
     ) -> None:
         self._surface = _Surface(entity_cfg)
         if not self._surface.is_object:
@@ -192,7 +187,7 @@ class SetRigidObjectVisualMaterial(Term):
             _within_one(f"mat_cfg.{name}", getattr(mat_cfg, name))
         self._cfg = mat_cfg
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Write the material in these environments."""
         cfg, surface = self._cfg, self._surface
         count = env.num_envs if env_ids is None else len(env_ids)
