@@ -1,42 +1,41 @@
 """From an `EnvCfg` to entities in a simulation: what the default hooks of `BaseEnv` build.
 
-Also the values of a config that follow from others. What the model looks like in MuJoCo is the
-compiler's business.
+Also the values of a config that follow from others.
 """
 
 from __future__ import annotations
 
 import copy
+import logging
 import math
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import torch
-
-from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.gym.envs.cfg import ActionTermCfg, EnvCfg, SceneEntityCfg
 from embodichain.lab.gym.envs.embodied_cfg import EmbodiedEnvCfg, fill_in
-from embodichain.lab.gym.envs.hooks import EnvHooks, overrides
+from embodichain.lab.gym.envs.episodes import NO_LIMIT
+from embodichain.lab.gym.envs.managers.check import check_terms
+from embodichain.lab.gym.envs.scene_check import describe
 from embodichain.lab.sim.cfg import SimulationManagerCfg, name_of
+from embodichain.lab.sim.viewer import has_display
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.objects.robot import Robot
     from embodichain.lab.sim.sensors.base import BaseSensor
     from embodichain.lab.sim.sim_manager import SimulationManager
-    from embodichain.lab.sim.types import EnvAction
 
 __all__ = [
     "add_declared_robots",
     "add_declared_scene",
     "add_declared_sensors",
-    "drive_robot",
-    "explained",
+    "default_actions",
     "frozen_cfg",
+    "open_window",
     "set_extensions",
+    "with_all_problems",
 ]
 
-NO_LIMIT = 2**31 - 1
-"""`max_episode_steps` of -1, as it is stored."""
+logger = logging.getLogger(__name__)
 
 _PHYSICS = ("gravity", "solver", "iterations", "integrator", "cone")
 
@@ -178,46 +177,6 @@ def add_declared_sensors(sim: SimulationManager, cfg: EnvCfg) -> dict[str, BaseS
     return sensors
 
 
-def drive_robot(
-    robot: Robot | None, joint_ids: list[int], action: EnvAction, seconds: float
-) -> None:
-    """Give a robot absolute joint targets.
-
-    Args:
-        robot: The robot; None does nothing.
-        joint_ids: The A joints that are acted on.
-        action: (N, A) position targets, clamped to the joints' limits and to what `max_velocity`
-            of the drives allows, or a TensorDict with any of
-            ``qpos``, ``qvel`` (velocity targets) and ``qf`` (efforts), each (N, A).
-        seconds: The period of a control step.
-
-    Raises:
-        ValueError: If a shape or a key is wrong.
-    """
-    if robot is None:
-        return
-    joints = np.asarray(joint_ids, np.int64)
-    drives = robot.drives
-
-    def move(target: torch.Tensor, joint_ids: list[int]) -> None:
-        wanted = np.asarray(target, np.float64)
-        robot.set_qpos(drives.within_rate(wanted, joints, seconds), joint_ids=joint_ids)
-
-    def turn(target: torch.Tensor, joint_ids: list[int]) -> None:
-        most = drives.max_velocity[:, joints]
-        robot.set_qvel(np.clip(np.asarray(target, np.float64), -most, most), joint_ids=joint_ids)
-
-    if isinstance(action, torch.Tensor):
-        move(action, joint_ids)
-        return
-    setters: dict[Any, Any] = {"qpos": move, "qvel": turn, "qf": robot.set_qf}
-    unknown = [key for key in action.keys() if key not in setters]  # noqa: SIM118  (a TensorDict)
-    if unknown:
-        raise ValueError(f"unknown action entries {unknown}; allowed: {', '.join(setters)}")
-    for key, value in action.items():
-        setters[key](value, joint_ids=joint_ids)
-
-
 def set_extensions(env: object, extensions: dict[str, Any]) -> None:
     """Make ``extensions`` attributes of an environment.
 
@@ -236,19 +195,42 @@ def set_extensions(env: object, extensions: dict[str, Any]) -> None:
         setattr(env, key, value)
 
 
-def explained(error: ConfigError, env: EnvHooks) -> ConfigError:
+def with_all_problems(error: ConfigError, cfg: EnvCfg, built_by_hooks: bool) -> ConfigError:
     """Return an error with every mistake of the config, not only the one that stopped the build.
 
-    The scene can only be checked from the config if no hook builds it.
+    Args:
+        error: What stopped it.
+        cfg: The task.
+        built_by_hooks: Whether hooks build the scene, so that the config does not show all of it.
     """
-    from embodichain.lab.gym.envs.managers.check import check_terms
-    from embodichain.lab.gym.envs.scene_check import describe
-
-    problems = list(check_terms(env.cfg))
-    if not any(overrides(env, ("_setup_robot", "_prepare_scene")).values()):
-        problems += describe(env.cfg)
+    problems = list(check_terms(cfg))
+    if not built_by_hooks:
+        problems += describe(cfg)
     known = {(p.path, p.message) for p in problems}
     found = [p for p in error.problems if (p.path, p.message) not in known]
     if any(p.path == q.path for p in found for q in problems):
         found = []  # the same mistake in other words
     return ConfigError([*problems, *found]) if problems else error
+
+
+def default_actions(robot: Robot | None) -> dict[str, ActionTermCfg]:
+    """Return the action term of an MJCF robot that has actuators of its own; else nothing."""
+    if robot is None:
+        return {}
+    parsed = robot.parsed
+    passive = any(not parsed.drives[i] for i in robot.active_joint_ids)
+    if parsed.own_actuators or (passive and parsed.control_names):
+        params = {"entity_cfg": SceneEntityCfg(uid=robot.uid)}
+        return {"ctrl": ActionTermCfg(func="actuator_ctrl", params=params)}
+    return {}
+
+
+def open_window(sim: SimulationManager, cfg: SimulationManagerCfg) -> None:
+    """Open a window unless the config says headless; without a display, warn and run headless."""
+    if cfg.headless:
+        return
+    if has_display():
+        sim.open_window(cfg.window_env)
+        return
+    logger.warning("headless is False but there is no display here: running headless")
+    cfg.headless = True
