@@ -21,7 +21,7 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.objects.robot import Robot
-    from embodichain.lab.sim.sensors.base import BaseSensor
+    from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
     from embodichain.lab.sim.sim_manager import SimulationManager
 
 __all__ = [

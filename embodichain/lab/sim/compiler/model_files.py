@@ -1,29 +1,127 @@
-"""Model files into `MjSpec`: which format, where it lies, what is wrong with it.
-
-What the spec then becomes in a scene is decided in `articulation`.
-"""
+"""Model files into `MjSpec`: their format, their errors in one line, inertias that need repair."""
 
 from __future__ import annotations
 
 import re
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import mujoco
+import numpy as np
 
 from embodichain.data import DataNotFoundError, get_data_path
-from embodichain.lab.sim.compiler.inertia_repair import repair_inertias
-from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
-from embodichain.lab.sim.compiler.urdf import PreparedUrdf, prepare_urdf
+from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.robot_bodies import collides
+from embodichain.lab.sim.compiler.urdf_files import PreparedUrdf, prepare_urdf
 from embodichain.lab.sim.engine.mujoco_process import install_log_handler
-from embodichain.lab.sim.meshes.conversion import convert_collision, reads
-from embodichain.lab.sim.meshes.part import MeshError
+from embodichain.lab.sim.meshes.mesh_conversion import convert_collision, reads
+from embodichain.lab.sim.meshes.mesh_part import MeshError
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import quat_multiply
 
-__all__ = ["ModelFile", "compile_quietly", "locate", "read_model"]
+__all__ = [
+    "MUJOCO_ERRORS",
+    "ModelFile",
+    "as_line",
+    "compile_quietly",
+    "locate",
+    "read_model",
+    "repair_inertias",
+]
+
+MUJOCO_ERRORS = (ValueError, RuntimeError, mujoco.FatalError)
+"""What MuJoCo's bindings raise for a model it cannot parse or compile."""
+
+_LINE = re.compile(r",? *\bline(?: number)? *[=:]? *(\d+)", re.IGNORECASE)
+_ELEMENT = re.compile(r"\s*Element (?:name )?'(?P<name>[^']*)'(?:, id \d+)?")
+_XML_CODE = re.compile(
+    r"XML parse error \d+:\s*Error=XML_ERROR_(?P<code>\w+) ErrorID=\d+ *(?:\(\w+\))?"
+)
+_PREFIXES = ("Error: ", "XML Error: ", "Schema violation: ")
+
+
+def as_line(
+    error: Exception, line_of: Callable[[int], int | None] | None = None
+) -> tuple[str, int | None]:
+    """Return a MuJoCo error as one line of text, and the line of the file it names, if any.
+
+    Args:
+        error: What MuJoCo raised.
+        line_of: Maps a line of the text MuJoCo read to one of the user's file; None: the same.
+    """
+    text = str(error).strip()
+    found = _LINE.search(text)
+    line = int(found[1]) if found else None
+    if line is not None and line_of is not None:
+        line = line_of(line)
+    text = _LINE.sub("", text)
+    text = _XML_CODE.sub(lambda m: m["code"].replace("_", " ").lower(), text)
+    text = _ELEMENT.sub(lambda m: f" (element {m['name']!r})" if m["name"] else "", text)
+    for prefix in _PREFIXES:
+        text = text.removeprefix(prefix)
+    return " ".join(text.split()).rstrip(" :"), line
+
+
+_LEAST_MASS = 1e-6  # kg
+_LEAST_INERTIA = 1e-9  # kg m^2
+
+
+def repair_inertias(spec: mujoco.MjSpec) -> str:
+    """Let MuJoCo's compiler repair inertias, and principal moments below zero here.
+
+    MuJoCo raises masses to 1e-6 kg and moments to 1e-9 kg m^2 and, where the largest moment is more
+    than the sum of the others, makes all three their mean (``boundmass``, ``boundinertia``,
+    ``balanceinertia``). It refuses a tensor with a negative eigenvalue: that is raised to 1e-9.
+
+    Args:
+        spec: Edited in place.
+
+    Returns:
+        One line that names the links, without the file.
+    """
+    spec.compiler.balanceinertia = True
+    spec.compiler.boundmass = _LEAST_MASS
+    spec.compiler.boundinertia = _LEAST_INERTIA
+    # By way of the spec: `body.joints` raises the error of a compilation that failed before.
+    moving = {joint.parent.name for joint in spec.joints}
+    shaped = {geom.parent.name for geom in spec.geoms if collides(geom)}
+    names = []
+    for body in spec.bodies[1:]:  # the first is the world
+        if not body.explicitinertial:
+            if body.name in moving - shaped:
+                names.append(body.name)  # it moves, and weighs nothing
+            continue
+        moments, axes = _principal(body)
+        if not (body.name in moving or body.mass or moments.any()):
+            continue  # a frame without mass, which is fixed
+        low = moments.min() < _LEAST_INERTIA
+        if low or body.mass < _LEAST_MASS or 2.0 * moments.max() > moments.sum():
+            names.append(body.name)
+        if low and np.isfinite(body.fullinertia[0]):
+            body.fullinertia = np.full(6, np.nan)
+            body.inertia = np.maximum(moments, _LEAST_INERTIA)
+            body.iquat = quat_multiply(np.asarray(body.iquat, np.float64), axes)
+    return (
+        f"masses or inertias that no body can have are repaired (at least {_LEAST_MASS:g} kg and "
+        f"{_LEAST_INERTIA:g} kg m^2, balanced moments): {', '.join(names)}"
+    )
+
+
+def _principal(body: mujoco.MjsBody) -> tuple[F64, F64]:
+    """Return (3,) principal moments, and the orientation of their axes, wxyz."""
+    quat = np.array([1.0, 0.0, 0.0, 0.0])
+    xx, yy, zz, xy, xz, yz = np.asarray(body.fullinertia, np.float64)
+    if not np.isfinite(xx):
+        return np.asarray(body.inertia, np.float64), quat
+    moments, axes = np.linalg.eigh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if np.linalg.det(axes) < 0:
+        axes[:, 0] *= -1.0
+    mujoco.mju_mat2Quat(quat, axes.ravel())
+    return moments, quat
+
 
 _FLAT = re.compile(r"mesh volume is too small: (\S+)")
 _SHELL = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL

@@ -1,17 +1,20 @@
-"""Where an entity stands at first: one pose out of a config's several ways to say it."""
+"""Initial poses of entities, and moments of inertia about a body's axes."""
 
 from __future__ import annotations
 
 import math
 
+import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.lab.sim.cfg import ObjectBaseCfg
-from embodichain.lab.sim.compiler.index import F64
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, matrix_to_quat, normalize_quat
 
-__all__ = ["initial_pose"]
+__all__ = ["inertia_about_axes", "initial_pose"]
+
+F64 = NDArray[np.float64]
 
 
 def initial_pose(cfg: ObjectBaseCfg) -> tuple[F64, F64]:
@@ -53,3 +56,20 @@ def _vector(value: object, size: int, key: str) -> F64:
     if array.size != size or not np.isfinite(array).all():
         raise ConfigError([Problem(key, f"wants {size} finite numbers, got {array.tolist()}")])
     return array.reshape(-1).copy()
+
+
+def inertia_about_axes(iquat: F64, moments: F64) -> F64:
+    """Diagonal of the inertia tensor in the body's axes.
+
+    Terms are added in a fixed order: another number of environments changes no bit.
+
+    Args:
+        iquat: (4,) orientation of the principal axes in the body, wxyz.
+        moments: (..., 3) principal moments, kg m^2.
+    """
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, iquat)
+    squares = rotation.reshape(3, 3) ** 2
+    found: F64 = moments[..., :1] * squares[:, 0]
+    found = found + moments[..., 1:2] * squares[:, 1]
+    return found + moments[..., 2:] * squares[:, 2]

@@ -1,4 +1,4 @@
-"""What a compiled file says of its joints: names, limits, mimics. No config here."""
+"""What a compiled file says of its joints: names, limits, mimics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`assemble`: several URDF files into one model, with EmbodiChain's rules of names and places."""
+"""`read_robot`: one file, or several URDF files as one model, by EmbodiChain's rules."""
 
 from __future__ import annotations
 
@@ -10,15 +10,42 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import ArticulationCfg
-from embodichain.lab.sim.compiler.attach import attach
-from embodichain.lab.sim.compiler.files import ModelFile, compile_quietly, locate, read_model
 from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.model_files import ModelFile, compile_quietly, locate, read_model
 from embodichain.lab.sim.urdf_cfg import COMPONENTS, URDFCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import matrix_to_quat
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["read_robot"]
+__all__ = ["attach", "read_robot"]
+
+
+def attach(
+    parent: mujoco.MjSpec,
+    child: mujoco.MjSpec,
+    link: str,
+    pos: F64,
+    quat: F64,
+    prefix: str,
+) -> None:
+    """Fix a model's world on a link.
+
+    Args:
+        parent: Grows by the child's bodies, joints, shapes, assets, equalities and actuators.
+        child: A copy of it is used; it stays as it is.
+        link: A body of the parent.
+        pos: (3,) metres, the child's world in the link's frame.
+        quat: (4,) wxyz, likewise.
+        prefix: Before every name of the child; no name of the parent may begin with it.
+
+    Raises:
+        ValueError: If the parent has no such link.
+    """
+    body = parent.body(link)
+    if body is None:
+        raise ValueError(f"no link is called {link!r}")
+    parent.attach(child.copy(), frame=body.add_frame(pos=pos, quat=quat), prefix=prefix)
+
 
 _ON_FIRST = ("chassis", "head", "left_hand", "right_hand", "hand")
 """Components that carry others on their first link; the rest on the last one of the file."""

@@ -1,4 +1,4 @@
-"""Concave meshes as convex parts, through CoACD (Wei et al., SIGGRAPH 2022). Kept by content."""
+"""Concave meshes as convex parts, through CoACD (Wei et al., SIGGRAPH 2022), cached by content."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from embodichain.lab.sim.meshes.conversion import referenced, write_obj
-from embodichain.lab.sim.meshes.part import MeshError, MeshPart, joined
-from embodichain.lab.sim.meshes.reading import read_mesh
-from embodichain.lab.sim.meshes.store import digest, entry
+from embodichain.lab.sim.meshes.mesh_conversion import digest, entry, referenced, write_obj
+from embodichain.lab.sim.meshes.mesh_part import MeshError, MeshPart, joined
+from embodichain.lab.sim.meshes.mesh_reading import read_mesh
 
 __all__ = ["decompose"]
 

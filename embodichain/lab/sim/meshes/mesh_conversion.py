@@ -1,32 +1,98 @@
-"""`convert_visual` and `convert_collision`: mesh files into OBJ and PNG files that MuJoCo reads.
-
-Made once and kept by content (`store`). `reads` says which files need it.
-"""
+"""Mesh files into OBJ and PNG files that MuJoCo reads, made once and cached by content."""
 
 from __future__ import annotations
 
+import json
+import os
 import re
+import shutil
+import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-from embodichain.lab.sim.meshes.part import MeshPart, Rgba, joined
-from embodichain.lab.sim.meshes.reading import read_mesh
-from embodichain.lab.sim.meshes.store import digest, entry
+from embodichain.lab.sim.meshes.mesh_part import MeshPart, Rgba, joined
+from embodichain.lab.sim.meshes.mesh_reading import read_mesh
 
 __all__ = [
     "MAX_STL_FACES",
     "MadePart",
     "MadeVisual",
+    "cache_folder",
     "convert_collision",
     "convert_visual",
+    "digest",
+    "entry",
     "has_materials",
     "reads",
     "referenced",
     "write_obj",
 ]
+
+_MANIFEST = "manifest.json"
+
+
+def cache_folder() -> Path:
+    """Return where made meshes are kept; it need not exist.
+
+    It is ``meshes`` in ``$EMBODICHAIN_CACHE``, else in ``$XDG_CACHE_HOME/embodichain``, else in
+    ``~/.cache/embodichain``.
+    """
+    own = os.environ.get("EMBODICHAIN_CACHE")
+    base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    return (Path(own) if own else Path(base, "embodichain")).expanduser() / "meshes"
+
+
+def digest(recipe: str, files: list[Path]) -> str:
+    """Return the name of what a recipe makes of files: 32 hexadecimal digits of their SHA-256.
+
+    Args:
+        recipe: How it is made; another version of that has another text.
+        files: What it is made from, the main file first. One that is missing counts as such.
+    """
+    total = sha256(recipe.encode())
+    for path in files:
+        try:
+            total.update(sha256(path.read_bytes()).digest())
+        except OSError:
+            total.update(b"missing")
+    return total.hexdigest()[:32]
+
+
+def entry(name: str, make: Callable[[Path], dict[str, Any]]) -> tuple[Path, dict[str, Any]]:
+    """Return an entry's folder and manifest; it is made if it is not there.
+
+    Args:
+        name: From `digest`.
+        make: Writes the entry's files into an empty folder and returns its manifest, which JSON can
+            hold. What it raises leaves nothing behind.
+
+    Raises:
+        OSError: If the cache cannot be written.
+    """
+    place = cache_folder() / name
+    try:
+        return place, json.loads((place / _MANIFEST).read_bytes())
+    except FileNotFoundError:
+        pass
+    place.parent.mkdir(parents=True, exist_ok=True)
+    stage = Path(tempfile.mkdtemp(prefix=".making-", dir=place.parent))
+    try:
+        manifest = make(stage)
+        (stage / _MANIFEST).write_text(json.dumps(manifest), encoding="utf-8")
+        try:
+            stage.rename(place)
+        except OSError:
+            if not (place / _MANIFEST).is_file():
+                raise
+            # Another process was first, with the same content.
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+    return place, manifest
+
 
 NATIVE = (".obj", ".stl", ".msh")
 """Suffixes that MuJoCo reads."""
