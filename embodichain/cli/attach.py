@@ -28,7 +28,6 @@ __all__ = [
     "attach_viewer",
     "check_attachments",
     "ended_early",
-    "expect_log",
     "film_job",
     "policy_of",
     "show_pictures",
@@ -83,14 +82,6 @@ def policy_of(
     if isinstance(chosen, str):
         return resolve_policy(chosen, load_file=load)
     return resolve_policy({"func": chosen.func, "params": chosen.params}, load_file=load)
-
-
-def expect_log(run: Job) -> None:
-    """Start the process that will write the log, while the environment is built."""
-    if run.root.record.format != "none":
-        from embodichain.recording import worker
-
-        worker.warm_up()
 
 
 def attach_log(run: Job, env: BaseEnv) -> McapRecorder | None:

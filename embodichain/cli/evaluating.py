@@ -6,7 +6,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from embodichain.cli.attach import attach_log, attach_viewer, expect_log, policy_of
+from embodichain.cli.attach import attach_log, attach_viewer, policy_of
 from embodichain.cli.output import number, print_facts, to_json
 from embodichain.cli.progress import ProgressDisplay
 from embodichain.utils.atomic import write_text
@@ -104,7 +104,6 @@ def _play(run: Job, stop: StopFlag, asked: Asked) -> tuple[Evaluation, str | Non
     from embodichain.learning.evaluation import evaluate
 
     root, task = run.root, run.resolved.task_name
-    expect_log(run)
     env = make_env(run.resolved, run_dir=run.folder)
     try:
         policy = policy_of(root, env, deterministic=asked.deterministic)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from embodichain.recording.api import Log
     from embodichain.recording.header import Header
     from embodichain.recording.summary import Episode, LogSummary
-    from embodichain.recording.verify_report import VerifyReport
+    from embodichain.recording.verification import VerifyReport
     from embodichain.recording.viewers.log_screens import Screen
 
 __all__ = ["command"]
@@ -271,7 +271,7 @@ def _view(path: Path, options: SimpleNamespace) -> int:
 
 def _screen(log: Log, options: SimpleNamespace, stop: StopFlag) -> Screen:
     from embodichain.lab.sim.viewer import has_display
-    from embodichain.recording.viewers.log_screens import NativeScreen, WebScreen
+    from embodichain.recording.viewers.log_screens import NativeScreen
 
     name, env = options.view or ("native" if has_display() else "web"), options.env or 0
     if name == "foxglove":
@@ -299,4 +299,4 @@ def _screen(log: Log, options: SimpleNamespace, stop: StopFlag) -> Screen:
         sys.stderr.write(f"viewer: {page.url} (Ctrl-C ends)\n")
         sys.stderr.flush()
     warn_if_public(host)
-    return WebScreen(page)
+    return page

@@ -15,7 +15,6 @@ from embodichain.cli.attach import (
     attach_log,
     attach_viewer,
     check_attachments,
-    expect_log,
     film_job,
     policy_of,
 )
@@ -91,7 +90,6 @@ def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
 
     root = run.root
     episodes = root.episodes or 1
-    expect_log(run)
     env = make_env(run.resolved, run_dir=run.folder)
     start: StartPicture | None = None
     try:

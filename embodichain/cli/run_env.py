@@ -15,7 +15,7 @@ import click
 from embodichain.cli.app import common, overrides, typed, verb
 from embodichain.cli.jobs import start
 from embodichain.cli.run import run_job
-from embodichain.lab.gym.utils.gym_utils import RENDERERS
+from embodichain.compat.gym_utils import RENDERERS
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["command"]
@@ -115,9 +115,9 @@ def _overrides(flags: Any) -> Iterator[str]:
 
 def _visual_events(path: str) -> list[str]:
     """The events of a gym config that only change how things look."""
-    from embodichain.lab.gym.gym_config.conversion import convert
-    from embodichain.lab.gym.gym_config.file import read_gym_config
-    from embodichain.lab.gym.gym_config.functors import VISUAL
+    from embodichain.compat.gym_config.conversion import convert
+    from embodichain.compat.gym_config.file import read_gym_config
+    from embodichain.compat.gym_config.functors import VISUAL
 
     events = convert(read_gym_config(path)).task.get("events", {})
     return [name for name, event in events.items() if event["func"] in VISUAL]

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.policies import Policy
 
-__all__ = ["EpisodeStatistics", "as_array", "judges_success", "play"]
+__all__ = ["EpisodeStatistics", "as_array", "play"]
 
 Flags = NDArray[np.bool_]
 
@@ -104,7 +104,7 @@ def play(env: BaseEnv, policy: Policy, obs: Any, counted: EpisodeStatistics) -> 
         obs: What the reset returned.
         counted: What is counted.
     """
-    has_success = judges_success(env)
+    has_success = env.judges_success
     while not counted.complete:
         obs, reward, terminated, truncated, info = env.step(policy(obs, env))
         ended = as_array(terminated)
@@ -117,14 +117,6 @@ def play(env: BaseEnv, policy: Policy, obs: Any, counted: EpisodeStatistics) -> 
         yield
 
 
-def judges_success(env: BaseEnv) -> bool:
-    """Whether a task says what success is: a metric, a termination, or its class."""
-    from embodichain.lab.gym.envs.hooks import overrides
-
-    declared = env.metric_manager.has_success or env.termination_manager.has_success
-    return declared or any(overrides(env, ["compute_task_state", "evaluate"]).values())
-
-
 def _ended_values(
     info: Mapping[str, Any], terminated: Flags, has_success: bool
 ) -> dict[str, NDArray[Any]]:
@@ -133,7 +125,7 @@ def _ended_values(
     Args:
         info: What the step returned; it is from before an automatic reset.
         terminated: (N,) which ended by themselves.
-        has_success: What `judges_success` says of the task.
+        has_success: `BaseEnv.judges_success` of the task.
     """
     metrics = {name: as_array(value) for name, value in info["metrics"].items()}
     kept = {"terminated": terminated, "diverged": as_array(info["diverged"])}

@@ -1,6 +1,7 @@
 """Terms under the names and parameters of EmbodiChain, Isaac Lab and mjlab."""
 
 import embodichain.compat.terms.affordances
+import embodichain.compat.terms.joint_actions
 import embodichain.compat.terms.places
 import embodichain.compat.terms.poses
 import embodichain.compat.terms.pushes

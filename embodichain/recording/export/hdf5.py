@@ -19,8 +19,8 @@ from embodichain.recording.arrays import LogArrays
 from embodichain.recording.episodes import LogEpisode
 from embodichain.recording.export.demonstrations import demonstrations
 from embodichain.recording.export.formats import Part, required
-from embodichain.recording.export.table import about
-from embodichain.recording.header import LogError
+from embodichain.recording.export.tables import about
+from embodichain.recording.log_error import LogError
 
 __all__ = ["write"]
 

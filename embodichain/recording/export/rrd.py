@@ -7,6 +7,7 @@ Entities: ``/world/env_I/UID/LINK``, and below ``/env_I``: ``joint_positions``,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +17,18 @@ from numpy.typing import NDArray
 
 from embodichain.recording.api import Log
 from embodichain.recording.arrays import LogArrays
-from embodichain.recording.export.formats import Part
-from embodichain.recording.export.poses import INPUTS
-from embodichain.recording.export.rrd_layout import layout
+from embodichain.recording.export.formats import Part, required
 from embodichain.recording.export.rrd_scene import Scene
 from embodichain.recording.export.rrd_stream import Stream
-from embodichain.recording.export.table import about
-from embodichain.recording.foxglove.log_lines import event_text
-from embodichain.recording.foxglove.messages import FrameTransforms
+from embodichain.recording.export.tables import about
+from embodichain.recording.views.log_lines import event_text
+from embodichain.recording.views.messages import FrameTransforms
+from embodichain.recording.views.motion import scalar_joints
 
 __all__ = ["write"]
 
-_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_FROM = np.array([1.0, -1.2, 0.8])
+"""Where the eye is, seen from the middle of the scene."""
 
 
 def write(log: Log, part: Part, path: Path) -> None:
@@ -37,32 +38,29 @@ def write(log: Log, part: Part, path: Path) -> None:
         ConfigError: If rerun is not installed.
     """
     envs = [part.env] if part.env is not None else log.header.view_envs or [0]
-    fields = {*INPUTS, "qvel", "actions", "rewards"}
-    parts = log.parts(
-        [name for name in log.columns if name in fields], envs, part.episode, part.start, part.stop
-    )
+    fields = {"qpos", "qvel", "actions", "rewards"}
+    names = [name for name in log.columns if name in fields]
     offsets = _offsets(log) if len(envs) > 1 else {}
     places = np.array([offsets.get(env, np.zeros(3)) for env in envs])
-    stream = Stream(log.header, layout(log.model, envs, places))
+    stream = Stream(log.header, _layout(log.model, envs, places))
     stream.about(about(log))
     stream.log("world", stream.rr.ViewCoordinates.RIGHT_HAND_Z_UP, None)
-    makers: list[Scene | _Numbers] = []
-    for column, env in enumerate(envs):
-        makers.append(Scene(stream, log, env, column, places[column]))
-        makers.append(_Numbers(stream, log, env, column))
+    for env, place in zip(envs, places, strict=True):
+        Scene(stream, log, env, place).send(part)
+    curves = [_Curves(stream, log, env, column) for column, env in enumerate(envs)]
     first = last = -1
-    for data in parts:
+    for data in log.parts(names, envs, part.episode, part.start, part.stop):
         first = int(data.steps[0]) if first < 0 else first
         last = int(data.steps[-1])
-        for maker in makers:
-            maker.add(data)
+        for of_env in curves:
+            of_env.add(data)
     for env in envs:
         _tell(stream, log, env, first, last)
     stream.save(path)
 
 
 def _offsets(log: Log) -> dict[int, NDArray[np.float64]]:
-    """Where environments stand in what viewers see: `/tf` says it in its first message."""
+    """Positions of the environments for viewers, from the first message of `/tf`."""
     for topic, _, payload in log.raw_messages():
         if topic == "/tf":
             message = FrameTransforms.FromString(bytes(payload))
@@ -76,21 +74,20 @@ def _offsets(log: Log) -> dict[int, NDArray[np.float64]]:
     return {}
 
 
-class _Numbers:
+class _Curves:
     """The curves of one environment."""
 
     def __init__(self, stream: Stream, log: Log, env_id: int, column: int) -> None:
         self._stream, self._column, self._root = stream, column, f"/env_{env_id}"
-        model = log.model
-        ids = [j for j in range(model.njnt) if int(model.jnt_type[j]) in _SCALAR]
-        names = [model.joint(j).name or f"joint_{j}" for j in ids]
+        joints = scalar_joints(log.model)
+        ids = np.array(list(joints.values()), np.int64)
         self._of: dict[str, tuple[str, Any]] = {
-            "qpos": ("joint_positions", np.array([model.jnt_qposadr[j] for j in ids], np.int64)),
-            "qvel": ("joint_velocities", np.array([model.jnt_dofadr[j] for j in ids], np.int64)),
+            "qpos": ("joint_positions", log.model.jnt_qposadr[ids]),
+            "qvel": ("joint_velocities", log.model.jnt_dofadr[ids]),
             "actions": ("actions", slice(None)),
         }
         for path in ("joint_positions", "joint_velocities"):
-            stream.name(f"{self._root}/{path}", names)
+            stream.name(f"{self._root}/{path}", list(joints))
         stream.name(f"{self._root}/actions", [c.name for c in log.columns.get("actions", [])])
         stream.name(f"{self._root}/reward", ["reward"])
 
@@ -151,3 +148,47 @@ def _drawn(event: Any, env: int) -> dict[str, NDArray[np.float64]]:
     """What an event drew for an environment."""
     row = env if event.env_ids is None else int(np.flatnonzero(event.env_ids == env)[0])
     return {name: values[row] for name, values in event.drawn.items()}
+
+
+def _layout(model: mujoco.MjModel, envs: Sequence[int], places: NDArray[np.float64]) -> Any:
+    """Return what a viewer shows at first: the scene, beside it joints, reward and what happened.
+
+    Args:
+        model: The scene's model.
+        envs: The environments that are shown; curves are those of the first.
+        places: (n, 3) where each stands, metres.
+
+    Raises:
+        ConfigError: If rerun is not installed.
+    """
+    rrb: Any = required("rerun.blueprint", "rrd")
+    center = np.array(model.stat.center, np.float64) + places.mean(axis=0)
+    size = float(model.stat.extent) + float(np.linalg.norm(np.ptp(places, axis=0)))
+    eye = center + size * _FROM / np.linalg.norm(_FROM)
+    first = f"/env_{envs[0]}"
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Spatial3DView(
+                origin="/world",
+                name="scene",
+                eye_controls=rrb.EyeControls3D(position=eye, look_target=center, eye_up=(0, 0, 1)),
+            ),
+            rrb.Vertical(
+                rrb.TimeSeriesView(
+                    origin=f"{first}/joint_positions", name="joint positions (rad, m)"
+                ),
+                rrb.TimeSeriesView(origin=f"{first}/reward", name="reward"),
+                rrb.Tabs(
+                    rrb.TextLogView(origin=f"{first}/log", name="log"),
+                    rrb.TimeSeriesView(origin=f"{first}/metrics", name="metrics"),
+                    rrb.TimeSeriesView(origin=f"{first}/episode", name="episodes"),
+                    rrb.TimeSeriesView(origin=f"{first}/actions", name="actions"),
+                ),
+                row_shares=[2, 1, 1],
+            ),
+            column_shares=[3, 2],
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline="sim_time"),
+    )

@@ -9,7 +9,7 @@ import numpy as np
 
 from embodichain.lab.sim.cfg import LightCfg
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.pose import initial_pose
+from embodichain.lab.sim.compiler.rigid_math import initial_pose
 from embodichain.lab.sim.shapes import VisualMaterialCfg
 from embodichain.utils.errors import ConfigError, Problem
 
