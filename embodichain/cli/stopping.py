@@ -8,6 +8,7 @@ picture, and whatever else is under way at once.
 from __future__ import annotations
 
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -30,8 +31,12 @@ def signals_raise() -> Iterator[None]:
 
     The same signals again are ignored meanwhile, but for Ctrl-C, which leaves at once. Where a
     `StopFlag` is up, that is what signals set.
+
+    Python ignores what is raised in a finalizer or a callback of a weak reference, where a signal
+    may arrive as anywhere else. The signal is then delivered again, shortly after.
     """
     came: list[str] = []
+    report = sys.unraisablehook
 
     def handle(number: int, frame: FrameType | None) -> None:
         name = signal.Signals(number).name
@@ -41,8 +46,20 @@ def signals_raise() -> Iterator[None]:
         if number == signal.SIGINT:
             raise KeyboardInterrupt(_TWICE)
 
-    with _handled_by(handle):
-        yield
+    def deliver_again(ignored: sys.UnraisableHookArgs) -> None:
+        if not isinstance(ignored.exc_value, Interrupted):
+            report(ignored)
+            return
+        number = signal.Signals[came.pop()]
+        main = threading.main_thread().ident
+        threading.Timer(0.01, signal.pthread_kill, [main, number]).start()
+
+    sys.unraisablehook = deliver_again
+    try:
+        with _handled_by(handle):
+            yield
+    finally:
+        sys.unraisablehook = report
 
 
 @contextmanager

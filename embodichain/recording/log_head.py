@@ -16,7 +16,7 @@ from embodichain.recording.header import Header, why_unverifiable
 from embodichain.recording.options import RecordLike
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.observers import ObservedEnv
 
 __all__ = ["LogHead", "RecordStats", "header_of"]
 
@@ -56,7 +56,7 @@ class LogHead:
 
 
 def header_of(
-    env: BaseEnv, options: RecordLike, columns: RowColumns, mjb: bytes, task: str, start_ns: int
+    env: ObservedEnv, options: RecordLike, columns: RowColumns, mjb: bytes, task: str, start_ns: int
 ) -> Header:
     """The metadata of a recording that begins.
 

@@ -38,7 +38,7 @@ from embodichain.recording.seen_together import VIEW
 from embodichain.recording.writer import LogWriter
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.observers import ObservedEnv
 
 __all__ = ["McapRecorder", "RecordStats"]
 
@@ -65,7 +65,7 @@ class McapRecorder(StepObserver):
     def __init__(
         self,
         path: str | Path,
-        env: BaseEnv,
+        env: ObservedEnv,
         config: str = "",
         overrides: str | Sequence[str] = (),
         options: RecordLike | None = None,
@@ -114,7 +114,7 @@ class McapRecorder(StepObserver):
 
     def _head(
         self,
-        env: BaseEnv,
+        env: ObservedEnv,
         options: RecordLike,
         config: str,
         overrides: str | Sequence[str],
@@ -177,7 +177,7 @@ class McapRecorder(StepObserver):
         """The process that writes the file."""
         return self._file.worker_pid
 
-    def on_write(self, env: BaseEnv, write: Write) -> None:
+    def on_write(self, env: ObservedEnv, write: Write) -> None:
         """Something outside physics was written to the simulation."""
         ids, values = write.env_ids, write.values
         if self._keeps_state and write.op != "forward" and (ids is None or len(ids)):
@@ -215,7 +215,7 @@ class McapRecorder(StepObserver):
             self._told = self._columns.width
             self._file.call("columns", self._columns.ranges)
 
-    def on_physics(self, env: BaseEnv, event: PhysicsEvent) -> None:
+    def on_physics(self, env: ObservedEnv, event: PhysicsEvent) -> None:
         """Physics is about to step, or has just stepped."""
         ids = event.env_ids
         before = event.phase == "before"
@@ -270,7 +270,7 @@ class McapRecorder(StepObserver):
         self._keyframe, self._keyframe_due = step, False
         return True
 
-    def on_event(self, env: BaseEnv, event: EventRecord) -> None:
+    def on_event(self, env: ObservedEnv, event: EventRecord) -> None:
         """A term of the event manager fired."""
         if not self._gate.open:
             self._gate.hold(event)
@@ -282,13 +282,13 @@ class McapRecorder(StepObserver):
         else:
             self._file.call("event", event.term, event.mode, ids, tuple(event.drawn), *drawn)
 
-    def on_reset(self, env: BaseEnv, env_ids: EnvIndex) -> None:
+    def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
         """Environments were reset."""
         if self._gate.open:
             self._views.on_reset(env_ids)
         self._go_on(env, self._gate.on_reset(env_ids))
 
-    def _go_on(self, env: BaseEnv, held: list[EventRecord] | None, skip: bool = False) -> None:
+    def _go_on(self, env: ObservedEnv, held: list[EventRecord] | None, skip: bool = False) -> None:
         """Between two steps: record again if the gate has just opened, from the state right now.
 
         Args:
@@ -305,7 +305,7 @@ class McapRecorder(StepObserver):
             self._keyframe_due = True
             self._views.show(self._view_envs)
 
-    def on_step(self, env: BaseEnv, step: StepRecord) -> None:
+    def on_step(self, env: ObservedEnv, step: StepRecord) -> None:
         """A control step ended."""
         ends = Ends.of(step, env.termination_manager.values)
         recorded = self._gate.open
@@ -329,7 +329,7 @@ class McapRecorder(StepObserver):
             self._roll()
         self._file.hand_over_when_due()
 
-    def on_close(self, env: BaseEnv) -> None:
+    def on_close(self, env: ObservedEnv) -> None:
         """The environment closes."""
         self.close()
 

@@ -12,7 +12,7 @@ from embodichain.lab.sim.engine.rows import as_slice
 from embodichain.recording.foxglove.view_spec import MarkerSpec
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.observers import ObservedEnv
 
 __all__ = ["Commands"]
 
@@ -25,7 +25,7 @@ class Commands:
         env_ids: (n,) environments that are viewed.
     """
 
-    def __init__(self, env: BaseEnv, env_ids: Sequence[int]) -> None:
+    def __init__(self, env: ObservedEnv, env_ids: Sequence[int]) -> None:
         self._which = as_slice(np.array(env_ids, np.int64))
         manager = getattr(env, "command_manager", None)  # environments of others may have none
         terms = {} if manager is None else dict(manager.terms)

@@ -16,7 +16,7 @@ from embodichain.recording.foxglove.places import places
 from embodichain.recording.foxglove.scalars import identifier
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.observers import ObservedEnv
 
 __all__ = ["foxglove_layout"]
 
@@ -35,7 +35,7 @@ _ABOVE_FLOOR = 0.002
 """Metres; a grid in the very plane of the floor flickers."""
 
 
-def foxglove_layout(env: BaseEnv, view_envs: Sequence[int]) -> dict[str, Any]:
+def foxglove_layout(env: ObservedEnv, view_envs: Sequence[int]) -> dict[str, Any]:
     """Return a layout with the scene, joint positions, the reward with its terms, and the log.
 
     Args:
@@ -131,7 +131,7 @@ def _short(names: Sequence[str]) -> dict[str, str]:
     return {name: tail if last.count(tail) == 1 else name for name, tail in pairs}
 
 
-def _rewards(env: BaseEnv, first: str) -> dict[str, str]:
+def _rewards(env: ObservedEnv, first: str) -> dict[str, str]:
     """Paths of the reward and of its terms, by label."""
     manager = getattr(env, "reward_manager", None)  # environments of others may have none
     terms = [] if manager is None else sorted(manager.terms)

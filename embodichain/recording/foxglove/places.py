@@ -11,14 +11,14 @@ import numpy as np
 from embodichain.lab.sim.engine.base import F64
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.observers import ObservedEnv
 
 __all__ = ["pitch_of", "places"]
 
 _EXTENTS = 2.5
 
 
-def pitch_of(env: BaseEnv) -> float:
+def pitch_of(env: ObservedEnv) -> float:
     """Metres between environments that are viewed: the scene's size, at most `arena_space`."""
     pitch = _EXTENTS * float(env.sim.engine.model.stat.extent)
     if env.num_envs > 1:
@@ -26,7 +26,7 @@ def pitch_of(env: BaseEnv) -> float:
     return pitch
 
 
-def places(env: BaseEnv, env_ids: Sequence[int]) -> F64:
+def places(env: ObservedEnv, env_ids: Sequence[int]) -> F64:
     """(n, 3) where each of these environments stands: a square of those that are viewed."""
     side = math.ceil(math.sqrt(len(env_ids)))
     index = np.arange(len(env_ids))

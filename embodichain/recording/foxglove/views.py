@@ -24,8 +24,7 @@ from embodichain.recording.options import RecordLike
 from embodichain.recording.shapes import LOOKS, PLANE_SIZE
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
-    from embodichain.lab.gym.envs.observers import EventRecord, StepRecord
+    from embodichain.lab.gym.envs.observers import EventRecord, ObservedEnv, StepRecord
 
 __all__ = ["SEEN", "Push", "Views"]
 
@@ -57,7 +56,7 @@ class Views:
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: ObservedEnv,
         options: RecordLike,
         push: Push,
         now: Callable[[], int],

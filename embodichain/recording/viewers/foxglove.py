@@ -23,7 +23,7 @@ from embodichain.recording.options import RecordOptions, check_options
 from embodichain.recording.viewers.foxglove_server import DEFAULT_PORT, FoxgloveServer
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.observers import ObservedEnv
 
 __all__ = ["FoxgloveView"]
 
@@ -57,7 +57,7 @@ class FoxgloveView(StepObserver):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: ObservedEnv,
         host: str = "127.0.0.1",
         port: int | None = None,
         env_id: int = 0,
@@ -101,22 +101,22 @@ class FoxgloveView(StepObserver):
     def _push(self, method: str, *args: object) -> None:
         self._thread.put((method, args))
 
-    def on_write(self, env: BaseEnv, write: Write) -> None:
+    def on_write(self, env: ObservedEnv, write: Write) -> None:
         """Remember which looks changed; what they are now is read when somebody looks."""
         if write.op == "model" and write.field.startswith(SEEN):
             self._unseen.add(write.field)
 
-    def on_event(self, env: BaseEnv, event: EventRecord) -> None:
+    def on_event(self, env: ObservedEnv, event: EventRecord) -> None:
         """Tell those who look that a term of the event manager fired."""
         if self._looking:
             self._views.on_event(event)
 
-    def on_reset(self, env: BaseEnv, env_ids: EnvIndex) -> None:
+    def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
         """Show viewed environments' scenes again."""
         if self._looking:
             self._views.on_reset(env_ids)
 
-    def on_step(self, env: BaseEnv, step: StepRecord) -> None:
+    def on_step(self, env: ObservedEnv, step: StepRecord) -> None:
         """Show the new state, if somebody looks and a picture is due; keep to the clock."""
         self._views.declare(step)
         self._step += 1
@@ -145,7 +145,7 @@ class FoxgloveView(StepObserver):
         shown = {int(match[1]) for match in found if match}
         self._views.show(shown or self._envs)
 
-    def on_close(self, env: BaseEnv) -> None:
+    def on_close(self, env: ObservedEnv) -> None:
         """Say goodbye to everybody who looks."""
         self._close()
 

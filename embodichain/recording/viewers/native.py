@@ -13,7 +13,7 @@ from embodichain.lab.sim.engine.base import EnvIndex
 from embodichain.lab.sim.viewer import NativeViewer
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.observers import ObservedEnv
 
 __all__ = ["NativeView"]
 
@@ -32,7 +32,7 @@ class NativeView(StepObserver):
     """
 
     def __init__(
-        self, env: BaseEnv, env_id: int = 0, fps: float = 30.0, realtime: bool = True
+        self, env: ObservedEnv, env_id: int = 0, fps: float = 30.0, realtime: bool = True
     ) -> None:
         self._window = NativeViewer(env.sim.engine, env_id)
         self._env_id = env_id
@@ -45,12 +45,12 @@ class NativeView(StepObserver):
         """Whether the user has the window open."""
         return self._window.is_running
 
-    def on_reset(self, env: BaseEnv, env_ids: EnvIndex) -> None:
+    def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
         """Show the new episode's first state."""
         if self._env_id in env_ids:
             self._window.sync()
 
-    def on_step(self, env: BaseEnv, step: StepRecord) -> None:
+    def on_step(self, env: ObservedEnv, step: StepRecord) -> None:
         """Show the new state, if a picture is due; wait for the clock."""
         if not self._window.is_running:
             return
@@ -63,6 +63,6 @@ class NativeView(StepObserver):
             time.sleep(ahead)
         self._stepped = time.monotonic()
 
-    def on_close(self, env: BaseEnv) -> None:
+    def on_close(self, env: ObservedEnv) -> None:
         """Close the window."""
         self._window.close()

@@ -17,7 +17,7 @@ from embodichain.recording.viewers.controls import Facts
 from embodichain.recording.viewers.web_page import LOOKS, WebPage
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.observers import ObservedEnv
 
 __all__ = ["WebView"]
 
@@ -46,7 +46,7 @@ class WebView(StepObserver):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: ObservedEnv,
         host: str = "127.0.0.1",
         port: int | None = None,
         *,
@@ -78,17 +78,17 @@ class WebView(StepObserver):
         """Whether somebody has the page open."""
         return self._page.watched
 
-    def on_write(self, env: BaseEnv, write: Write) -> None:
+    def on_write(self, env: ObservedEnv, write: Write) -> None:
         """Note what changes how the environment looks that is shown."""
         if write.op == "model" and write.field in LOOKS:
             self._restyled |= write.env_ids is None or self._env_id in write.env_ids
 
-    def on_reset(self, env: BaseEnv, env_ids: EnvIndex) -> None:
+    def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
         """Show the new episode's first state at once."""
         if self._page.watched and self._page.env_id in env_ids:
             self._show(env)
 
-    def on_step(self, env: BaseEnv, step: StepRecord) -> None:
+    def on_step(self, env: ObservedEnv, step: StepRecord) -> None:
         """Do what people ask for; show the new state, if a picture is due."""
         page = self._page
         if not page.watched:
@@ -105,11 +105,11 @@ class WebView(StepObserver):
             self._show(env, told)
         page.pace(env.step_dt, lambda: self._show(env))
 
-    def on_close(self, env: BaseEnv) -> None:
+    def on_close(self, env: ObservedEnv) -> None:
         """Close the page."""
         self._page.close()
 
-    def _show(self, env: BaseEnv, told: bool = True) -> None:
+    def _show(self, env: ObservedEnv, told: bool = True) -> None:
         """Send the current state of the environment that people want to see."""
         chosen = self._page.env_id
         if chosen != self._env_id or self._restyled:
@@ -117,7 +117,7 @@ class WebView(StepObserver):
             self._page.show_model(env.sim.engine.model_of(chosen))
         self._page.show(env.sim.engine.rows[chosen], self._facts(env, chosen) if told else None)
 
-    def _facts(self, env: BaseEnv, i: int) -> Facts | None:
+    def _facts(self, env: ObservedEnv, i: int) -> Facts | None:
         """What is to be read beside the picture."""
         step = self._step
         if step is None:

@@ -9,7 +9,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from embodichain.lab.gym.envs.managers.command_manager import CommandMarker, CommandTerm
+from embodichain.lab.gym.envs.managers.term import CommandMarker, CommandTerm
 from embodichain.recording import McapRecorder, inspect
 from embodichain.recording.foxglove.markers import ABOVE, AXIS_LENGTH, METRES_PER_SPEED
 from embodichain.recording.options import RecordOptions

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from embodichain.lab.gym.envs.managers.command_manager import CommandMarker, CommandTerm
+from embodichain.lab.gym.envs.managers.term import CommandMarker, CommandTerm
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver
 from embodichain.recording.attachments import load_mjb, model_bytes
 from embodichain.recording.foxglove.view_encoder import PUSHED, ViewEncoder

@@ -158,13 +158,13 @@ class EnvAssembly(EnvBasics):
     def _build_managers(self) -> None:
         cfg, env = self.cfg, self
         # Commands first: other terms look them up when they are built.
-        self.command_manager = CommandManager(env, cfg.commands)  # type: ignore[arg-type]
-        self.observation_manager = ObservationManager(env, cfg.observations)  # type: ignore[arg-type]
-        self.event_manager = EventManager(env, cfg.events)  # type: ignore[arg-type]
-        self.action_manager = ActionManager(env, cfg.actions)  # type: ignore[arg-type]
-        self.reward_manager = RewardManager(env, cfg.rewards)  # type: ignore[arg-type]
-        self.termination_manager = TerminationManager(env, cfg.terminations)  # type: ignore[arg-type]
-        self.metric_manager = MetricManager(env, cfg.metrics)  # type: ignore[arg-type]
+        self.command_manager = CommandManager(env, cfg.commands)
+        self.observation_manager = ObservationManager(env, cfg.observations)
+        self.event_manager = EventManager(env, cfg.events)
+        self.action_manager = ActionManager(env, cfg.actions)
+        self.reward_manager = RewardManager(env, cfg.rewards)
+        self.termination_manager = TerminationManager(env, cfg.terminations)
+        self.metric_manager = MetricManager(env, cfg.metrics)
         self.managers = {
             "commands": self.command_manager,
             "observations": self.observation_manager,
@@ -175,7 +175,7 @@ class EnvAssembly(EnvBasics):
             "metrics": self.metric_manager,
         }
         # It changes what the others do, so it is built with them at hand.
-        self.curriculum_manager = CurriculumManager(env, cfg.curriculum)  # type: ignore[arg-type]
+        self.curriculum_manager = CurriculumManager(env, cfg.curriculum)
         self.managers["curriculum"] = self.curriculum_manager
         self._has_curriculum = len(self.curriculum_manager) > 0
         self._resetting = [manager for manager in self.managers.values() if len(manager)]

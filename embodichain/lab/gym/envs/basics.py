@@ -165,6 +165,18 @@ class EnvBasics(EnvHooks, gym.Env[EnvObs, EnvAction]):
         """EmbodiChain's name of `elapsed_steps`, which its task classes read."""
         return self.elapsed_steps
 
+    _cut: NDArray[np.bool_] | None = None
+
+    def truncate(self, env_ids: EnvIndex) -> None:
+        """Let environments' episodes end with the next step, as truncated: as time-outs do.
+
+        Args:
+            env_ids: (n,) which of the N.
+        """
+        if self._cut is None:
+            self._cut = np.zeros(self.cfg.num_envs, np.bool_)
+        self._cut[env_ids] = True
+
     # -- random numbers ------------------------------------------------------------------------
 
     @property

@@ -29,7 +29,6 @@ Info = dict[str, Any]
 class EnvOutcome(EnvAssembly):
     """Observes and judges; changes nothing of the simulation."""
 
-    _cut: Mask | None = None
     _proprioception: Known | None = None
 
     # -- observation ---------------------------------------------------------------------------
@@ -145,7 +144,7 @@ class EnvOutcome(EnvAssembly):
         """Refuse terms of the wrong shape, unless they may rely on a subclass's own ``info``."""
         own = type(self)
         if not self._judges and own.get_info is EnvOutcome.get_info:
-            check_shapes(self, obs)  # type: ignore[arg-type]
+            check_shapes(self, obs)
 
     # -- reward --------------------------------------------------------------------------------
 
@@ -213,16 +212,6 @@ class EnvOutcome(EnvAssembly):
         return info
 
     # -- the end of episodes -------------------------------------------------------------------
-
-    def truncate(self, env_ids: EnvIndex) -> None:
-        """Let environments' episodes end with the next step, as truncated: as time-outs do.
-
-        Args:
-            env_ids: (n,) which of the N.
-        """
-        if self._cut is None:
-            self._cut = np.zeros(self.cfg.num_envs, np.bool_)
-        self._cut[env_ids] = True
 
     def _ends(self, obs: EnvObs, info: Info, flags: Flags) -> tuple[Mask, Mask]:
         """(N,) terminated and truncated."""

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from embodichain.lab.gym.envs.cfg import CommandCfg, ObservationCfg, RewardCfg
-from embodichain.lab.gym.envs.managers.command_manager import CommandTerm
+from embodichain.lab.gym.envs.managers.term import CommandTerm
 from embodichain.lab.gym.envs.observers import StepObserver
 from embodichain.utils.errors import ConfigError
 from tests.helpers.ur10_task import HOME

@@ -5,9 +5,9 @@ import lazy_loader
 __getattr__, __dir__, __all__ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "action_manager": ["ActionManager", "ActionTerm"],
+        "action_manager": ["ActionManager"],
         "check": ["check_terms"],
-        "command_manager": ["CommandManager", "CommandTerm"],
+        "command_manager": ["CommandManager"],
         "curriculum_manager": ["CurriculumManager"],
         "dry_run": ["check_shapes"],
         "event_manager": ["EventManager"],
@@ -16,7 +16,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "registry": ["TERMS", "TermSpec", "register_term", "resolve_term"],
         "reward_manager": ["RewardManager"],
         "scene_entity": ["ResolvedEntity", "resolve_entity"],
-        "base": ["Term"],
+        "term": ["ActionTerm", "CommandTerm", "Term"],
         "termination_manager": ["TerminationManager"],
     },
 )

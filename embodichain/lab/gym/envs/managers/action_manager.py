@@ -1,7 +1,6 @@
-"""`ActionManager` and the base of its terms: an action is cut into slices, one a term.
+"""`ActionManager`: each action term receives its slice of the action.
 
-The terms themselves are in `envs/mdp/actions`; what delays and disturbs a slice on its way is in
-`action_pipeline.py`.
+Terms are in `envs/mdp/actions`, delay and noise in `action_pipeline.py`.
 """
 
 from __future__ import annotations
@@ -14,51 +13,16 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import ActionTermCfg
 from embodichain.lab.gym.envs.managers.action_pipeline import ActionPipeline
-from embodichain.lab.gym.envs.managers.base import BuiltTerm, Manager, Term
+from embodichain.lab.gym.envs.managers.base import BuiltTerm, Manager
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
 
-__all__ = ["ActionManager", "ActionTerm"]
-
-
-class ActionTerm(Term):
-    """Base of action terms; subclasses take ``(env, **params)``.
-
-    Attributes:
-        low: (A,) float32 lower bounds of its slice, finite.
-        high: (A,) float32 upper bounds, finite.
-        names: What each column moves, for tables and logs.
-    """
-
-    low: NDArray[np.float32]
-    high: NDArray[np.float32]
-    names: tuple[str, ...] = ()
-
-    @property
-    def action_dim(self) -> int:
-        """Width A of its slice."""
-        return len(self.low)
-
-    def apply(self, action: torch.Tensor) -> None:
-        """Act on the scene; called once a control step, before physics.
-
-        Args:
-            action: (N, A) float32, finite.
-        """
-        raise NotImplementedError
-
-    def home(self) -> NDArray[np.float64]:
-        """(A,) the action that goes to the initial state; policies explore around it."""
-        return np.clip(np.zeros(len(self.low)), self.low, self.high)
-
-    def hold(self) -> NDArray[np.float64]:
-        """(N, A) or (A,) the action that changes nothing now."""
-        return self.home()
+__all__ = ["ActionManager"]
 
 
 class ActionManager(Manager[ActionTermCfg]):
@@ -78,7 +42,7 @@ class ActionManager(Manager[ActionTermCfg]):
         ConfigError: If a term is wrong, or its bounds are not finite and ordered.
     """
 
-    def __init__(self, env: BaseEnv, cfgs: Mapping[str, ActionTermCfg]) -> None:
+    def __init__(self, env: TermContext, cfgs: Mapping[str, ActionTermCfg]) -> None:
         self.slices: dict[str, slice] = {}
         self._pipelines: dict[str, ActionPipeline] = {}
         super().__init__(env, "actions", "action", cfgs)

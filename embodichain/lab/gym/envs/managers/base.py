@@ -1,8 +1,4 @@
-"""What all managers share: building declared terms once, resetting and saving the stateful ones.
-
-`Term` is the optional base of terms that are classes. How a kind of term is run stands in its own
-manager's file.
-"""
+"""`Manager`: builds the declared terms of one section once, resets and saves those with state."""
 
 from __future__ import annotations
 
@@ -22,35 +18,12 @@ from embodichain.utils.errors import ConfigError, Problem
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
 
-__all__ = ["BuiltTerm", "Manager", "Term", "checked_rows"]
+__all__ = ["BuiltTerm", "Manager", "checked_rows"]
 
 C = TypeVar("C", bound=TermCfg)
-
-
-class Term:
-    """Base of terms that keep something between calls.
-
-    A term class takes ``(env, **params)`` and is called with what its manager passes to functions
-    of that kind, without the parameters. Subclassing this is optional: any class with `__call__`
-    will do, and its `reset`, `state_dict` and `load_state_dict` are used where it has them.
-    """
-
-    def reset(self, env_ids: EnvIndex | None) -> None:
-        """Forget what belongs to the episode of these environments.
-
-        Args:
-            env_ids: (n,) sorted unique int64, or None for all.
-        """
-
-    def state_dict(self) -> dict[str, Any]:
-        """Everything that must be restored to continue to the bit (copies)."""
-        return {}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue where `state_dict` was taken."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +59,7 @@ class Manager(Generic[C]):
             wrong; holds the mistakes of all terms.
     """
 
-    def __init__(self, env: BaseEnv, section: str, kind: Kind, cfgs: Mapping[str, C]) -> None:
+    def __init__(self, env: TermContext, section: str, kind: Kind, cfgs: Mapping[str, C]) -> None:
         self.env = env
         self.num_envs = env.num_envs
         self.section = section
@@ -162,7 +135,7 @@ class Manager(Generic[C]):
             term.load_state_dict(state["terms"][name])
 
 
-def _build(env: BaseEnv, kind: Kind, name: str, cfg: C, path: str) -> BuiltTerm[C]:
+def _build(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> BuiltTerm[C]:
     spec, values, problems = check_term(kind, cfg, path)
     if spec is None or problems:
         raise ConfigError(problems)
@@ -194,7 +167,7 @@ def _under(path: str) -> Iterator[None]:
         ) from error
 
 
-def _resolved(env: BaseEnv, value: Any, path: str) -> Any:
+def _resolved(env: TermContext, value: Any, path: str) -> Any:
     """Replace references to entities, also within lists and maps, by what they mean."""
     if isinstance(value, SceneEntityCfg):
         return resolve_entity(env.sim, value, path)

@@ -19,6 +19,7 @@ from embodichain.lab.gym.envs.cfg import EnvCfg, SceneEntityCfg, TermCfg
 from embodichain.lab.gym.envs.managers.check_fields import check_corruption, check_fields
 from embodichain.lab.gym.envs.managers.param_types import FORMS
 from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec, resolve_term
+from embodichain.lab.gym.envs.managers.term import ActionTerm, CommandTerm
 from embodichain.lab.sim.sensors.cfg import readings
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
@@ -127,13 +128,9 @@ def check_term(
 
 def _check_class(path: str, spec: TermSpec) -> list[Problem]:
     if spec.kind == "action":
-        from embodichain.lab.gym.envs.managers.action_manager import ActionTerm
-
         if not (isinstance(spec.func, type) and issubclass(spec.func, ActionTerm)):
             return [Problem(path, f"{spec.label} must be a subclass of ActionTerm")]
     elif spec.kind == "command":
-        from embodichain.lab.gym.envs.managers.command_manager import CommandTerm
-
         if not (isinstance(spec.func, type) and issubclass(spec.func, CommandTerm)):
             return [Problem(path, f"{spec.label} must be a subclass of CommandTerm")]
     elif spec.is_class and "__call__" not in dir(spec.func):

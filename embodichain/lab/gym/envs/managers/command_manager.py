@@ -1,89 +1,32 @@
-"""`CommandManager` and the base of its terms: goals that are no places in the scene.
+"""`CommandManager`: goals that are no entities of the scene, drawn for each episode.
 
-The terms themselves are in `envs/mdp/commands`. A goal that is a place is an entity, moved by an
-event.
+Terms are in `envs/mdp/commands`. A goal that is a place is an entity, moved by an event.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import CommandCfg
-from embodichain.lab.gym.envs.managers.base import BuiltTerm, Manager, Term
+from embodichain.lab.gym.envs.managers.base import BuiltTerm, Manager
+from embodichain.lab.gym.envs.managers.term import CommandTerm
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 else:
     torch = lazy_loader.load("torch")
 
-__all__ = ["CommandManager", "CommandMarker", "CommandTerm"]
-
-
-@dataclass(frozen=True, slots=True)
-class CommandMarker:
-    """How viewers draw a command.
-
-    Attributes:
-        kind: What the columns are. ``pose``: x, y, z, qw, qx, qy, qz in the frame of the body.
-            ``velocity``: forward, to the left (m/s) and counter-clockwise (rad/s), in its heading.
-        body: Id of the body.
-    """
-
-    kind: Literal["pose", "velocity"]
-    body: int
-
-
-class CommandTerm(Term):
-    """Base of commands; subclasses take ``(env, **params)`` and set `names` and `values`.
-
-    Attributes:
-        names: What each column is, for tables and logs.
-        values: (N, K) float64, the commands in force. Terms read it live: write into it, never
-            replace it.
-        marker: How viewers draw it, if they can.
-    """
-
-    names: tuple[str, ...] = ()
-    values: F64
-    marker: CommandMarker | None = None
-
-    def resample(self, env_ids: EnvIndex | None) -> None:
-        """Draw new commands, by `CommandManager.draw`; touch no other environment.
-
-        Args:
-            env_ids: (n,) sorted unique int64, or None for all.
-        """
-        raise NotImplementedError
-
-    def update(self, env_ids: EnvIndex | None) -> None:
-        """Adjust commands to the state, after every step and every draw. The default does nothing.
-
-        Args:
-            env_ids: (n,) environments that stepped or drew, or None for all.
-        """
-
-    def metrics(self) -> Mapping[str, F64]:
-        """How well the commands are followed now: name -> (N,). The default is nothing."""
-        return {}
-
-    def state_dict(self) -> dict[str, Any]:
-        """The commands in force (copies); terms that keep more add it."""
-        return {"values": self.values.copy()}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue where `state_dict` was taken."""
-        self.values[:] = state["values"]
+__all__ = ["CommandManager"]
 
 
 class CommandManager(Manager[CommandCfg]):
@@ -101,7 +44,7 @@ class CommandManager(Manager[CommandCfg]):
         ConfigError: If a term is wrong, or has no values (N, K).
     """
 
-    def __init__(self, env: BaseEnv, cfgs: Mapping[str, CommandCfg]) -> None:
+    def __init__(self, env: TermContext, cfgs: Mapping[str, CommandCfg]) -> None:
         self._stream = ""
         self._drawn: dict[str, NDArray[Any]] = {}
         self._given: Mapping[str, NDArray[Any]] = {}

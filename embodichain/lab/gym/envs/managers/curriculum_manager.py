@@ -12,7 +12,7 @@ from embodichain.lab.gym.envs.cfg import CurriculumCfg
 from embodichain.lab.gym.envs.managers.base import Manager
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
 
 __all__ = ["CurriculumManager"]
@@ -32,7 +32,7 @@ class CurriculumManager(Manager[CurriculumCfg]):
         values: What the terms returned last: ``TERM``, or ``TERM/NAME``.
     """
 
-    def __init__(self, env: BaseEnv, cfgs: Mapping[str, CurriculumCfg]) -> None:
+    def __init__(self, env: TermContext, cfgs: Mapping[str, CurriculumCfg]) -> None:
         super().__init__(env, "curriculum", "curriculum", cfgs)
         self.values: dict[str, float] = {}
 

@@ -5,18 +5,33 @@ A term of the wrong shape is so refused before anyone waits for the first step.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import torch
 
+from embodichain.lab.gym.envs.context import TermContext
+
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.managers.metric_manager import MetricManager
+    from embodichain.lab.gym.envs.managers.reward_manager import RewardManager
+    from embodichain.lab.gym.envs.managers.termination_manager import TerminationManager
     from embodichain.lab.sim.types import EnvObs
 
 __all__ = ["check_shapes"]
 
 
-def check_shapes(env: BaseEnv, obs: EnvObs) -> None:
+class _JudgedEnv(TermContext, Protocol):
+    @property
+    def termination_manager(self) -> TerminationManager: ...
+
+    @property
+    def metric_manager(self) -> MetricManager: ...
+
+    @property
+    def reward_manager(self) -> RewardManager: ...
+
+
+def check_shapes(env: _JudgedEnv, obs: EnvObs) -> None:
     """Call every termination, metric and reward once, and take back what that changed.
 
     Random streams are put back and terms are reset, so that nothing of it shows later. For
@@ -30,7 +45,7 @@ def check_shapes(env: BaseEnv, obs: EnvObs) -> None:
     Raises:
         ValueError: If a term's value has another shape than (N,); names the term.
     """
-    managers = (env.termination_manager, env.metric_manager, env.reward_manager)
+    managers = env.termination_manager, env.metric_manager, env.reward_manager
     if not any(len(manager) for manager in managers):
         return
     count = env.num_envs

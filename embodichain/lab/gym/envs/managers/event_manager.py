@@ -15,7 +15,7 @@ from embodichain.lab.gym.envs.cfg import EventCfg
 from embodichain.lab.gym.envs.managers.base import BuiltTerm, Manager
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["EventManager"]
@@ -37,7 +37,7 @@ class EventManager(Manager[EventCfg]):
         cfgs: Name -> event.
     """
 
-    def __init__(self, env: BaseEnv, cfgs: Mapping[str, EventCfg]) -> None:
+    def __init__(self, env: TermContext, cfgs: Mapping[str, EventCfg]) -> None:
         self._intervals: list[_Interval] = []
         super().__init__(env, "events", "event", cfgs)
         self._intervals = [_Interval(env, t) for t in self._by_mode["interval"]]
@@ -203,7 +203,7 @@ class EventManager(Manager[EventCfg]):
 class _Interval:
     """Control steps until an event fires: (N,), or (1,) for a global one; 0 is not drawn yet."""
 
-    def __init__(self, env: BaseEnv, term: BuiltTerm[EventCfg]) -> None:
+    def __init__(self, env: TermContext, term: BuiltTerm[EventCfg]) -> None:
         self.term = term
         self.env = env
         cfg = term.cfg

@@ -16,7 +16,7 @@ from embodichain.lab.gym.envs.managers.base import Manager, checked_rows
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
 else:
     torch = lazy_loader.load("torch")
@@ -54,7 +54,7 @@ class MetricManager(Manager[MetricCfg]):
         cfgs: Name -> metric.
     """
 
-    def __init__(self, env: BaseEnv, cfgs: Mapping[str, MetricCfg]) -> None:
+    def __init__(self, env: TermContext, cfgs: Mapping[str, MetricCfg]) -> None:
         super().__init__(env, "metrics", "metric", cfgs)
         self._kept: dict[str, torch.Tensor] = {}
         self._count: torch.Tensor | None = None

@@ -21,7 +21,7 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
     from embodichain.lab.sim.types import EnvObs
 else:
@@ -45,7 +45,7 @@ class ObservationEntry:
         remembers: Whether it keeps anything between steps.
     """
 
-    def __init__(self, env: BaseEnv, term: BuiltTerm[ObservationCfg], corrupted: bool) -> None:
+    def __init__(self, env: TermContext, term: BuiltTerm[ObservationCfg], corrupted: bool) -> None:
         cfg = term.cfg
         self.term = term
         self.path = tuple((cfg.name or term.name).split("/"))

@@ -22,7 +22,7 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
     from embodichain.lab.sim.types import EnvObs
 else:
@@ -49,7 +49,7 @@ class ObservationManager(Manager[ObservationCfg]):
         stepped: (n,) environments that the next `compute` is for, or None for all.
     """
 
-    def __init__(self, env: BaseEnv, cfgs: Mapping[str, ObservationCfg]) -> None:
+    def __init__(self, env: TermContext, cfgs: Mapping[str, ObservationCfg]) -> None:
         self._entries: list[ObservationEntry] = []
         super().__init__(env, "observations", "observation", cfgs)
         corrupted = env.cfg.enable_corruption

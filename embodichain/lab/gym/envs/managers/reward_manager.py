@@ -20,7 +20,7 @@ from embodichain.lab.gym.envs.managers.term_rows import TermRows
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
 else:
     torch = lazy_loader.load("torch")
@@ -39,7 +39,7 @@ class RewardManager(Manager[RewardCfg]):
         weights: Name -> weight in force; another object when one has changed.
     """
 
-    def __init__(self, env: BaseEnv, cfgs: Mapping[str, RewardCfg]) -> None:
+    def __init__(self, env: TermContext, cfgs: Mapping[str, RewardCfg]) -> None:
         weights = {name: float(cfg.weight) for name, cfg in cfgs.items()}
         self.weights: Mapping[str, float] = MappingProxyType(weights)
         super().__init__(env, "rewards", "reward", cfgs)

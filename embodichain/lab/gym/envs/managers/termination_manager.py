@@ -17,7 +17,7 @@ from embodichain.lab.gym.envs.managers.base import Manager, checked_rows
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
 else:
     torch = lazy_loader.load("torch")
 
@@ -37,7 +37,7 @@ class TerminationManager(Manager[TerminationCfg]):
         values: Name -> (N,) bool of the last step: which term ended what.
     """
 
-    def __init__(self, env: BaseEnv, cfgs: Mapping[str, TerminationCfg]) -> None:
+    def __init__(self, env: TermContext, cfgs: Mapping[str, TerminationCfg]) -> None:
         super().__init__(env, "terminations", "termination", cfgs)
         self.values: Masks = {}
         self._checked = False

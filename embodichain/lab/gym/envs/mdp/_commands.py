@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = ["columns"]
 
 
-def columns(env: BaseEnv, name: str, least: int, key: str = "command_name") -> Callable[[], F64]:
+def columns(
+    env: TermContext, name: str, least: int, key: str = "command_name"
+) -> Callable[[], F64]:
     """Return what reads a command: (N, K) float64, a live view.
 
     Args:

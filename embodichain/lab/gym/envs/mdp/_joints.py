@@ -18,7 +18,7 @@ from embodichain.utils.errors import ConfigError, Problem
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = ["UNLIMITED", "Joints", "as_parameters", "pick_joints", "wrapped"]
@@ -124,7 +124,7 @@ class Joints:
 
 
 def pick_joints(
-    env: BaseEnv,
+    env: TermContext,
     entity_cfg: ResolvedEntity | None,
     robot_uid: str | None,
     joint_ids: Sequence[int] | None,

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.base import Term
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp import _spatial
 
 if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["Judge", "Recalling", "action_rows", "any_column", "mean", "total"]
@@ -30,7 +30,9 @@ class Judge(Term):
         """(N,) float64 or bool of the current state."""
         raise NotImplementedError
 
-    def __call__(self, env: BaseEnv, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
+    def __call__(
+        self, env: TermContext, obs: Any, action: Any, info: dict[str, Any]
+    ) -> torch.Tensor:
         """(N,) float32 or bool."""
         return _spatial.tensor(self.value())
 

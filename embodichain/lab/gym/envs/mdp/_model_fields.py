@@ -23,7 +23,7 @@ from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = [
@@ -159,7 +159,7 @@ class Draw:
         self._bounds = [np.concatenate([q.factors[i] for q in quantities]) for i in (0, 1)]
         self._low, self._high = (constant(np.log(bound)) for bound in self._bounds)
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> list[F64]:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> list[F64]:
         """Values (n, m) of every quantity; do not write into them."""
         manager = env.event_manager
         drawn = manager.draw_columns(self._columns, self._low, self._high, env_ids, self._normal)

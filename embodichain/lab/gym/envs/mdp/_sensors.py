@@ -16,8 +16,8 @@ from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.envs.cfg import EnvCfg
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
     from embodichain.lab.sim.sensors.contact import ContactSensor
     from embodichain.lab.sim.sensors.force_torque import ForceTorqueSensor
@@ -70,7 +70,7 @@ class ReadsForceTorque(_Reads):
     sensor_type = "force_torque"
 
 
-def contact(env: BaseEnv, name: str) -> ContactSensor:
+def contact(env: TermContext, name: str) -> ContactSensor:
     """Return a contact sensor by name, for terms that are built with one.
 
     Raises:
@@ -80,19 +80,19 @@ def contact(env: BaseEnv, name: str) -> ContactSensor:
     return found
 
 
-def imu(env: BaseEnv, name: str) -> ImuSensor:
+def imu(env: TermContext, name: str) -> ImuSensor:
     """Return an inertial measurement unit by name; see `contact`."""
     found: ImuSensor = _find(env, name, "imu", "read_acceleration")
     return found
 
 
-def force_torque(env: BaseEnv, name: str) -> ForceTorqueSensor:
+def force_torque(env: TermContext, name: str) -> ForceTorqueSensor:
     """Return a force-torque sensor by name; see `contact`."""
     found: ForceTorqueSensor = _find(env, name, "force_torque", "read_torque")
     return found
 
 
-def _find(env: BaseEnv, name: str, kind: str, method: str) -> Any:
+def _find(env: TermContext, name: str, kind: str, method: str) -> Any:
     """A sensor that has what its kind reads by: subclasses of `BaseEnv` may bring their own."""
     there = [uid for uid, sensor in env.sensors.items() if hasattr(sensor, method)]
     if name in there:

@@ -8,16 +8,17 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
 
 __all__ = ["stored"]
 
 T = TypeVar("T")
+_PACKAGES = ("embodichain.lab.", "gymnasium.", "builtins")
 _SHARED = ("affordance_datas",)
 """Attributes of the environment that are made for terms to write into."""
 
 
-def stored(env: BaseEnv, name: str, first: Callable[[], T], path: str) -> T:
+def stored(env: TermContext, name: str, first: Callable[[], T], path: str) -> T:
     """The value kept as ``env.<name>``; made by `first` where there is none.
 
     Args:
@@ -30,7 +31,7 @@ def stored(env: BaseEnv, name: str, first: Callable[[], T], path: str) -> T:
     Raises:
         ConfigError: If the name is no identifier, or belongs to the environment.
     """
-    if not name.isidentifier() or name.startswith("_") or _is_environments(name):
+    if not name.isidentifier() or name.startswith("_") or _is_environments(env, name):
         message = f"{name!r} is no name, or taken by the environment"
         raise ConfigError([Problem(path, message)])
     if not hasattr(env, name):
@@ -44,11 +45,9 @@ def stored(env: BaseEnv, name: str, first: Callable[[], T], path: str) -> T:
     return value
 
 
-def _is_environments(name: str) -> bool:
-    """Whether an attribute is `BaseEnv`'s own."""
-    from embodichain.lab.gym.envs.base_env import BaseEnv
-
+def _is_environments(env: TermContext, name: str) -> bool:
+    """Whether an attribute is the environment's own, and not one of a user's class."""
+    own = [base for base in type(env).__mro__ if base.__module__.startswith(_PACKAGES)]
     return name not in _SHARED and any(
-        name in vars(base) or name in vars(base).get("__annotations__", {})
-        for base in BaseEnv.__mro__
+        name in vars(base) or name in vars(base).get("__annotations__", {}) for base in own
     )

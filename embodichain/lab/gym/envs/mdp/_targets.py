@@ -12,14 +12,14 @@ from embodichain.lab.gym.envs.mdp._kinematics import tool_links
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = ["distance_to", "target_position", "tool_of"]
 
 
-def target_position(env: BaseEnv, key: str) -> F64:
+def target_position(env: TermContext, key: str) -> F64:
     """(N, 3) metres: positions, or those of poses (N, 4, 4), that are kept as ``env.<key>``.
 
     The world's origin before the first reset, when nothing can have written the poses.
@@ -54,7 +54,7 @@ def distance_to(position: F64, target: F64, use_xy_only: bool) -> F64:
 
 
 def tool_of(
-    env: BaseEnv, end_effector_cfg: ResolvedEntity | None, part_name: str | None
+    env: TermContext, end_effector_cfg: ResolvedEntity | None, part_name: str | None
 ) -> ResolvedEntity:
     """The link that acts: the one given, else a part's tool point, else its farthest link.
 

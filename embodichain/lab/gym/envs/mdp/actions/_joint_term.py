@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.action_manager import ActionTerm
+from embodichain.lab.gym.envs.managers.term import ActionTerm
 from embodichain.lab.gym.envs.mdp.actions._affine import Affine
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.sim.engine.base import F64
 
@@ -39,7 +39,7 @@ class JointTerm(ActionTerm):
     sets_position: ClassVar[bool] = True
     """Whether it needs drives that take position targets."""
 
-    def __init__(self, env: BaseEnv, entity: ResolvedEntity, driven: bool = True) -> None:
+    def __init__(self, env: TermContext, entity: ResolvedEntity, driven: bool = True) -> None:
         self._period = env.step_dt
         asset = entity.asset
         if not hasattr(asset, "parsed"):
@@ -98,7 +98,7 @@ class AffineJointTerm(JointTerm):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity: ResolvedEntity,
         scale: Any,
         offset: Any,

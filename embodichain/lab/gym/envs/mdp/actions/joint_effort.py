@@ -15,7 +15,7 @@ from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = ["JointEffort"]
@@ -46,7 +46,7 @@ class JointEffort(AffineJointTerm):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         scale: PerJoint = 1.0,
         offset: PerJoint = 0.0,

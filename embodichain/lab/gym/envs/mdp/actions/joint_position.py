@@ -21,7 +21,7 @@ from embodichain.utils.errors import ConfigError, Problem
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = [
@@ -69,7 +69,7 @@ class JointPosition(_Targets):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         scale: PerJoint = 1.0,
         offset: PerJoint = 0.0,
@@ -98,7 +98,7 @@ class DefaultOffsetJointPosition(_Targets):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         scale: PerJoint = 1.0,
         clip: JointClip = (-1.0, 1.0),  # type: ignore[assignment]
@@ -133,7 +133,7 @@ class RelativeJointPosition(AffineJointTerm):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         scale: PerJoint = 1.0,
         clip: JointClip = (-1.0, 1.0),  # type: ignore[assignment]
@@ -175,7 +175,7 @@ class JointPositionToLimits(AffineJointTerm):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         scale: PerJoint = 1.0,
         range: Range = (-1.0, 1.0),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = ["JointVelocity"]
@@ -52,7 +52,7 @@ class JointVelocity(AffineJointTerm):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         scale: PerJoint = 1.0,
         offset: PerJoint = 0.0,

@@ -7,16 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.command_manager import CommandMarker, CommandTerm
 from embodichain.lab.gym.envs.managers.param_types import Box3
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import CommandMarker, CommandTerm
 from embodichain.lab.gym.envs.mdp import _body, _spatial
 from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.utils.math import euler_xyz_to_quat, quat_multiply, quat_rotate
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["UniformPoseCommand"]
@@ -44,7 +44,7 @@ class UniformPoseCommand(CommandTerm):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         position_range: Box3,
         euler_range: Box3 | None = None,

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.command_manager import CommandMarker, CommandTerm
 from embodichain.lab.gym.envs.managers.param_types import NonNegative, Range, UnitInterval
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import CommandMarker, CommandTerm
 from embodichain.lab.gym.envs.mdp import _body, _spatial
 from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.utils.configclass import configclass
@@ -18,7 +18,7 @@ from embodichain.utils.configclass import configclass
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["UniformVelocityCommand", "VelocityRanges"]
@@ -62,7 +62,7 @@ class UniformVelocityCommand(CommandTerm):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         ranges: VelocityRanges,
         heading_control_stiffness: NonNegative = 1.0,

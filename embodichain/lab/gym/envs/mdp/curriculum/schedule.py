@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field
 
 from embodichain.lab.gym.envs.cfg import EnvCfg
-from embodichain.lab.gym.envs.managers.base import Manager, Term
 from embodichain.lab.gym.envs.managers.check import SECTIONS, check_params
 from embodichain.lab.gym.envs.managers.param_types import Finite
 from embodichain.lab.gym.envs.managers.registry import register_term, resolve_term
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._schedule import between, get_at, progress, with_value
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
 
 __all__ = ["ModifyRewardWeight", "ModifyTermParam"]
@@ -46,7 +46,7 @@ class ModifyRewardWeight(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         term_name: str,
         weight: Finite,
         num_steps: Steps,
@@ -62,7 +62,7 @@ class ModifyRewardWeight(Term):
         """Mistakes that only the whole task shows."""
         return _check_name("rewards", task, params) + _check_times(params)
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> float:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> float:
         """Set the weight that is due."""
         share = progress(env.control_step, *self._when)
         if share > 0.0:
@@ -92,7 +92,7 @@ class ModifyTermParam(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         section: Section,
         term_name: str,
         param: str,
@@ -101,7 +101,7 @@ class ModifyTermParam(Term):
         interpolate: bool = False,
         start_step: Steps = 0,
     ) -> None:
-        self._manager: Manager[Any] = env.managers[section]
+        self._manager = env.managers[section]
         self._name, self._value = term_name, value
         self._path = param.split(".")
         self._when = start_step, num_steps, interpolate
@@ -138,7 +138,7 @@ class ModifyTermParam(Term):
         problems = [Problem("value", f"{p.path[1:]}: {p.message}", p.hint) for p in wrong]
         return problems + _check_times(params)
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> float:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> float:
         """Set the value that is due."""
         share = progress(env.control_step, *self._when)
         value = between(self._first, self._value, share) if 0.0 < share < 1.0 else self._value

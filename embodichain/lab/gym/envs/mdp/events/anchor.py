@@ -8,9 +8,9 @@ import lazy_loader
 import numpy as np
 from pydantic import Field
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Finite, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.lab.gym.envs.mdp._stored import stored
 from embodichain.utils.errors import ConfigError, Problem
@@ -19,7 +19,7 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 else:
     torch = lazy_loader.load("torch")
@@ -48,7 +48,7 @@ class RandomizeAnchorHeight(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         anchor_uid: str,
         height_delta_range: Range | None = None,
         height_delta_candidates: Annotated[list[Finite], Field(min_length=1)] | None = None,
@@ -83,7 +83,7 @@ class RandomizeAnchorHeight(Term):
         """A reset has put everything back to its configured height."""
         self._delta[slice(None) if env_ids is None else env_ids] = 0.0
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw heights and move the anchor and what it carries in these environments."""
         where: Any = slice(None) if env_ids is None else env_ids
         height = env.event_manager.draw("height", (1,), self._low, self._high, env_ids)[:, 0]
@@ -113,7 +113,7 @@ class RandomizeAnchorHeight(Term):
         self._publish()
 
 
-def _asset(env: BaseEnv, uid: str, path: str) -> Any:
+def _asset(env: TermContext, uid: str, path: str) -> Any:
     sim = env.sim
     assets: dict[str, Any] = {**sim.robots, **sim.articulations, **sim.rigid_objects}
     if uid not in assets:

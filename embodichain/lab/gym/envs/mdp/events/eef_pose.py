@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Box3
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._ik import Reach, solve
 from embodichain.lab.gym.envs.mdp._kinematics import Chain, matmul, tool_links
 from embodichain.lab.gym.envs.mdp._ranges import constant
@@ -17,7 +17,7 @@ from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, quat_to_matrix
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["RandomizeRobotEefPose", "reach_of"]
@@ -74,7 +74,7 @@ class RandomizeRobotEefPose(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         position_range: Box3 | None = None,
         rotation_range: Box3 | None = None,
@@ -92,7 +92,7 @@ class RandomizeRobotEefPose(Term):
         self._dofs = np.asarray(index.dof_adr, np.int64)
         self._driven = np.flatnonzero(np.asarray(index.actuator_ids) >= 0)
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw, solve and write the joint positions of these environments."""
         asset, reach = self._asset, self._reach
         ids = np.arange(env.num_envs) if env_ids is None else env_ids

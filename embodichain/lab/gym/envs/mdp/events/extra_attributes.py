@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.registry import import_object, register_term
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._stored import stored
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
 
 __all__ = ["EXTRA_ATTRS", "ExtraAttr", "PrepareExtraAttr", "uids_of"]
@@ -48,7 +48,7 @@ class ExtraAttr:
     func_kwargs: dict[str, Any] = field(default_factory=dict)
 
 
-def uids_of(env: BaseEnv, wanted: str | list[str], path: str) -> list[str]:
+def uids_of(env: TermContext, wanted: str | list[str], path: str) -> list[str]:
     """Uids that `all_objects` (rigid objects and articulations), `all_robots` or names mean.
 
     Raises:
@@ -82,11 +82,11 @@ class PrepareExtraAttr(Term):
         ``{func: prepare_extra_attr, mode: startup, params: {attrs: [{name: grasp_width, entity_uids: [cube], value: 0.04}, {name: size, mode: callable, entity_uids: all_objects, func_name: get_body_scale}]}}``
     """  # noqa: E501  (an example is one line)
 
-    def __init__(self, env: BaseEnv, attrs: list[ExtraAttr]) -> None:
+    def __init__(self, env: TermContext, attrs: list[ExtraAttr]) -> None:
         self._attrs = [(a, *_checked(env, a, f"attrs.{n}")) for n, a in enumerate(attrs)]
         stored(env, EXTRA_ATTRS, dict, "attrs")
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Set the attributes."""
         table: dict[str, dict[str, Any]] = getattr(env, EXTRA_ATTRS)
         for attr, uids, func in self._attrs:
@@ -100,7 +100,7 @@ class PrepareExtraAttr(Term):
                 table.setdefault(uid, {})[attr.name] = value
 
 
-def _checked(env: BaseEnv, attr: ExtraAttr, path: str) -> tuple[list[str], Any]:
+def _checked(env: TermContext, attr: ExtraAttr, path: str) -> tuple[list[str], Any]:
     """The entities that an attribute belongs to, and the function that is imported for it."""
     if (attr.entity_cfg is None) == (attr.entity_uids is None):
         raise ConfigError([Problem(path, "give either entity_uids or entity_cfg")])

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from pydantic import Field
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Box2
 from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["PlannerGridCellSampler"]
@@ -45,7 +45,7 @@ class PlannerGridCellSampler(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         position_range: Box2,
         reference_height: float,
         object_uid_list: Annotated[list[str], Field(min_length=1)],
@@ -79,7 +79,7 @@ class PlannerGridCellSampler(Term):
         self._zero, self._one = constant(0.0), constant(1.0)
         self._steps = physics_update_step
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw cells and place the objects of these environments."""
         cells = len(self._centres)
         keys = env.event_manager.draw("cells", (cells,), self._zero, self._one, env_ids)

@@ -15,7 +15,7 @@ from embodichain.lab.gym.envs.mdp.events.pushes import ApplyExternalForceTorque
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["ApplyBodyImpulse"]
@@ -42,7 +42,7 @@ class ApplyBodyImpulse(ApplyExternalForceTorque):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         force_range: Range,
         torque_range: Range,
@@ -67,7 +67,7 @@ class ApplyBodyImpulse(ApplyExternalForceTorque):
         self._until[where] = 0
         self._pushes[where] = False
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Begin and end what is due in these environments."""
         ids = np.arange(env.num_envs) if env_ids is None else env_ids
         step = env.elapsed_steps.numpy().astype(np.int64) + 1  # this one is not counted yet
@@ -82,7 +82,7 @@ class ApplyBodyImpulse(ApplyExternalForceTorque):
             self._wait(env, begins, step, "duration")
         self._pushes[due] = ~self._pushes[due]
 
-    def _wait(self, env: BaseEnv, ids: EnvIndex, since: NDArray[np.int64], what: str) -> None:
+    def _wait(self, env: TermContext, ids: EnvIndex, since: NDArray[np.int64], what: str) -> None:
         if len(ids):
             seconds = env.event_manager.draw(what, (1,), *self._times[what], ids)[:, 0]
             steps = np.maximum(1, np.rint(seconds / env.step_dt)).astype(np.int64)

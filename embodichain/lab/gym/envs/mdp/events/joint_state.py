@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["ResetJointsByOffset", "ResetJointsByScale"]
@@ -26,7 +26,7 @@ class _ResetJoints(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         position_range: Range,
         velocity_range: Range,
@@ -46,11 +46,11 @@ class _ResetJoints(Term):
         self._velocity = tuple(constant(np.full(width, bound)) for bound in velocity_range)
         self._moves = tuple(velocity_range) != (0.0, 0.0)
 
-    def _drawn(self, env: BaseEnv, env_ids: EnvIndex | None) -> F64:
+    def _drawn(self, env: TermContext, env_ids: EnvIndex | None) -> F64:
         low, high = self._position
         return env.event_manager.draw("position", (len(self._joints),), low, high, env_ids)
 
-    def _write(self, env: BaseEnv, env_ids: EnvIndex | None, qpos: F64) -> None:
+    def _write(self, env: TermContext, env_ids: EnvIndex | None, qpos: F64) -> None:
         qpos = np.clip(qpos, self._limits[:, 0], self._limits[:, 1])
         asset, width = self._asset, len(self._joints)
         asset.write_qpos(qpos, self._joints, env_ids)
@@ -82,14 +82,14 @@ class ResetJointsByOffset(_ResetJoints):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         position_range: Range,
         velocity_range: Range = (0.0, 0.0),
     ) -> None:
         super().__init__(env, entity_cfg, position_range, velocity_range)
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the joint states of these environments."""
         self._write(env, env_ids, self._home + self._drawn(env, env_ids))
 
@@ -110,9 +110,9 @@ class ResetJointsByScale(_ResetJoints):
         ``{func: reset_joints_by_scale, mode: reset, params: {entity_cfg: {uid: ur10}, position_range: [0.9, 1.1]}}``
     """  # noqa: E501  (an example is one line)
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity, position_range: Range) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity, position_range: Range) -> None:
         super().__init__(env, entity_cfg, position_range, (0.0, 0.0))
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the joint positions of these environments."""
         self._write(env, env_ids, self._home * self._drawn(env, env_ids))

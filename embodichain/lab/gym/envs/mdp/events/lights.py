@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Box3, NamedEntity, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.lab.gym.envs.mdp._spatial import norm
 from embodichain.utils.errors import ConfigError, Problem
@@ -16,7 +16,7 @@ from embodichain.utils.math import euler_xyz_to_quat, quat_multiply
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["RandomizeCameraFovy", "RandomizeCameraPose", "RandomizeLight"]
@@ -47,7 +47,7 @@ class RandomizeLight(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: NamedEntity,
         position_range: Box3 | None = None,
         color_range: Box3 | None = None,
@@ -73,7 +73,7 @@ class RandomizeLight(Term):
         if intensity_range is not None:
             self._intensity = constant([intensity_range[0]]), constant([intensity_range[1]])
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the light of these environments."""
         draw = env.event_manager.draw
         if self._move is not None:
@@ -93,7 +93,7 @@ class RandomizeLight(Term):
         self._light.write_emission(color, np.maximum(strength, 0.0), env_ids)
 
 
-def _camera(env: BaseEnv, name: str) -> int:
+def _camera(env: TermContext, name: str) -> int:
     model = env.sim.engine.model
     cameras = [model.camera(i).name for i in range(model.ncam)]
     if name not in cameras:
@@ -121,7 +121,7 @@ class RandomizeCameraPose(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         position_range: Box3 | None = None,
         rotation_range: Box3 | None = None,
         camera: str = "default",
@@ -136,7 +136,7 @@ class RandomizeCameraPose(Term):
             low, high = (np.deg2rad(np.asarray(row, np.float64)) for row in rotation_range)
             self._turn = constant(low), constant(high)
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the camera's pose in these environments."""
         draw, engine = env.event_manager.draw, self._engine
         if self._move is not None:
@@ -160,14 +160,14 @@ class RandomizeCameraFovy(Term):
         ``{func: randomize_camera_fovy, mode: reset, params: {fovy_range: [35, 50]}}``
     """
 
-    def __init__(self, env: BaseEnv, fovy_range: Range, camera: str = "default") -> None:
+    def __init__(self, env: TermContext, fovy_range: Range, camera: str = "default") -> None:
         low, high = fovy_range
         if not 0 < low <= high < 180:
             raise ConfigError([Problem("fovy_range", f"within (0, 180), got {list(fovy_range)}")])
         self._id, self._engine = _camera(env, camera), env.sim.engine
         self._low, self._high = constant([low]), constant([high])
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the field of view of these environments."""
         drawn = env.event_manager.draw("fovy", (1,), self._low, self._high, env_ids)
         self._engine.write_model("cam_fovy", drawn, env_ids, slice(self._id, self._id + 1))

@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from pydantic import Field
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Box3
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp import _spatial
 from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, quat_multiply
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["RandomizeArticulationRootPose", "RandomizeRigidObjectPose"]
@@ -53,7 +53,7 @@ class RandomizeRigidObjectPose(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         position_range: Box3 | None = None,
         rotation_range: Box3 | None = None,
@@ -97,7 +97,7 @@ class RandomizeRigidObjectPose(Term):
         stop: Callable[[EnvIndex | None], None] = asset.stop
         return None if asset.is_non_dynamic else stop
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the poses of these environments."""
         quat0 = self._quat0 if env_ids is None else self._quat0[: len(env_ids)]
         quat: F64 | None = quat0

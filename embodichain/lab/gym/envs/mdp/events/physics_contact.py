@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Ranges
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._model_fields import (
     Distribution,
     Draw,
@@ -21,7 +21,7 @@ from embodichain.lab.gym.envs.mdp._model_fields import (
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import Engine, EnvIndex
 
 __all__ = ["RandomizeGroundMaterial", "RandomizeRigidBodyMaterial"]
@@ -67,7 +67,7 @@ class _Material(Term):
         self._columns = np.asarray(columns, np.int64)[order]
         self._source = np.asarray(source, np.int64)[order]
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the coefficients of these environments."""
         values = np.concatenate(self._draw(env, env_ids), axis=1)
         self._engine.write_model("geom_friction", values[:, self._source], env_ids, self._columns)
@@ -97,7 +97,7 @@ class RandomizeRigidBodyMaterial(_Material):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         friction_range: Ranges | None = None,
         torsional_range: Ranges | None = None,
@@ -132,7 +132,7 @@ class RandomizeGroundMaterial(_Material):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         friction_range: Ranges | None = None,
         torsional_range: Ranges | None = None,
         rolling_range: Ranges | None = None,

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Box3, Ranges
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._model_fields import (
     Distribution,
     Draw,
@@ -21,7 +21,7 @@ from embodichain.lab.gym.envs.mdp._model_fields import (
 )
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
 
 __all__ = ["RandomizeLinkCom", "RandomizeLinkInertia", "RandomizeRigidObjectCenterOfMass"]
@@ -43,7 +43,7 @@ class _Com(Term):
         quantity.name = "com"
         self._draw = Draw([quantity], distribution)
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the centres of mass of these environments."""
         (com,) = self._draw(env, env_ids)
         self._engine.write_model("body_ipos", com, env_ids, self._columns)
@@ -67,7 +67,7 @@ class RandomizeRigidObjectCenterOfMass(_Com):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         com_pos_offset_range: Box3,
         distribution: Distribution = "uniform",
@@ -93,7 +93,7 @@ class RandomizeLinkCom(_Com):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         com_range: Box3,
         distribution: Distribution = "uniform",
@@ -120,7 +120,7 @@ class RandomizeLinkInertia(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         inertia_range: Ranges,
         distribution: Distribution = "uniform",
@@ -135,7 +135,7 @@ class RandomizeLinkInertia(Term):
         mass = self._asset.engine.model.body_mass[self._bodies]
         self._mass0 = np.where(mass > 0, mass, 1.0)
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the inertias of these environments."""
         (factor,) = self._draw(env, env_ids)
         if self._object:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Ranges
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._model_fields import (
     Distribution,
     Draw,
@@ -22,7 +22,7 @@ from embodichain.lab.gym.envs.mdp._model_fields import (
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
 
 __all__ = ["RandomizeActuatorGains", "RandomizeEffortLimits", "RandomizeJointParameters"]
@@ -70,7 +70,7 @@ class _Drives(Term):
         """Quantities that are no property of a drive."""
         return []
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the properties of these environments."""
         for (name, joints), values in zip(self._puts, self._draw(env, env_ids), strict=True):
             self._put(name, joints, values, env_ids)
@@ -102,7 +102,7 @@ class RandomizeActuatorGains(_Drives):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         stiffness_range: Ranges | None = None,
         damping_range: Ranges | None = None,
@@ -140,7 +140,7 @@ class RandomizeEffortLimits(_Drives):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         effort_limit_range: Ranges,
         operation: Operation = "abs",
@@ -182,7 +182,7 @@ class RandomizeJointParameters(_Drives):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         friction_range: Ranges | None = None,
         armature_range: Ranges | None = None,

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Positive, Ranges
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._model_fields import (
     Distribution,
     Draw,
@@ -24,7 +24,7 @@ from embodichain.lab.gym.envs.mdp._model_fields import (
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
 
 __all__ = ["RandomizeArticulationMass", "RandomizeRigidObjectMass"]
@@ -55,7 +55,7 @@ class _Mass(Term):
         self._asset, self._bodies = entity.asset, bodies[quantity.ids]
         self._inertia, self._least = recompute_inertia, min_mass
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the masses of these environments."""
         mass = np.maximum(self._draw(env, env_ids)[0], self._least)
         self._asset.write_mass(mass, self._bodies, env_ids, self._inertia)
@@ -84,7 +84,7 @@ class RandomizeRigidObjectMass(_Mass):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         mass_range: Ranges,
         relative: bool = False,
@@ -106,7 +106,7 @@ class RandomizeRigidObjectMass(_Mass):
             bodies,
         )
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the masses of these environments."""
         mass = np.maximum(self._draw(env, env_ids)[0][:, 0], self._least)
         self._asset.write_mass(mass, env_ids, self._inertia)
@@ -136,7 +136,7 @@ class RandomizeArticulationMass(_Mass):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         mass_range: Ranges,
         link_names: str | list[str] | None = None,

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import ScaleRange
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._model_fields import Distribution, Draw, Quantity, object_of
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
     from embodichain.lab.sim.objects.solids import Solid
 
@@ -56,7 +56,7 @@ class _Scale(Term):
         )
         self._draw = Draw([quantity], distribution)
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the scales of these environments."""
         (drawn,) = self._draw(env, env_ids)
         for asset, axes in zip(self._assets, self._axes, strict=True):
@@ -107,7 +107,7 @@ class RandomizeRigidObjectScale(_Scale):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         scale_factor_range: ScaleRange,
         same_scale_all_axes: bool = True,
@@ -146,7 +146,7 @@ class RandomizeRigidObjectsScale(_Scale):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfgs: list[ResolvedEntity],
         scale_factor_range: ScaleRange,
         same_scale_all_axes: bool = True,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Box3
 from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._model_fields import Distribution, Draw, Operation, Quantity
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
 
 __all__ = ["RandomizePhysicsSceneGravity"]
@@ -35,7 +35,7 @@ class RandomizePhysicsSceneGravity(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         gravity_range: Box3,
         operation: Operation = "add",
         distribution: Distribution = "uniform",
@@ -45,6 +45,6 @@ class RandomizePhysicsSceneGravity(Term):
         quantity = Quantity("gravity_range", gravity_range, list("xyz"), default, operation)
         self._draw = Draw([quantity], distribution)
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the gravity of these environments."""
         self._engine.write_model("opt.gravity", self._draw(env, env_ids)[0], env_ids)

@@ -8,10 +8,10 @@ import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Ranges
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._model_fields import (
     Distribution,
     Draw,
@@ -23,7 +23,7 @@ from embodichain.utils.errors import ConfigError, Problem
 if TYPE_CHECKING:
     import mujoco
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex
 else:
     mujoco = lazy_loader.load("mujoco")
@@ -53,7 +53,7 @@ class RandomizeActuatorStrength(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         strength_range: Ranges,
         distribution: Distribution = "uniform",
@@ -77,7 +77,7 @@ class RandomizeActuatorStrength(Term):
         self._drives, self._joints = asset.drives, driven[quantity.ids[here]]
         self._own = _Own(asset.engine, own[quantity.ids[~here] - len(driven)])
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the strengths of these environments."""
         (factor,) = self._draw(env, env_ids)
         if self._count:

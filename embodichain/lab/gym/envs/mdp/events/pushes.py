@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Axes6, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.lab.gym.envs.mdp._root_state import (
     need_free_root,
@@ -21,7 +21,7 @@ from embodichain.lab.gym.envs.mdp._root_state import (
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["ApplyExternalForceTorque", "PushArticulation", "PushBySettingVelocity"]
@@ -42,7 +42,7 @@ class PushBySettingVelocity(Term):
         ``{func: push_by_setting_velocity, mode: interval, interval_range_s: [1, 3], params: {entity_cfg: {uid: cube}, velocity_range: {x: [-0.5, 0.5], y: [-0.5, 0.5]}}}``
     """  # noqa: E501  (an example is one line)
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity, velocity_range: Axes6) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity, velocity_range: Axes6) -> None:
         need_free_root(entity_cfg)
         self._asset = entity_cfg.asset
         bounds = six_axes(velocity_range)
@@ -50,7 +50,7 @@ class PushBySettingVelocity(Term):
             raise ConfigError([Problem("velocity_range", "names no axis: nothing is pushed")])
         self._bounds = bounds
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Push these environments' entities."""
         drawn = env.event_manager.draw("velocity", (6,), *self._bounds, env_ids)
         now = read_root_velocity(self._asset)
@@ -77,7 +77,7 @@ class PushArticulation(PushBySettingVelocity):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         interval_range_s: Range,
         velocity_range: Axes6,
@@ -94,7 +94,7 @@ class PushArticulation(PushBySettingVelocity):
         """Draw a new time where an episode begins."""
         self._due[slice(None) if env_ids is None else env_ids] = 0
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Push the environments whose time has come."""
         ids = np.arange(env.num_envs) if env_ids is None else env_ids
         step = env.elapsed_steps.numpy().astype(np.int64) + 1  # this one is not counted yet
@@ -106,7 +106,7 @@ class PushArticulation(PushBySettingVelocity):
             super().__call__(env, pushed)
             self._draw_due(env, pushed, step)
 
-    def _draw_due(self, env: BaseEnv, ids: EnvIndex, since: NDArray[np.int64]) -> None:
+    def _draw_due(self, env: TermContext, ids: EnvIndex, since: NDArray[np.int64]) -> None:
         seconds = env.event_manager.draw("interval", (1,), *self._interval, ids)[:, 0]
         steps = np.maximum(1, np.rint(seconds / env.step_dt)).astype(np.int64)
         self._due[ids] = since[ids] + steps
@@ -139,7 +139,7 @@ class ApplyExternalForceTorque(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         force_range: Range = (0.0, 0.0),
         torque_range: Range = (0.0, 0.0),
@@ -162,7 +162,7 @@ class ApplyExternalForceTorque(Term):
         self._low, self._high = constant(low), constant(high)
         self._engine = asset.engine
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the forces of these environments."""
         shape = (len(self._columns),)
         drawn: F64 = env.event_manager.draw("wrench", shape, self._low, self._high, env_ids)

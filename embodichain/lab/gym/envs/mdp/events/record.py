@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Finite, Positive, Vec3
 from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.observers import ObservedEnv, StepObserver
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.video import VideoFile, need_encoder
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
 
 __all__ = ["RecordCameraData", "filmed_from"]
@@ -54,7 +55,7 @@ class RecordCameraData(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         name: str = "default",
         resolution: Annotated[list[Pixels], Field(min_length=2, max_length=2)] | None = None,
         eye: Vec3 | None = None,
@@ -85,7 +86,7 @@ class RecordCameraData(Term):
         self._videos: dict[int, VideoFile] = {}
         _finish_at_close(env, self)
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Take one picture of each environment that is filmed."""
         ids = np.arange(env.num_envs) if env_ids is None else env_ids
         width, height = self._size
@@ -151,12 +152,11 @@ def _view(eye: list[float], target: list[float], up: list[float], fovy: float) -
         raise ConfigError([Problem("target", str(error))]) from error
 
 
-def _finish_at_close(env: BaseEnv, term: RecordCameraData) -> None:
+def _finish_at_close(env: TermContext, term: RecordCameraData) -> None:
     """Have a term's files finished when the environment closes."""
-    from embodichain.lab.gym.envs.observers import StepObserver
 
     class Finisher(StepObserver):
-        def on_close(self, env: BaseEnv) -> None:
+        def on_close(self, env: ObservedEnv) -> None:
             term.reset(None)
 
     env.add_observer(Finisher())

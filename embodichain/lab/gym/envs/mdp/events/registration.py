@@ -10,9 +10,9 @@ import lazy_loader
 import numpy as np
 
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp import _spatial
 from embodichain.lab.gym.envs.mdp._kinematics import apply, matmul
 from embodichain.lab.gym.envs.mdp._stored import stored
@@ -23,7 +23,7 @@ from embodichain.utils.math import matrix_to_pose, pose_to_matrix
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 else:
     torch = lazy_loader.load("torch")
@@ -61,7 +61,7 @@ class Registry:
 class _Register(Term):
     """Writes into ``env.<registration>`` and remembers under which keys."""
 
-    def __init__(self, env: BaseEnv, registration: str) -> None:
+    def __init__(self, env: TermContext, registration: str) -> None:
         stored(env, registration, dict, "registration")
         self._env, self._name = env, registration
         self._keys: dict[str, None] = {}
@@ -150,7 +150,7 @@ class RegisterEntityAttrs(_Register):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         registration: str = "affordance_datas",
         attrs: list[str] | None = None,
@@ -159,7 +159,7 @@ class RegisterEntityAttrs(_Register):
         super().__init__(env, registration)
         self._args = entity_cfg.uid, attrs or [], prefix
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Copy the attributes."""
         self._put_attrs(*self._args, env_ids)
 
@@ -188,7 +188,7 @@ class RegisterEntityPose(_Register):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         registration: str = "affordance_datas",
         compute_relative: Relative = "all_robots",
@@ -200,7 +200,7 @@ class RegisterEntityPose(_Register):
         self._how = PoseParams(compute_relative, compute_pose_object_to_arena, to_matrix)
         _others(env, compute_relative)
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Copy the poses of these environments."""
         self._put_pose(self._entity, self._how, env_ids)
 
@@ -222,7 +222,7 @@ class RegisterInfoToEnv(_Register):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         registry: list[Registry],
         registration: str = "affordance_datas",
         sim_update: bool = True,
@@ -235,7 +235,7 @@ class RegisterInfoToEnv(_Register):
                 path = f"registry.{number}.pose_register_params.compute_relative"
                 _others(env, entry.pose_register_params.compute_relative, path)
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Copy everything of these environments."""
         if self._steps:
             env.sim.engine.step(self._steps, env_ids)
@@ -245,7 +245,7 @@ class RegisterInfoToEnv(_Register):
                 self._put_pose(entity, entry.pose_register_params, env_ids)
 
 
-def _others(env: BaseEnv, which: Relative, path: str = "compute_relative") -> list[str]:
+def _others(env: TermContext, which: Relative, path: str = "compute_relative") -> list[str]:
     if isinstance(which, bool):
         sim = env.sim
         return [*sim.articulations, *sim.rigid_objects, *sim.robots] if which else []

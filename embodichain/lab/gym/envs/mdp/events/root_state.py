@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Axes6
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._root_state import (
     need_free_root,
     rpy_to_quat,
@@ -19,14 +19,14 @@ from embodichain.lab.gym.envs.mdp._root_state import (
 from embodichain.utils.math import quat_multiply
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["ResetRootStateUniform", "reset_scene_to_default"]
 
 
 @register_term("event")
-def reset_scene_to_default(env: BaseEnv, env_ids: EnvIndex | None) -> None:
+def reset_scene_to_default(env: TermContext, env_ids: EnvIndex | None) -> None:
     """Puts every entity into its configured state: poses, joints, drive targets, no velocity.
 
     Isaac Lab's event. A reset here does so before any event runs; as an `interval` event it puts
@@ -62,7 +62,7 @@ class ResetRootStateUniform(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         pose_range: Axes6 | None = None,
         velocity_range: Axes6 | None = None,
@@ -76,7 +76,7 @@ class ResetRootStateUniform(Term):
         self._pos0: F64 = np.tile(np.asarray(index.pos0, np.float64), (env.num_envs, 1))
         self._quat0: F64 = np.tile(np.asarray(index.quat0, np.float64), (env.num_envs, 1))
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the root states of these environments."""
         count = env.num_envs if env_ids is None else len(env_ids)
         pos, quat = self._pos0[:count], self._quat0[:count]

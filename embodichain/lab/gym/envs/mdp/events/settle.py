@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Positive
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._root_state import read_root_velocity
 from embodichain.lab.gym.envs.mdp._spatial import norm
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["WaitForDynamicObjectsToSettle", "set_detached_uids_for_env_reset"]
@@ -30,7 +30,7 @@ Count = Annotated[int, Field(ge=1)]
 
 @register_term("event")
 def set_detached_uids_for_env_reset(
-    env: BaseEnv, env_ids: EnvIndex | None, uids: list[str]
+    env: TermContext, env_ids: EnvIndex | None, uids: list[str]
 ) -> None:
     """From now on resets leave these entities where they are: EmbodiChain's event of this name.
 
@@ -77,7 +77,7 @@ class WaitForDynamicObjectsToSettle(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfgs: list[ResolvedEntity] | None = None,
         linear_velocity_threshold: Positive = 0.03,
         angular_velocity_threshold: Positive = 0.2,
@@ -104,7 +104,7 @@ class WaitForDynamicObjectsToSettle(Term):
         self._needed = required_stable_checks
         self._raises = timeout_behavior == "raise"
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Step these environments until they rest."""
         engine = env.sim.engine
         ids: EnvIndex = np.arange(env.num_envs) if env_ids is None else env_ids

@@ -6,16 +6,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp import _spatial
 from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["RandomizeObjectPositionInShell"]
@@ -43,7 +43,7 @@ class RandomizeObjectPositionInShell(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         relative_to: ResolvedEntity,
         radius_range: Range,
@@ -73,7 +73,7 @@ class RandomizeObjectPositionInShell(Term):
         self._quat: F64 = np.tile(quat, (env.num_envs, 1))
         self._stop = None if self._asset.is_non_dynamic else self._asset.stop
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the positions of these environments."""
         drawn = env.event_manager.draw("shell", (3,), self._low, self._high, env_ids)
         # Contiguous columns: numpy may round a strided transcendental function differently.

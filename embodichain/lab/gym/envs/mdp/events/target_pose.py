@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Box3
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.lab.gym.envs.mdp._stored import stored
 from embodichain.utils.errors import ConfigError, Problem
@@ -19,7 +19,7 @@ from embodichain.utils.math import euler_xyz_to_quat, pose_to_matrix, quat_multi
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 else:
     torch = lazy_loader.load("torch")
@@ -50,7 +50,7 @@ class RandomizeTargetPose(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         position_range: Box3,
         rotation_range: Box3 | None = None,
         relative_position: bool = False,
@@ -76,7 +76,7 @@ class RandomizeTargetPose(Term):
         count = env.num_envs
         stored(env, store_key, lambda: torch.eye(4).repeat(count, 1, 1), "store_key")
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw the target poses of these environments."""
         where: Any = slice(None) if env_ids is None else env_ids
         pos = env.event_manager.draw("position", (3,), *self._box, env_ids)

@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Box3, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.lab.sim.shapes import VisualMaterialCfg
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["RandomizeVisualMaterial", "SetRigidObjectVisualMaterial"]
@@ -118,7 +118,7 @@ class RandomizeVisualMaterial(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         base_color_range: Box3 | None = None,
         metallic_range: Range | None = None,
@@ -153,7 +153,7 @@ class RandomizeVisualMaterial(Term):
                 raise ConfigError([Problem(f"{name}_range", message)])
             self._finish[name] = constant([bounds[0]]), constant([bounds[1]])
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write how the entity looks in these environments."""
         if self._color is not None:
             rgb = env.event_manager.draw("base_color", (3,), *self._color, env_ids)
@@ -179,7 +179,7 @@ class SetRigidObjectVisualMaterial(Term):
     """  # noqa: E501  (an example is one line)
 
     def __init__(
-        self, env: BaseEnv, entity_cfg: ResolvedEntity, mat_cfg: VisualMaterialCfg
+        self, env: TermContext, entity_cfg: ResolvedEntity, mat_cfg: VisualMaterialCfg
     ) -> None:
         self._surface = _Surface(entity_cfg)
         if not self._surface.is_object:
@@ -192,7 +192,7 @@ class SetRigidObjectVisualMaterial(Term):
             _within_one(f"mat_cfg.{name}", getattr(mat_cfg, name))
         self._cfg = mat_cfg
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Write the material in these environments."""
         cfg, surface = self._cfg, self._surface
         count = env.num_envs if env_ids is None else len(env_ids)

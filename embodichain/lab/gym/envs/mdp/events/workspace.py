@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Box3
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._ik import solve
 from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.lab.gym.envs.mdp.events.eef_pose import reach_of
@@ -18,7 +18,7 @@ from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, quat_multiply, quat_to_matrix
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["SampleRigidObjectPoseFromWorkspace"]
@@ -50,7 +50,7 @@ class SampleRigidObjectPoseFromWorkspace(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         robot_cfg: ResolvedEntity,
         entity_cfg: ResolvedEntity,
         position_bounds: Box3,
@@ -83,7 +83,7 @@ class SampleRigidObjectPoseFromWorkspace(Term):
         self._home: F64 = np.tile(np.asarray(self._robot.parsed.init_qpos, np.float64), (count, 1))
         self._quat0: F64 = np.tile(np.asarray(self._asset.entity.quat0, np.float64), (count, 1))
 
-    def __call__(self, env: BaseEnv, env_ids: EnvIndex | None) -> None:
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw positions until each of these environments has one; place the object."""
         left: EnvIndex = np.arange(env.num_envs) if env_ids is None else env_ids
         places: F64 = np.zeros((env.num_envs, 3))
@@ -102,7 +102,7 @@ class SampleRigidObjectPoseFromWorkspace(Term):
         if len(ids):
             self._place(env, places[ids], ids)
 
-    def _place(self, env: BaseEnv, pos: F64, ids: EnvIndex) -> None:
+    def _place(self, env: TermContext, pos: F64, ids: EnvIndex) -> None:
         quat: Any = self._quat0[: len(ids)]
         if self._angles is not None:
             angles = env.event_manager.draw("rotation", (3,), *self._angles, ids)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from embodichain.lab.gym.envs.managers.base import Term
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp import _spatial
 
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = ["Computed"]
@@ -23,6 +23,6 @@ class Computed(Term):
         """(N, ...) float64."""
         raise NotImplementedError
 
-    def __call__(self, env: BaseEnv, obs: Any) -> torch.Tensor:
+    def __call__(self, env: TermContext, obs: Any) -> torch.Tensor:
         """(N, ...) float32, a tensor of its own."""
         return _spatial.tensor(self.value())

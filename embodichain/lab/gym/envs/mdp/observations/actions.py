@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
 
 __all__ = ["LastAction"]
 
@@ -30,7 +30,7 @@ class LastAction(Term):
         action_name: One action term, to observe its slice alone; None is the whole action.
     """
 
-    def __init__(self, env: BaseEnv, action_name: str | None = None) -> None:
+    def __init__(self, env: TermContext, action_name: str | None = None) -> None:
         declared = env.cfg.actions
         if action_name is not None and action_name not in declared:
             known = ", ".join(declared) or "none"
@@ -39,7 +39,7 @@ class LastAction(Term):
             raise ConfigError([Problem("action_name", message, hint)])
         self._name = action_name
 
-    def __call__(self, env: BaseEnv, obs: Any) -> torch.Tensor:
+    def __call__(self, env: TermContext, obs: Any) -> torch.Tensor:
         """The observation."""
         action = env.last_action
         if self._name is None:

@@ -12,7 +12,7 @@ from embodichain.lab.gym.envs.mdp._joints import Joints
 from embodichain.lab.gym.envs.mdp.observations._computed import Computed
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = ["JointSinCos"]
@@ -29,7 +29,7 @@ class JointSinCos(Computed):
         entity_cfg: The robot; its joint names or control parts pick joints.
     """
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity) -> None:
         self._of = Joints(entity_cfg)
 
     def value(self) -> F64:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.term import Term
 
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
 
 __all__ = ["GeneratedCommand"]
 
@@ -26,9 +26,9 @@ class GeneratedCommand(Term):
         command_name: The command.
     """
 
-    def __init__(self, env: BaseEnv, command_name: str) -> None:
+    def __init__(self, env: TermContext, command_name: str) -> None:
         self._name = env.command_manager.require(command_name, "command_name")
 
-    def __call__(self, env: BaseEnv, obs: Any) -> torch.Tensor:
+    def __call__(self, env: TermContext, obs: Any) -> torch.Tensor:
         """The observation."""
         return env.command_manager.get_command(self._name)

@@ -20,7 +20,7 @@ from embodichain.utils.errors import ConfigError, Problem
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["CurrentTime", "ElapsedFraction", "Phase", "RemainingTime"]
@@ -31,7 +31,7 @@ _NEVER = 2**31 - 1
 class _Clock(Computed):
     """Seconds since each episode's first observation."""
 
-    def __init__(self, env: BaseEnv) -> None:
+    def __init__(self, env: TermContext) -> None:
         self._env = env
         self._start: F64 = np.zeros(env.num_envs)
         self._fresh: NDArray[np.bool_] = np.ones(env.num_envs, np.bool_)
@@ -73,7 +73,7 @@ class CurrentTime(_Clock):
 class _Limited(_Clock):
     """A clock of episodes that end."""
 
-    def __init__(self, env: BaseEnv) -> None:
+    def __init__(self, env: TermContext) -> None:
         super().__init__(env)
         if env.max_episode_steps == _NEVER:
             message = "the task has no time limit (max_episode_steps: -1): nothing remains"
@@ -129,7 +129,7 @@ class Phase(_Clock):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         period_s: Positive,
         offsets: Annotated[Sequence[Finite], Field(min_length=1)] = (0.0,),
     ) -> None:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import lazy_loader
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._joints import Joints, pick_joints
 from embodichain.lab.gym.envs.mdp.observations._computed import Computed
 from embodichain.utils.errors import ConfigError, Problem
@@ -22,7 +22,7 @@ from embodichain.utils.errors import ConfigError, Problem
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 else:
     torch = lazy_loader.load("torch")
@@ -38,7 +38,7 @@ __all__ = [
 
 
 class _OfJoints(Computed):
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity) -> None:
         self._of = Joints(entity_cfg)
 
 
@@ -93,7 +93,7 @@ class JointPositionLimitNormalized(_OfJoints):
         ConfigError: If a joint has no limits.
     """
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity) -> None:
         super().__init__(env, entity_cfg)
         limits = np.asarray(self._of.asset.parsed.qpos_limits, np.float64)[self._of.ids]
         _need_limits(self._of, np.isfinite(limits).all(axis=1), "entity_cfg", "position limits")
@@ -169,7 +169,7 @@ class NormalizeRobotJointData(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         joint_ids: list[int] | None = None,
         control_parts: str | None = None,
         limit: Literal["qpos_limits", "qvel_limits", "qf_limits"] = "qpos_limits",
@@ -191,7 +191,7 @@ class NormalizeRobotJointData(Term):
         _need_limits(self._of, limited, "limit", limit)
         self._start, self._span = float(range[0]), float(range[1]) - float(range[0])
 
-    def __call__(self, env: BaseEnv, data: torch.Tensor) -> torch.Tensor:
+    def __call__(self, env: TermContext, data: torch.Tensor) -> torch.Tensor:
         """(N, A) the data with the picked columns mapped."""
         if data.ndim != 2 or data.shape[1] != self._width:
             raise ValueError(
@@ -209,7 +209,7 @@ class NormalizeRobotJointData(Term):
 
 
 def _active_columns(
-    env: BaseEnv, active: list[int], joint_ids: list[int] | None, control_parts: str | None
+    env: TermContext, active: list[int], joint_ids: list[int] | None, control_parts: str | None
 ) -> list[int]:
     """Columns among the active joints."""
     if control_parts is None or env.robot is None:

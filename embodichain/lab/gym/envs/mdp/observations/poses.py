@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import lazy_loader
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp import _body, _spatial
 from embodichain.lab.gym.envs.mdp._links import Links
 from embodichain.lab.gym.envs.mdp._rotations import (
@@ -30,7 +30,7 @@ from embodichain.utils.math import pose_to_matrix
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 else:
     torch = lazy_loader.load("torch")
@@ -48,7 +48,7 @@ __all__ = [
 
 @register_term("observation")
 def get_object_pose(
-    env: BaseEnv, obs: Any, entity_cfg: ResolvedEntity, to_matrix: bool = True
+    env: TermContext, obs: Any, entity_cfg: ResolvedEntity, to_matrix: bool = True
 ) -> torch.Tensor:
     """Pose of an object, a robot's root, or the picked link, in the environment's frame.
 
@@ -69,7 +69,7 @@ def get_object_pose(
 
 @register_term("observation")
 def get_rigid_object_pose(
-    env: BaseEnv, obs: Any, entity_cfg: ResolvedEntity, to_matrix: bool = True
+    env: TermContext, obs: Any, entity_cfg: ResolvedEntity, to_matrix: bool = True
 ) -> torch.Tensor:
     """EmbodiChain's older name of `get_object_pose`.
 
@@ -104,7 +104,7 @@ class LinkPose(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         to_matrix: bool = False,
         in_root_frame: bool = False,
@@ -115,7 +115,7 @@ class LinkPose(Term):
         plain = len(entity_cfg.link_names) == 1 and not (to_matrix or in_root_frame)
         self._one = entity_cfg.asset.body_of(entity_cfg.link_names[0]) if plain else None
 
-    def __call__(self, env: BaseEnv, obs: Any) -> torch.Tensor:
+    def __call__(self, env: TermContext, obs: Any) -> torch.Tensor:
         """Poses, a tensor of their own."""
         if self._one is not None:  # the usual case, without a dimension for links
             engine, body = self._engine, self._one
@@ -151,7 +151,7 @@ class GetRobotEefPose(Computed):
     """
 
     def __init__(
-        self, env: BaseEnv, part_name: str | None = None, position_only: bool = False
+        self, env: TermContext, part_name: str | None = None, position_only: bool = False
     ) -> None:
         self._tool = tool_of(env, None, part_name)
         self._position_only = position_only
@@ -165,7 +165,7 @@ class GetRobotEefPose(Computed):
 
 
 @register_term("observation")
-def target_position(env: BaseEnv, obs: Any, target_pose_key: str = "goal_pose") -> torch.Tensor:
+def target_position(env: TermContext, obs: Any, target_pose_key: str = "goal_pose") -> torch.Tensor:
     """(N, 3) position in metres of the poses that an event keeps as ``env.<target_pose_key>``.
 
     EmbodiChain's observation of the same name. `randomize_target_pose` writes such poses; where
@@ -196,7 +196,7 @@ class Orientation(Computed):
     """
 
     def __init__(
-        self, env: BaseEnv, entity_cfg: ResolvedEntity, representation: Rotation = "rot6d"
+        self, env: TermContext, entity_cfg: ResolvedEntity, representation: Rotation = "rot6d"
     ) -> None:
         self._entity, self._kind = entity_cfg, representation
 
@@ -219,7 +219,7 @@ class Yaw(Computed):
     """
 
     def __init__(
-        self, env: BaseEnv, entity_cfg: ResolvedEntity, representation: Heading = "yaw"
+        self, env: TermContext, entity_cfg: ResolvedEntity, representation: Heading = "yaw"
     ) -> None:
         self._entity, self._kind = entity_cfg, representation
 

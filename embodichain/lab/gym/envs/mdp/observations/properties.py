@@ -13,9 +13,9 @@ import lazy_loader
 import numpy as np
 from pydantic import Field
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp import _body, _spatial
 from embodichain.lab.gym.envs.mdp._joints import Joints
 from embodichain.lab.gym.envs.mdp.observations._computed import Computed
@@ -24,7 +24,7 @@ from embodichain.utils.errors import ConfigError, Problem
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 else:
     torch = lazy_loader.load("torch")
@@ -46,7 +46,7 @@ _NO_LIMIT = 1e10
 
 
 @register_term("observation")
-def get_object_body_scale(env: BaseEnv, obs: Any, entity_cfg: ResolvedEntity) -> torch.Tensor:
+def get_object_body_scale(env: TermContext, obs: Any, entity_cfg: ResolvedEntity) -> torch.Tensor:
     """(N, 3) scale of an entity's declared shape or file, along its own axes.
 
     EmbodiChain's observation of the same name.
@@ -67,7 +67,7 @@ def get_object_body_scale(env: BaseEnv, obs: Any, entity_cfg: ResolvedEntity) ->
 
 
 @register_term("observation")
-def get_object_uid(env: BaseEnv, obs: Any, entity_cfg: ResolvedEntity) -> torch.Tensor:
+def get_object_uid(env: TermContext, obs: Any, entity_cfg: ResolvedEntity) -> torch.Tensor:
     """(N,) int32 number of an entity in segmentation images: MuJoCo's id of its (root) body.
 
     EmbodiChain's observation of the same name.
@@ -101,7 +101,7 @@ class GetRigidObjectPhysicsAttributes(Term):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         attributes: Attributes = ("mass", "friction", "damping", "inertia"),
     ) -> None:
@@ -111,7 +111,7 @@ class GetRigidObjectPhysicsAttributes(Term):
             raise ConfigError([Problem("entity_cfg.uid", message)])
         self._reads = [getattr(asset, f"get_{name}") for name in attributes]
 
-    def __call__(self, env: BaseEnv, obs: Any) -> torch.Tensor:
+    def __call__(self, env: TermContext, obs: Any) -> torch.Tensor:
         """(N, K) the attributes side by side."""
         return torch.cat([read().reshape(env.num_envs, -1) for read in self._reads], dim=1)
 
@@ -136,7 +136,7 @@ class GetArticulationJointDrive(Computed):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         gains: Gains = _ALL_GAINS,
     ) -> None:

@@ -14,7 +14,7 @@ from embodichain.lab.gym.envs.mdp.observations._computed import Computed
 from embodichain.utils.math import quat_conjugate, quat_multiply, quat_rotate
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = [
@@ -57,7 +57,7 @@ class RelativePosition(_Pair):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         source_entity_cfg: ResolvedEntity,
         target_entity_cfg: ResolvedEntity,
         in_source_frame: bool = False,
@@ -88,7 +88,7 @@ class RelativeOrientation(_Pair):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         source_entity_cfg: ResolvedEntity,
         target_entity_cfg: ResolvedEntity,
         representation: Rotation = "quat",
@@ -119,7 +119,7 @@ class RelativePose(_Pair):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         source_entity_cfg: ResolvedEntity,
         target_entity_cfg: ResolvedEntity,
         representation: Rotation = "quat",
@@ -155,7 +155,7 @@ class RelativeVelocity(_Pair):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         source_entity_cfg: ResolvedEntity,
         target_entity_cfg: ResolvedEntity,
         in_source_frame: bool = False,
@@ -189,7 +189,7 @@ class Distance(_Pair):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         source_entity_cfg: ResolvedEntity,
         target_entity_cfg: ResolvedEntity,
         use_xy_only: bool = False,

@@ -16,7 +16,7 @@ from embodichain.lab.gym.envs.mdp._rotations import unique_quat
 from embodichain.lab.gym.envs.mdp.observations._computed import Computed
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = [
@@ -32,7 +32,7 @@ __all__ = [
 
 
 class _OfRoot(Computed):
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity) -> None:
         self._entity = entity_cfg
 
 
@@ -65,7 +65,7 @@ class RootQuaternion(Computed):
     """
 
     def __init__(
-        self, env: BaseEnv, entity_cfg: ResolvedEntity, make_quat_unique: bool = False
+        self, env: TermContext, entity_cfg: ResolvedEntity, make_quat_unique: bool = False
     ) -> None:
         self._entity, self._unique = entity_cfg, make_quat_unique
 

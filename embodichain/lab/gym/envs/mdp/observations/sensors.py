@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.base import Term
 from embodichain.lab.gym.envs.managers.param_types import NonNegative
 from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp import _sensors, _spatial
 
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = [
@@ -39,7 +39,7 @@ class _Reading(Term):
         """(N, ...) float64."""
         raise NotImplementedError
 
-    def __call__(self, env: BaseEnv, obs: Any) -> torch.Tensor:
+    def __call__(self, env: TermContext, obs: Any) -> torch.Tensor:
         """(N, ...) float32."""
         return _spatial.tensor(self.read())
 
@@ -56,7 +56,7 @@ class ContactFound(_Reading, _sensors.ReadsContact):
         ``{func: contact_found, params: {sensor: contacts, threshold: 1.0}}``
     """
 
-    def __init__(self, env: BaseEnv, sensor: str, threshold: NonNegative | None = None) -> None:
+    def __init__(self, env: TermContext, sensor: str, threshold: NonNegative | None = None) -> None:
         self._sensor, self._threshold = _sensors.contact(env, sensor), threshold
 
     def read(self) -> F64:
@@ -79,7 +79,7 @@ class ContactForce(_Reading, _sensors.ReadsContact):
         ``{func: contact_force, scale: 0.01, params: {sensor: contacts, norm: true}}``
     """
 
-    def __init__(self, env: BaseEnv, sensor: str, norm: bool = False) -> None:
+    def __init__(self, env: TermContext, sensor: str, norm: bool = False) -> None:
         self._sensor, self._norm = _sensors.contact(env, sensor), norm
 
     def read(self) -> F64:
@@ -101,7 +101,7 @@ class ImuAcceleration(_Reading, _sensors.ReadsImu):
         ``{func: imu_acceleration, scale: 0.1, params: {sensor: imu}}``
     """
 
-    def __init__(self, env: BaseEnv, sensor: str) -> None:
+    def __init__(self, env: TermContext, sensor: str) -> None:
         self._sensor = _sensors.imu(env, sensor)
 
     def read(self) -> F64:
@@ -120,7 +120,7 @@ class ImuAngularVelocity(_Reading, _sensors.ReadsImu):
         ``{func: imu_angular_velocity, scale: 0.25, params: {sensor: imu}}``
     """
 
-    def __init__(self, env: BaseEnv, sensor: str) -> None:
+    def __init__(self, env: TermContext, sensor: str) -> None:
         self._sensor = _sensors.imu(env, sensor)
 
     def read(self) -> F64:
@@ -139,7 +139,7 @@ class ImuOrientation(_Reading, _sensors.ReadsImu):
         ``{func: imu_orientation, params: {sensor: imu}}``
     """
 
-    def __init__(self, env: BaseEnv, sensor: str) -> None:
+    def __init__(self, env: TermContext, sensor: str) -> None:
         self._sensor = _sensors.imu(env, sensor)
 
     def read(self) -> F64:
@@ -160,7 +160,7 @@ class ImuProjectedGravity(_Reading, _sensors.ReadsImu):
         ``{func: imu_projected_gravity, params: {sensor: imu}}``
     """
 
-    def __init__(self, env: BaseEnv, sensor: str) -> None:
+    def __init__(self, env: TermContext, sensor: str) -> None:
         self._sensor = _sensors.imu(env, sensor)
 
     def read(self) -> F64:
@@ -181,7 +181,7 @@ class BodyIncomingWrench(_Reading, _sensors.ReadsForceTorque):
         ``{func: body_incoming_wrench, scale: 0.01, params: {sensor: wrench}}``
     """
 
-    def __init__(self, env: BaseEnv, sensor: str) -> None:
+    def __init__(self, env: TermContext, sensor: str) -> None:
         self._sensor = _sensors.force_torque(env, sensor)
 
     def read(self) -> F64:

@@ -13,7 +13,7 @@ from embodichain.lab.gym.envs.mdp._links import Links
 from embodichain.lab.gym.envs.mdp.observations._computed import Computed
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = ["GetRigidObjectVelocity", "LinkVelocity"]
@@ -32,7 +32,7 @@ class GetRigidObjectVelocity(Computed):
         entity_cfg: The object (or a robot, then its root).
     """
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity) -> None:
         self._entity = entity_cfg
 
     def value(self) -> F64:
@@ -56,7 +56,7 @@ class LinkVelocity(Computed):
     """
 
     def __init__(
-        self, env: BaseEnv, entity_cfg: ResolvedEntity, in_root_frame: bool = False
+        self, env: TermContext, entity_cfg: ResolvedEntity, in_root_frame: bool = False
     ) -> None:
         self._links = Links(entity_cfg, in_root_frame)
 

@@ -17,7 +17,7 @@ from embodichain.lab.gym.envs.mdp._judge import Recalling, action_rows, total
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
 
 __all__ = ["ActionAccL2", "ActionRateL2", "ActionSmoothnessPenalty", "action_l2"]
 
@@ -25,7 +25,7 @@ Info = dict[str, Any]
 
 
 @register_term("reward", "metric")
-def action_l2(env: BaseEnv, obs: Any, action: Any, info: Info) -> torch.Tensor:
+def action_l2(env: TermContext, obs: Any, action: Any, info: Info) -> torch.Tensor:
     """Sum of the squared actions. Isaac Lab's of the same name.
 
     Example:
@@ -45,10 +45,10 @@ class ActionSmoothnessPenalty(Recalling):
         ``{func: action_smoothness_penalty, weight: 0.01}``
     """
 
-    def __init__(self, env: BaseEnv) -> None:
+    def __init__(self, env: TermContext) -> None:
         super().__init__(env.num_envs)
 
-    def __call__(self, env: BaseEnv, obs: Any, action: Any, info: Info) -> torch.Tensor:
+    def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> torch.Tensor:
         """(N,) float32, not positive."""
         rows = action_rows(action)
         change = rows - self.recall(rows)[0]
@@ -65,10 +65,10 @@ class ActionRateL2(Recalling):
         ``{func: action_rate_l2, weight: -0.01}``
     """
 
-    def __init__(self, env: BaseEnv) -> None:
+    def __init__(self, env: TermContext) -> None:
         super().__init__(env.num_envs)
 
-    def __call__(self, env: BaseEnv, obs: Any, action: Any, info: Info) -> torch.Tensor:
+    def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> torch.Tensor:
         """(N,) float32."""
         rows = action_rows(action)
         change = rows - self.recall(rows)[0]
@@ -85,10 +85,10 @@ class ActionAccL2(Recalling):
         ``{func: action_acc_l2, weight: -0.01}``
     """
 
-    def __init__(self, env: BaseEnv) -> None:
+    def __init__(self, env: TermContext) -> None:
         super().__init__(env.num_envs, depth=2)
 
-    def __call__(self, env: BaseEnv, obs: Any, action: Any, info: Info) -> torch.Tensor:
+    def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> torch.Tensor:
         """(N,) float32."""
         rows = action_rows(action)
         last, second = self.recall(rows)

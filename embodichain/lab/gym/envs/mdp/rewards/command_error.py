@@ -17,7 +17,7 @@ from embodichain.lab.gym.envs.mdp._judge import Judge
 from embodichain.utils.math import quat_multiply, quat_rotate
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = ["OrientationCommandError", "PositionCommandError", "PositionCommandErrorTanh"]
@@ -37,7 +37,7 @@ class PositionCommandError(Judge):
         ``{func: position_command_error, weight: -0.2, params: {entity_cfg: {uid: ur10, link_names: [ee_link]}, command_name: pose}}``
     """  # noqa: E501  (an example is one line)
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity, command_name: str) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity, command_name: str) -> None:
         self._entity = entity_cfg
         self._command = columns(env, command_name, 3)
 
@@ -62,7 +62,7 @@ class PositionCommandErrorTanh(PositionCommandError):
     """  # noqa: E501  (an example is one line)
 
     def __init__(
-        self, env: BaseEnv, entity_cfg: ResolvedEntity, command_name: str, std: Positive
+        self, env: TermContext, entity_cfg: ResolvedEntity, command_name: str, std: Positive
     ) -> None:
         super().__init__(env, entity_cfg, command_name)
         self._std = std
@@ -86,7 +86,7 @@ class OrientationCommandError(Judge):
         ``{func: orientation_command_error, weight: -0.1, params: {entity_cfg: {uid: ur10, link_names: [ee_link]}, command_name: pose}}``
     """  # noqa: E501  (an example is one line)
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity, command_name: str) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity, command_name: str) -> None:
         self._entity = entity_cfg
         self._command = columns(env, command_name, 7)
 

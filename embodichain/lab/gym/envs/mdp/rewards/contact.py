@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["ContactForces", "DesiredContacts", "FeetAirTime", "FeetSlide", "UndesiredContacts"]
@@ -33,7 +33,7 @@ __all__ = ["ContactForces", "DesiredContacts", "FeetAirTime", "FeetSlide", "Unde
 class _Contacts(Judge, _sensors.ReadsContact):
     """Knows which links are touched by more than a force."""
 
-    def __init__(self, env: BaseEnv, sensor: str, threshold: float) -> None:
+    def __init__(self, env: TermContext, sensor: str, threshold: float) -> None:
         self._sensor, self._threshold = _sensors.contact(env, sensor), threshold
 
     def touched(self) -> NDArray[np.bool_]:
@@ -53,7 +53,7 @@ class UndesiredContacts(_Contacts):
         ``{func: undesired_contacts, weight: -1.0, params: {sensor: contacts, threshold: 1.0}}``
     """
 
-    def __init__(self, env: BaseEnv, sensor: str, threshold: NonNegative = 1.0) -> None:
+    def __init__(self, env: TermContext, sensor: str, threshold: NonNegative = 1.0) -> None:
         super().__init__(env, sensor, threshold)
 
     def value(self) -> F64:
@@ -75,7 +75,7 @@ class DesiredContacts(_Contacts):
         ``{func: desired_contacts, weight: -1.0, params: {sensor: contacts, threshold: 1.0}}``
     """
 
-    def __init__(self, env: BaseEnv, sensor: str, threshold: NonNegative = 1.0) -> None:
+    def __init__(self, env: TermContext, sensor: str, threshold: NonNegative = 1.0) -> None:
         super().__init__(env, sensor, threshold)
 
     def value(self) -> F64:
@@ -95,7 +95,7 @@ class ContactForces(Judge, _sensors.ReadsContact):
         ``{func: contact_forces, weight: -0.001, params: {sensor: contacts, threshold: 100.0}}``
     """
 
-    def __init__(self, env: BaseEnv, sensor: str, threshold: NonNegative) -> None:
+    def __init__(self, env: TermContext, sensor: str, threshold: NonNegative) -> None:
         self._sensor, self._threshold = _sensors.contact(env, sensor), threshold
 
     def value(self) -> F64:
@@ -125,7 +125,7 @@ class FeetAirTime(_Contacts):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         sensor: str,
         command_name: str | None = None,
         threshold: NonNegative = 0.5,
@@ -178,7 +178,7 @@ class FeetSlide(_Contacts):
         ``{func: feet_slide, weight: -0.1, params: {sensor: contacts}}``
     """
 
-    def __init__(self, env: BaseEnv, sensor: str, threshold: NonNegative = 1.0) -> None:
+    def __init__(self, env: TermContext, sensor: str, threshold: NonNegative = 1.0) -> None:
         super().__init__(env, sensor, threshold)
         self._engine = env.sim.engine
         self._bodies = self._sensor.body_ids

@@ -14,7 +14,7 @@ from embodichain.lab.gym.envs.managers.registry import register_term
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
 else:
     torch = lazy_loader.load("torch")
 
@@ -22,7 +22,7 @@ __all__ = ["constant", "is_alive", "is_terminated", "success_reward"]
 
 
 @register_term("reward", "metric")
-def success_reward(env: BaseEnv, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
+def success_reward(env: TermContext, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
     """1 where the task's success holds at this step, else 0. EmbodiChain's of the same name.
 
     Success is the metric `success`; in a task without one, ``info["success"]``: what the
@@ -38,7 +38,7 @@ def success_reward(env: BaseEnv, obs: Any, action: Any, info: dict[str, Any]) ->
 
 
 @register_term("reward", "metric")
-def is_terminated(env: BaseEnv, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
+def is_terminated(env: TermContext, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
     """1 where a termination of kind success or fail ends the episode, else 0.
 
     Running out of time is no termination. An environment that diverges gets no reward at all.
@@ -51,7 +51,7 @@ def is_terminated(env: BaseEnv, obs: Any, action: Any, info: dict[str, Any]) -> 
 
 
 @register_term("reward", "metric")
-def is_alive(env: BaseEnv, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
+def is_alive(env: TermContext, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
     """1 where `is_terminated` is 0, and 0 where it is 1. Isaac Lab's reward of the same name.
 
     Example:
@@ -60,7 +60,7 @@ def is_alive(env: BaseEnv, obs: Any, action: Any, info: dict[str, Any]) -> torch
     return (~_terminated(env, info)).to(torch.float32)
 
 
-def _terminated(env: BaseEnv, info: dict[str, Any]) -> torch.Tensor:
+def _terminated(env: TermContext, info: dict[str, Any]) -> torch.Tensor:
     if env.cfg.ignore_terminations:
         return torch.zeros(env.num_envs, dtype=torch.bool)
     ended: torch.Tensor = info["success"] | info["fail"]
@@ -69,7 +69,7 @@ def _terminated(env: BaseEnv, info: dict[str, Any]) -> torch.Tensor:
 
 @register_term("reward", "metric")
 def constant(
-    env: BaseEnv, obs: Any, action: Any, info: dict[str, Any], value: float = 1.0
+    env: TermContext, obs: Any, action: Any, info: dict[str, Any], value: float = 1.0
 ) -> torch.Tensor:
     """The same number in every step: a price of time, or a point to start from.
 

@@ -14,14 +14,15 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from embodichain.lab.gym.envs.cfg import TermCfg
-from embodichain.lab.gym.envs.managers.base import Manager, Term
+from embodichain.lab.gym.envs.managers.base import Manager
 from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
 else:
     torch = lazy_loader.load("torch")
@@ -49,11 +50,11 @@ Info = dict[str, Any]
 class _Joined(Term):
     """Builds the inner terms, and passes on what happens to the outer one."""
 
-    def __init__(self, env: BaseEnv, terms: Mapping[str, TermCfg]) -> None:
+    def __init__(self, env: TermContext, terms: Mapping[str, TermCfg]) -> None:
         self._inner: Manager[TermCfg] = Manager(env, "terms", "metric", terms)
         self._calls = [term.call for term in self._inner.terms.values()]
 
-    def __call__(self, env: BaseEnv, obs: Any, action: Any, info: Info) -> torch.Tensor:
+    def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> torch.Tensor:
         """(N,)."""
         found = [call(env, obs, action, info) for call in self._calls]
         value = self._first(found[0])
@@ -91,7 +92,7 @@ class AllOf(_Joined):
         ``{func: all_of, params: {terms: {near: {func: within_distance, params: {source_entity_cfg: {uid: cube}, target_entity_cfg: {uid: goal}, threshold: 0.05}}, still: {func: at_rest, params: {entity_cfg: {uid: cube}, linear_threshold: 0.01}}}}}``
     """  # noqa: E501  (an example is one line)
 
-    def __init__(self, env: BaseEnv, terms: Terms) -> None:
+    def __init__(self, env: TermContext, terms: Terms) -> None:
         super().__init__(env, terms)
 
     def _join(self, value: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
@@ -109,7 +110,7 @@ class AnyOf(_Joined):
         ``{func: any_of, params: {terms: {low: {func: height_below, params: {entity_cfg: {uid: cube}, threshold: 0}}, high: {func: height_above, params: {entity_cfg: {uid: cube}, threshold: 1}}}}}``
     """  # noqa: E501  (an example is one line)
 
-    def __init__(self, env: BaseEnv, terms: Terms) -> None:
+    def __init__(self, env: TermContext, terms: Terms) -> None:
         super().__init__(env, terms)
 
     def _join(self, value: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
@@ -127,7 +128,7 @@ class ProductOf(_Joined):
         ``{func: product_of, weight: 1.0, params: {terms: {lifted: {func: height_above, params: {entity_cfg: {uid: cube}, threshold: 0.1}}, near: {func: distance_tanh, params: {source_entity_cfg: {uid: cube}, target_entity_cfg: {uid: goal}, std: 0.2}}}}}``
     """  # noqa: E501  (an example is one line)
 
-    def __init__(self, env: BaseEnv, terms: Terms) -> None:
+    def __init__(self, env: TermContext, terms: Terms) -> None:
         super().__init__(env, terms)
 
     def _first(self, value: torch.Tensor) -> torch.Tensor:
@@ -152,7 +153,7 @@ class HeldFor(_Joined):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         term: Inner,
         steps: Annotated[int, Field(ge=1)] | None = None,
         time_s: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None,
@@ -163,7 +164,7 @@ class HeldFor(_Joined):
         self._steps = steps or max(1, round((time_s or 0.0) / env.step_dt))
         self._held = np.zeros(env.num_envs, np.int64)
 
-    def __call__(self, env: BaseEnv, obs: Any, action: Any, info: Info) -> torch.Tensor:
+    def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> torch.Tensor:
         """(N,) bool."""
         true = super().__call__(env, obs, action, info).numpy()
         self._held = np.where(true, self._held + 1, 0)

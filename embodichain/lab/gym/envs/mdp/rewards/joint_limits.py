@@ -18,7 +18,7 @@ from embodichain.lab.gym.envs.mdp._joints import Joints, pick_joints
 from embodichain.lab.gym.envs.mdp._judge import Judge, total
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = ["AppliedTorqueLimits", "JointLimitPenalty", "JointPosLimits", "JointVelLimits"]
@@ -42,7 +42,7 @@ class JointLimitPenalty(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         robot_uid: str | None = None,
         joint_ids: list[int] | None = None,
         margin: Annotated[float, Field(gt=0, le=0.5)] = 0.1,
@@ -77,7 +77,7 @@ class JointPosLimits(Judge):
     """  # noqa: E501  (an example is one line)
 
     def __init__(
-        self, env: BaseEnv, entity_cfg: ResolvedEntity, soft_ratio: Fraction = 1.0
+        self, env: TermContext, entity_cfg: ResolvedEntity, soft_ratio: Fraction = 1.0
     ) -> None:
         self._joints, self._ratio = Joints(entity_cfg), soft_ratio
         self._joints.position_limits()
@@ -105,7 +105,7 @@ class JointVelLimits(Judge):
     """  # noqa: E501  (an example is one line)
 
     def __init__(
-        self, env: BaseEnv, entity_cfg: ResolvedEntity, soft_ratio: Fraction = 1.0
+        self, env: TermContext, entity_cfg: ResolvedEntity, soft_ratio: Fraction = 1.0
     ) -> None:
         self._joints, self._ratio = Joints(entity_cfg), soft_ratio
         self._joints.velocity_limits()
@@ -133,7 +133,7 @@ class AppliedTorqueLimits(Judge):
     """  # noqa: E501  (an example is one line)
 
     def __init__(
-        self, env: BaseEnv, entity_cfg: ResolvedEntity, soft_ratio: Fraction = 1.0
+        self, env: TermContext, entity_cfg: ResolvedEntity, soft_ratio: Fraction = 1.0
     ) -> None:
         self._joints, self._ratio = Joints(entity_cfg), soft_ratio
         self._joints.effort_limits()

@@ -17,7 +17,7 @@ from embodichain.lab.gym.envs.mdp._joints import Joints, pick_joints
 from embodichain.lab.gym.envs.mdp._judge import Judge, Recalling, total
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = [
@@ -49,7 +49,7 @@ class JointVelocityPenalty(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         robot_uid: str | None = None,
         joint_ids: list[int] | None = None,
         part_name: str | None = None,
@@ -73,7 +73,7 @@ class JointVelL1(Judge):
         ``{func: joint_vel_l1, weight: -0.01, params: {entity_cfg: {uid: ur10}}}``
     """
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity) -> None:
         self._joints = Joints(entity_cfg)
 
     def value(self) -> F64:
@@ -92,7 +92,7 @@ class JointVelL2(Judge):
         ``{func: joint_vel_l2, weight: -0.001, params: {entity_cfg: {uid: ur10}}}``
     """
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity) -> None:
         self._joints = Joints(entity_cfg)
 
     def value(self) -> F64:
@@ -114,7 +114,7 @@ class JointTargetError(Judge):
         ``{func: joint_target_error, weight: -0.1, params: {entity_cfg: {uid: ur10}}}``
     """
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity) -> None:
         self._joints = Joints(entity_cfg)
 
     def value(self) -> F64:
@@ -138,7 +138,7 @@ class JointAccL2(Recalling):
         ``{func: joint_acc_l2, weight: -2.5e-7, params: {entity_cfg: {uid: ur10}}}``
     """
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity) -> None:
         super().__init__(env.num_envs)
         self._joints, self._dt = Joints(entity_cfg), env.step_dt
 
@@ -163,7 +163,7 @@ class JointTorquesL2(Judge):
         ``{func: joint_torques_l2, weight: -1.0e-5, params: {entity_cfg: {uid: ur10}}}``
     """
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity) -> None:
         self._joints = Joints(entity_cfg)
 
     def value(self) -> F64:
@@ -188,7 +188,7 @@ class JointPower(Judge):
     """
 
     def __init__(
-        self, env: BaseEnv, entity_cfg: ResolvedEntity, positive_only: bool = False
+        self, env: TermContext, entity_cfg: ResolvedEntity, positive_only: bool = False
     ) -> None:
         self._joints, self._positive = Joints(entity_cfg), positive_only
 
@@ -209,7 +209,7 @@ class JointDeviationL1(Judge):
         ``{func: joint_deviation_l1, weight: -0.1, params: {entity_cfg: {uid: ur10, joint_names: ["Joint[456]"]}}}``
     """  # noqa: E501  (an example is one line)
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity) -> None:
         self._joints = Joints(entity_cfg)
 
     def value(self) -> F64:
@@ -234,7 +234,7 @@ class StandStill(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         command_name: str,
         command_threshold: NonNegative = 0.06,

@@ -18,7 +18,7 @@ from embodichain.lab.gym.envs.mdp._commands import columns
 from embodichain.lab.gym.envs.mdp._judge import Judge, Recalling, total
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = [
@@ -51,7 +51,7 @@ class TrackLinVelXyExp(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         command_name: str,
         std: Positive,
@@ -90,7 +90,7 @@ class TrackAngVelZExp(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         command_name: str,
         std: Positive,
@@ -118,7 +118,7 @@ class LinVelZL2(Judge):
         ``{func: lin_vel_z_l2, weight: -2.0, params: {entity_cfg: {uid: go}}}``
     """
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity) -> None:
         self._entity = entity_cfg
 
     def value(self) -> F64:
@@ -140,7 +140,7 @@ class AngVelXyL2(Judge):
         ``{func: ang_vel_xy_l2, weight: -0.05, params: {entity_cfg: {uid: go}}}``
     """
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity) -> None:
         self._entity = entity_cfg
 
     def value(self) -> F64:
@@ -161,7 +161,7 @@ class BaseHeightL2(Judge):
         ``{func: base_height_l2, weight: -1.0, params: {entity_cfg: {uid: go}, target_height: 0.3}}``
     """  # noqa: E501  (an example is one line)
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity, target_height: float) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity, target_height: float) -> None:
         self._entity, self._target = entity_cfg, target_height
 
     def value(self) -> F64:
@@ -185,7 +185,7 @@ class ObjectHeight(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         above: float = 0.0,
         most: Positive | None = None,
@@ -213,7 +213,7 @@ class BodyLinAccL2(Recalling):
         ``{func: body_lin_acc_l2, weight: -0.001, params: {entity_cfg: {uid: ur10, link_names: [ee_link]}}}``
     """  # noqa: E501  (an example is one line)
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity) -> None:
         super().__init__(env.num_envs)
         self._entity, self._dt = entity_cfg, env.step_dt
 

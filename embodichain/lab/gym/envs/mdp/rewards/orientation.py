@@ -19,7 +19,7 @@ from embodichain.utils.math import quat_conjugate, quat_multiply
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = [
@@ -33,7 +33,7 @@ __all__ = [
 
 @register_term("reward", "metric")
 def orientation_alignment(
-    env: BaseEnv,
+    env: TermContext,
     obs: Any,
     action: Any,
     info: dict[str, Any],
@@ -74,7 +74,7 @@ class OrientationError(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         source_entity_cfg: ResolvedEntity,
         target_entity_cfg: ResolvedEntity,
     ) -> None:
@@ -100,7 +100,7 @@ class OrientationTanh(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         source_entity_cfg: ResolvedEntity,
         target_entity_cfg: ResolvedEntity,
         std: Positive,
@@ -126,7 +126,7 @@ class FlatOrientationL2(Judge):
         ``{func: flat_orientation_l2, weight: -5.0, params: {entity_cfg: {uid: go}}}``
     """
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity) -> None:
         self._entity = entity_cfg
 
     def value(self) -> F64:
@@ -150,7 +150,7 @@ class Upright(Judge):
     """
 
     def __init__(
-        self, env: BaseEnv, entity_cfg: ResolvedEntity, std: Positive | None = None
+        self, env: TermContext, entity_cfg: ResolvedEntity, std: Positive | None = None
     ) -> None:
         self._entity, self._std = entity_cfg, std
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
 
     Mask = NDArray[np.bool_]
 
@@ -40,7 +40,7 @@ __all__ = [
 
 @register_term("reward", "metric", "termination")
 def within_distance(
-    env: BaseEnv,
+    env: TermContext,
     obs: Any,
     action: Any,
     info: dict[str, Any],
@@ -83,7 +83,7 @@ class WithinOrientation(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         source_entity_cfg: ResolvedEntity,
         target_entity_cfg: ResolvedEntity,
         threshold: Angle,
@@ -111,7 +111,7 @@ class WithinPose(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         source_entity_cfg: ResolvedEntity,
         target_entity_cfg: ResolvedEntity,
         position_threshold: Positive,
@@ -140,7 +140,7 @@ class HeightAbove(Judge):
         ``{func: height_above, params: {entity_cfg: {uid: cube}, threshold: 0.1}}``
     """
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity, threshold: float) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity, threshold: float) -> None:
         self._entity, self._threshold = entity_cfg, threshold
 
     def value(self) -> Mask:
@@ -160,7 +160,7 @@ class HeightBelow(Judge):
         ``{func: height_below, params: {entity_cfg: {uid: cube}, threshold: -0.05}}``
     """
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity, threshold: float) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity, threshold: float) -> None:
         self._entity, self._threshold = entity_cfg, threshold
 
     def value(self) -> Mask:
@@ -184,7 +184,7 @@ class JointWithin(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         bounds: Bounds,
         periodic: bool = False,
@@ -217,7 +217,7 @@ class JointVelWithin(Judge):
         ``{func: joint_vel_within, params: {entity_cfg: {uid: ur10}, threshold: 0.05}}``
     """
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity, threshold: Positive) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity, threshold: Positive) -> None:
         self._joints, self._threshold = Joints(entity_cfg), threshold
 
     def value(self) -> Mask:
@@ -240,7 +240,7 @@ class AtRest(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         linear_threshold: Positive | None = None,
         angular_threshold: Positive | None = None,

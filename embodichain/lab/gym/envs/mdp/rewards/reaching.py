@@ -20,7 +20,7 @@ from embodichain.lab.gym.envs.mdp._judge import Judge, Recalling
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 else:
     torch = lazy_loader.load("torch")
@@ -37,7 +37,7 @@ __all__ = [
 
 @register_term("reward", "metric")
 def distance_between_objects(
-    env: BaseEnv,
+    env: TermContext,
     obs: Any,
     action: Any,
     info: dict[str, Any],
@@ -71,7 +71,7 @@ def distance_between_objects(
 
 @register_term("reward", "metric")
 def distance_to_target(
-    env: BaseEnv,
+    env: TermContext,
     obs: Any,
     action: Any,
     info: dict[str, Any],
@@ -131,7 +131,7 @@ class IncrementalDistanceToTarget(Recalling):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         source_entity_cfg: ResolvedEntity,
         target_pose_key: str = "target_pose",
         tanh_scale: Positive = 10.0,
@@ -177,7 +177,7 @@ class ReachingBehindObject(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         object_cfg: ResolvedEntity,
         target_pose_key: str = "goal_pose",
         behind_offset: float = 0.015,
@@ -220,7 +220,7 @@ class DistanceTanh(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         source_entity_cfg: ResolvedEntity,
         target_entity_cfg: ResolvedEntity,
         std: Positive,
@@ -252,7 +252,7 @@ class ObjectGoalDistance(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         object_cfg: ResolvedEntity,
         goal_cfg: ResolvedEntity,
         std: Positive,

@@ -24,7 +24,7 @@ from embodichain.utils.math import quat_conjugate, quat_rotate
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = [
@@ -61,7 +61,7 @@ class ToleranceDistance(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         source_entity_cfg: ResolvedEntity,
         target_entity_cfg: ResolvedEntity,
         bounds: Bounds = NOTHING,
@@ -96,7 +96,7 @@ class ToleranceHeight(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         bounds: Bounds,
         margin: NonNegative = 0.0,
@@ -131,7 +131,7 @@ class ToleranceOrientation(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         target_entity_cfg: ResolvedEntity | None = None,
         bounds: Bounds = NOTHING,
@@ -172,7 +172,7 @@ class ToleranceVelocity(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         bounds: Bounds,
         margin: NonNegative = 0.0,
@@ -220,7 +220,7 @@ class ToleranceJointPosition(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         bounds: Bounds = NOTHING,
         margin: NonNegative = 0.0,
@@ -256,7 +256,7 @@ class ToleranceJointVelocity(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         bounds: Bounds = NOTHING,
         margin: NonNegative = 0.0,
@@ -289,7 +289,7 @@ class ToleranceAction(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         bounds: Bounds = NOTHING,
         margin: NonNegative = 0.0,
         sigmoid: Sigmoid = "gaussian",
@@ -297,7 +297,9 @@ class ToleranceAction(Judge):
     ) -> None:
         self._tolerance = Tolerance(bounds, margin, sigmoid, value_at_margin)
 
-    def __call__(self, env: BaseEnv, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
+    def __call__(
+        self, env: TermContext, obs: Any, action: Any, info: dict[str, Any]
+    ) -> torch.Tensor:
         """(N,) float32 in [0, 1]."""
         found = self._tolerance(action_rows(action))
         return _spatial.tensor(mean(found))

@@ -16,7 +16,7 @@ from embodichain.lab.gym.envs.mdp._judge import Judge
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
 
 __all__ = ["FollowsVelocity"]
 
@@ -37,7 +37,7 @@ class FollowsVelocity(Judge):
 
     def __init__(
         self,
-        env: BaseEnv,
+        env: TermContext,
         entity_cfg: ResolvedEntity,
         command_name: str,
         linear_threshold: Positive,

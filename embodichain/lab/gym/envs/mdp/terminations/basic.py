@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
 
     Mask = NDArray[np.bool_]
 
@@ -28,7 +28,7 @@ __all__ = ["BadOrientation", "OutOfBounds", "RootHeightBelowMinimum", "time_out"
 
 @register_term("termination", "metric")
 def time_out(
-    env: BaseEnv, obs: Any, action: Any, info: dict[str, Any], time_limit_s: Positive
+    env: TermContext, obs: Any, action: Any, info: dict[str, Any], time_limit_s: Positive
 ) -> torch.Tensor:
     """True once an episode has lasted so long, this step included.
 
@@ -59,7 +59,7 @@ class OutOfBounds(Judge):
         ``{func: out_of_bounds, kind: fail, params: {entity_cfg: {uid: cube}, bounds: [[-1, -1, -0.1], [1, 1, 1]]}}``
     """  # noqa: E501  (an example is one line)
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity, bounds: Box3) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity, bounds: Box3) -> None:
         self._entity = entity_cfg
         self._low, self._high = np.asarray(bounds, np.float64)
 
@@ -83,7 +83,7 @@ class BadOrientation(Judge):
         ``{func: bad_orientation, kind: fail, params: {entity_cfg: {uid: go}, limit_angle: 1.0}}``
     """
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity, limit_angle: Angle) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity, limit_angle: Angle) -> None:
         self._entity, self._least = entity_cfg, float(np.cos(limit_angle))
 
     def value(self) -> Mask:
@@ -105,7 +105,7 @@ class RootHeightBelowMinimum(Judge):
         ``{func: root_height_below_minimum, kind: fail, params: {entity_cfg: {uid: cube}, minimum_height: -0.05}}``
     """  # noqa: E501  (an example is one line)
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity, minimum_height: float) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity, minimum_height: float) -> None:
         self._entity, self._minimum = entity_cfg, minimum_height
 
     def value(self) -> Mask:

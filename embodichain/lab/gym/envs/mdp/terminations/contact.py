@@ -14,7 +14,7 @@ from embodichain.lab.gym.envs.mdp._judge import Judge, any_column
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
 
 __all__ = ["IllegalContact"]
 
@@ -33,7 +33,7 @@ class IllegalContact(Judge, _sensors.ReadsContact):
         ``{func: illegal_contact, kind: fail, params: {sensor: contacts, threshold: 1.0}}``
     """
 
-    def __init__(self, env: BaseEnv, sensor: str, threshold: NonNegative = 1.0) -> None:
+    def __init__(self, env: TermContext, sensor: str, threshold: NonNegative = 1.0) -> None:
         self._sensor, self._threshold = _sensors.contact(env, sensor), threshold
 
     def value(self) -> NDArray[np.bool_]:

@@ -18,7 +18,7 @@ from embodichain.lab.gym.envs.mdp._judge import Judge, any_column
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
 
     Mask = NDArray[np.bool_]
@@ -46,7 +46,7 @@ class JointPosOutOfLimit(Judge):
     """  # noqa: E501  (an example is one line)
 
     def __init__(
-        self, env: BaseEnv, entity_cfg: ResolvedEntity, soft_ratio: Fraction = 1.0
+        self, env: TermContext, entity_cfg: ResolvedEntity, soft_ratio: Fraction = 1.0
     ) -> None:
         self._joints, self._ratio = Joints(entity_cfg), soft_ratio
         self._joints.position_limits()
@@ -68,7 +68,7 @@ class JointPosOutside(Judge):
         ``{func: joint_pos_outside, kind: fail, params: {entity_cfg: {uid: ur10, joint_names: [Joint1]}, bounds: [-3, 3]}}``
     """  # noqa: E501  (an example is one line)
 
-    def __init__(self, env: BaseEnv, entity_cfg: ResolvedEntity, bounds: Bounds) -> None:
+    def __init__(self, env: TermContext, entity_cfg: ResolvedEntity, bounds: Bounds) -> None:
         self._joints = Joints(entity_cfg)
         self._low, self._high = bounds
 
@@ -97,7 +97,7 @@ class JointVelOutOfLimit(Judge):
     """  # noqa: E501  (an example is one line)
 
     def __init__(
-        self, env: BaseEnv, entity_cfg: ResolvedEntity, max_velocity: Positive | None = None
+        self, env: TermContext, entity_cfg: ResolvedEntity, max_velocity: Positive | None = None
     ) -> None:
         self._joints, self._max = Joints(entity_cfg), max_velocity
         if max_velocity is None:
@@ -125,7 +125,7 @@ class JointEffortOutOfLimit(Judge):
     """  # noqa: E501  (an example is one line)
 
     def __init__(
-        self, env: BaseEnv, entity_cfg: ResolvedEntity, soft_ratio: Fraction = 1.0
+        self, env: TermContext, entity_cfg: ResolvedEntity, soft_ratio: Fraction = 1.0
     ) -> None:
         self._joints, self._ratio = Joints(entity_cfg), soft_ratio
         self._joints.effort_limits()

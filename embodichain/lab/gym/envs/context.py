@@ -1,0 +1,214 @@
+"""`TermContext`: what terms and managers use of an environment.
+
+`BaseEnv` satisfies these protocols by its structure. Terms annotate their first argument with
+`TermContext`, so that they depend on what they use and not on the environment's class.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+from embodichain.lab.gym.envs.observers import ObservedEnv, StepObserver
+
+if TYPE_CHECKING:
+    import torch
+    from numpy.typing import NDArray
+
+    from embodichain.lab.gym.envs.cfg import EnvCfg
+    from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.objects.robot import Robot
+    from embodichain.utils.random import RandomStreams
+
+__all__ = ["ActionSlices", "Commands", "Draws", "EditableTerms", "EventDraws", "TermContext"]
+
+
+class Draws(Protocol):
+    """Random numbers for the term that is being called."""
+
+    def draw(
+        self, what: str, shape: Sequence[int], low: Any, high: Any, env_ids: EnvIndex | None
+    ) -> F64:
+        """Draw uniform numbers from the calling term's own stream, and log them.
+
+        Args:
+            what: Name of the numbers in the log.
+            shape: Shape of one environment's draw.
+            low: Scalar or array that broadcasts to ``shape``.
+            high: Likewise; exclusive.
+            env_ids: (n,) environments that draw, or None for all.
+
+        Returns:
+            (n, *shape) float64. Do not write into it.
+        """
+        ...
+
+
+class EventDraws(Draws, Protocol):
+    """Random numbers for event terms."""
+
+    def draw_columns(
+        self,
+        columns: Mapping[str, slice],
+        low: F64,
+        high: F64,
+        env_ids: EnvIndex | None,
+        normal: bool = False,
+    ) -> F64:
+        """Draw several quantities at once, each logged under its name; see `EventManager`."""
+        ...
+
+
+class Commands(Draws, Protocol):
+    """The commands of a task, by name."""
+
+    def require(self, name: str, key: str = "command_name") -> str:
+        """Return ``name`` if there is such a command; else raise a ConfigError for ``key``."""
+        ...
+
+    def values(self, name: str) -> F64:
+        """(N, K) float64 current command: a live view, not to be written to or stored."""
+        ...
+
+    def get_command(self, name: str) -> torch.Tensor:
+        """(N, K) float32 current command; a copy."""
+        ...
+
+
+class ActionSlices(Protocol):
+    """Which columns of the action belong to which term."""
+
+    @property
+    def slices(self) -> Mapping[str, slice]:
+        """Columns by name of the action term."""
+        ...
+
+
+class EditableTerms(Protocol):
+    """Terms of one section, whose parameters may change while the task runs."""
+
+    @property
+    def terms(self) -> Mapping[str, Any]:
+        """The built terms by name."""
+        ...
+
+    def params(self, name: str) -> dict[str, Any]:
+        """Return a term's current parameters (a deep copy), as the config writes them."""
+        ...
+
+    def set_params(self, name: str, params: dict[str, Any]) -> None:
+        """Build a term anew with other parameters; its state is carried over."""
+        ...
+
+
+class TermContext(ObservedEnv, Protocol):
+    """What terms and managers use of an environment. N is the number of environments."""
+
+    @property
+    def cfg(self) -> EnvCfg:
+        """The environment's own copy of its config."""
+        ...
+
+    @property
+    def device(self) -> torch.device:
+        """Device of the tensors that are handed out."""
+        ...
+
+    @property
+    def robot(self) -> Robot | None:
+        """The first declared robot, or None."""
+        ...
+
+    @property
+    def active_joint_ids(self) -> Sequence[int]:
+        """The robot's joints that ``obs["robot"]`` contains and actions move."""
+        ...
+
+    @property
+    def sensors(self) -> Mapping[str, Any]:
+        """Sensors by uid."""
+        ...
+
+    @property
+    def run_dir(self) -> Path | None:
+        """The run's folder, or None."""
+        ...
+
+    @property
+    def streams(self) -> RandomStreams:
+        """Random numbers, one stream for each name and environment."""
+        ...
+
+    @property
+    def control_frequency(self) -> float:
+        """Control steps a second."""
+        ...
+
+    @property
+    def max_episode_steps(self) -> int:
+        """Control steps after which an episode is truncated; 2**31 - 1 is never."""
+        ...
+
+    @property
+    def elapsed_steps(self) -> torch.Tensor:
+        """(N,) int32 finished control steps of the current episodes; a copy."""
+        ...
+
+    @property
+    def episode_ids(self) -> torch.Tensor:
+        """(N,) int64 number of the current episodes, from 0; a copy."""
+        ...
+
+    @property
+    def last_action(self) -> torch.Tensor:
+        """(N, A) float32 action as last given to `step`; zeros after a reset. A copy."""
+        ...
+
+    @property
+    def event_manager(self) -> EventDraws:
+        """Random numbers for event terms."""
+        ...
+
+    @property
+    def command_manager(self) -> Commands:
+        """The commands."""
+        ...
+
+    @property
+    def action_manager(self) -> ActionSlices:
+        """The columns of action terms."""
+        ...
+
+    @property
+    def managers(self) -> Mapping[str, EditableTerms]:
+        """All managers by section."""
+        ...
+
+    @property
+    def observers(self) -> Sequence[StepObserver]:
+        """Attached observers."""
+        ...
+
+    def add_observer(self, observer: StepObserver) -> None:
+        """Attach an observer."""
+        ...
+
+    def scene_entity(self, cfg: Any) -> ResolvedEntity:
+        """Look up what a `SceneEntityCfg` (or a mapping with its keys) refers to."""
+        ...
+
+    def add_detached_uids_for_reset(self, uids: Sequence[str]) -> None:
+        """Exclude entities from the reset of states."""
+        ...
+
+    def log_event(
+        self,
+        term: str,
+        mode: str,
+        env_ids: EnvIndex | None,
+        drawn: Mapping[str, NDArray[Any]] | None = None,
+    ) -> None:
+        """Tell observers that a term fired, and what it drew."""
+        ...

@@ -1,0 +1,131 @@
+"""`Term`, `ActionTerm` and `CommandTerm`: bases of terms that are classes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    import torch
+
+    from embodichain.lab.sim.engine.base import F64, EnvIndex
+
+__all__ = ["ActionTerm", "CommandMarker", "CommandTerm", "Term"]
+
+
+class Term:
+    """Base of terms that keep something between calls.
+
+    A term class takes ``(env, **params)`` and is called with what its manager passes to functions
+    of that kind, without the parameters. Subclassing this is optional: any class with `__call__`
+    will do, and its `reset`, `state_dict` and `load_state_dict` are used where it has them.
+    """
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Forget what belongs to the episode of these environments.
+
+        Args:
+            env_ids: (n,) sorted unique int64, or None for all.
+        """
+
+    def state_dict(self) -> dict[str, Any]:
+        """Everything that must be restored to continue to the bit (copies)."""
+        return {}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+
+
+class ActionTerm(Term):
+    """Base of action terms; subclasses take ``(env, **params)``.
+
+    Attributes:
+        low: (A,) float32 lower bounds of its slice, finite.
+        high: (A,) float32 upper bounds, finite.
+        names: What each column moves, for tables and logs.
+    """
+
+    low: NDArray[np.float32]
+    high: NDArray[np.float32]
+    names: tuple[str, ...] = ()
+
+    @property
+    def action_dim(self) -> int:
+        """Width A of its slice."""
+        return len(self.low)
+
+    def apply(self, action: torch.Tensor) -> None:
+        """Act on the scene; called once a control step, before physics.
+
+        Args:
+            action: (N, A) float32, finite.
+        """
+        raise NotImplementedError
+
+    def home(self) -> NDArray[np.float64]:
+        """(A,) the action that goes to the initial state; policies explore around it."""
+        return np.clip(np.zeros(len(self.low)), self.low, self.high)
+
+    def hold(self) -> NDArray[np.float64]:
+        """(N, A) or (A,) the action that changes nothing now."""
+        return self.home()
+
+
+@dataclass(frozen=True, slots=True)
+class CommandMarker:
+    """How viewers draw a command.
+
+    Attributes:
+        kind: What the columns are. ``pose``: x, y, z, qw, qx, qy, qz in the frame of the body.
+            ``velocity``: forward, to the left (m/s) and counter-clockwise (rad/s), in its heading.
+        body: Id of the body.
+    """
+
+    kind: Literal["pose", "velocity"]
+    body: int
+
+
+class CommandTerm(Term):
+    """Base of commands; subclasses take ``(env, **params)`` and set `names` and `values`.
+
+    Attributes:
+        names: What each column is, for tables and logs.
+        values: (N, K) float64, the commands in force. Terms read it live: write into it, never
+            replace it.
+        marker: How viewers draw it, if they can.
+    """
+
+    names: tuple[str, ...] = ()
+    values: F64
+    marker: CommandMarker | None = None
+
+    def resample(self, env_ids: EnvIndex | None) -> None:
+        """Draw new commands, by `CommandManager.draw`; touch no other environment.
+
+        Args:
+            env_ids: (n,) sorted unique int64, or None for all.
+        """
+        raise NotImplementedError
+
+    def update(self, env_ids: EnvIndex | None) -> None:
+        """Adjust commands to the state, after every step and every draw. The default does nothing.
+
+        Args:
+            env_ids: (n,) environments that stepped or drew, or None for all.
+        """
+
+    def metrics(self) -> Mapping[str, F64]:
+        """How well the commands are followed now: name -> (N,). The default is nothing."""
+        return {}
+
+    def state_dict(self) -> dict[str, Any]:
+        """The commands in force (copies); terms that keep more add it."""
+        return {"values": self.values.copy()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        self.values[:] = state["values"]
