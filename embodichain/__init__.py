@@ -2,7 +2,7 @@
 
 `make` is found on first use, so that `import embodichain` stays fast. Importing the package also
 registers ``embodichain/NAME-v0`` of every YAML task with Gymnasium, once that is imported too.
-EmbodiChain's import paths are answered by `compat`.
+EmbodiChain's import paths are answered by `compat`, which also has the older names of terms.
 """
 
 import sys
@@ -12,6 +12,7 @@ import lazy_loader
 
 from embodichain.compat import finder
 from embodichain.config.gymnasium_ids import register_with_gymnasium
+from embodichain.utils.plugins import TERM_MODULES
 
 if TYPE_CHECKING:
     from embodichain.config.factory import make
@@ -24,4 +25,5 @@ __all__ = ["__version__", "make"]
 
 finder.complete(sys.modules[__name__])
 finder.install()
+TERM_MODULES.append("embodichain.compat.terms")
 register_with_gymnasium()

@@ -1,4 +1,4 @@
-"""Names for a quantity with a shape: `alias` describes one, `register_aliases` adds a table of them.
+"""Names for a quantity with a shape: `alias` describes one, `register_aliases` adds a table.
 
 ``"joint_vel_l2": alias("joint_velocity", "l2")`` makes ``{func: joint_vel_l2}`` mean ``{func:
 joint_velocity, shape: l2}``. A parameter of the alias may be one of the quantity or of a shape
@@ -35,10 +35,14 @@ class P:
     Attributes:
         name: What the alias calls it; ``*`` stands for all parameters of a shape.
         default: Its value where a config gives none; without it that of what it stands for.
+        hint: Its type, if that is narrower than of what it stands for.
+        needed: Whether a config must give it, although what it stands for has a default.
     """
 
     name: str
     default: Any = _EMPTY
+    hint: Any = None
+    needed: bool = False
 
 
 @dataclass(frozen=True)
@@ -74,12 +78,14 @@ class AliasSpec(TermSpec):
         steps: The shapes, in order.
         fixed: The values that the alias sets: of the quantity, then of each shape.
         exposed: Parameter -> which of these (0 is the quantity) and its parameter there.
+        narrower: Parameter -> its type, where that is not the type of what it stands for.
     """
 
     target: TermSpec = field(default=None)  # type: ignore[assignment]
     steps: tuple[TermSpec, ...] = ()
     fixed: tuple[dict[str, Any], ...] = ()
     exposed: Mapping[str, tuple[int, str]] = field(default_factory=dict)
+    narrower: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def place(self) -> str:
@@ -89,7 +95,8 @@ class AliasSpec(TermSpec):
     def hints(self) -> dict[str, Any]:
         """Types of the parameters: those of what they stand for."""
         parts = (self.target, *self.steps)
-        return {name: parts[i].hints()[key] for name, (i, key) in self.exposed.items()}
+        hints = {name: parts[i].hints()[key] for name, (i, key) in self.exposed.items()}
+        return {**hints, **self.narrower}
 
     def meaning(self, values: Mapping[str, Any]) -> list[tuple[TermSpec, dict[str, Any]]]:
         """The quantity and its parameters, then each shape and its own.
@@ -129,11 +136,15 @@ def _spec(name: str, kind: Kind, meant: Alias) -> AliasSpec:
     fixed: list[dict[str, Any]] = [{} for _ in range(len(steps) + 1)]
     exposed: dict[str, tuple[int, str]] = {}
     params: dict[str, inspect.Parameter] = {}
+    narrower: dict[str, Any] = {}
 
     def add(part: int, key: str, given: P) -> None:
         source = (target, *steps)[part].params[key]
         default = source.default if given.default is _EMPTY else given.default
+        default = _EMPTY if given.needed else default
         exposed[given.name] = (part, key)
+        if given.hint is not None:
+            narrower[given.name] = given.hint
         params[given.name] = source.replace(default=default)
 
     for part, (_, given) in enumerate(meant.shapes, 1):
@@ -162,6 +173,7 @@ def _spec(name: str, kind: Kind, meant: Alias) -> AliasSpec:
         steps=steps,
         fixed=tuple(fixed),
         exposed=exposed,
+        narrower=narrower,
     )
 
 

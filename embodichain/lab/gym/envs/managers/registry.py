@@ -94,7 +94,7 @@ logger = logging.getLogger(__name__)
 
 T = TypeVar("T", bound=Callable[..., Any])
 _BUILTIN = "embodichain.lab.gym.envs.mdp"
-_PACKAGES = ("actions", "commands", "curriculum", "events", "observations", "quantities")
+_PACKAGES = ("actions", "commands", "curriculum", "events", "quantities")
 ENTRY_POINTS = "embodichain.terms"
 """Entry point group of packages with terms: each names a module that is imported with ours."""
 _PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
@@ -341,9 +341,7 @@ def _place(func: Callable[..., Any]) -> str:
     return f"{func.__module__}:{getattr(func, '__qualname__', type(func).__qualname__)}"
 
 
-def describe_term(
-    kind: SpecKind, func: Callable[..., Any], name: str | None = None
-) -> TermSpec:
+def describe_term(kind: SpecKind, func: Callable[..., Any], name: str | None = None) -> TermSpec:
     """Read a term's parameters off its signature.
 
     Raises:

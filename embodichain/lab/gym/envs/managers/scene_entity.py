@@ -212,7 +212,9 @@ class ResolvedEntity:
         """(N, 3) m: a live view, not to be written to or stored."""
         body = self.link_body
         found: F64 = (
-            self.asset.read_pose()[0] if body is None else self.asset.engine.derived("xpos")[:, body]
+            self.asset.read_pose()[0]
+            if body is None
+            else self.asset.engine.derived("xpos")[:, body]
         )
         return found
 
@@ -235,7 +237,7 @@ class ResolvedEntity:
         return found
 
     def _free_qvel(self) -> F64 | None:
-        """(N, 6) velocity of a floating root's own joint: linear in world axes, angular in its own."""
+        """(N, 6) velocity of a floating root: linear in world axes, angular in its own."""
         start = self.asset.entity.free_qvel_adr
         if self.link_body is not None or start < 0:
             return None

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.mdp._kinematics import Chain, Posture
-from embodichain.lab.gym.envs.mdp._spatial import norm
+from embodichain.lab.gym.envs.mdp._rows import norm
 from embodichain.utils.math import cross
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ parameter.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -36,12 +36,14 @@ if TYPE_CHECKING:
 __all__ = [
     "Rate",
     "above",
+    "at_most",
     "below",
     "clip",
     "excess",
     "gaussian",
     "l1",
     "l2",
+    "negative",
     "norm_",
     "outside",
     "tanh",
@@ -101,7 +103,7 @@ def norm_(env: TermContext) -> Values:
 
 @register_shape
 def tanh(env: TermContext, std: Positive) -> Values:
-    """1 - tanh(e / std) in [0, 1], e the absolute value, or the length of the row.
+    """One minus the hyperbolic tangent of e / std, e the absolute value or the row's length.
 
     The kernel of Isaac Lab's reaching rewards.
 
@@ -109,7 +111,8 @@ def tanh(env: TermContext, std: Positive) -> Values:
         std: Where the value has fallen to 0.24, in the quantity's unit.
 
     Example:
-        ``{func: distance, shape: {tanh: 0.1}, weight: 1.0, params: {from: {uid: ur10, link_names: [ee_link]}, to: {uid: cube}}}``
+        ``{func: distance, shape: {tanh: 0.1}, weight: 1.0, params: {from: {uid: ur10, link_names:
+        [ee_link]}, to: {uid: cube}}}``
     """
     return lambda values: _kernels.tanh_kernel(_length(values), std)
 
@@ -124,7 +127,8 @@ def gaussian(env: TermContext, std: Positive) -> Values:
         std: Where the value has fallen to 1/e, in the quantity's unit.
 
     Example:
-        ``{func: linear_velocity_error, shape: {gaussian: 0.5}, weight: 1.0, params: {of: {uid: go}, command_name: velocity}}``
+        ``{func: linear_velocity_error, shape: {gaussian: 0.5}, weight: 1.0, params: {of: {uid:
+        go}, command_name: velocity}}``
     """
 
     def kernel(values: F64) -> F64:
@@ -154,7 +158,8 @@ def tolerance(
         value_at_margin: In (0, 1); linear, cosine and quadratic may take 0.
 
     Example:
-        ``{func: height, shape: {tolerance: {bounds: [0.3, .inf], margin: 0.3, sigmoid: linear}}, weight: 1.0, params: {of: {uid: cube}}}``
+        ``{func: height, shape: {tolerance: {bounds: [0.3, .inf], margin: 0.3, sigmoid: linear}},
+        weight: 1.0, params: {of: {uid: cube}}}``
     """
     kernel = _kernels.Tolerance(bounds, margin, sigmoid, value_at_margin)
     return lambda values: kernel(values) if values.ndim == 1 else mean(kernel(values))
@@ -198,7 +203,8 @@ def within(env: TermContext, bounds: BoundsOrBox) -> Truths:
         bounds: [low, high] in the quantity's unit, or [[low of each column], [high of each]].
 
     Example:
-        ``{func: joint_position, shape: {within: [-0.2, 0.2]}, params: {of: {uid: ur10, joint_names: [Joint1]}}}``
+        ``{func: joint_position, shape: {within: [-0.2, 0.2]}, params: {of: {uid: ur10,
+        joint_names: [Joint1]}}}``
     """
     low, high = (np.asarray(bound, np.float64) for bound in bounds)
 
@@ -217,7 +223,8 @@ def outside(env: TermContext, bounds: BoundsOrBox) -> Truths:
         bounds: [low, high] in the quantity's unit, or [[low of each column], [high of each]].
 
     Example:
-        ``{func: position, shape: {outside: [[-1, -1, -0.1], [1, 1, 1]]}, params: {of: {uid: cube}}}``
+        ``{func: position, shape: {outside: [[-1, -1, -0.1], [1, 1, 1]]}, params: {of: {uid:
+        cube}}}``
     """
     low, high = (np.asarray(bound, np.float64) for bound in bounds)
 
@@ -236,7 +243,8 @@ def excess(env: TermContext, threshold: Finite = 0.0) -> Values:
         threshold: In the quantity's unit.
 
     Example:
-        ``{func: contact_force, shape: [{excess: 100.0}, l1], weight: -0.001, params: {sensor: contacts, norm: true}}``
+        ``{func: contact_force, shape: [{excess: 100.0}, l1], weight: -0.001, params: {sensor:
+        contacts, norm: true}}``
     """
     return lambda values: np.maximum(values - threshold, 0.0)
 
@@ -253,6 +261,31 @@ def clip(env: TermContext, bounds: Bounds) -> Values:
     """
     low, high = bounds
     return lambda values: np.minimum(np.maximum(values, low), high)
+
+
+@register_shape
+def at_most(env: TermContext, limit: float | None) -> Values:
+    """The smaller of the value and a limit, column by column.
+
+    Args:
+        limit: In the quantity's unit; None is no limit.
+
+    Example:
+        ``{func: height, shape: {at_most: 0.2}, weight: 5.0, params: {of: {uid: cube}}}``
+    """
+    most = np.inf if limit is None else limit
+    return lambda values: np.minimum(values, most)
+
+
+@register_shape
+def negative(env: TermContext) -> Values:
+    """Minus the value.
+
+    Example:
+        ``{func: distance, shape: negative, weight: 1.0, params: {from: {uid: cube}, to: {uid:
+        goal}}}``
+    """
+    return np.negative
 
 
 @register_shape

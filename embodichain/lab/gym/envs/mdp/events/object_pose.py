@@ -12,7 +12,6 @@ from embodichain.lab.gym.envs.managers.param_types import Box3
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.mdp import _spatial
 from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, quat_multiply
@@ -108,7 +107,7 @@ class RandomizeRigidObjectPose(Term):
         else:
             pos = self._pos0[: len(quat0)]
         if self._near is not None:
-            origin = _spatial.position(self._near)
+            origin = self._near.position()
             pos = (origin if env_ids is None else origin[env_ids]) + (
                 0.0 if self._box is None else pos
             )

@@ -13,7 +13,7 @@ from embodichain.lab.gym.envs.cfg import SceneEntityCfg
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.mdp import _spatial
+from embodichain.lab.gym.envs.mdp import _rows
 from embodichain.lab.gym.envs.mdp._kinematics import apply, matmul
 from embodichain.lab.gym.envs.mdp._stored import stored
 from embodichain.lab.gym.envs.mdp.events.extra_attributes import EXTRA_ATTRS, uids_of
@@ -130,7 +130,7 @@ class _Register(Term):
                     found[f"{entity.uid}_{at}"] = _product(pose, part)
         for key, matrices in found.items():
             values = matrices if how.to_matrix else matrix_to_pose(matrices)
-            self._put(key, _spatial.tensor(values), env_ids)
+            self._put(key, _rows.tensor(values), env_ids)
 
 
 @register_term("event", name="register_entity_attrs")

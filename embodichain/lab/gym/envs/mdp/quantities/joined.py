@@ -13,7 +13,7 @@ import lazy_loader
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from embodichain.lab.gym.envs.cfg import TermCfg
+from embodichain.lab.gym.envs.cfg import ValueCfg
 from embodichain.lab.gym.envs.managers.base import Manager
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import Term
@@ -30,19 +30,19 @@ else:
 __all__ = ["AllOf", "AnyOf", "HeldFor", "ProductOf"]
 
 
-def _registered(term: TermCfg) -> TermCfg:
+def _registered(term: ValueCfg) -> ValueCfg:
     """Check an inner term as one of a manager's is checked, before anything is built."""
     from embodichain.lab.gym.envs.managers.check import check_term
 
     if isinstance(term.func, str) and ":" in term.func:
         raise ValueError("a term within a term must be a registered one, not an import path")
-    problems = check_term("metric", term, "")[2]
+    problems = check_term("metric", term, "")[1]
     if problems:
         raise ValueError("; ".join(str(problem).lstrip(".") for problem in problems))
     return term
 
 
-Inner = Annotated[TermCfg, AfterValidator(_registered)]
+Inner = Annotated[ValueCfg, AfterValidator(_registered)]
 Terms = Annotated[dict[str, Inner], Field(min_length=1)]
 Info = dict[str, Any]
 
@@ -50,8 +50,8 @@ Info = dict[str, Any]
 class _Joined(Term):
     """Builds the inner terms, and passes on what happens to the outer one."""
 
-    def __init__(self, env: TermContext, terms: Mapping[str, TermCfg]) -> None:
-        self._inner: Manager[TermCfg] = Manager(env, "terms", "metric", terms)
+    def __init__(self, env: TermContext, terms: Mapping[str, ValueCfg]) -> None:
+        self._inner: Manager[ValueCfg] = Manager(env, "terms", "metric", terms)
         self._calls = [term.call for term in self._inner.terms.values()]
 
     def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> torch.Tensor:
@@ -89,8 +89,10 @@ class AllOf(_Joined):
         terms: Name -> metric term.
 
     Example:
-        ``{func: all_of, params: {terms: {near: {func: within_distance, params: {source_entity_cfg: {uid: cube}, target_entity_cfg: {uid: goal}, threshold: 0.05}}, still: {func: at_rest, params: {entity_cfg: {uid: cube}, linear_threshold: 0.01}}}}}``
-    """  # noqa: E501  (an example is one line)
+        ``{func: all_of, params: {terms: {near: {func: within_distance, params: {source_entity_cfg:
+        {uid: cube}, target_entity_cfg: {uid: goal}, threshold: 0.05}}, still: {func: at_rest,
+        params: {entity_cfg: {uid: cube}, linear_threshold: 0.01}}}}}``
+    """
 
     def __init__(self, env: TermContext, terms: Terms) -> None:
         super().__init__(env, terms)
@@ -107,8 +109,10 @@ class AnyOf(_Joined):
         terms: Name -> metric term.
 
     Example:
-        ``{func: any_of, params: {terms: {low: {func: height_below, params: {entity_cfg: {uid: cube}, threshold: 0}}, high: {func: height_above, params: {entity_cfg: {uid: cube}, threshold: 1}}}}}``
-    """  # noqa: E501  (an example is one line)
+        ``{func: any_of, params: {terms: {low: {func: height_below, params: {entity_cfg: {uid:
+        cube}, threshold: 0}}, high: {func: height_above, params: {entity_cfg: {uid: cube},
+        threshold: 1}}}}}``
+    """
 
     def __init__(self, env: TermContext, terms: Terms) -> None:
         super().__init__(env, terms)
@@ -119,14 +123,16 @@ class AnyOf(_Joined):
 
 @register_term("reward", "metric", name="product_of")
 class ProductOf(_Joined):
-    """The product of several terms: good only where all are. dm_control's rewards are such products.
+    """The product of several terms: large only where all are. dm_control's rewards are such.
 
     Args:
         terms: Name -> metric term.
 
     Example:
-        ``{func: product_of, weight: 1.0, params: {terms: {lifted: {func: height_above, params: {entity_cfg: {uid: cube}, threshold: 0.1}}, near: {func: distance_tanh, params: {source_entity_cfg: {uid: cube}, target_entity_cfg: {uid: goal}, std: 0.2}}}}}``
-    """  # noqa: E501  (an example is one line)
+        ``{func: product_of, weight: 1.0, params: {terms: {lifted: {func: height_above, params:
+        {entity_cfg: {uid: cube}, threshold: 0.1}}, near: {func: distance_tanh, params:
+        {source_entity_cfg: {uid: cube}, target_entity_cfg: {uid: goal}, std: 0.2}}}}}``
+    """
 
     def __init__(self, env: TermContext, terms: Terms) -> None:
         super().__init__(env, terms)
@@ -148,8 +154,9 @@ class HeldFor(_Joined):
         time_s: Seconds of simulated time, rounded to control steps.
 
     Example:
-        ``{func: held_for, params: {steps: 10, term: {func: within_distance, params: {source_entity_cfg: {uid: cube}, target_entity_cfg: {uid: goal}, threshold: 0.05}}}}``
-    """  # noqa: E501  (an example is one line)
+        ``{func: held_for, params: {steps: 10, term: {func: within_distance, params:
+        {source_entity_cfg: {uid: cube}, target_entity_cfg: {uid: goal}, threshold: 0.05}}}}``
+    """
 
     def __init__(
         self,
