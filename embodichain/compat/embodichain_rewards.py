@@ -137,14 +137,12 @@ class IncrementalDistanceToTarget(Rate):
         use_xy_only: bool = False,
     ) -> None:
         super().__init__(env, "step")
-        self._distance = lambda: _distance_to_target(
-            env, source_entity_cfg, target_pose_key, use_xy_only
-        )
+        self._target = env, source_entity_cfg, target_pose_key, use_xy_only
         self._scale, self._weights = tanh_scale, (positive_weight, negative_weight)
 
     def __call__(self, values: F64 | None = None) -> F64:
         """(N,) in (-negative_weight, positive_weight)."""
-        change = super().__call__(self._distance() if values is None else values)
+        change = super().__call__(_distance_to_target(*self._target) if values is None else values)
         progress = np.tanh(self._scale * -change)
         return np.where(progress > 0.0, *self._weights) * progress
 

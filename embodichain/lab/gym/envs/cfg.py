@@ -82,7 +82,7 @@ class TermCfg:
     params: dict[str, Any] = {}
 
 
-ShapeCfg = str | dict[str, Any] | list[str | dict[str, Any]] | None
+ValueShape = str | dict[str, Any] | list[str | dict[str, Any]] | None
 """``l2``, ``{tanh: 0.1}``, ``{tolerance: {bounds: [0, 1], margin: 2}}``, or a list of these."""
 
 
@@ -90,7 +90,7 @@ ShapeCfg = str | dict[str, Any] | list[str | dict[str, Any]] | None
 class ValueCfg(TermCfg):
     """A term that is a number, or several, of each environment; `shape` makes one of them."""
 
-    shape: ShapeCfg = dataclasses.field(default=None, kw_only=True)
+    shape: ValueShape = dataclasses.field(default=None, kw_only=True)
     """Applied to what `func` gives; several, in a list, one after the other."""
 
 

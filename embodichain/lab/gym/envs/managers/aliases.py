@@ -191,7 +191,7 @@ def _doc(meant: Alias, target: TermSpec, fixed: Sequence[Mapping[str, Any]]) -> 
     shapes = ", ".join(_written(name, given) for name, given in meant.shapes)
     shape = f", shape: {f'[{shapes}]' if len(meant.shapes) > 1 else shapes}" if shapes else ""
     values = {k: f"{v.name.upper()}" for k, v in meant.params.items() if isinstance(v, P)}
-    values |= {k: _yaml(v) for k, v in fixed[0].items()}
+    values |= {k: _yaml(v) for k, v in fixed[0].items() if v != target.params[k].default}
     set_ = ", ".join(f"{k}: {v}" for k, v in values.items())
     params = f", params: {{{set_}}}" if set_ else ""
     return f"Stands for ``{{func: {target.name}{shape}{params}}}``."
