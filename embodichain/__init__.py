@@ -2,10 +2,9 @@
 
 `make` is found on first use, so that `import embodichain` stays fast. Importing the package also
 registers ``embodichain/NAME-v0`` of every YAML task with Gymnasium, once that is imported too.
-EmbodiChain's import paths are answered by `compat`, which also has the older names of terms.
+EmbodiChain's import paths are answered by `compat`, whose terms join the built-in ones.
 """
 
-import sys
 from typing import TYPE_CHECKING
 
 import lazy_loader
@@ -23,7 +22,6 @@ __getattr__, __dir__, _ = lazy_loader.attach(__name__, submod_attrs={"config.fac
 
 __all__ = ["__version__", "make"]
 
-finder.complete(sys.modules[__name__])
 finder.install()
 TERM_MODULES.append("embodichain.compat.terms")
 register_with_gymnasium()

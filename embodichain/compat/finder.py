@@ -1,7 +1,7 @@
 """The import hook behind EmbodiChain's paths: modules that only it has, names that ours lack.
 
-It acts on the modules of `names.upstream_modules` alone. A module of ours is loaded as ever, and
-asked first; only a name that it does not have is looked up in `names`.
+It acts on the modules of `names.upstream_modules` alone. A module of ours is loaded as usual, and
+its own names come first; only a name that it does not have is looked up in `names`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 
 from embodichain.compat.names import available, find, upstream_modules, upstream_names
 
-__all__ = ["complete", "install"]
+__all__ = ["install"]
 
 _ROOT = "embodichain."
 
@@ -83,6 +83,10 @@ def complete(module: ModuleType) -> None:
 
 
 def install() -> None:
-    """Put the finder first, once a process."""
-    if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
-        sys.meta_path.insert(0, _Finder())
+    """Put the finder first and complete the modules that are loaded already, once a process."""
+    if any(isinstance(finder, _Finder) for finder in sys.meta_path):
+        return
+    for name, module in list(sys.modules.items()):
+        if name == "embodichain" or name.startswith(_ROOT) and upstream_names(name):
+            complete(module)
+    sys.meta_path.insert(0, _Finder())

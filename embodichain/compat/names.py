@@ -39,9 +39,10 @@ _PLACES: Final[Mapping[str, tuple[str, ...]]] = {
         *("RigidObjectGroupCfg", "RobotCfg", "SoftObjectCfg", "SolverCfg"),
     ),
     f"{_SIM}.objects": ("BatchEntity", "ClothObject", "Gizmo", "Light", "RigidObjectGroup"),
-    f"{_SIM}.objects.unavailable": ("SoftObject",),
+    f"{_SIM}.unavailable": ("SoftObject",),
     f"{_SIM}.sensors": ("BaseSensor", "CameraCfg", "SensorCfg", "StereoCameraCfg"),
     f"{_SIM}.shapes": ("VisualMaterialCfg",),
+    f"{_MANAGERS}.term": ("ActionTerm",),
     f"{_DATA}.lookup": ("get_data_path",),
     f"{_UTILS}.configclass": ("configclass", "is_configclass"),
 }

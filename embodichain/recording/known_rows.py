@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64, EnvIndex
-from embodichain.lab.sim.engine.rows import as_slice
+from embodichain.lab.sim.engine.layout import as_slice
 from embodichain.recording.columns import Ranges, moved_ranges
 from embodichain.recording.hashing import RowHash
 

@@ -77,3 +77,10 @@ def test_no_name_hides_a_module_of_its_package() -> None:
         package = importlib.import_module(name)
         modules = {module.name for module in pkgutil.iter_modules(package.__path__)}
         assert modules & set(getattr(package, "__all__", ())) == set(), name
+
+
+def test_configs_are_at_most_100_columns_wide(texts: dict[str, str]) -> None:
+    configs = {p: t for p, t in texts.items() if p.startswith("conf/") and p.endswith(".yaml")}
+    assert len(configs) > 20
+    wide = {p: max(map(len, text.splitlines())) for p, text in configs.items()}
+    assert {p: width for p, width in wide.items() if width > 100} == {}

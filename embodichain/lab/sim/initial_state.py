@@ -14,7 +14,9 @@ from embodichain.utils.math import quat_rotate
 if TYPE_CHECKING:
     import mujoco
 
-    from embodichain.lab.sim.compiler import CompiledScene, EntityIndex, ParsedArticulation
+    from embodichain.lab.sim.compiler.articulation import ParsedArticulation
+    from embodichain.lab.sim.compiler.index import EntityIndex
+    from embodichain.lab.sim.compiler.scene import CompiledScene
     from embodichain.lab.sim.engine.base import F64, Engine
 
 __all__ = ["entity_columns", "initial_row"]

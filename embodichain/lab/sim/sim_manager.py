@@ -1,28 +1,40 @@
-"""`SimulationManager`: owns what was declared, the compiled scene and its engine.
+"""`SimulationManager`: N environments of one scene, and the engine that steps them.
 
 Entities are added first; the scene is compiled once, at the first use of physics (`engine`), and
-nothing can be added afterwards. What steps the batch is `engine`, what a joint is `objects`.
+nothing can be added afterwards.
 """
 
 from __future__ import annotations
 
 import time
-import weakref
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
-from embodichain.lab.sim.cfg import SimulationManagerCfg
-from embodichain.lab.sim.compiler import CompiledScene, compile_scene
-from embodichain.lab.sim.declaration import Declaration
+from embodichain.lab.sim.cfg import (
+    ArticulationCfg,
+    LightCfg,
+    RigidObjectCfg,
+    RobotCfg,
+    SimulationManagerCfg,
+)
+from embodichain.lab.sim.compiler.chatter import DriveChange
+from embodichain.lab.sim.compiler.scene import CompiledScene
 from embodichain.lab.sim.device import check_device
 from embodichain.lab.sim.engine.cpu import CpuEngine
 from embodichain.lab.sim.initial_state import entity_columns, initial_row
 from embodichain.lab.sim.objects._arrays import as_env_ids
 from embodichain.lab.sim.objects.articulation import Articulation
-from embodichain.lab.sim.upstream_members import UpstreamMembers, instances
+from embodichain.lab.sim.objects.light import Light
+from embodichain.lab.sim.objects.rigid_object import RigidObject
+from embodichain.lab.sim.objects.robot import Robot
+from embodichain.lab.sim.scene import Entity, Scene
+from embodichain.lab.sim.sensors.base import BaseSensor
+from embodichain.lab.sim.sensors.camera_cfg import CameraCfg
+from embodichain.lab.sim.sensors.cfg import SensorCfg
+from embodichain.lab.sim.upstream_members import UpstreamMembers
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.base import F64, EnvIndex
@@ -32,7 +44,7 @@ if TYPE_CHECKING:
 __all__ = ["SimulationManager"]
 
 
-class SimulationManager(UpstreamMembers, Declaration):
+class SimulationManager(UpstreamMembers):
     """N environments of one scene.
 
     Args:
@@ -47,7 +59,7 @@ class SimulationManager(UpstreamMembers, Declaration):
         self.device = check_device(self.sim_config.sim_device)
         self.num_envs = int(self.sim_config.num_envs)
         super().__init__()
-        self._scene: CompiledScene | None = None
+        self._scene = Scene(self.sim_config, self)
         self._destroyed = False
         self._engine: CpuEngine | None = None
         self._initial_row: F64 = np.zeros(0)
@@ -56,8 +68,6 @@ class SimulationManager(UpstreamMembers, Declaration):
         self._physics_enabled = True
         self.physics_seconds = 0.0
         """Wall time that physics steps took so far, in `update`."""
-        self.instance_id = max(instances, default=-1) + 1
-        instances[self.instance_id] = weakref.ref(self)
 
     @property
     def arena_offsets(self) -> torch.Tensor:
@@ -70,23 +80,146 @@ class SimulationManager(UpstreamMembers, Declaration):
         grid = np.stack([index % side, index // side, np.zeros_like(index)], axis=1)
         return torch.from_numpy((grid * self.sim_config.arena_space).astype(np.float32))
 
-    def _simulation(self) -> SimulationManager:
-        return self
+    # -- adding: see `Scene` ----------------------------------------------------------------------
+
+    def add_robot(self, cfg: RobotCfg) -> Robot:
+        """Add a robot; its file is read at once, so names and limits are known on return.
+
+        Raises:
+            ConfigError: If the file or a value in the config is wrong.
+            RuntimeError: If the scene is compiled already.
+        """
+        return self._scene.add_robot(cfg)
+
+    def add_articulation(self, cfg: ArticulationCfg) -> Articulation:
+        """Add an articulation without control parts; see `add_robot`."""
+        return self._scene.add_articulation(cfg)
+
+    def add_rigid_object(self, cfg: RigidObjectCfg) -> RigidObject:
+        """Add a rigid object; see `add_robot` for what it raises."""
+        return self._scene.add_rigid_object(cfg)
+
+    def add_light(self, cfg: LightCfg) -> Light:
+        """Add a light for pictures; see `add_robot` for what it raises."""
+        return self._scene.add_light(cfg)
+
+    def add_sensor(self, cfg: SensorCfg | CameraCfg) -> BaseSensor:
+        """Add a sensor to entities that are there already.
+
+        Raises:
+            NotImplementedError: If it is a camera.
+            ConfigError: If an entity or a link does not exist, or a value is wrong.
+            RuntimeError: If the scene is compiled already.
+        """
+        return self._scene.add_sensor(cfg)
+
+    def remove_asset(self, uid: str) -> bool:
+        """Take back something that was added; returns whether it was there.
+
+        Raises:
+            RuntimeError: If the scene is compiled already.
+        """
+        return self._scene.remove(uid)
+
+    @property
+    def drive_changes(self) -> Mapping[str, Sequence[DriveChange]]:
+        """What events may draw for the drives and links of articulations, by uid."""
+        return self._scene.drive_changes
+
+    @drive_changes.setter
+    def drive_changes(self, changes: Mapping[str, Sequence[DriveChange]]) -> None:
+        self._scene.drive_changes = changes
+
+    # -- finding -------------------------------------------------------------------------------
+
+    @property
+    def robots(self) -> dict[str, Robot]:
+        """Robots by uid."""
+        return self._scene.robots
+
+    @property
+    def articulations(self) -> dict[str, Articulation]:
+        """Articulations that are no robots, by uid."""
+        return self._scene.articulations
+
+    @property
+    def rigid_objects(self) -> dict[str, RigidObject]:
+        """Rigid objects by uid."""
+        return self._scene.rigid_objects
+
+    @property
+    def lights(self) -> dict[str, Light]:
+        """Lights by uid."""
+        return self._scene.lights
+
+    @property
+    def sensors(self) -> dict[str, BaseSensor]:
+        """Sensors by uid."""
+        return self._scene.sensors
+
+    def get_robot(self, uid: str | None = None) -> Robot | None:
+        """A robot by uid (None if absent); without a uid, the only one."""
+        if uid is None:
+            return next(iter(self.robots.values())) if len(self.robots) == 1 else None
+        return self.robots.get(uid)
+
+    def get_articulation(self, uid: str) -> Articulation | None:
+        """An articulation by uid, or None."""
+        return self.articulations.get(uid)
+
+    def get_rigid_object(self, uid: str) -> RigidObject | None:
+        """A rigid object by uid, or None."""
+        return self.rigid_objects.get(uid)
+
+    def get_light(self, uid: str) -> Light | None:
+        """A light by uid, or None."""
+        return self.lights.get(uid)
+
+    def get_sensor(self, uid: str) -> BaseSensor | None:
+        """A sensor by uid, or None."""
+        return self.sensors.get(uid)
+
+    def get_asset(self, uid: str) -> Entity | None:
+        """A robot, articulation or object by uid, or None."""
+        return self._scene.entity(uid)
+
+    def get_robot_uid_list(self) -> list[str]:
+        """Uids of robots, in order of addition."""
+        return list(self.robots)
+
+    def get_articulation_uid_list(self) -> list[str]:
+        """Uids of articulations, in order of addition."""
+        return list(self.articulations)
+
+    def get_rigid_object_uid_list(self) -> list[str]:
+        """Uids of rigid objects, in order of addition."""
+        return list(self.rigid_objects)
+
+    def get_light_uid_list(self) -> list[str]:
+        """Uids of lights, in order of addition."""
+        return list(self.lights)
+
+    def get_sensor_uid_list(self) -> list[str]:
+        """Uids of sensors, in order of addition."""
+        return list(self.sensors)
+
+    @property
+    def asset_uids(self) -> list[str]:
+        """Everything that has a name, ``default_plane`` included."""
+        return self._scene.uids
 
     # -- compiling -----------------------------------------------------------------------------
 
     @property
     def compiled(self) -> bool:
         """Whether the scene is compiled."""
-        return self._scene is not None
+        return self._scene.compiled is not None
 
     @property
     def scene(self) -> CompiledScene:
         """The compiled scene; compiles it at first use."""
         self.compile()
-        if self._scene is None:
-            raise RuntimeError("the simulation was destroyed")
-        return self._scene
+        return self._scene.compile()
 
     @property
     def engine(self) -> CpuEngine:
@@ -105,28 +238,16 @@ class SimulationManager(UpstreamMembers, Declaration):
 
     def compile(self) -> None:
         """Compile the declared scene and start its engine; does nothing the second time."""
-        if self._scene is not None:
-            return
         if self._destroyed:
             raise RuntimeError("the simulation was destroyed")
-        cfg = self.sim_config
-        articulations: list[Articulation] = [*self.robots.values(), *self.articulations.values()]
-        self._scene = compile_scene(
-            cfg,
-            [a.parsed for a in articulations],
-            {uid: o.cfg for uid, o in self.rigid_objects.items()},
-            {uid: light.cfg for uid, light in self.lights.items()},
-            self.sensor_plans(),
-        )
-        self._engine = CpuEngine(self._scene.model, self.num_envs, cfg.num_threads, cfg.persistent)
-        self._initial_row = initial_row(
-            self._engine, self._scene, [a.parsed for a in articulations]
-        )
+        if self._engine is not None:
+            return
+        cfg, scene = self.sim_config, self._scene.compile()
+        self._engine = CpuEngine(scene.model, self.num_envs, cfg.num_threads, cfg.persistent)
+        parsed = [articulation.parsed for articulation in self._scene.jointed.values()]
+        self._initial_row = initial_row(self._engine, scene, parsed)
         self._engine.write("row", self._initial_row)
-        for handle in (*articulations, *self.rigid_objects.values()):
-            handle.bind(self._engine, self._scene.entities[handle.uid])
-        for sensor in self.sensors.values():
-            sensor.bind(self._engine, self._scene.sensors[sensor.uid])
+        self._scene.bind(self._engine)
 
     # -- running -------------------------------------------------------------------------------
 
@@ -181,8 +302,7 @@ class SimulationManager(UpstreamMembers, Declaration):
         for uid in chosen:
             handle = self.get_asset(uid)
             if isinstance(handle, Articulation):
-                handle.drives.clear(ids)
-                handle.set_efforts.forget(ids)
+                handle.forget_targets(ids)
 
     def _reset_some(self, ids: EnvIndex | None, uids: Collection[str]) -> None:
         engine = self.engine
@@ -241,10 +361,9 @@ class SimulationManager(UpstreamMembers, Declaration):
 
     def state_dict(self) -> dict[str, Any]:
         """Everything physics needs to continue to the bit (copies)."""
-        handles: Mapping[str, Articulation] = {**self.robots, **self.articulations}
         return {
             "engine": self.engine.state_dict(),
-            "drives": {uid: h.drives.state_dict() for uid, h in handles.items()},
+            "drives": {uid: h.drives.state_dict() for uid, h in self._scene.jointed.items()},
             "objects": {uid: o.state_dict() for uid, o in self.rigid_objects.items()},
             "lights": {uid: light.state_dict() for uid, light in self.lights.items()},
         }
@@ -252,7 +371,7 @@ class SimulationManager(UpstreamMembers, Declaration):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue exactly where `state_dict` was taken."""
         self.engine.load_state_dict(state["engine"])
-        handles: Mapping[str, Articulation] = {**self.robots, **self.articulations}
+        handles = self._scene.jointed
         for uid, drives in state["drives"].items():
             handles[uid].drives.load_state_dict(drives)
         for uid, properties in state["objects"].items():
@@ -276,15 +395,8 @@ class SimulationManager(UpstreamMembers, Declaration):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
-        for handle in (
-            *self.robots.values(),
-            *self.articulations.values(),
-            *self.rigid_objects.values(),
-        ):
-            handle.destroy()
-        for sensor in self.sensors.values():
-            sensor.destroy()
         # What is large goes now, not when Python collects the cycle of handles and environment.
-        self._engine = self._scene = None
+        self._scene.destroy()
+        self._engine = None
         self._destroyed = True
-        instances.pop(self.instance_id, None)
+        self.forget_instance()

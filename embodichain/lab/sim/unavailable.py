@@ -1,52 +1,93 @@
-"""Configs of EmbodiChain's that exist by name only: building one says what is not here yet."""
+"""Names of EmbodiChain's that exist here and raise NotImplementedError with the reason.
+
+Objects and their configs raise when they are built, methods when they are called.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NoReturn
 
 __all__ = [
+    "ClothObject",
     "ClothObjectCfg",
+    "Gizmo",
     "GizmoCfg",
+    "RigidConstraint",
     "RigidConstraintCfg",
+    "RigidObjectGroup",
     "RigidObjectGroupCfg",
+    "SoftObject",
     "SoftObjectCfg",
+    "not_available",
 ]
 
 
-class _UnavailableCfg:
+def not_available(what: str, why: str) -> Callable[..., NoReturn]:
+    """Return a method that raises NotImplementedError."""
+
+    def method(self: object, *args: Any, **kwargs: Any) -> NoReturn:
+        raise NotImplementedError(f"{type(self).__name__}.{what} is not available: {why}")
+
+    method.__name__ = what
+    method.__doc__ = f"Not available: {why}; raises NotImplementedError."
+    return method
+
+
+class _Unavailable:
     """Raises NotImplementedError when built."""
 
-    what = "this"
+    why = ""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        raise NotImplementedError(f"{type(self).__name__}: {self.what} not available yet")
+        raise NotImplementedError(f"{type(self).__name__}: {self.why}")
 
 
-class SoftObjectCfg(_UnavailableCfg):
-    """Not available: soft bodies come later."""
+class SoftObject(_Unavailable):
+    """Not available."""
 
-    what = "soft bodies are"
-
-
-class ClothObjectCfg(_UnavailableCfg):
-    """Not available: cloth comes later."""
-
-    what = "cloth is"
+    why = "soft bodies are not available yet"
 
 
-class RigidObjectGroupCfg(_UnavailableCfg):
-    """Not available: add objects one by one."""
+class ClothObject(_Unavailable):
+    """Not available."""
 
-    what = "object groups are"
-
-
-class RigidConstraintCfg(_UnavailableCfg):
-    """Not available: welds come with their event terms."""
-
-    what = "rigid constraints are"
+    why = "cloth is not available yet"
 
 
-class GizmoCfg(_UnavailableCfg):
-    """Not available: gizmos need the viewer they belong to."""
+class RigidObjectGroup(_Unavailable):
+    """Not available."""
 
-    what = "gizmos are"
+    why = "object groups are not available yet; add objects one by one"
+
+
+class RigidConstraint(_Unavailable):
+    """Not available."""
+
+    why = "rigid constraints are not available yet"
+
+
+class Gizmo(_Unavailable):
+    """Not available."""
+
+    why = "gizmos are not available yet"
+
+
+class SoftObjectCfg(SoftObject):
+    """Not available."""
+
+
+class ClothObjectCfg(ClothObject):
+    """Not available."""
+
+
+class RigidObjectGroupCfg(RigidObjectGroup):
+    """Not available."""
+
+
+class RigidConstraintCfg(RigidConstraint):
+    """Not available."""
+
+
+class GizmoCfg(Gizmo):
+    """Not available."""

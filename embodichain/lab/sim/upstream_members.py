@@ -7,20 +7,14 @@ from __future__ import annotations
 
 import logging
 import weakref
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self, cast
 
-from embodichain.lab.sim.objects.entity import not_available
+from embodichain.lab.sim.unavailable import not_available
 
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.sim.objects.rigid_object import RigidObject
-    from embodichain.lab.sim.sim_manager import SimulationManager
-
-__all__ = ["UpstreamMembers", "instances"]
-
-instances: dict[int, weakref.ref[SimulationManager]] = {}
-"""Simulations of this process by `instance_id`, while they live."""
+__all__ = ["UpstreamMembers"]
 
 _log = logging.getLogger(__name__)
 _ENGINE = "the engine is MuJoCo's: model and data are scene.model and engine.rows"
@@ -29,41 +23,59 @@ _TEXTURES = "textures are compiled into the model"
 _WINDOW = "the log of a run holds it: record=full, then `embodichain replay last --video FILE`"
 
 
+_instances: dict[int, weakref.ref[Any]] = {}
+"""Simulations of this process by `instance_id`, while they live."""
+
+
 class UpstreamMembers:
-    """Part of `SimulationManager`."""
+    """The part of `SimulationManager` that exists for EmbodiChain's scripts.
+
+    Attributes:
+        instance_id: The simulation's number among those of this process.
+    """
 
     device: torch.device
-    rigid_objects: dict[str, RigidObject]
+    rigid_objects: Any
 
-    @staticmethod
-    def get_instance(instance_id: int = 0) -> SimulationManager:
+    def __init__(self) -> None:
+        self.instance_id = max(_instances, default=-1) + 1
+        _instances[self.instance_id] = weakref.ref(self)
+
+    def forget_instance(self) -> None:
+        """No longer count this simulation among the living ones."""
+        _instances.pop(self.instance_id, None)
+
+    def destroy(self, exit_process: bool = False) -> None:
+        """Free the simulation."""
+        raise NotImplementedError
+
+    @classmethod
+    def get_instance(cls, instance_id: int = 0) -> Self:
         """Return a living simulation by the order of its creation.
 
         Raises:
             ValueError: If there is none; lists the living ones.
         """
-        alive = [i for i, ref in instances.items() if ref() is not None]
-        found = instances.get(instance_id, lambda: None)()
-        if found is None:
+        alive = [i for i, ref in _instances.items() if ref() is not None]
+        if instance_id not in alive:
             raise ValueError(f"no simulation {instance_id}; living ones: {alive}")
-        return found
+        return cast(Self, _instances[instance_id]())
 
     @staticmethod
     def get_instance_num() -> int:
         """How many simulations live in this process."""
-        return sum(ref() is not None for ref in instances.values())
+        return sum(ref() is not None for ref in _instances.values())
 
     @staticmethod
     def is_instantiated(instance_id: int = 0) -> bool:
         """Whether a simulation of that number lives."""
-        return instances.get(instance_id, lambda: None)() is not None
+        return _instances.get(instance_id, lambda: None)() is not None
 
     @classmethod
     def reset(cls, instance_id: int = 0) -> None:
         """Destroy a simulation if it lives; states are reset by `reset_objects_state`."""
-        found = instances.get(instance_id, lambda: None)()
-        if found is not None:
-            found.destroy()
+        if cls.is_instantiated(instance_id):
+            cls.get_instance(instance_id).destroy()
 
     @staticmethod
     def flush_cleanup_queue() -> None:

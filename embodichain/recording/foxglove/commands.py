@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from embodichain.lab.sim.engine.base import F64
-from embodichain.lab.sim.engine.rows import as_slice
+from embodichain.lab.sim.engine.layout import as_slice
 from embodichain.recording.foxglove.view_spec import MarkerSpec
 
 if TYPE_CHECKING:

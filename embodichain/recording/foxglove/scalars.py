@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.managers.term_rows import TermRows
 from embodichain.lab.sim.engine.base import F64
-from embodichain.lab.sim.engine.rows import as_slice
+from embodichain.lab.sim.engine.layout import as_slice
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import StepRecord

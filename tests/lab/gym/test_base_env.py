@@ -472,9 +472,9 @@ def test_rgb_array_gives_a_picture_and_changes_nothing(make_env):
 
 
 def test_a_failed_build_leaves_nothing_behind(make_env):
-    from embodichain.lab.sim import upstream_members
+    from embodichain.lab.sim import SimulationManager
 
-    alive = len(upstream_members.instances)
+    alive = SimulationManager.get_instance_num()
 
     class Broken(BaseEnv):
         def _init_sim_state(self, **kwargs):
@@ -482,7 +482,7 @@ def test_a_failed_build_leaves_nothing_behind(make_env):
 
     with pytest.raises(RuntimeError, match="on purpose"):
         make_env(cls=Broken)
-    assert len(upstream_members.instances) == alive
+    assert SimulationManager.get_instance_num() == alive
 
 
 # -- seeds -----------------------------------------------------------------------------------------

@@ -225,7 +225,6 @@ class BaseEnv(EnvOutcome):
         if self._has_commands:
             self.command_manager.step(stepped)
         obs = self._observe(kwargs, stepped)
-        self.sim.engine.stay_awake()
         info, flags = self._judge(obs, seen, kwargs)
         reward = self._reward(obs, seen, info)
         seen = self._postprocess_action(seen)

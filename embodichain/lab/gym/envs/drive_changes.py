@@ -29,10 +29,10 @@ def drive_changes(events: Mapping[str, EventCfg]) -> dict[str, list[DriveChange]
         known = TERMS["event"].get(event.func) if isinstance(event.func, str) else None
         func = known.func if known is not None else event.func
         ranges: Mapping[str, str] = getattr(func, "drive_ranges", {})
-        entity = event.params.get("entity_cfg")
+        entities = event.params.get("entity_cfgs") or [event.params.get("entity_cfg")]
         for param, quantity in ranges.items():
             bounds = _bounds(event.params.get(param))
-            if entity is not None and bounds is not None:
+            for entity in [e for e in entities if e is not None and bounds is not None]:
                 names = _names(entity, quantity, event.params)
                 change = DriveChange(quantity, names, bounds, _operation(event.params, quantity))  # type: ignore[arg-type]
                 found.setdefault(str(_get(entity, "uid")), []).append(change)

@@ -107,11 +107,11 @@ def put(env: BaseEnv, snapshot: Snapshot, ids: EnvIndex) -> None:
 def _fire(env: BaseEnv, drawn: Drawn, where: EnvIndex | None) -> None:
     """Let a term do again what it did, for what it keeps outside the simulation's state."""
     if drawn.mode == "command" and drawn.term in env.command_manager.terms:
-        env.command_manager.again(drawn.term, where, drawn.values)
+        env.command_manager.replay(drawn.term, "command", where, drawn.values)
         return
     term = env.event_manager.terms.get(drawn.term)
     if term is not None and term.cfg.mode == drawn.mode and not term.cfg.is_global:
-        env.event_manager.again(drawn.term, where, drawn.values)
+        env.event_manager.replay(drawn.term, drawn.mode, where, drawn.values)
 
 
 def _put_model(env: BaseEnv, fields: Mapping[str, NDArray[Any]], where: EnvIndex | None) -> None:

@@ -7,7 +7,7 @@ putting several entities into one model is `scene`.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -131,6 +131,11 @@ class ParsedArticulation:
     init_act: F64
     keyframe: Keyframe | None
     notes: tuple[str, ...]
+
+    def without_model(self) -> ParsedArticulation:
+        """The same with an empty `spec` and `model`, which are large."""
+        empty = mujoco.MjSpec()
+        return replace(self, spec=empty, model=empty.compile())
 
 
 def parse_articulation(

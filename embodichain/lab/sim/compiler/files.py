@@ -18,7 +18,7 @@ from embodichain.data import DataNotFoundError, get_data_path
 from embodichain.lab.sim.compiler.inertia_repair import repair_inertias
 from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
 from embodichain.lab.sim.compiler.urdf import PreparedUrdf, prepare_urdf
-from embodichain.lab.sim.engine.mujoco_log import install_log_handler
+from embodichain.lab.sim.engine.mujoco_process import install_log_handler
 from embodichain.lab.sim.meshes.conversion import convert_collision, reads
 from embodichain.lab.sim.meshes.part import MeshError
 from embodichain.utils.errors import ConfigError, Problem

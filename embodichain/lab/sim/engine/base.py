@@ -1,6 +1,6 @@
-"""The contract between the scene and whatever steps its batch: `Engine`, and what it reports.
+"""`Engine`: what handles, terms, logs and viewers may call of the engine, and what it reports.
 
-`cpu.py` implements it on `mujoco.batch`; a CUDA engine comes behind the same one. No torch here.
+`CpuEngine` implements it on `mujoco.batch`.
 """
 
 from __future__ import annotations
@@ -81,44 +81,43 @@ class Engine(Protocol):
     num_envs: int
     listeners: list[EngineListener]
     steps_write_inputs: bool
-    """Whether a step may change what physics only reads: MuJoCo's own reset, or a plugin, does."""
+    """Whether a step may change state components that physics only reads (a plugin may)."""
 
     @property
     def rows(self) -> F64:
         """(N, nstate) live integration-state rows (`mjSTATE_INTEGRATION`). Do not write."""
 
     def component(self, name: str) -> slice:
-        """Columns of a state component (``qpos``, ``mocap_pos``...) within a row."""
+        """Columns of a state component (``qpos``, ``mocap_pos``...) within a row.
+
+        Raises:
+            KeyError: If there is none of that name; lists them.
+        """
 
     def state(self, name: str) -> F64:
-        """(N, width) live view of a state component. Read only: writes go through `write`."""
-
-    def revision(self, name: str) -> int:
-        """A number that is another one when a state component was changed outside physics.
-
-        While it stays the same, so does a component that physics only reads.
-        """
+        """(N, width) live view of a state component. Do not write: use `write`."""
 
     def derived(self, name: str) -> F64:
         """(N, ...) fresh position- or velocity-stage field (``xpos``, ``cvel``, ``sensordata``)."""
 
     def acceleration(self, name: str) -> F64:
-        """(N, ...) acceleration-stage field as of the last physics step (``qfrc_actuator``)."""
+        """(N, ...) acceleration-stage field (``qfrc_actuator``) of the last physics step.
 
-    def acceleration_now(self, name: str) -> F64:
-        """The same, good only until the engine is asked for anything else."""
+        After `forward` it is that of the state then. The first request of a field computes it at
+        the current state. The array is valid until the next step or full forward.
+        """
 
     def step(self, nstep: int, env_ids: EnvIndex | None = None) -> None:
-        """Advance physics; afterwards `take_diverged` knows who failed."""
-
-    def stay_awake(self) -> None:
-        """A hint, between two steps: physics may be due again at once. It changes nothing."""
+        """Advance physics by ``nstep`` steps of the model's timestep; see `take_diverged`."""
 
     def forward(self, env_ids: EnvIndex | None = None) -> None:
         """Compute every derived field, acceleration stage included, without stepping."""
 
     def reset(self, env_ids: EnvIndex | None = None) -> None:
-        """Give rows MuJoCo's reset state: warm start, ctrl, act, applied forces, time."""
+        """Give rows MuJoCo's reset state: warm start, ctrl, act, applied forces, time.
+
+        Warning counters are cleared.
+        """
 
     def write(
         self,
@@ -127,7 +126,14 @@ class Engine(Protocol):
         env_ids: EnvIndex | None = None,
         columns: NDArray[np.int64] | slice = slice(None),
     ) -> None:
-        """Set columns of a state component; the one seam for writes outside physics."""
+        """Set columns of a state component: every change outside physics passes here.
+
+        Args:
+            field: The component (``qpos``, ``ctrl``, ``mocap_pos``...), or ``row`` for whole rows.
+            values: Broadcasts to (n, k); copied.
+            env_ids: (n,) sorted unique environments, or None for all.
+            columns: (k,) columns within the component, or a slice of them.
+        """
 
     def write_model(
         self,
@@ -136,7 +142,17 @@ class Engine(Protocol):
         env_ids: EnvIndex | None = None,
         columns: NDArray[np.int64] | slice = slice(None),
     ) -> None:
-        """Set columns of a flattened model field per environment."""
+        """Set columns of a flattened model field per environment; see `set_const`.
+
+        Args:
+            field: An `MjModel` field or ``opt.NAME``, one of `mujoco.batch.MODEL_FIELDS`.
+            values: Broadcasts to (n, k); copied.
+            env_ids: (n,) sorted unique environments, or None for all.
+            columns: (k,) columns within the flattened field, or a slice of them.
+
+        Raises:
+            ValueError: If the field cannot differ between environments.
+        """
 
     def model_field(self, field: str) -> NDArray[Any]:
         """(N, size) flattened per-environment values of a model field. Do not write."""
@@ -145,16 +161,22 @@ class Engine(Protocol):
         """Recompute what MuJoCo derives from model fields (`mj_setConst`), at once."""
 
     def set_const_later(self, env_ids: EnvIndex | None = None) -> None:
-        """The same before anybody can see them: once for all writes until then."""
+        """The same before the next read or step: once for all writes until then."""
 
     def take_diverged(self) -> NDArray[np.bool_] | None:
-        """(N,) mask of environments that diverged since the last call, or None for nobody."""
+        """(N,) mask of environments that diverged since the last call, or None."""
+
+    def model_of(self, env_id: int) -> mujoco.MjModel:
+        """A copy of one environment's model, its own field values included."""
+
+    def data_of(self, env_id: int) -> mujoco.MjData:
+        """One environment as an MjData: derived fields computed, its model with its own values."""
 
     def model_fields(self) -> dict[str, NDArray[Any]]:
         """Name -> (N, ...) copies of per-environment model fields, derived ones as they are."""
 
     def state_dict(self) -> dict[str, Any]:
-        """Rows, per-environment model fields and warning counters (copies)."""
+        """Rows, per-environment model fields, warning counters, acceleration fields (copies)."""
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue exactly where `state_dict` was taken."""

@@ -1,10 +1,14 @@
-"""Which columns of an integration-state row hold which component of the state."""
+"""Columns of an integration-state row, and indices into rows of environments."""
 
 from __future__ import annotations
 
-import mujoco
+from typing import Any
 
-__all__ = ["row_layout"]
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["as_slice", "entries", "row_layout"]
 
 _COMPONENTS = {
     "time": "TIME",
@@ -47,3 +51,19 @@ def row_layout(model: mujoco.MjModel) -> dict[str, slice]:
         layout[known.get(bit, f"state_{position}")] = slice(start, start + size)
         start += size
     return layout
+
+
+def as_slice(indices: NDArray[np.int64]) -> Any:
+    """Ascending indices, as a slice where they are neighbours: views instead of copies."""
+    if len(indices) and (np.diff(indices) == 1).all():
+        return slice(int(indices[0]), int(indices[-1]) + 1)
+    return indices
+
+
+def entries(
+    env_ids: NDArray[np.int64] | None, columns: NDArray[np.int64] | slice
+) -> tuple[Any, Any]:
+    """Return the index of columns in the rows of environments; None is all environments."""
+    if env_ids is None:
+        return slice(None), columns
+    return (env_ids if isinstance(columns, slice) else env_ids[:, None]), columns

@@ -6,6 +6,14 @@ from typing import TYPE_CHECKING
 
 import lazy_loader
 
+from embodichain.lab.sim.unavailable import (
+    ClothObject,
+    Gizmo,
+    RigidConstraint,
+    RigidObjectGroup,
+    SoftObject,
+)
+
 if TYPE_CHECKING:
     from embodichain.lab.sim.objects.articulation import Articulation
     from embodichain.lab.sim.objects.articulation_data import ArticulationData
@@ -13,13 +21,6 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.objects.light import Light
     from embodichain.lab.sim.objects.rigid_object import RigidBodyData, RigidObject
     from embodichain.lab.sim.objects.robot import Robot
-    from embodichain.lab.sim.objects.unavailable import (
-        ClothObject,
-        Gizmo,
-        RigidConstraint,
-        RigidObjectGroup,
-        SoftObject,
-    )
 
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
@@ -30,13 +31,6 @@ __getattr__, __dir__, _ = lazy_loader.attach(
         "light": ["Light"],
         "rigid_object": ["RigidBodyData", "RigidObject"],
         "robot": ["Robot"],
-        "unavailable": [
-            "ClothObject",
-            "Gizmo",
-            "RigidConstraint",
-            "RigidObjectGroup",
-            "SoftObject",
-        ],
     },
 )
 

@@ -5,6 +5,7 @@ Checks of environment indices, shapes, devices and finiteness live here, once.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -23,7 +24,6 @@ __all__ = [
     "as_rows",
     "bool_rows",
     "columns_of",
-    "stacked_view",
     "to_tensor",
 ]
 
@@ -32,23 +32,13 @@ Columns = slice | NDArray[np.int64]
 
 def all_finite(values: NDArray[np.floating[Any]]) -> bool:
     """Whether no number is infinite or NaN."""
-    # A search for a zero byte: half the cost of a reduction, which is slow to start.
+    # A search for a zero byte costs half of a reduction on small arrays.
     return b"\0" not in np.isfinite(values).tobytes()
 
 
 def to_tensor(array: NDArray[Any]) -> torch.Tensor:
     """Return a float32 tensor that shares nothing with ``array``."""
     return torch.from_numpy(array.astype(np.float32))
-
-
-def stacked_view(first: F64, second: F64) -> F64 | None:
-    """(2, ...) view of two views of one array that are laid out alike; None if they are not."""
-    if first.base is None or first.base is not second.base or first.strides != second.strides:
-        return None
-    if first.shape != second.shape:
-        return None
-    apart = second.__array_interface__["data"][0] - first.__array_interface__["data"][0]
-    return np.lib.stride_tricks.as_strided(first, (2, *first.shape), (apart, *first.strides))
 
 
 def columns_of(ids: Sequence[int] | NDArray[Any]) -> Columns:
@@ -150,8 +140,6 @@ def names_matching(patterns: str | Sequence[str], names: Sequence[str], what: st
     Raises:
         ValueError: If a pattern matches nothing; lists the names.
     """
-    import re
-
     wanted = [patterns] if isinstance(patterns, str) else list(patterns)
     for pattern in wanted:
         if not any(re.fullmatch(pattern, name) for name in names):

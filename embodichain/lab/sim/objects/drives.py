@@ -20,8 +20,11 @@ from embodichain.lab.sim.objects.model_gains import NO_LIMIT, ModelGains
 from embodichain.lab.sim.objects.transmission import Transmission
 
 if TYPE_CHECKING:
+    from embodichain.lab.sim.compiler.articulation import ParsedArticulation
+    from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.engine.base import F64, EnvIndex
-    from embodichain.lab.sim.objects.articulation import Articulation
+    from embodichain.lab.sim.host import Binding
+    from embodichain.lab.sim.objects.joint_state import JointState
 
 __all__ = ["Drives"]
 
@@ -37,6 +40,11 @@ _SAVED = (*_GAINS, "joint_damping", "strength", "target_qvel")
 class Drives:
     """Gains and targets of D joints in N environments.
 
+    Args:
+        binding: The articulation's place in the simulation.
+        parsed: Its compiled gains and limits.
+        joints: Its joints.
+
     Attributes:
         stiffness, damping, max_effort, max_velocity, friction, armature: (N, D) current values; the
             damping of a joint without a drive is its own.
@@ -46,31 +54,38 @@ class Drives:
         target_qvel: (N, D) velocity targets.
     """
 
-    def __init__(self, owner: Articulation) -> None:
-        parsed = owner.parsed
-        count = owner.num_instances
-        self._owner = owner
-        self.stiffness: F64 = np.tile(np.asarray(parsed.stiffness, np.float64), (count, 1))
-        self.damping: F64 = np.tile(np.asarray(parsed.damping, np.float64), (count, 1))
-        self.max_effort: F64 = np.tile(np.asarray(parsed.max_effort, np.float64), (count, 1))
-        self.max_velocity: F64 = np.tile(np.asarray(parsed.max_velocity, np.float64), (count, 1))
-        self.friction: F64 = np.tile(np.asarray(parsed.friction, np.float64), (count, 1))
-        self.armature: F64 = np.tile(np.asarray(parsed.armature, np.float64), (count, 1))
-        self.joint_damping: F64 = np.tile(np.asarray(parsed.joint_damping, np.float64), (count, 1))
-        self.target_qvel: F64 = np.zeros((count, len(parsed.joint_names)))
+    def __init__(
+        self, binding: Binding[EntityIndex], parsed: ParsedArticulation, joints: JointState
+    ) -> None:
+        count, width = binding.num_envs, len(parsed.joint_names)
+        self.parsed = parsed
+        self._binding = binding
+        self._joints = joints
+
+        def tiled(values: F64) -> F64:
+            return np.tile(np.asarray(values, np.float64), (count, 1))
+
+        self.stiffness: F64 = tiled(parsed.stiffness)
+        self.damping: F64 = tiled(parsed.damping)
+        self.max_effort: F64 = tiled(parsed.max_effort)
+        self.max_velocity: F64 = tiled(parsed.max_velocity)
+        self.friction: F64 = tiled(parsed.friction)
+        self.armature: F64 = tiled(parsed.armature)
+        self.joint_damping: F64 = tiled(parsed.joint_damping)
+        self.strength: F64 = np.ones((count, width))
+        self.target_qvel: F64 = np.zeros((count, width))
         self.has_velocity_target = False
         self._springless = False
         self._limits_vary = False
-        self.strength: F64 = np.ones((count, len(parsed.joint_names)))
         self._transmission = Transmission(parsed.servos)
         self.limits = JointLimits(np.asarray(parsed.qpos_limits, np.float64), count)
 
     def _actuators(self, joints: NDArray[np.int64]) -> NDArray[np.int64]:
-        ids: NDArray[np.int64] = np.asarray(self._owner.entity.actuator_ids, np.int64)[joints]
+        ids: NDArray[np.int64] = np.asarray(self._binding.index.actuator_ids, np.int64)[joints]
         if (ids < 0).any():
-            names = [self._owner.joint_names[j] for j, a in zip(joints, ids, strict=True) if a < 0]
+            names = [self.parsed.joint_names[j] for j, a in zip(joints, ids, strict=True) if a < 0]
             raise ValueError(
-                f"{self._owner.uid}: joints {names} have no drive (drive_type none, mimics of "
+                f"{self._binding.uid}: joints {names} have no drive (drive_type none, mimics of "
                 "others, or without a servo in their file); set their position with target=False"
             )
         return ids
@@ -78,7 +93,7 @@ class Drives:
     def columns(self, joints: NDArray[np.int64]) -> NDArray[np.int64]:
         """(k,) columns in ``ctrl`` of the drives of joints; ValueError where there is none."""
         self._actuators(joints)
-        found: NDArray[np.int64] = np.asarray(self._owner.entity.ctrl_ids, np.int64)[joints]
+        found: NDArray[np.int64] = np.asarray(self._binding.index.ctrl_ids, np.int64)[joints]
         return found
 
     def write_target_qpos(
@@ -92,14 +107,11 @@ class Drives:
             columns: Their columns in ``ctrl``.
             ids: (n,) environments, or None for all.
         """
-        low, high = self.limits.of_all(joints) if ids is None else self.limits.of(joints, ids)
-        # np.minimum/maximum, not np.clip: half the cost on small arrays; so are arrays of one type.
-        clamped = np.maximum(np.asarray(target, np.float64), low)
-        np.minimum(clamped, high, out=clamped)
+        clamped = self.limits.clamp(np.asarray(target, np.float64), joints, ids)
         if self._mixes:
             rows = slice(None) if ids is None else ids[:, None]
             clamped = self._control(clamped, (rows, joints))
-        self._owner.engine.write("ctrl", clamped, ids, columns)
+        self._binding.engine.write("ctrl", clamped, ids, columns)
         if self.has_velocity_target:
             self._write_velocity_servos(joints, ids)
 
@@ -123,11 +135,10 @@ class Drives:
 
     def read_target_qpos(self) -> F64:
         """(N, D) position targets; the joint's position where nothing holds a position."""
-        owner = self._owner
-        columns = np.asarray(owner.entity.ctrl_ids, np.int64)
+        columns = np.asarray(self._binding.index.ctrl_ids, np.int64)
         driven = np.flatnonzero(columns >= 0)
-        out = owner.read_qpos().copy()
-        control = owner.engine.state("ctrl")[:, columns[driven]]
+        out = self._joints.qpos().copy()
+        control = self._binding.engine.state("ctrl")[:, columns[driven]]
         if self._mixes:
             where = (slice(None), driven)
             control = self._transmission.target(control, driven)
@@ -159,24 +170,23 @@ class Drives:
     ) -> None:
         """Set velocity targets (n, k) and fold them into the control."""
         columns = self.columns(joints)
-        rows = np.arange(self._owner.num_instances) if ids is None else ids
+        rows = np.arange(self._binding.num_envs) if ids is None else ids
         where = (rows[:, None], joints)
         position = self.read_target_qpos()[where]
         self.target_qvel[where] = target
         self.has_velocity_target = bool(self.target_qvel.any())
-        self._owner.engine.write("ctrl", self._control(position, where), ids, columns)
+        self._binding.engine.write("ctrl", self._control(position, where), ids, columns)
         self._write_velocity_servos(joints, ids)
 
     def _write_velocity_servos(self, joints: NDArray[np.int64], ids: EnvIndex | None) -> None:
         """Give velocity servos beside position servos their targets."""
-        owner = self._owner
-        columns = np.asarray(owner.entity.velocity_ctrl_ids, np.int64)[joints]
+        columns = np.asarray(self._binding.index.velocity_ctrl_ids, np.int64)[joints]
         if not (columns >= 0).any():
             return
         joints = joints[columns >= 0]
         target = self.target_qvel[slice(None) if ids is None else ids][:, joints]
-        scale = owner.parsed.servos.velocity_scale[joints]
-        owner.engine.write("ctrl", target * scale, ids, columns[columns >= 0])
+        scale = self.parsed.servos.velocity_scale[joints]
+        self._binding.engine.write("ctrl", target * scale, ids, columns[columns >= 0])
 
     def take_targets(
         self,
@@ -205,24 +215,23 @@ class Drives:
         if self._mixes:
             self.target_qvel[where] = np.where(stiff, 0.0, target)
             self.has_velocity_target = bool(self.target_qvel.any())
-        low, high = self.limits.of(joints, ids)
-        clamped = np.minimum(np.maximum(target, low), high)
-        target = np.where(stiff & self._owner.parsed.driven[joints], clamped, target)
+        clamped = self.limits.clamp(target, joints, ids)
+        target = np.where(stiff & self.parsed.driven[joints], clamped, target)
         # What is not changed is written as it was given, to the bit.
         return np.where(target == asked, control, self._transmission.control(target, joints))
 
     def clear(self, ids: EnvIndex | None) -> None:
         """Forget velocity targets, as a reset does, which has set the controls as compiled."""
         self._forget_velocities(ids)
-        compiled = np.asarray(self._owner.parsed.stiffness, np.float64)
-        driven = np.asarray(self._owner.entity.actuator_ids, np.int64) >= 0
+        compiled = np.asarray(self.parsed.stiffness, np.float64)
+        driven = np.asarray(self._binding.index.actuator_ids, np.int64) >= 0
         changed = np.flatnonzero((((self.stiffness > 0) != (compiled > 0)) & driven).any(axis=0))
         if len(changed):  # position drives that events or users made velocity drives, or back
-            rows = np.arange(self._owner.num_instances) if ids is None else ids
-            home = np.asarray(self._owner.parsed.init_qpos, np.float64)[changed]
+            rows = np.arange(self._binding.num_envs) if ids is None else ids
+            home = np.asarray(self.parsed.init_qpos, np.float64)[changed]
             target = np.tile(home, (len(rows), 1))
             columns = self.columns(changed)
-            self._owner.engine.write(
+            self._binding.engine.write(
                 "ctrl", self._control(target, (rows[:, None], changed)), ids, columns
             )
 
@@ -239,13 +248,13 @@ class Drives:
         Raises:
             ValueError: If a shape is wrong or a value is negative.
         """
-        owner = self._owner
+        uid = self._binding.uid
         for name, value in values.items():
             if value is None:
                 continue
-            array = as_rows(value, rows, len(joints), f"{owner.uid}: {name}", finite=False)
+            array = as_rows(value, rows, len(joints), f"{uid}: {name}", finite=False)
             if not (array >= 0).all():
-                raise ValueError(f"{owner.uid}: {name} must not be negative or NaN")
+                raise ValueError(f"{uid}: {name} must not be negative or NaN")
             self.put(name, array, ids, joints)
 
     def put(self, name: str, values: F64, ids: EnvIndex | None, joints: NDArray[np.int64]) -> None:
@@ -257,8 +266,7 @@ class Drives:
             ids: (n,) environments, or None for all.
             joints: (k,) joint indices.
         """
-        owner = self._owner
-        engine, entity = owner.engine, owner.entity
+        engine, entity = self._binding.engine, self._binding.index
         driven = np.asarray(entity.actuator_ids, np.int64)[joints] >= 0
         if name == "damping" and not driven.all():
             # What a joint without a drive has is its own damping.
@@ -287,16 +295,16 @@ class Drives:
                 self._write_efforts(actuators, where, ids)
 
     def bind(self) -> None:
-        """Learn which joints have a drive; the owner knows its place in the model."""
+        """Look up which joints have a drive; called once the scene is compiled."""
         self._springless = self._has_springless()
 
     def _has_springless(self) -> bool:
         """Whether a drive has no stiffness: its control is a velocity target."""
-        driven = np.asarray(self._owner.entity.actuator_ids, np.int64) >= 0
+        driven = np.asarray(self._binding.index.actuator_ids, np.int64) >= 0
         return bool((self.stiffness[:, driven] == 0).any())
 
     def _write_gains(self, actuators: NDArray[np.int64], where: Any, ids: EnvIndex | None) -> None:
-        engine = self._owner.engine
+        engine = self._binding.engine
         gains = engine.model.actuator_gainprm.shape[1]
         bias = engine.model.actuator_biasprm.shape[1]
         spring = self.stiffness[where] * self.strength[where]
@@ -314,7 +322,7 @@ class Drives:
     def _write_efforts(
         self, actuators: NDArray[np.int64], where: Any, ids: EnvIndex | None
     ) -> None:
-        engine = self._owner.engine
+        engine = self._binding.engine
         limit = self.max_effort[where]
         limited = limit < NO_LIMIT
         compiled = engine.model.actuator_forcelimited[actuators] != 0
@@ -337,7 +345,7 @@ class Drives:
         joints: NDArray[np.int64],
     ) -> None:
         """Set lower (0) or upper (1) position limits (n, k) of joints that have limits."""
-        engine, entity = self._owner.engine, self._owner.entity
+        engine, entity = self._binding.engine, self._binding.index
         self.limits.set(side, values, joints, ids)
         model_joints = engine.model.dof_jntid[np.asarray(entity.dof_adr, np.int64)[joints]]
         columns = columns_of(2 * model_joints.astype(np.int64) + side)
@@ -352,8 +360,8 @@ class Drives:
                 compiled.
         """
         where: Any = slice(None) if ids is None else ids
-        owner, parsed = self._owner, self._owner.parsed
-        model, entity = owner.engine.model, owner.entity
+        parsed = self.parsed
+        model, entity = self._binding.engine.model, self._binding.index
         given = ModelGains(model, fields)
         dofs = np.asarray(entity.dof_adr, np.int64)
         for name, field in _JOINT_FIELDS.items():
@@ -362,7 +370,7 @@ class Drives:
         for side in (0, 1):
             limits = given.read("jnt_range", 2 * joints + side, parsed.qpos_limits[:, side])
             if ids is not None or not np.array_equal(limits, self.limits.compiled[:, side]):
-                rows = np.arange(owner.num_instances) if ids is None else ids
+                rows = np.arange(self._binding.num_envs) if ids is None else ids
                 self.limits.set(side, limits, np.arange(len(joints)), rows)
         actuators = np.asarray(entity.actuator_ids, np.int64)
         driven = np.flatnonzero(actuators >= 0)

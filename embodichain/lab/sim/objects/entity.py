@@ -2,89 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 
-from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows
+from embodichain.lab.sim.host import Handle, Host
+from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows, to_tensor
 from embodichain.utils.math import matrix_to_pose, normalize_quat, pose_to_matrix
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import ObjectBaseCfg
-    from embodichain.lab.sim.compiler import EntityIndex
-    from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex
-    from embodichain.lab.sim.sim_manager import SimulationManager
+    from embodichain.lab.sim.compiler.index import EntityIndex
+    from embodichain.lab.sim.engine.base import F64, EnvIndex
 
-__all__ = ["BatchEntity", "not_available"]
-
-
-def not_available(what: str, why: str) -> Callable[..., NoReturn]:
-    """Return a method that raises NotImplementedError: the name exists, the feature not yet."""
-
-    def method(self: object, *args: Any, **kwargs: Any) -> NoReturn:
-        raise NotImplementedError(f"{type(self).__name__}.{what} is not available: {why}")
-
-    method.__name__ = what
-    method.__doc__ = f"Not available: {why}; raises NotImplementedError."
-    return method
+__all__ = ["BatchEntity"]
 
 
-class BatchEntity:
+class BatchEntity(Handle["EntityIndex"]):
     """One entity in N environments.
 
     Args:
         cfg: Its config (kept as given).
         uid: Its name in the scene.
-        sim: The simulation that owns it.
+        host: The simulation.
     """
 
-    def __init__(self, cfg: ObjectBaseCfg, uid: str, sim: SimulationManager) -> None:
+    def __init__(self, cfg: ObjectBaseCfg, uid: str, host: Host) -> None:
+        super().__init__(uid, host)
         self.cfg = cfg
-        self.uid = uid
-        self._sim = sim
-        self._bound: Engine | None = None
-        self._index: EntityIndex | None = None
-
-    def bind(self, engine: Engine, index: EntityIndex) -> None:
-        """Learn where the compiled model keeps this entity. Called once, by the simulation."""
-        self._bound = engine
-        self._index = index
-
-    @property
-    def engine(self) -> Engine:
-        """The engine; compiles the scene at first use."""
-        return self._bound if self._bound is not None else self._sim.engine
 
     @property
     def entity(self) -> EntityIndex:
-        """Where the compiled model keeps this entity; compiles the scene at first use."""
-        if self._index is None:
-            self._sim.compile()
-        if self._index is None:
-            raise RuntimeError(f"{self.uid} was removed from the scene before it was compiled")
-        return self._index
+        """The entity's indices in the compiled model; compiles the scene at first use."""
+        return self.binding.index
 
-    @property
-    def num_instances(self) -> int:
-        """N."""
-        return self._sim.num_envs
-
-    @property
-    def device(self) -> torch.device:
-        """Where tensors handed out live."""
-        return self._sim.device
-
-    def destroy(self) -> None:
-        """Drop the handle's hold on the engine."""
-        self._bound = None
+    def reset(self, env_ids: Any = None) -> None:
+        """Give the entity its configured state: root, joints and drive targets, no velocity."""
+        self.binding.host.reset_objects_state(env_ids, only=(self.uid,))
 
     # -- root pose -----------------------------------------------------------------------------
 
     def _ids(self, env_ids: Any) -> tuple[EnvIndex | None, int]:
-        ids = as_env_ids(env_ids, self._sim.num_envs)
-        return ids, self._sim.num_envs if ids is None else len(ids)
+        ids = as_env_ids(env_ids, self.num_instances)
+        return ids, self.num_instances if ids is None else len(ids)
 
     def _pose_rows(self, pose: Any, rows: int) -> F64:
         """Return (rows, 7) float64 with unit quaternions from (rows, 7) or (rows, 4, 4)."""
@@ -147,22 +108,14 @@ class BatchEntity:
         body = index.root_body_id
         return engine.derived("xpos")[:, body], engine.derived("xquat")[:, body]
 
-    def pose_tensor(self) -> torch.Tensor:
-        """Root pose (N, 7) float32: x, y, z, qw, qx, qy, qz."""
-        pos, quat = self.read_pose()
-        out = np.empty((len(pos), 7), np.float32)
-        out[:, :3] = pos
-        out[:, 3:] = quat
-        return torch.from_numpy(out)
-
     def get_local_pose(self, to_matrix: bool = False) -> torch.Tensor:
-        """Return the root pose in the environment's own frame.
+        """Return the root pose in the environment's own frame, float32.
 
         Args:
             to_matrix: Whether to return (N, 4, 4) matrices instead of (N, 7) vectors
                 (x, y, z, qw, qx, qy, qz).
         """
-        pose = self.pose_tensor()
+        pose = to_tensor(np.concatenate(self.read_pose(), axis=1))
         return pose_to_matrix(pose) if to_matrix else pose
 
     def set_local_pose(self, pose: Any, env_ids: Any = None) -> None:

@@ -19,14 +19,16 @@ class JointLimits:
     Args:
         compiled: (D, 2) lower and upper limits that all environments begin with.
         count: N.
+
+    Attributes:
+        compiled: (D, 2).
     """
 
     def __init__(self, compiled: F64, count: int) -> None:
         self.compiled = compiled
         self._count = count
-        self._own: F64 | None = None
-        self._shared: dict[bytes, tuple[F64, F64]] = {}
-        self._tiled: dict[bytes, tuple[F64, F64]] = {}
+        self._low, self._high = compiled.T.copy()
+        self._own: F64 | None = None  # (N, D, 2), once an environment has limits of its own
 
     @property
     def values(self) -> F64:
@@ -36,26 +38,16 @@ class JointLimits:
 
     def of(self, joints: NDArray[np.int64], ids: EnvIndex | None) -> tuple[F64, F64]:
         """Lower and upper limits of joints (k,) in environments (n,): (k,) each, or (n, k)."""
-        own = self._own
-        if own is not None:
-            where = joints if ids is None else (ids[:, None], joints)
-            picked = own[:, where] if ids is None else own[where]
-            return picked[..., 0], picked[..., 1]
-        bounds = self._shared.get(key := joints.tobytes())
-        if bounds is None:
-            low, high = self.compiled[joints].T.copy()
-            bounds = self._shared[key] = (low, high)
-        return bounds
+        if self._own is None:
+            return self._low[joints], self._high[joints]
+        rows = slice(None) if ids is None else ids[:, None]
+        picked = self._own[rows, joints]
+        return picked[..., 0], picked[..., 1]
 
-    def of_all(self, joints: NDArray[np.int64]) -> tuple[F64, F64]:
-        """Lower and upper limits of joints (k,) in all environments, (N, k) each; do not write."""
-        if self._own is not None:
-            return self.of(joints, None)
-        bounds = self._tiled.get(key := joints.tobytes())
-        if bounds is None:  # whole arrays: numpy goes through rows of few joints one by one
-            low, high = (np.tile(row, (self._count, 1)) for row in self.of(joints, None))
-            bounds = self._tiled[key] = (low, high)
-        return bounds
+    def clamp(self, values: F64, joints: NDArray[np.int64], ids: EnvIndex | None) -> F64:
+        """Return positions (n, k) of joints, moved into their limits."""
+        low, high = self.of(joints, ids)
+        return np.minimum(np.maximum(values, low), high)
 
     def set(
         self,

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from embodichain.lab.sim.host import Handle, Host
 from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows, to_tensor
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import LightCfg
     from embodichain.lab.sim.engine.base import F64, EnvIndex
-    from embodichain.lab.sim.sim_manager import SimulationManager
 
 __all__ = ["Light"]
 
@@ -22,41 +22,31 @@ SPECULAR = 0.3
 """MuJoCo's specular colour of a light, of its diffuse one (as compiled)."""
 
 
-class Light:
+class Light(Handle[int]):
     """One light in N environments, each with its own position, colour and intensity.
+
+    Its index in the compiled model is MuJoCo's light id.
 
     Args:
         cfg: Its config (kept as given).
         uid: Its name in the scene.
-        sim: The simulation that owns it.
+        host: The simulation.
     """
 
-    def __init__(self, cfg: LightCfg, uid: str, sim: SimulationManager) -> None:
+    def __init__(self, cfg: LightCfg, uid: str, host: Host) -> None:
+        super().__init__(uid, host)
         self.cfg = cfg
-        self.uid = uid
-        self._sim = sim
-        count = sim.num_envs
+        count = host.num_envs
         self._color: F64 = np.tile(np.asarray(cfg.color, np.float64), (count, 1))
         self._intensity: F64 = np.full((count, 1), float(cfg.intensity))
         self._falloff: F64 = np.full((count, 1), float(cfg.radius))
 
-    @property
-    def num_instances(self) -> int:
-        """N."""
-        return self._sim.num_envs
-
-    @property
-    def device(self) -> torch.device:
-        """Where tensors handed out live."""
-        return self._sim.device
-
-    # -- numpy doors -----------------------------------------------------------------------------
+    # -- writes from checked arrays --------------------------------------------------------------
 
     def write(self, field: str, values: F64, ids: EnvIndex | None) -> None:
-        """Set ``light_pos`` or ``light_dir``, (n, 3), from checked arrays: the door for terms."""
-        engine = self._sim.engine
-        start = 3 * int(engine.model.light(self.uid).id)
-        engine.write_model(field, values, ids, slice(start, start + 3))
+        """Set ``light_pos`` or ``light_dir``, (n, 3), from checked arrays."""
+        start = 3 * self.binding.index
+        self.engine.write_model(field, values, ids, slice(start, start + 3))
 
     def write_emission(self, color: F64, intensity: F64, ids: EnvIndex | None) -> None:
         """Set colours (n, 3) in [0, 1] and intensities (n, 1), which are taken as at least 0."""
@@ -104,9 +94,8 @@ class Light:
 
     def get_local_pose(self, to_matrix: bool = False) -> torch.Tensor:
         """Positions (N, 3) in metres, or matrices (N, 4, 4) that only translate."""
-        engine = self._sim.engine
-        start = 3 * int(engine.model.light(self.uid).id)
-        position = to_tensor(engine.model_field("light_pos")[:, start : start + 3])
+        start = 3 * self.binding.index
+        position = to_tensor(self.engine.model_field("light_pos")[:, start : start + 3])
         if not to_matrix:
             return position
         matrices = torch.eye(4).repeat(len(position), 1, 1)

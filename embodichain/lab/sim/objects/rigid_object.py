@@ -12,14 +12,14 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.objects._arrays import as_rows, to_tensor
-from embodichain.lab.sim.objects.entity import not_available
 from embodichain.lab.sim.objects.rigid_properties import RigidProperties
+from embodichain.lab.sim.unavailable import not_available
 from embodichain.utils.math import quat_conjugate, quat_rotate
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import RigidObjectCfg
     from embodichain.lab.sim.engine.base import F64
-    from embodichain.lab.sim.sim_manager import SimulationManager
+    from embodichain.lab.sim.host import Host
 
 __all__ = ["RigidBodyData", "RigidObject"]
 
@@ -33,7 +33,7 @@ class RigidBodyData:
     @property
     def pose(self) -> torch.Tensor:
         """(N, 7) x, y, z, qw, qx, qy, qz in the environment's frame."""
-        return self._owner.pose_tensor()
+        return self._owner.get_local_pose()
 
     @property
     def lin_vel(self) -> torch.Tensor:
@@ -100,8 +100,8 @@ class RigidObject(RigidProperties):
     stand still unless `set_local_pose` moves them.
     """
 
-    def __init__(self, cfg: RigidObjectCfg, uid: str, sim: SimulationManager) -> None:
-        super().__init__(cfg, uid, sim)
+    def __init__(self, cfg: RigidObjectCfg, uid: str, host: Host) -> None:
+        super().__init__(cfg, uid, host)
         self._data = RigidBodyData(self)
 
     @property
@@ -196,10 +196,6 @@ class RigidObject(RigidProperties):
         body = self.entity.root_body_id
         if self.engine.state("xfrc_applied")[:, 6 * body : 6 * body + 6].any():
             self.engine.write("xfrc_applied", 0.0, ids, slice(6 * body, 6 * body + 6))
-
-    def reset(self, env_ids: Any = None) -> None:
-        """Give the body its configured pose and no velocity."""
-        self._sim.reset_objects_state(env_ids, only=(self.uid,))
 
     set_body_type = not_available("set_body_type", "the body type is compiled into the model")
     set_attrs = not_available("set_attrs", "use set_mass, set_friction, set_damping, set_inertia")

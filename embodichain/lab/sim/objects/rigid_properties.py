@@ -20,9 +20,9 @@ from embodichain.lab.sim.objects.solids import Solid
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import RigidObjectCfg
-    from embodichain.lab.sim.compiler import EntityIndex
+    from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex
-    from embodichain.lab.sim.sim_manager import SimulationManager
+    from embodichain.lab.sim.host import Host
 
 __all__ = ["RigidProperties"]
 
@@ -32,8 +32,8 @@ class RigidProperties(BatchEntity):
 
     cfg: RigidObjectCfg
 
-    def __init__(self, cfg: RigidObjectCfg, uid: str, sim: SimulationManager) -> None:
-        super().__init__(cfg, uid, sim)
+    def __init__(self, cfg: RigidObjectCfg, uid: str, host: Host) -> None:
+        super().__init__(cfg, uid, host)
         self._damping: F64 = np.zeros((1, 2))
         self._scale: F64 = np.ones((1, 3))
         self._mass0 = 0.0

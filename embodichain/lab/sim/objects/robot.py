@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from tensordict import TensorDict
-
 from embodichain.lab.sim.objects.articulation import Articulation
-from embodichain.lab.sim.objects.entity import not_available
+from embodichain.lab.sim.unavailable import not_available
 
 if TYPE_CHECKING:
+    from tensordict import TensorDict
+
     from embodichain.lab.sim.cfg import RobotCfg
 
 __all__ = ["Robot"]
@@ -18,7 +18,7 @@ _IK = "IK solvers come later"
 
 
 class Robot(Articulation):
-    """An articulation that is acted on."""
+    """An articulation with drives and control parts."""
 
     cfg: RobotCfg
 
@@ -30,6 +30,8 @@ class Robot(Articulation):
 
     def get_proprioception(self) -> TensorDict:
         """Joint positions, velocities and efforts: ``qpos``, ``qvel``, ``qf``, (N, D) each."""
+        from tensordict import TensorDict
+
         (qpos, qvel, qf), _ = self.proprioception()
         return TensorDict(
             {"qpos": qpos, "qvel": qvel, "qf": qf},

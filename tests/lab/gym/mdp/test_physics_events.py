@@ -432,7 +432,7 @@ WRONG = [
     ("randomize_articulation_mass", {**ARM, "mass_range": {"wrist": [1, 2]}},
      "mass_range.wrist", "wrist_1_link"),
     ("randomize_articulation_mass", {**ARM, "mass_range": [1, 2], "link_names": ["nose"]},
-     "link_names.nose", "none of"),
+     "link_names.nose", "no link"),
     ("randomize_rigid_body_material", {**CUBE}, "", "at least one range"),
     ("randomize_rigid_body_material", {"entity_cfg": {"uid": "goal"}, "friction_range": [1, 2]},
      "entity_cfg", "collides"),

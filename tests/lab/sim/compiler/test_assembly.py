@@ -117,7 +117,7 @@ def test_the_hand_sits_on_the_arms_last_link(arm):
 
 def test_a_mimic_finger_follows(arm):
     arm.set_qpos([[0.03]], joint_ids=[6])
-    arm._sim.update(step=600)
+    arm.engine.step(600)
     leader, follower = arm.get_qpos()[0, 6:].tolist()
     assert leader == pytest.approx(0.03, abs=1e-3)
     assert follower == pytest.approx(0.5 * leader + 0.01, abs=1e-3)

@@ -222,50 +222,6 @@ def test_listeners_hear_every_change(model):
     assert ctrl.values.tolist() == [[1.0, 2.0], [3.0, 4.0]]
 
 
-def test_a_revision_tells_whether_an_input_may_be_another_one(model):
-    engine = CpuEngine(model, 2, 1)
-    revision = engine.revision("mocap_quat")
-
-    def changed():
-        nonlocal revision
-        before, revision = revision, engine.revision("mocap_quat")
-        return revision != before
-
-    engine.step(3)
-    engine.write("ctrl", 1.0)
-    engine.write("mocap_pos", [[1.0, 2.0, 3.0]], np.array([1]))
-    engine.write_model("body_mass", 3.0, np.array([0]), slice(2, 3))
-    assert not changed()
-    engine.write("mocap_quat", [[0.0, 1.0, 0.0, 0.0]], np.array([1]))
-    assert changed()
-    engine.write("row", engine.rows.copy())
-    assert changed()
-    state = engine.state_dict()
-    assert not changed()
-    engine.load_state_dict(state)
-    assert changed()
-    engine.reset(np.array([0]))
-    assert changed()
-    engine.step(1)
-    assert not changed()
-    engine.write_model("opt.disableflags", 0)  # MuJoCo may reset simulations in a step
-    assert not changed()
-    engine.step(1)
-    assert changed()
-
-
-def test_a_step_that_may_reset_a_simulation_changes_every_revision():
-    engine = CpuEngine(mujoco.MjModel.from_xml_string(XML.replace("disable", "enable")), 2, 1)
-    turned = [0.0, 1.0, 0.0, 0.0]
-    engine.write("mocap_quat", turned)
-    before = engine.revision("mocap_quat")
-    engine.write("qpos", np.nan, np.array([1]))
-    engine.step(1)
-    assert engine.state("mocap_quat")[0].tolist() == turned
-    assert engine.state("mocap_quat")[1].tolist() != turned
-    assert engine.revision("mocap_quat") != before
-
-
 @pytest.mark.parametrize("persistent", [True, False])
 def test_a_restored_engine_continues_to_the_bit(model, persistent):
     engine = CpuEngine(model, 3, 2, persistent=persistent)
@@ -381,7 +337,7 @@ BETWEEN = {
     "a reset of all": lambda e: (e.reset(), e.derived("cvel")),
     "other masses": lambda e: (e.write_model("body_mass", 3.0, ONE), e.set_const()),
     "a reset with other poses": lambda e: (e.model_field("qpos0"), e.reset(ONE)),
-    "one more field": lambda e: (e.write("ctrl", 0.7), e.acceleration_now("qfrc_bias")),
+    "one more field": lambda e: (e.write("ctrl", 0.7), e.acceleration("qfrc_bias")),
     "going back": lambda e: e.load_state_dict(e.state_dict()),
 }
 
@@ -402,7 +358,6 @@ def test_efforts_stay_whatever_else_is_computed(model, persistent, between):
             BETWEEN[between](engine)
         untouched = [0, 2] if "one" in between else [0, 1, 2]
         for name, at_once in zip(EFFORTS, kept, strict=True):
-            np.testing.assert_array_equal(lazy.acceleration_now(name), eager.acceleration(name))
             np.testing.assert_array_equal(lazy.acceleration(name), eager.acceleration(name))
             if between != "a forward of all":
                 np.testing.assert_array_equal(

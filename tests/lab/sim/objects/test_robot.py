@@ -177,7 +177,7 @@ def test_mass_of_links(robot):
 
 def test_applied_effort_and_clear(sim, robot):
     robot.set_qf(torch.full((3, 6), 2.0))
-    assert (sim.engine.state("qfrc_applied")[:, robot.dofs] == 2).all()
+    assert (sim.engine.state("qfrc_applied")[:, robot.entity.dof_adr] == 2).all()
     sim.update(step=3)
     robot.clear_dynamics()
     assert not sim.engine.state("qfrc_applied").any()

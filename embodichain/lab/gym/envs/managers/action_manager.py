@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.cfg import ActionTermCfg
 from embodichain.lab.gym.envs.managers.action_pipeline import ActionPipeline
 from embodichain.lab.gym.envs.managers.base import BuiltTerm, Manager
+from embodichain.lab.gym.envs.managers.term import ActionTerm
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
 
-__all__ = ["ActionManager"]
+__all__ = ["ActionManager", "ActionTerm"]  # EmbodiChain has both here
 
 
 class ActionManager(Manager[ActionTermCfg]):

@@ -122,6 +122,7 @@ def register_aliases(table: Mapping[str, Alias], *kinds: Kind) -> None:
         *kinds: The managers that may use them; none are those that the last shape allows: reward
             and metric, and termination if it is a truth.
     """
+    TERMS["reward"]  # what they stand for is registered first
     for name, meant in table.items():
         last = meant.shapes[-1][0] if meant.shapes else ""
         chosen = kinds or (VALUE_KINDS[1:] if last in _TRUTHS else ("reward", "metric"))

@@ -5,15 +5,15 @@ Terms are in `envs/mdp/commands`. A goal that is a place is an entity, moved by 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader
 import numpy as np
-from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import CommandCfg
-from embodichain.lab.gym.envs.managers.base import BuiltTerm, Manager
+from embodichain.lab.gym.envs.managers.base import BuiltTerm
+from embodichain.lab.gym.envs.managers.drawing import DrawingManager, Timer
 from embodichain.lab.gym.envs.managers.term import CommandTerm
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
@@ -29,7 +29,7 @@ else:
 __all__ = ["CommandManager"]
 
 
-class CommandManager(Manager[CommandCfg]):
+class CommandManager(DrawingManager[CommandCfg]):
     """Draws commands at resets, after reset events, and in between at their own intervals.
 
     A command draws by `draw`, from a stream of its own, and what it drew goes to the environment's
@@ -45,12 +45,9 @@ class CommandManager(Manager[CommandCfg]):
     """
 
     def __init__(self, env: TermContext, cfgs: Mapping[str, CommandCfg]) -> None:
-        self._stream = ""
-        self._drawn: dict[str, NDArray[Any]] = {}
-        self._given: Mapping[str, NDArray[Any]] = {}
         super().__init__(env, "commands", "command", cfgs)
-        self._left = {
-            name: np.zeros(self.num_envs, np.int64)
+        self._timers = {
+            name: Timer(self.num_envs, env.step_dt)
             for name, term in self.terms.items()
             if term.cfg.resampling_time_s is not None
         }
@@ -117,7 +114,7 @@ class CommandManager(Manager[CommandCfg]):
             env_ids: (n,) sorted unique int64, or None for all.
         """
         for term in self.terms.values():
-            self._resample(term, env_ids)
+            self._run(term, "command", env_ids)
         for update in self._updates:
             update(env_ids)
 
@@ -128,13 +125,11 @@ class CommandManager(Manager[CommandCfg]):
             env_ids: (n,) environments that took the step, or None for all.
         """
         where: Any = slice(None) if env_ids is None else env_ids
-        for name, left in self._left.items():
-            left[where] -= 1
-            due = np.flatnonzero(left <= 0)
-            if env_ids is not None:
-                due = np.intersect1d(due, env_ids, assume_unique=True)
+        for name, timer in self._timers.items():
+            due = timer.advance(env_ids)
             if len(due):
-                self._resample(self.terms[name], None if len(due) == self.num_envs else due)
+                everyone = len(due) == self.num_envs
+                self._run(self.terms[name], "command", None if everyone else due)
         for update in self._updates:
             update(env_ids)
         if self._measured:
@@ -170,58 +165,12 @@ class CommandManager(Manager[CommandCfg]):
         for total in self._sums.values():
             total[where] = 0.0
 
-    # -- drawing -------------------------------------------------------------------------------
-
-    def _resample(self, term: BuiltTerm[CommandCfg], env_ids: EnvIndex | None) -> None:
-        self._stream = f"commands.{term.name}"
-        self._drawn = {}
-        term.instance.resample(env_ids)
-        self.env.log_event(term.name, "command", env_ids, self._drawn)
-        left, times = self._left.get(term.name), term.cfg.resampling_time_s
-        if left is None or times is None:
-            return
-        name = f"commands.{term.name}.interval"
-        seconds = self.env.streams.uniform(name, (), times[0], times[1], env_ids)
-        where: Any = slice(None) if env_ids is None else env_ids
-        left[where] = np.maximum(1, np.rint(seconds / self.env.step_dt)).astype(np.int64)
-
-    def draw(
-        self, what: str, shape: Sequence[int], low: Any, high: Any, env_ids: EnvIndex | None
-    ) -> F64:
-        """Draw uniform numbers for the command that is being drawn, and have them logged.
-
-        Args:
-            what: What they are, for the log.
-            shape: Shape of one environment's draw.
-            low: Scalar or array that broadcasts to ``shape``.
-            high: Likewise; exclusive.
-            env_ids: (n,) environments that draw, or None for all.
-
-        Returns:
-            (n, *shape) float64. Do not write into it.
-        """
-        given = self._given.get(what)
-        if given is not None and given.shape == tuple(shape):
-            n = self.num_envs if env_ids is None else len(env_ids)
-            values: F64 = np.tile(given, (n, *[1] * len(shape)))
-        else:
-            values = self.env.streams.uniform(self._stream, shape, low, high, env_ids)
-        self._drawn[what] = values
-        return values
-
-    def again(self, name: str, env_ids: EnvIndex | None, drawn: Mapping[str, NDArray[Any]]) -> None:
-        """Give environments the command that was drawn before, when a log was recorded.
-
-        Args:
-            name: The term.
-            env_ids: (n,) environments, or None for all.
-            drawn: What one environment drew, by name; what is not here is drawn anew.
-        """
-        self._given = drawn
-        try:
-            self._resample(self.terms[name], env_ids)
-        finally:
-            self._given = {}
+    def _run(self, term: BuiltTerm[CommandCfg], mode: str, env_ids: EnvIndex | None) -> None:
+        self._call(term, mode, env_ids, env_ids)
+        timer, times = self._timers.get(term.name), term.cfg.resampling_time_s
+        if timer is not None and times is not None:
+            stream, (low, high) = f"commands.{term.name}.interval", times
+            timer.start(env_ids, self.env.streams.uniform(stream, (), low, high, env_ids))
 
     def update(self, env_ids: EnvIndex | None) -> None:
         """Adjust the commands of environments to a state that they were given."""
@@ -234,7 +183,7 @@ class CommandManager(Manager[CommandCfg]):
         """Commands, timers and sums (copies)."""
         return {
             **super().state_dict(),
-            "left": {name: left.copy() for name, left in self._left.items()},
+            "left": {name: timer.left.copy() for name, timer in self._timers.items()},
             "sums": {name: total.copy() for name, total in self._sums.items()},
             "steps": self._steps.copy(),
         }
@@ -242,7 +191,7 @@ class CommandManager(Manager[CommandCfg]):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         super().load_state_dict(state)
-        for name, left in self._left.items():
-            left[:] = state["left"][name]
+        for name, timer in self._timers.items():
+            timer.left[:] = state["left"][name]
         self._sums = {name: total.copy() for name, total in state["sums"].items()}
         self._steps[:] = state["steps"]

@@ -1,182 +1,59 @@
-"""Random values of named things - links, joints, axes - that begin at what was compiled.
-
-What every randomizer of model fields shares: ranges by name, the operation, the distribution, and
-one draw for all quantities of a term. Which field a value goes to is each term's business.
-
-The operation is folded into the bounds, so that what is drawn is the value itself; equal bounds
-then give exactly the compiled value times one, or plus nothing.
-"""
+"""`FIELDS`: what `randomize` may change of a model, as named values and how to write them."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
 
+import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.param_types import Ranges
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.mdp._ranges import constant
+from embodichain.lab.gym.envs.mdp._draws import Operation, Values, Write
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    import mujoco
 
-__all__ = [
-    "Distribution",
-    "Draw",
-    "Operation",
-    "Quantity",
-    "Ranges",
-    "articulation_of",
-    "bodies_of",
-    "driven_joints",
-    "object_of",
-]
+    from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex
+else:
+    mujoco = lazy_loader.load("mujoco")
 
-Operation = Literal["add", "scale", "abs"]
-"""What a drawn number does to the compiled one: is added, multiplies it, or replaces it."""
-Distribution = Literal["uniform", "log_uniform", "gaussian"]
-"""Over [low, high]: uniform; uniform in the logarithm; normal with its mean in the middle and the
-bounds at three standard deviations, clipped there."""
+__all__ = ["FIELDS", "SCENE_FIELDS", "Field", "Options", "need_articulation", "need_object"]
+
+GROUND = "default_plane"
 
 
-class Quantity:
-    """One property of k named things, and what it is drawn from.
+@dataclass(frozen=True)
+class Options:
+    """What `randomize` takes besides ranges; described there."""
 
-    Args:
-        param: The parameter that gives the range: for messages, and the name in the log without
-            ``_range``.
-        ranges: [low, high], {name regex: [low, high]}, or [[low, ...], [high, ...]] with a column
-            for every thing.
-        names: What the things are called.
-        default: (k,) compiled values.
-        operation: See `Operation`.
-        lowest: The least value that makes sense; None is any.
-        finite: Why a default may be infinite: said where the operation needs a finite one.
+    recompute_inertia: bool
+    min_mass: float
+    same_scale_all_axes: bool
+    fixed_density: bool
+
+
+@dataclass(frozen=True)
+class Field:
+    """A field by name.
 
     Attributes:
-        ids: (m,) which of the things are drawn.
-        low, high: (m,) bounds of the value.
-
-    Raises:
-        ConfigError: If a key matches nothing, or values below `lowest` would be drawn.
+        values: Finds an entity's values.
+        operation: The operation if none is given.
+        fixed: Whether no other operation makes sense.
     """
 
-    def __init__(
-        self,
-        param: str,
-        ranges: Ranges | Sequence[Sequence[float]],
-        names: Sequence[str],
-        default: F64,
-        operation: Operation,
-        lowest: float | None = None,
-        finite: str = "",
-    ) -> None:
-        self.param, self.operation = param, operation
-        self.name = param.removesuffix("_range")
-        low, high = _by_name(param, ranges, names)
-        self.ids: NDArray[np.int64] = np.flatnonzero(~np.isnan(low))
-        self.factors = low[self.ids], high[self.ids]
-        self.default: F64 = np.array(default, np.float64)[self.ids]
-        if operation != "abs" and not np.isfinite(self.default).all():
-            wrong = [names[int(i)] for i in self.ids if not np.isfinite(default[i])]
-            message = f"{finite}: {', '.join(wrong)}; use operation: abs"
-            raise ConfigError([Problem(param, message)])
-        ends = [self.apply(f) for f in self.factors]
-        self.low, self.high = constant(ends[0]), constant(ends[1])
-        least = np.minimum(self.low, self.high)
-        if lowest is not None and (least < lowest).any():
-            worst = int(np.argmin(least))
-            message = f"would give {names[int(self.ids[worst])]} {least[worst]:g}, below {lowest:g}"
-            raise ConfigError([Problem(param, message)])
-
-    def apply(self, drawn: F64) -> F64:
-        """Values (..., m) of drawn numbers (..., m)."""
-        if self.operation == "add":
-            return self.default + drawn
-        return self.default * drawn if self.operation == "scale" else drawn
+    values: Callable[[ResolvedEntity, Options], Values]
+    operation: Operation = "abs"
+    fixed: bool = False
 
 
-def _by_name(
-    param: str, ranges: Ranges | Sequence[Sequence[float]], names: Sequence[str]
-) -> tuple[F64, F64]:
-    """Lower and upper bounds (k,) each; NaN for what no key names. Later keys win."""
-    low, high = np.full(len(names), np.nan), np.full(len(names), np.nan)
-    if not isinstance(ranges, Mapping):
-        low[:], high[:] = ranges
-        return low, high
-    for pattern, (least, most) in ranges.items():
-        try:
-            found = [i for i, name in enumerate(names) if re.fullmatch(pattern, name)]
-        except re.error as error:
-            raise ConfigError([Problem(f"{param}.{pattern}", f"malformed: {error}")]) from error
-        if not found:
-            message = f"matches none of: {', '.join(names)}"
-            hint = did_you_mean(pattern, names).strip()
-            raise ConfigError([Problem(f"{param}.{pattern}", message, hint)])
-        low[found], high[found] = least, most
-    if not ranges:
-        raise ConfigError([Problem(param, f"names nothing; there are: {', '.join(names)}")])
-    return low, high
-
-
-class Draw:
-    """Draws the quantities of one term together: one draw costs as much as a thousand numbers.
-
-    Args:
-        quantities: What is drawn.
-        distribution: See `Distribution`.
-
-    Raises:
-        ConfigError: If there is nothing to draw, or a logarithm is asked of what is not positive.
-    """
-
-    def __init__(self, quantities: Sequence[Quantity], distribution: Distribution) -> None:
-        self.quantities = list(quantities)
-        if not quantities:
-            raise ConfigError([Problem("", "randomizes nothing: give it at least one range")])
-        self._normal = distribution == "gaussian"
-        self._log = distribution == "log_uniform"
-        edges = np.cumsum([0, *(len(q.ids) for q in quantities)]).tolist()
-        self._slices = [slice(a, b) for a, b in zip(edges, edges[1:], strict=False)]
-        prefix = "log_" if self._log else ""
-        self._columns = {
-            prefix + q.name: where for q, where in zip(quantities, self._slices, strict=True)
-        }
-        if not self._log:
-            self._low = constant(np.concatenate([q.low for q in quantities]))
-            self._high = constant(np.concatenate([q.high for q in quantities]))
-            return
-        for q in quantities:
-            if (q.factors[0] <= 0).any():
-                message = f"log_uniform needs positive bounds, got {q.factors[0].min():g}"
-                raise ConfigError([Problem(q.param, message)])
-        self._bounds = [np.concatenate([q.factors[i] for q in quantities]) for i in (0, 1)]
-        self._low, self._high = (constant(np.log(bound)) for bound in self._bounds)
-
-    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> list[F64]:
-        """Values (n, m) of every quantity; do not write into them."""
-        manager = env.event_manager
-        drawn = manager.draw_columns(self._columns, self._low, self._high, env_ids, self._normal)
-        if not self._log:
-            return [drawn[:, where] for where in self._slices]
-        # Rounding of log and exp must not leave the range.
-        factors = np.clip(np.exp(np.ascontiguousarray(drawn)), *self._bounds)
-        pairs = zip(self.quantities, self._slices, strict=True)
-        return [quantity.apply(factors[:, where]) for quantity, where in pairs]
-
-
-def object_of(entity: ResolvedEntity, dynamic: str = "") -> ResolvedEntity:
-    """The entity, if it is a rigid object.
-
-    Args:
-        entity: What the config names.
-        dynamic: What it must be dynamic for; empty if it need not.
+def need_object(entity: ResolvedEntity, dynamic: str = "") -> None:
+    """Refuse what is no rigid object, or one that is not dynamic if `dynamic` says what for.
 
     Raises:
         ConfigError: If it is not.
@@ -188,41 +65,311 @@ def object_of(entity: ResolvedEntity, dynamic: str = "") -> ResolvedEntity:
         kind = entity.asset.cfg.body_type
         message = f"{entity.uid!r} is {kind}: {dynamic} means nothing unless body_type: dynamic"
         raise ConfigError([Problem("entity_cfg.uid", message)])
-    return entity
 
 
-def articulation_of(entity: ResolvedEntity) -> ResolvedEntity:
-    """The entity, if it has joints.
+def need_articulation(entity: ResolvedEntity) -> None:
+    """Refuse what has no joints.
 
     Raises:
         ConfigError: If it has none.
     """
     if not hasattr(entity.asset, "parsed"):
         raise ConfigError([Problem("entity_cfg.uid", f"{entity.uid!r} has no joints")])
-    return entity
 
 
-def bodies_of(entity: ResolvedEntity) -> tuple[list[str], NDArray[np.int64]]:
-    """Names and MuJoCo body ids of the picked links; all of them without a choice."""
+# -- bodies ----------------------------------------------------------------------------------------
+
+
+def _bodies(
+    entity: ResolvedEntity, what: str = "", moving: bool = True
+) -> tuple[list[str], NDArray[np.int64]]:
+    """Names and MuJoCo body ids of the picked links, of all without a choice, or of an object."""
     asset = entity.asset
     if not hasattr(asset, "parsed"):
+        if moving:
+            need_object(entity, what)
         return [entity.uid], np.array([asset.entity.root_body_id], np.int64)
     names = list(entity.link_names or asset.parsed.link_names)
     return names, np.array([asset.body_of(name) for name in names], np.int64)
 
 
-def driven_joints(entity: ResolvedEntity) -> NDArray[np.int64]:
-    """Indices of the picked joints, which all have a drive.
+def _mass(entity: ResolvedEntity, options: Options) -> Values:
+    asset, (names, bodies) = entity.asset, _bodies(entity, "its mass")
+    mass = asset.engine.model.body_mass
+    heavy = np.flatnonzero(mass[bodies] > 0)
+    if not len(heavy):
+        message = f"links without mass: {', '.join(names)}"
+        raise ConfigError([Problem("entity_cfg", message)])
+    names, bodies = [names[i] for i in heavy], bodies[heavy]
 
-    Raises:
-        ConfigError: If one has none; lists those.
-    """
-    asset = articulation_of(entity).asset
+    def write(ids: NDArray[np.int64]) -> Write:
+        def masses(values: F64, env_ids: EnvIndex | None) -> None:
+            values = np.maximum(values, options.min_mass)
+            if hasattr(asset, "parsed"):
+                asset.write_mass(values, bodies[ids], env_ids, options.recompute_inertia)
+            else:
+                asset.write_mass(values[:, 0], env_ids, options.recompute_inertia)
+
+        return masses
+
+    return Values(names, mass[bodies], write)
+
+
+def _com(entity: ResolvedEntity, options: Options) -> Values:
+    engine, (names, bodies) = entity.asset.engine, _bodies(entity, "its centre of mass")
+    columns = (3 * bodies[:, None] + np.arange(3)).reshape(-1)
+
+    def write(ids: NDArray[np.int64]) -> Write:
+        def offsets(values: F64, env_ids: EnvIndex | None) -> None:
+            engine.write_model("body_ipos", values, env_ids, columns[ids])
+            engine.set_const_later(env_ids)
+
+        return offsets
+
+    axes = [f"{name}.{axis}" for name in names for axis in "xyz"]
+    return Values(axes, engine.model.body_ipos.reshape(-1)[columns], write)
+
+
+def _inertia(entity: ResolvedEntity, options: Options) -> Values:
+    asset, (names, bodies) = entity.asset, _bodies(entity, "its inertia")
+    engine = asset.engine
+
+    def write(ids: NDArray[np.int64]) -> Write:
+        compiled = engine.model.body_mass[bodies[ids]]
+        compiled = np.where(compiled > 0, compiled, 1.0)
+
+        def factors(values: F64, env_ids: EnvIndex | None) -> None:
+            if not hasattr(asset, "parsed"):
+                asset.write_inertia_scale(values[:, 0], env_ids)
+                return
+            mass = engine.model_field("body_mass")[:, bodies[ids]]
+            mass = mass if env_ids is None else mass[env_ids]
+            asset.write_inertia(mass / compiled * values, bodies[ids], env_ids)
+
+        return factors
+
+    return Values(names, np.ones(len(names)), write, 1e-9)
+
+
+def _scale(entity: ResolvedEntity, options: Options) -> Values:
+    need_object(entity)
+    asset, width = entity.asset, 1 if options.same_scale_all_axes else 3
+    try:
+        solid = asset.solid
+    except ValueError as error:
+        raise ConfigError([Problem("entity_cfg.uid", str(error))]) from error
+    equal = list(solid.equal_axes)
+    if width == 3 and len(equal) == 3:
+        message = f"{solid.uid!r} is a {solid.kind}: its axes have one scale"
+        raise ConfigError([Problem("same_scale_all_axes", message)])
+    # Which drawn column scales which axis: a capsule's x and y are one.
+    axes = np.arange(3) if width == 3 else np.zeros(3, np.int64)
+    axes[equal] = axes[equal[0]] if equal else 0
+
+    def factors(values: F64, env_ids: EnvIndex | None) -> None:
+        asset.write_scale(values[:, axes], env_ids, options.fixed_density)
+
+    return Values(list("xyz"[:width]), np.ones(width), lambda ids: factors, 1e-6)
+
+
+# -- contacts --------------------------------------------------------------------------------------
+
+
+def _friction(entity: ResolvedEntity, options: Options, axis: int) -> Values:
+    """A coefficient of links or objects; all geoms of one that share the compiled one share it."""
+    model = entity.asset.engine.model
+    geoms = np.asarray(entity.asset.entity.geom_ids, np.int64)
+    geoms = geoms[(model.geom_contype[geoms] | model.geom_conaffinity[geoms]) != 0]
+    owner = model.geom_bodyid[geoms]
+    names, bodies = _bodies(entity, moving=False)
+    groups: list[tuple[str, NDArray[np.int64]]] = []
+    for name, body in zip(names, bodies, strict=True):
+        own = geoms[owner == body]
+        _, kind = np.unique(model.geom_friction[own], axis=0, return_inverse=True)
+        groups += [(name, own[kind.reshape(-1) == k]) for k in np.unique(kind)]
+    if not groups:
+        message = f"nothing of {entity.uid!r} collides: {', '.join(names)}"
+        raise ConfigError([Problem("entity_cfg", message)])
+    return _coefficients(entity.asset.engine, groups, axis)
+
+
+def _coefficients(
+    engine: Engine, groups: Sequence[tuple[str, NDArray[np.int64]]], axis: int
+) -> Values:
+    def write(ids: NDArray[np.int64]) -> Write:
+        geoms = np.concatenate([groups[i][1] for i in ids])
+        source = np.repeat(np.arange(len(ids)), [len(groups[i][1]) for i in ids])
+        order = np.argsort(geoms)
+        columns, source = 3 * geoms[order] + axis, source[order]
+
+        def coefficients(values: F64, env_ids: EnvIndex | None) -> None:
+            engine.write_model("geom_friction", values[:, source], env_ids, columns)
+
+        return coefficients
+
+    first = [int(geoms[0]) for _, geoms in groups]
+    names = [name for name, _ in groups]
+    return Values(names, engine.model.geom_friction[first, axis], write, 0.0)
+
+
+# -- joints ----------------------------------------------------------------------------------------
+
+
+def _joints(entity: ResolvedEntity, driven: bool) -> NDArray[np.int64]:
+    """Indices of the picked joints, which must all have a drive if `driven`."""
+    need_articulation(entity)
+    asset = entity.asset
     joints = np.asarray(entity.joint_ids, np.int64)
     wrong = joints[np.asarray(asset.entity.actuator_ids, np.int64)[joints] < 0]
-    if len(wrong) or not len(joints):
+    if driven and (len(wrong) or not len(joints)):
         names = ", ".join(asset.parsed.joint_names[i] for i in wrong) or "(no joint)"
         message = f"joints of {entity.uid!r} without a drive: {names}"
         hint = "for motors and the like of an MJCF file use randomize_actuator_strength"
         raise ConfigError([Problem("entity_cfg", message, hint)])
     return joints
+
+
+def _drive(entity: ResolvedEntity, options: Options, name: str, driven: bool = False) -> Values:
+    """A property of drives or joints; the name is that of `Drives.put`."""
+    asset, joints = entity.asset, _joints(entity, driven)
+
+    def write(ids: NDArray[np.int64]) -> Write:
+        return lambda values, env_ids: asset.drives.put(name, values, env_ids, joints[ids])
+
+    names = [asset.parsed.joint_names[i] for i in joints]
+    compiled = np.asarray(getattr(asset.parsed, name), np.float64)[joints]
+    return Values(names, compiled, write, 0.0, "these have no limit")
+
+
+def _limit(entity: ResolvedEntity, options: Options, side: int) -> Values:
+    asset, joints = entity.asset, _joints(entity, driven=False)
+
+    def write(ids: NDArray[np.int64]) -> Write:
+        return lambda values, env_ids: asset.drives.put_limit(side, values, env_ids, joints[ids])
+
+    names = [asset.parsed.joint_names[i] for i in joints]
+    compiled = np.asarray(asset.parsed.qpos_limits, np.float64)[joints]
+    compiled = np.where(np.isfinite(compiled).all(axis=1), compiled[:, side], np.inf)
+    return Values(names, compiled, write, None, "these joints have no limits", needs_default=True)
+
+
+def _strength(entity: ResolvedEntity, options: Options) -> Values:
+    """Factors of drives, and of a file's own actuators on the picked joints."""
+    need_articulation(entity)
+    asset = entity.asset
+    index, model = asset.entity, asset.engine.model
+    joints = np.asarray(entity.joint_ids, np.int64)
+    driven = joints[np.asarray(index.actuator_ids, np.int64)[joints] >= 0]
+    others = np.setdiff1d(index.own_actuator_ids, index.actuator_ids)
+    own = _own_actuators(model, others, np.asarray(index.dof_adr, np.int64)[joints])
+    names = [asset.parsed.joint_names[i] for i in driven]
+    names += [model.actuator(i).name or f"actuator {i}" for i in own]
+    if not names:
+        message = f"no actuator drives: {', '.join(entity.joint_names)}"
+        raise ConfigError([Problem("entity_cfg", message)])
+
+    def write(ids: NDArray[np.int64]) -> Write:
+        drives, rest = driven[ids[ids < len(driven)]], own[ids[ids >= len(driven)] - len(driven)]
+        parts = _proportional(model, rest) if len(rest) else []
+
+        def factors(values: F64, env_ids: EnvIndex | None) -> None:
+            if len(drives):
+                asset.drives.put("strength", values[:, : len(drives)], env_ids, drives)
+            factor = values[:, len(drives) :]
+            for name, columns, compiled, source in parts:
+                asset.engine.write_model(name, compiled * factor[:, source], env_ids, columns)
+
+        return factors
+
+    return Values(names, np.ones(len(names)), write, 0.0)
+
+
+_Part = tuple[str, NDArray[np.int64], "F64", NDArray[np.int64]]
+"""A model field, its columns, their compiled values, and whose factor each takes."""
+
+
+def _proportional(model: mujoco.MjModel, actuators: NDArray[np.int64]) -> list[_Part]:
+    """Everything that the actuators' forces are proportional to."""
+
+    def part(field: str, which: NDArray[np.int64], used: int) -> _Part:
+        table = getattr(model, field)
+        columns = (table.shape[1] * actuators[which, None] + np.arange(used)).reshape(-1)
+        return field, columns, table.reshape(-1)[columns].copy(), np.repeat(which, used)
+
+    every = np.arange(len(actuators))
+    parts = [part("actuator_gainprm", every, 3), part("actuator_biasprm", every, 3)]
+    limited = np.flatnonzero(model.actuator_forcelimited[actuators])
+    return [*parts, part("actuator_forcerange", limited, 2)] if len(limited) else parts
+
+
+def _own_actuators(
+    model: mujoco.MjModel, actuators: NDArray[np.int64], dofs: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """A file's actuators on the joints of these dofs, whose force is linear in its parameters.
+
+    Raises:
+        ConfigError: If one has another force law, such as a muscle's.
+    """
+    joints = model.dof_jntid[dofs]
+    kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    linear_gain = (int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFINE))
+    linear_bias = (int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE))
+    found = [
+        int(i)
+        for i in actuators
+        if model.actuator_trntype[i] in kinds and model.actuator_trnid[i, 0] in joints
+    ]
+    for i in found:
+        gain, bias = model.actuator_gaintype[i], model.actuator_biastype[i]
+        if gain not in linear_gain or bias not in linear_bias:
+            message = f"{model.actuator(i).name!r} has a force law that has no strength to scale"
+            raise ConfigError([Problem("entity_cfg", message)])
+    return np.asarray(found, np.int64)
+
+
+# -- the scene -------------------------------------------------------------------------------------
+
+
+def _gravity(engine: Engine) -> Values:
+    def write(ids: NDArray[np.int64]) -> Write:
+        return lambda values, env_ids: engine.write_model("opt.gravity", values, env_ids)
+
+    return Values(list("xyz"), engine.model.opt.gravity, write)
+
+
+def _ground(engine: Engine, axis: int) -> Values:
+    model = engine.model
+    names = [model.geom(i).name for i in range(model.ngeom)]
+    if GROUND not in names:
+        message = "there is no ground plane in this scene"
+        raise ConfigError([Problem("", message, "the simulation's ground_plane is off")])
+    geoms = np.array([names.index(GROUND)], np.int64)
+    return _coefficients(engine, [("ground", geoms)], axis)
+
+
+FIELDS: dict[str, Field] = {
+    "scale": Field(_scale, "scale", fixed=True),
+    "mass": Field(_mass),
+    "com": Field(_com, "add", fixed=True),
+    "inertia": Field(_inertia, "scale", fixed=True),
+    "friction": Field(partial(_friction, axis=0)),
+    "torsional_friction": Field(partial(_friction, axis=1)),
+    "rolling_friction": Field(partial(_friction, axis=2)),
+    "stiffness": Field(partial(_drive, name="stiffness", driven=True)),
+    "damping": Field(partial(_drive, name="damping", driven=True)),
+    "effort_limit": Field(partial(_drive, name="max_effort", driven=True)),
+    "joint_friction": Field(partial(_drive, name="friction")),
+    "armature": Field(partial(_drive, name="armature")),
+    "joint_damping": Field(partial(_drive, name="joint_damping")),
+    "lower_limit": Field(partial(_limit, side=0)),
+    "upper_limit": Field(partial(_limit, side=1)),
+    "strength": Field(_strength, "scale", fixed=True),
+}
+"""Fields of an entity, in the order in which they are drawn and written."""
+SCENE_FIELDS: dict[str, tuple[Callable[[Engine], Values], Operation]] = {
+    "friction": (partial(_ground, axis=0), "abs"),
+    "torsional_friction": (partial(_ground, axis=1), "abs"),
+    "rolling_friction": (partial(_ground, axis=2), "abs"),
+    "gravity": (_gravity, "add"),
+}
+"""Fields of the scene and its ground plane: values and the operation if none is given."""

@@ -64,9 +64,6 @@ class RandomizeRigidObjectPose(Term):
         self._asset = asset = entity_cfg.asset
         self._stop = self._stopper(entity_cfg)
         self._steps = physics_update_step
-        # Revision of the orientations of mocap bodies when this one's were the initial ones.
-        self._stands: int | None = None
-        self._mocap = self._stop is None and asset.entity.mocap_id >= 0
         if relative_to is not None and not relative_position:
             message = "relative_to needs relative_position: true"
             raise ConfigError([Problem("relative_position", message)])
@@ -116,8 +113,6 @@ class RandomizeRigidObjectPose(Term):
             turn = euler_xyz_to_quat(angles)
             quat = quat_multiply(quat0, turn) if self._relative_rotation else turn
         self._asset.write_pose(pos, quat, env_ids)
-        if self._mocap and env_ids is None and self._turn is None:
-            self._stands = self._asset.engine.revision("mocap_quat")
         if self._stop is not None:
             self._stop(env_ids)
         if self._steps > 0:
@@ -125,10 +120,7 @@ class RandomizeRigidObjectPose(Term):
 
     def _stand_already(self, wanted: F64, env_ids: EnvIndex | None) -> bool:
         """Whether orientations need no write, which a log would keep."""
-        engine = self._asset.engine
-        if self._mocap and self._stands == engine.revision("mocap_quat"):
-            return True
-        if self._stop is not None or not engine.listeners:
+        if self._stop is not None or not self._asset.engine.listeners:
             return False
         now = self._asset.read_pose()[1]
         return bool(((now if env_ids is None else now[env_ids]) == wanted).all())

@@ -9,8 +9,8 @@ import lazy_loader
 import numpy as np
 from pydantic import Field
 
-from embodichain.compat._targets import pick_joints, tool_of
-from embodichain.compat._targets import target_position as stored_position
+from embodichain.compat.terms._targets import pick_joints, tool_of
+from embodichain.compat.terms._targets import target_position as stored_position
 from embodichain.lab.gym.envs.managers.param_types import Range
 from embodichain.lab.gym.envs.managers.references import Body, Joints
 from embodichain.lab.gym.envs.managers.registry import quantity, register_term

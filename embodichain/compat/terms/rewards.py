@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from pydantic import Field
 
-from embodichain.compat._targets import pick_joints, target_position, tool_of
+from embodichain.compat.terms._targets import pick_joints, target_position, tool_of
 from embodichain.lab.gym.envs.managers.param_types import NonNegative, Positive
 from embodichain.lab.gym.envs.managers.references import Body
 from embodichain.lab.gym.envs.managers.registry import quantity

@@ -1,8 +1,7 @@
 """Names of terms that EmbodiChain, Isaac Lab, mjlab and earlier tasks use, one line each.
 
 Each stands for a quantity with a shape, and has the parameters it has there; `from`, `to` and `of`
-are called `source_entity_cfg`, `target_entity_cfg` and `entity_cfg`. Importing this module
-registers them, and EmbodiChain's own functions; the registry of terms does that.
+are called `source_entity_cfg`, `target_entity_cfg` and `entity_cfg`.
 """
 
 from __future__ import annotations
@@ -10,11 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-from embodichain.compat import embodichain_observations, embodichain_rewards
 from embodichain.lab.gym.envs.managers.aliases import Alias, P, alias, register_aliases
 from embodichain.lab.gym.envs.managers.param_types import Angle, Bounds, NonNegative, Positive
 
-__all__ = ["OBSERVATIONS", "VALUES", "embodichain_observations", "embodichain_rewards"]
+__all__ = ["OBSERVATIONS", "VALUES"]
 
 _STD = {"tanh": P("std")}
 _NEAR = {"below": P("threshold", hint=Positive)}

@@ -1,9 +1,9 @@
-"""`Declaration`: what was added to a scene before it is compiled, by uid."""
+"""`Scene`: what was added to a simulation, by uid, and what it compiles to."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
@@ -13,9 +13,12 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     name_of,
 )
-from embodichain.lab.sim.compiler import ParsedArticulation, parse_articulation
+from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_articulation
 from embodichain.lab.sim.compiler.chatter import DriveChange, physics_step
-from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
+from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
+from embodichain.lab.sim.compiler.sensor_plans import plan_sensor
+from embodichain.lab.sim.engine.base import Engine
+from embodichain.lab.sim.host import Host
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
@@ -28,12 +31,9 @@ from embodichain.lab.sim.sensors.force_torque import ForceTorqueSensor
 from embodichain.lab.sim.sensors.imu import ImuSensor
 from embodichain.utils.errors import ConfigError, Problem
 
-if TYPE_CHECKING:
-    from embodichain.lab.sim.sim_manager import SimulationManager
+__all__ = ["Entity", "Scene"]
 
-__all__ = ["Declaration", "Handle"]
-
-Handle = Articulation | RigidObject
+Entity = Articulation | RigidObject
 
 _SENSORS: dict[str, type[BaseSensor]] = {
     "contact": ContactSensor,
@@ -42,47 +42,86 @@ _SENSORS: dict[str, type[BaseSensor]] = {
 }
 
 
-class Declaration:
-    """Entities by uid; the base of `SimulationManager`, which compiles them."""
+class Scene:
+    """Entities and sensors by uid; compiled once, after which nothing can be added.
 
-    sim_config: SimulationManagerCfg
-    num_envs: int
+    Args:
+        cfg: Physics options and ground plane.
+        host: The simulation that the handles belong to.
 
-    def __init__(self) -> None:
+    Attributes:
+        compiled: The model and where each entity is in it; None before `compile`.
+        drive_changes: What events may draw for the drives and links of articulations, by uid.
+    """
+
+    def __init__(self, cfg: SimulationManagerCfg, host: Host) -> None:
+        self._cfg = cfg
+        self._host = host
         self.robots: dict[str, Robot] = {}
         self.articulations: dict[str, Articulation] = {}
         self.rigid_objects: dict[str, RigidObject] = {}
         self.lights: dict[str, Light] = {}
         self.sensors: dict[str, BaseSensor] = {}
         self.drive_changes: Mapping[str, Sequence[DriveChange]] = {}
-        """What events may draw for the drives and links of articulations that are added, by uid."""
+        self.compiled: CompiledScene | None = None
 
     @property
-    def compiled(self) -> bool:
-        """Whether the scene is compiled."""
-        raise NotImplementedError
+    def jointed(self) -> dict[str, Articulation]:
+        """Robots, then other articulations."""
+        return {**self.robots, **self.articulations}
 
-    def _simulation(self) -> SimulationManager:
-        """The simulation this declaration is part of."""
-        raise NotImplementedError
+    @property
+    def uids(self) -> list[str]:
+        """Everything that has a name, ``default_plane`` included."""
+        plane = ["default_plane"] if self._cfg.ground_plane else []
+        return [*plane, *self.jointed, *self.rigid_objects, *self.lights, *self.sensors]
 
-    # -- declaring -----------------------------------------------------------------------------
+    def compile(self) -> CompiledScene:
+        """Compile everything into one model; the second time return it."""
+        if self.compiled is None:
+            self.compiled = compile_scene(
+                self._cfg,
+                [articulation.parsed for articulation in self.jointed.values()],
+                {uid: obj.cfg for uid, obj in self.rigid_objects.items()},
+                {uid: light.cfg for uid, light in self.lights.items()},
+                {uid: sensor.plan for uid, sensor in self.sensors.items()},
+            )
+        return self.compiled
+
+    def bind(self, engine: Engine) -> None:
+        """Give every handle the engine and its indices in the compiled model."""
+        scene = self.compile()
+        for entity in (*self.jointed.values(), *self.rigid_objects.values()):
+            entity.bind(engine, scene.entities[entity.uid])
+        for uid, light in self.lights.items():
+            light.bind(engine, int(scene.model.light(uid).id))
+        for uid, sensor in self.sensors.items():
+            sensor.bind(engine, scene.sensors[uid])
+
+    def destroy(self) -> None:
+        """Drop the model, and have every handle drop the engine."""
+        self.compiled = None
+        groups = self.jointed, self.rigid_objects, self.lights, self.sensors
+        for handle in (handle for group in groups for handle in group.values()):
+            handle.destroy()
 
     def _claim(self, cfg: Any) -> str:
-        if self.compiled:
+        if self.compiled is not None:
             raise RuntimeError(
                 "the scene is compiled already (by a step, a reset or a pose that was read): "
                 "add every robot and object first; what comes later can wait out of the way"
             )
         uid = name_of(cfg)
-        if uid in self.asset_uids:
-            raise ConfigError([Problem(uid, f"uid {uid!r} is taken; taken: {self.asset_uids}")])
-        if self.num_envs < 1:
-            raise ConfigError([Problem("num_envs", f"must be at least 1, got {self.num_envs}")])
+        if uid in self.uids:
+            raise ConfigError([Problem(uid, f"uid {uid!r} is taken; taken: {self.uids}")])
+        if self._host.num_envs < 1:
+            raise ConfigError(
+                [Problem("num_envs", f"must be at least 1, got {self._host.num_envs}")]
+            )
         return uid
 
     def _parse(self, uid: str, cfg: ArticulationCfg) -> ParsedArticulation:
-        step = physics_step(self.sim_config)
+        step = physics_step(self._cfg)
         return parse_articulation(uid, cfg, step, self.drive_changes.get(uid, ()))
 
     def add_robot(self, cfg: RobotCfg) -> Robot:
@@ -93,28 +132,28 @@ class Declaration:
             RuntimeError: If the scene is compiled already.
         """
         uid = self._claim(cfg)
-        robot = Robot(cfg, self._parse(uid, cfg), self._simulation())
+        robot = Robot(cfg, self._parse(uid, cfg), self._host)
         self.robots[uid] = robot
         return robot
 
     def add_articulation(self, cfg: ArticulationCfg) -> Articulation:
         """Add an articulation without control parts; see `add_robot`."""
         uid = self._claim(cfg)
-        articulation = Articulation(cfg, self._parse(uid, cfg), self._simulation())
+        articulation = Articulation(cfg, self._parse(uid, cfg), self._host)
         self.articulations[uid] = articulation
         return articulation
 
     def add_rigid_object(self, cfg: RigidObjectCfg) -> RigidObject:
         """Add a rigid object; see `add_robot` for what it raises."""
         uid = self._claim(cfg)
-        obj = RigidObject(cfg, uid, self._simulation())
+        obj = RigidObject(cfg, uid, self._host)
         self.rigid_objects[uid] = obj
         return obj
 
     def add_light(self, cfg: LightCfg) -> Light:
         """Add a light for pictures; see `add_robot` for what it raises."""
         uid = self._claim(cfg)
-        light = self.lights[uid] = Light(cfg, uid, self._simulation())
+        light = self.lights[uid] = Light(cfg, uid, self._host)
         return light
 
     def add_sensor(self, cfg: SensorCfg | CameraCfg) -> BaseSensor:
@@ -128,29 +167,24 @@ class Declaration:
         if isinstance(cfg, CameraCfg):
             raise no_camera(cfg)
         uid = self._claim(cfg)
-        articulations = {**self.robots, **self.articulations}
         known: dict[str, ParsedArticulation | str | None] = {
-            **{name: handle.parsed for name, handle in articulations.items()},
+            **{name: handle.parsed for name, handle in self.jointed.items()},
             **dict.fromkeys(self.rigid_objects, "rigid object"),
             **dict.fromkeys(self.lights, "light"),
         }
-        plan, problems = plan_sensor(uid, cfg, known, ground=self.sim_config.ground_plane)
+        plan, problems = plan_sensor(uid, cfg, known, ground=self._cfg.ground_plane)
         if plan is None:
             raise ConfigError([Problem(f"{uid}.{p.path}", p.message, p.hint) for p in problems])
-        sensor = self.sensors[uid] = _SENSORS[cfg.sensor_type](plan, self._simulation())
+        sensor = self.sensors[uid] = _SENSORS[cfg.sensor_type](plan, self._host)
         return sensor
 
-    def sensor_plans(self) -> dict[str, SensorPlan]:
-        """What the compiler needs to know of the sensors, by uid."""
-        return {uid: sensor.plan for uid, sensor in self.sensors.items()}
-
-    def remove_asset(self, uid: str) -> bool:
+    def remove(self, uid: str) -> bool:
         """Take back something that was added; returns whether it was there.
 
         Raises:
             RuntimeError: If the scene is compiled already.
         """
-        if self.compiled:
+        if self.compiled is not None:
             raise RuntimeError(
                 "the scene is compiled already (by a step, a reset or a pose that was read): "
                 "nothing can be removed; an object can be moved out of the way (set_local_pose)"
@@ -164,57 +198,6 @@ class Declaration:
         )
         return any(group.pop(uid, None) is not None for group in groups)
 
-    # -- finding -------------------------------------------------------------------------------
-
-    def get_robot(self, uid: str | None = None) -> Robot | None:
-        """A robot by uid (None if absent); without a uid, the only one."""
-        if uid is None:
-            return next(iter(self.robots.values())) if len(self.robots) == 1 else None
-        return self.robots.get(uid)
-
-    def get_articulation(self, uid: str) -> Articulation | None:
-        """An articulation by uid, or None."""
-        return self.articulations.get(uid)
-
-    def get_rigid_object(self, uid: str) -> RigidObject | None:
-        """A rigid object by uid, or None."""
-        return self.rigid_objects.get(uid)
-
-    def get_light(self, uid: str) -> Light | None:
-        """A light by uid, or None."""
-        return self.lights.get(uid)
-
-    def get_sensor(self, uid: str) -> BaseSensor | None:
-        """A sensor by uid, or None."""
-        return self.sensors.get(uid)
-
-    def get_asset(self, uid: str) -> Handle | None:
+    def entity(self, uid: str) -> Entity | None:
         """A robot, articulation or object by uid, or None."""
-        return self.robots.get(uid) or self.articulations.get(uid) or self.rigid_objects.get(uid)
-
-    def get_robot_uid_list(self) -> list[str]:
-        """Uids of robots, in order of addition."""
-        return list(self.robots)
-
-    def get_articulation_uid_list(self) -> list[str]:
-        """Uids of articulations, in order of addition."""
-        return list(self.articulations)
-
-    def get_rigid_object_uid_list(self) -> list[str]:
-        """Uids of rigid objects, in order of addition."""
-        return list(self.rigid_objects)
-
-    def get_light_uid_list(self) -> list[str]:
-        """Uids of lights, in order of addition."""
-        return list(self.lights)
-
-    def get_sensor_uid_list(self) -> list[str]:
-        """Uids of sensors, in order of addition."""
-        return list(self.sensors)
-
-    @property
-    def asset_uids(self) -> list[str]:
-        """Everything that has a name, ``default_plane`` included."""
-        plane = ["default_plane"] if self.sim_config.ground_plane else []
-        entities = [*self.robots, *self.articulations, *self.rigid_objects, *self.lights]
-        return [*plane, *entities, *self.sensors]
+        return self.jointed.get(uid) or self.rigid_objects.get(uid)

@@ -1,0 +1,225 @@
+"""The event that randomizes model fields: masses, frictions, gains, sizes, gravity."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from embodichain.lab.gym.envs.managers.param_types import Box3, Positive, Ranges, ScaleRange
+from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.mdp._draws import (
+    Distribution,
+    Draw,
+    Operation,
+    Quantity,
+    Values,
+    Write,
+)
+from embodichain.lab.gym.envs.mdp._model_fields import FIELDS, SCENE_FIELDS, Options
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.sim.engine.base import EnvIndex
+
+__all__ = ["Randomize"]
+
+
+@register_term("event", name="randomize")
+class Randomize(Term):
+    """Draws model fields of an entity, or of the scene, in each environment by itself.
+
+    Every draw starts from the compiled values, so repeated firing does not drift. A range is
+    [low, high] for all bodies or joints, or {name regex: [low, high]}; only fields with a range
+    change. MuJoCo's derived constants are recomputed once a reset.
+
+    Args:
+        entity_cfg: The robot, articulation or rigid object; joint names or control parts pick
+            joints, link names pick links, else all. Without it the scene: gravity, and the
+            friction of the ground plane.
+        entity_cfgs: Several entities instead, each with draws of its own.
+        scale: Factors of the size of a box, sphere, ellipsoid, cylinder or capsule: [low, high],
+            or [[x, y, z] low, [x, y, z] high]. Mass and inertia follow; `get_body_scale` says the
+            scale. The pose stays: place an object that grows higher. Meshes and planes, whose
+            size environments share, are refused.
+        mass: kg, of an object or of each link; links without mass are left out.
+        com: [[x, y, z] low, [x, y, z] high] in metres, in the body's frame, added to the compiled
+            centre of mass. Inertias about the centre of mass stay.
+        inertia: Factors, positive, of the three principal moments together, which belong to the
+            present mass.
+        friction: Sliding coefficient of each object or link that collides. A contact takes the
+            larger coefficient of its two geoms.
+        torsional_friction: Torsional coefficient, m; acts where a geom's ``condim`` is 4 or 6.
+        rolling_friction: Rolling coefficient, m; acts where a geom's ``condim`` is 6.
+        stiffness: Gains of drives, N m/rad or N/m.
+        damping: Gains of drives, N m s/rad or N s/m.
+        effort_limit: Of drives, N m or N; bounds spring and damper together. ``scale`` and
+            ``add`` need a declared ``max_effort``.
+        joint_friction: Dry friction of joints, N m or N.
+        armature: Reflected inertia of joints, kg m^2 or kg.
+        joint_damping: Passive damping of joints, beside that of drives, N m s/rad or N s/m.
+        lower_limit: Position limits of joints that have limits, rad or m; targets are clamped to
+            them, action spaces keep the compiled ones.
+        upper_limit: Likewise.
+        strength: Factors, not negative, of the force of drives and of an MJCF file's own actuators
+            on the joints: gain, bias and force limit together. `get_joint_drive` keeps the nominal
+            gains.
+        gravity: [[x, y, z] low, [x, y, z] high], m/s^2; of the scene.
+        operation: ``abs`` replaces the compiled value, ``scale`` multiplies it, ``add`` adds to it;
+            None is ``abs``, and ``add`` for gravity. `com` always adds, `scale`, `inertia` and
+            `strength` always multiply.
+        distribution: ``uniform``, ``log_uniform`` or ``gaussian`` within the range.
+        recompute_inertia: Whether inertias (and an object's damping) follow a mass.
+        min_mass: Masses below it become it, kg.
+        same_scale_all_axes: Whether one factor scales all axes; False draws one an axis (round
+            shapes stay round).
+        fixed_density: Whether the mass follows the volume of a scaled object; False keeps the
+            compiled mass and changes the inertia only.
+        shared_sample: Whether all of `entity_cfgs` are scaled by the same draw.
+
+    Raises:
+        ConfigError: If the entity has no such field, or the range would give impossible values.
+
+    Example:
+        ``{func: randomize, mode: reset, params: {entity_cfg: {uid: cube}, mass: [0.5, 2.0], friction: [0.3, 1.2]}}``
+    """  # noqa: E501  (an example is one line)
+
+    drive_ranges: ClassVar = {
+        "stiffness": "stiffness",
+        "damping": "damping",
+        "effort_limit": "max_effort",
+        "armature": "armature",
+        "strength": "strength",
+        "mass": "mass",
+    }
+    """Parameters that may make drives chatter; see `drive_changes`."""
+
+    def __init__(
+        self,
+        env: TermContext,
+        entity_cfg: ResolvedEntity | None = None,
+        entity_cfgs: list[ResolvedEntity] | None = None,
+        scale: ScaleRange | None = None,
+        mass: Ranges | None = None,
+        com: Box3 | None = None,
+        inertia: Ranges | None = None,
+        friction: Ranges | None = None,
+        torsional_friction: Ranges | None = None,
+        rolling_friction: Ranges | None = None,
+        stiffness: Ranges | None = None,
+        damping: Ranges | None = None,
+        effort_limit: Ranges | None = None,
+        joint_friction: Ranges | None = None,
+        armature: Ranges | None = None,
+        joint_damping: Ranges | None = None,
+        lower_limit: Ranges | None = None,
+        upper_limit: Ranges | None = None,
+        strength: Ranges | None = None,
+        gravity: Box3 | None = None,
+        operation: Operation | None = None,
+        distribution: Distribution = "uniform",
+        recompute_inertia: bool = True,
+        min_mass: Positive = 1e-6,
+        same_scale_all_axes: bool = True,
+        fixed_density: bool = True,
+        shared_sample: bool = False,
+    ) -> None:
+        given: dict[str, Any] = {
+            "scale": scale,
+            "mass": mass,
+            "com": com,
+            "inertia": inertia,
+            "friction": friction,
+            "torsional_friction": torsional_friction,
+            "rolling_friction": rolling_friction,
+            "stiffness": stiffness,
+            "damping": damping,
+            "effort_limit": effort_limit,
+            "joint_friction": joint_friction,
+            "armature": armature,
+            "joint_damping": joint_damping,
+            "lower_limit": lower_limit,
+            "upper_limit": upper_limit,
+            "strength": strength,
+            "gravity": gravity,
+        }
+        self._ranges = {name: value for name, value in given.items() if value is not None}
+        self._operation = operation
+        self._options = Options(recompute_inertia, min_mass, same_scale_all_axes, fixed_density)
+        if entity_cfgs is not None and not entity_cfgs:
+            raise ConfigError([Problem("entity_cfgs", "names no object")])
+        if scale is not None and same_scale_all_axes and np.shape(scale) == (2, 3):
+            message = "a range for every axis needs same_scale_all_axes: false"
+            raise ConfigError([Problem("scale", message)])
+        if shared_sample and set(self._ranges) - {"scale"}:
+            raise ConfigError([Problem("shared_sample", "only objects' scales may be shared")])
+        self._quantities: dict[str, Quantity] = {}
+        self._writes: list[list[Write]] = []
+        entities = [*([] if entity_cfg is None else [entity_cfg]), *(entity_cfgs or [])]
+        if not entities:
+            self._add_scene(env)
+        for group in [entities] if shared_sample and entities else [[e] for e in entities]:
+            self._add_entities(group, f"{group[0].uid}." if len(entities) > len(group) else "")
+        self._draw = Draw(self._quantities, distribution)
+
+    def _add_scene(self, env: TermContext) -> None:
+        for name in self._ranges:
+            if name not in SCENE_FIELDS:
+                message = f"missing: of which entity is {name!r} randomized?"
+                raise ConfigError([Problem("entity_cfg", message)])
+            find, usual = SCENE_FIELDS[name]
+            self._add(name, name, [find(env.sim.engine)], self._operation or usual)
+
+    def _add_entities(self, entities: Sequence[ResolvedEntity], prefix: str) -> None:
+        """Add the fields of entities that share each draw."""
+        for name in self._ranges:
+            field = FIELDS.get(name)
+            if field is None:
+                message = f"{name} belongs to the scene: leave entity_cfg out"
+                raise ConfigError([Problem(name, message)])
+            if field.fixed and self._operation not in (None, field.operation):
+                message = f"{name} is always of operation {field.operation!r}"
+                raise ConfigError([Problem("operation", message)])
+            values = [field.values(entity, self._options) for entity in entities]
+            self._add(prefix + name, name, values, self._operation or field.operation)
+        sides = [self._quantities.get(f"{prefix}{side}_limit") for side in ("lower", "upper")]
+        _check_limits(entities[0], sides)
+
+    def _add(self, label: str, param: str, values: Sequence[Values], operation: Operation) -> None:
+        """Add a quantity that is written to each of the entities with these values."""
+        first, given = values[0], self._ranges[param]
+        quantity = Quantity(param, given, operation, first)
+        self._quantities[label] = quantity
+        self._writes.append([one.write(quantity.ids) for one in values])
+
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+        """Draw and write the fields of these environments."""
+        for writes, values in zip(self._writes, self._draw(env, env_ids), strict=True):
+            for write in writes:
+                write(values, env_ids)
+
+
+def _check_limits(entity: ResolvedEntity, sides: Sequence[Quantity | None]) -> None:
+    """Refuse ranges in which a lower position limit may exceed the upper one.
+
+    Args:
+        entity: The articulation.
+        sides: What is drawn of the lower and of the upper limits.
+    """
+    drawn = [quantity for quantity in sides if quantity is not None]
+    if not drawn:
+        return
+    parsed, joints = entity.asset.parsed, np.asarray(entity.joint_ids, np.int64)
+    lower, upper = np.asarray(parsed.qpos_limits, np.float64)[joints].T.copy()
+    if sides[0] is not None:
+        lower[sides[0].ids] = np.maximum(sides[0].low, sides[0].high)
+    if sides[1] is not None:
+        upper[sides[1].ids] = np.minimum(sides[1].low, sides[1].high)
+    crossed = [parsed.joint_names[joints[i]] for i in np.flatnonzero(lower >= upper)]
+    if crossed:
+        message = f"a lower limit may exceed the upper one: {', '.join(crossed)}"
+        raise ConfigError([Problem(drawn[0].param, message)])
