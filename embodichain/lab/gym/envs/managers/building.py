@@ -90,7 +90,7 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
     lead = source.lead
     if lead is None:  # a function or class of the kind's own signature
         lead = ("obs",) if kind == "observation" else ("obs", "action", "info")
-    call = _call(read, lead, shapes, kind, where)
+    call = _call(source.name, read, lead, shapes, kind, where)
     kept = [part for part in (instance, *shapes) if hasattr(part, "state_dict")]
     if len(kept) > 1:
         return BuiltTerm(name, cfg, spec, call, _Several(kept))
@@ -113,11 +113,17 @@ def _discarding(instance: Callable[[], Any]) -> Callable[[Any], Any]:
 
 
 def _call(
-    read: Callable[..., Any], lead: tuple[str, ...], shapes: list[Shape], kind: Kind, where: str
+    name: str,
+    read: Callable[..., Any],
+    lead: tuple[str, ...],
+    shapes: list[Shape],
+    kind: Kind,
+    where: str,
 ) -> Callable[..., torch.Tensor]:
     """What a manager calls: reads the quantity, shapes it and makes a tensor of it.
 
     Args:
+        name: The quantity's name, for messages.
         read: Takes the environment and what `lead` names.
         lead: Which of ``obs``, ``action`` and ``info`` it takes.
         shapes: Applied in order.
@@ -126,6 +132,7 @@ def _call(
     """
     at = [("obs", "action", "info").index(name) for name in lead]
     column = kind == "observation"
+    shape_path = f"{where.removesuffix('.params')}.shape"
 
     def call(env: TermContext, *passed: Any) -> torch.Tensor:
         try:
@@ -139,6 +146,9 @@ def _call(
             value = shape(value)
         if column and value.ndim == 1:
             value = value[:, None]
+        elif value.ndim > 1 and not column:
+            message = f"{name} has {value.shape[1]} columns; a {kind} is one number: try shape: l2"
+            raise ConfigError([Problem(shape_path, message)])
         if value.dtype == np.bool_ and not column:
             return torch.from_numpy(value)
         return torch.from_numpy(value.astype(np.float32))

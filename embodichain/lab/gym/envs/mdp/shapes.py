@@ -223,8 +223,7 @@ def outside(env: TermContext, bounds: BoundsOrBox) -> Truths:
         bounds: [low, high] in the quantity's unit, or [[low of each column], [high of each]].
 
     Example:
-        ``{func: position, shape: {outside: [[-1, -1, -0.1], [1, 1, 1]]}, params: {of: {uid:
-        cube}}}``
+        ``{func: height, shape: {outside: [-0.1, 1]}, params: {of: {uid: cube}}}``
     """
     low, high = (np.asarray(bound, np.float64) for bound in bounds)
 
