@@ -232,7 +232,7 @@ def _readings(turn: int) -> list[Callable[[Log], Any]]:
     format = FORMATS[turn % len(FORMATS)]
     return [
         lambda log: (log.config, log.versions, log.metrics(0)),
-        lambda log: (list(log.events()), list(log.writes()), list(log.full_messages(0))),
+        lambda log: (list(log.events()), list(log.writes()), list(log.raw_messages())),
         lambda log: log.read(env=1, start=3, stop=9),
         lambda log: list(log.parts(steps=5)),
         lambda log: log.snapshot(1, step=5),

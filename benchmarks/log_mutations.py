@@ -15,13 +15,15 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 from mcap.opcode import Opcode
 
-from embodichain.recording.mcap_file import MAGIC
-from embodichain.recording.records import chunk_content
+from embodichain.recording.chunks import MAGIC
+from embodichain.recording.mcap_records import chunk_content
 
 __all__ = ["KINDS", "mutate"]
 
 _HEAD = struct.Struct("<BQ")
 _LIES = (0, 1, 7, 2**16, 2**28, 2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**63 - 1, 2**64 - 1)
+_MESSAGE_HEAD = 800
+"""About as many bytes of a message are no arrays."""
 _BOMB_BYTES = 3 * 2**30
 _BOMBS: dict[str, bytes] = {}
 
@@ -134,18 +136,32 @@ def _bomb_of(compression: str) -> bytes:
 
 
 def _forge_messages(data: bytes, rng: Random) -> bytes:
-    """Change bytes of a chunk and give it the right checksum."""
+    """Change bytes of a chunk, half of them where messages begin; the checksum is right."""
     place = rng.choice(_chunks(data))
     start = place[0] + _HEAD.size
     compression, found = chunk_content(data[start : start + place[1]])
     content = bytearray(found)
+    begins = _messages(found)
     for _ in range(rng.randint(1, 4)):
         at = rng.randrange(len(content))
+        if begins and rng.random() < 0.5:
+            at = min(len(content) - 1, rng.choice(begins) + rng.randrange(_MESSAGE_HEAD))
         content[at] = rng.choice((content[at] ^ 1 << rng.randrange(8), 0, 255, rng.randrange(256)))
     raw = bytes(content)
-    packed = lz4.frame.compress(raw) if compression == "lz4" else raw
+    packers = {"lz4": lz4.frame.compress, "zstd": zstandard.compress, "none": bytes}
     name = "" if compression == "none" else compression
-    return _replace_chunk(data, place, name, packed, len(raw), zlib.crc32(raw))
+    return _replace_chunk(data, place, name, packers[compression](raw), len(raw), zlib.crc32(raw))
+
+
+def _messages(content: bytes) -> list[int]:
+    """Where the messages of a chunk begin."""
+    found, at = [], 0
+    while at < len(content):
+        opcode, length = _HEAD.unpack_from(content, at)
+        if opcode == Opcode.MESSAGE:
+            found.append(at + _HEAD.size)
+        at += _HEAD.size + length
+    return found
 
 
 def _forge_metadata(data: bytes, rng: Random) -> bytes:
@@ -161,8 +177,8 @@ def _forge_metadata(data: bytes, rng: Random) -> bytes:
 
 
 def _grow_number(data: bytes, rng: Random) -> bytes:
-    """Write a huge number of environments, columns or steps into the metadata, lengths mended."""
-    name = rng.choice((b"num_envs", b"nstate", b"substeps", b"state_sig", b"control_dt"))
+    """Write a huge number of environments, columns or steps into the metadata."""
+    name = rng.choice((b"num_envs", b"nstate", b"substeps", b"start_ns", b"control_dt"))
     value = rng.choice((b"1000000000000", b"-1", b"0", b"16777216", b"1e400", b"NaN", b"null"))
     places = [(at, n) for at, opcode, n in _records(data) if opcode == Opcode.METADATA]
     at, length = places[0]

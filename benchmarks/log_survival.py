@@ -17,7 +17,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -45,10 +44,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         _import_everything()
         moments = [rng.uniform(0.0, LONGEST) for _ in range(options.kills)]
-        found = [
-            kill_one(Path(folder) / str(i), moment, both=i % 2 == 1)
-            for i, moment in enumerate(moments)
-        ]
+        found = [kill_one(Path(folder) / str(i), moment) for i, moment in enumerate(moments)]
     print(report(found))
     if options.out:
         write_json(options.out, {"kills": found})
@@ -63,24 +59,12 @@ def _import_everything() -> None:
     env.close()
 
 
-def children_of(pid: int) -> list[int]:
-    """Processes that a process has started: those that write its logs."""
-    found = []
-    for path in Path("/proc").glob("[0-9]*/stat"):
-        with suppress(FileNotFoundError, ProcessLookupError):  # it has ended meanwhile
-            parent = path.read_text().rpartition(")")[2].split()[1]
-            if int(parent) == pid:
-                found.append(int(path.parent.name))
-    return found
-
-
-def kill_one(folder: Path, moment: float, both: bool) -> dict[str, Any]:
+def kill_one(folder: Path, moment: float) -> dict[str, Any]:
     """Start a recording, kill it after `moment` seconds, and look at what is left.
 
     Args:
         folder: Made for it.
         moment: Seconds.
-        both: Whether the process that writes is killed as well.
     """
     folder.mkdir()
     shared = mmap.mmap(-1, 8 * (MOST_STEPS + 1))
@@ -93,17 +77,13 @@ def kill_one(folder: Path, moment: float, both: bool) -> dict[str, Any]:
         finally:
             os._exit(1)
     time.sleep(moment)
-    writers = children_of(child)
-    for process in [*writers, child] if both else [child]:
-        os.kill(process, signal.SIGKILL)
+    os.kill(child, signal.SIGKILL)
     killed = time.monotonic()
     _, status = os.waitpid(child, 0)
-    while any(Path(f"/proc/{process}").exists() for process in writers):
-        time.sleep(0.01)  # it writes what it was handed
     found = look(folder, times[: int(times[-1])].copy(), killed)
     if os.waitstatus_to_exitcode(status) != -signal.SIGKILL:
         found["wrong"].append("it ended by itself")
-    return {"moment": moment, "both": both, **found}
+    return {"moment": moment, **found}
 
 
 def _record(folder: Path, times: Any) -> None:
@@ -159,26 +139,13 @@ def look(folder: Path, times: Any, killed: float) -> dict[str, Any]:
 def report(found: Sequence[dict[str, Any]]) -> str:
     """How the files were, and how much of the newest was lost."""
     rows = []
-    for state, both in dict.fromkeys((one["state"], one["both"]) for one in found):
-        those = [one for one in found if (one["state"], one["both"]) == (state, both)]
-        lost = [one["lost_s"] for one in those]
+    for state in dict.fromkeys(one["state"] for one in found):
+        those = [one for one in found if one["state"] == state]
+        most = max(one["lost_s"] for one in those)
         steps = sum(one["steps"] for one in those)
         bad = sum(bool(one["wrong"]) for one in those)
-        rows.append(
-            [
-                f"killed {state}",
-                "both" if both else "simulation",
-                len(those),
-                f"{steps:,}",
-                f"{max(lost):.2f}",
-                bad,
-            ]
-        )
-    lines = [
-        table(
-            ["moment", "killed", "logs", "steps read and verified", "most lost, s", "wrong"], rows
-        )
-    ]
+        rows.append([f"killed {state}", len(those), f"{steps:,}", f"{most:.2f}", bad])
+    lines = [table(["moment", "logs", "steps read and verified", "most lost, s", "wrong"], rows)]
     return "\n".join([*lines, *(problem for one in found for problem in one["wrong"])])
 
 

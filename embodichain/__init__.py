@@ -11,7 +11,6 @@ import lazy_loader
 
 from embodichain.compat import finder
 from embodichain.config.gymnasium_ids import register_with_gymnasium
-from embodichain.utils.plugins import TERM_MODULES
 
 if TYPE_CHECKING:
     from embodichain.config.factory import make
@@ -23,5 +22,8 @@ __getattr__, __dir__, _ = lazy_loader.attach(__name__, submod_attrs={"config.fac
 __all__ = ["__version__", "make"]
 
 finder.install()
+
+from embodichain.utils.plugins import TERM_MODULES  # noqa: E402  (found by the finder)
+
 TERM_MODULES.append("embodichain.compat.terms")
 register_with_gymnasium()

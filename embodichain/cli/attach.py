@@ -9,15 +9,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.recording import McapRecorder
 
-__all__ = ["attach_log", "expect_log"]
-
-
-def expect_log(run: Job) -> None:
-    """Start the process that will write the log, while the environment is built."""
-    if run.root.record.format != "none":
-        from embodichain.recording import worker
-
-        worker.warm_up()
+__all__ = ["attach_log"]
 
 
 def attach_log(run: Job, env: BaseEnv) -> McapRecorder | None:

@@ -95,7 +95,7 @@ def evaluate_job(run: Job, stop: StopFlag, asked: Asked) -> dict[str, Any]:
 
 def _play(run: Job, stop: StopFlag, asked: Asked) -> tuple[Evaluation, str | None, list[str]]:
     """The evaluation from build to close, where its log is, and what changed since training."""
-    from embodichain.cli.attach import attach_log, expect_log
+    from embodichain.cli.attach import attach_log
     from embodichain.cli.policies import policy_of
     from embodichain.cli.progress import ProgressDisplay
     from embodichain.cli.viewing import attach_viewer
@@ -103,7 +103,6 @@ def _play(run: Job, stop: StopFlag, asked: Asked) -> tuple[Evaluation, str | Non
     from embodichain.learning.evaluation import evaluate
 
     root, task = run.root, run.resolved.task_name
-    expect_log(run)
     env = make_env(run.resolved, run_dir=run.folder)
     try:
         policy = policy_of(root, env, deterministic=asked.deterministic)

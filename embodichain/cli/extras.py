@@ -61,6 +61,7 @@ EXTRAS: dict[str, Extra] = dict(
         _extra("pandas", "logs as data frames", "pandas"),
         _extra("parquet", "logs as Parquet files", "pyarrow"),
         _extra("hdf5", "logs as HDF5 files", "h5py"),
+        _extra("ros2", "logs as ROS 2 bags", "rosbags"),
         _extra("rerun", "logs as recordings for Rerun", "rerun-sdk"),
         _extra("lerobot", "logs as LeRobot data sets", "pandas", "pyarrow", "imageio-ffmpeg"),
     )

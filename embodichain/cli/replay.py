@@ -19,7 +19,7 @@ from embodichain.utils.errors import ConfigError
 if TYPE_CHECKING:
     from embodichain.recording.header import Header
     from embodichain.recording.summary import Episode, LogSummary
-    from embodichain.recording.verify_report import VerifyReport
+    from embodichain.recording.verification import VerifyReport
 
 __all__ = ["main"]
 

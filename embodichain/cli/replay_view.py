@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from embodichain.cli import exits
 from embodichain.cli.arguments import VerbParser
 from embodichain.cli.stopping import StopFlag
-from embodichain.utils.addresses import is_loopback
+from embodichain.cli.viewing import warn_of_address
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -61,7 +61,7 @@ def view(path: Path, options: argparse.Namespace) -> int:
 
 def _screen(log: Log, options: argparse.Namespace, stop: StopFlag) -> Screen:
     from embodichain.lab.sim.viewer import has_display
-    from embodichain.recording.viewers.log_screens import NativeScreen, WebScreen
+    from embodichain.recording.viewers.log_screens import NativeScreen
 
     name, env = options.view or ("native" if has_display() else "web"), options.env or 0
     if name == "foxglove":
@@ -88,9 +88,5 @@ def _screen(log: Log, options: argparse.Namespace, stop: StopFlag) -> Screen:
     if not options.quiet:
         sys.stderr.write(f"viewer: {page.url} (Ctrl-C ends)\n")
         sys.stderr.flush()
-    if not is_loopback(host):
-        sys.stderr.write(
-            f"warning: the viewer listens on {host} and asks nobody who they are: everybody who "
-            "reaches it can look and press its buttons\n"
-        )
-    return WebScreen(page)
+    warn_of_address(host)
+    return page

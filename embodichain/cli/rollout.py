@@ -17,7 +17,6 @@ from embodichain.cli.stopping import StopFlag
 from embodichain.learning.episode_statistics import (
     EpisodeStatistics,
     ended_values,
-    judges_success,
 )
 
 if TYPE_CHECKING:
@@ -75,7 +74,7 @@ def play(
         stop: Its flag ends the loop after a whole step.
     """
     statistics = EpisodeStatistics(env.num_envs, episodes)
-    has_success = judges_success(env)
+    has_success = env.judges_success
     limit = float("inf") if max_steps is None else max_steps
     start = time.perf_counter()
     status: Status = "finished"

@@ -82,7 +82,7 @@ def _run(run: Job, stop: StopFlag) -> float | None:
 
 def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
     """The rollout from build to close, and where its log is."""
-    from embodichain.cli.attach import attach_log, expect_log
+    from embodichain.cli.attach import attach_log
     from embodichain.cli.picture import StartPicture
     from embodichain.cli.policies import policy_of
     from embodichain.cli.progress import ProgressDisplay
@@ -93,7 +93,6 @@ def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
 
     root = run.root
     episodes = root.episodes or 1
-    expect_log(run)
     env = make_env(run.resolved, run_dir=run.folder)
     start: StartPicture | None = None
     try:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
 __all__ = ["main"]
 
 _LAYOUT = "foxglove_layout.json"
+_MAGIC = b"\x89MCAP0\r\n"
+"""The first and last bytes of a complete MCAP file."""
 
 
 def main(arguments: list[str]) -> int:
@@ -67,25 +69,20 @@ def _told(log: LogSummary, layout: Path) -> str:
 
 
 def _has_end(file: Path) -> bool:
-    from embodichain.recording.mcap_file import MAGIC
-
     with file.open("rb") as stream:
-        stream.seek(-len(MAGIC), os.SEEK_END)
-        return stream.read() == MAGIC
+        stream.seek(-len(_MAGIC), os.SEEK_END)
+        return stream.read() == _MAGIC
 
 
 def _layout(log: LogSummary) -> Path:
     """The layout beside the log; taken from its attachment where it is not there."""
     path = log.path.with_name(_LAYOUT)
     if not path.exists():
-        from embodichain.recording.reader import LogReader
+        from embodichain.recording.chunks import LogReader
 
         with LogReader(log.path) as reader:
-            for _ in reader.messages():
-                break  # attachments come first
-            content = reader.attachments.get(_LAYOUT)
-        if content is not None:
-            path.write_bytes(content)
+            if _LAYOUT in reader.attachments:
+                path.write_bytes(reader.attachment(_LAYOUT))
     return path
 
 

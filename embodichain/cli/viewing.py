@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from embodichain.config.schema import RootCfg
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
-__all__ = ["attach_viewer", "check_viewer"]
+__all__ = ["attach_viewer", "check_viewer", "warn_of_address"]
 
 
 def attach_viewer(
@@ -45,10 +45,15 @@ def attach_viewer(
     logging.getLogger(__name__).info("viewer: %s", where)
     if not root.quiet and not root.json:
         sys.stderr.write(f"viewer: {where}\n")
-    if not is_loopback(viewer.host):
+    warn_of_address(viewer.host)
+
+
+def warn_of_address(host: str) -> None:
+    """Warn where a viewer with buttons can be reached from other machines."""
+    if not is_loopback(host):
         sys.stderr.write(
-            f"warning: the viewer listens on {viewer.host} and asks nobody who they are: "
-            "everybody who reaches it can look and press its buttons\n"
+            f"warning: the viewer listens on {host} and asks nobody who they are: everybody who "
+            "reaches it can look and press its buttons\n"
         )
 
 

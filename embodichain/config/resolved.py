@@ -19,6 +19,7 @@ from embodichain.config.problems import LocatedProblem
 from embodichain.config.schema import RootCfg
 from embodichain.config.validation import check_tree, source_of, validate
 from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["Resolved", "Verb", "resolve", "resolve_tree"]
@@ -35,6 +36,7 @@ class Resolved:
         notes: What of a gym config was left out or is read otherwise, and what was derived that
             changes the physics.
         source: From a key path to where the key was set, or empty text.
+        prepared: The scene as the check has read and compiled it, for the first environment.
     """
 
     tree: Mapping[str, Any]
@@ -42,6 +44,7 @@ class Resolved:
     task_name: str
     notes: tuple[LocatedProblem, ...] = ()
     source: Callable[[str], str] = field(default=lambda path: "", repr=False, compare=False)
+    prepared: PreparedScene = field(default_factory=PreparedScene, repr=False, compare=False)
 
     @property
     def root(self) -> RootCfg:
@@ -54,7 +57,9 @@ class Resolved:
     @property
     def env_cfg(self) -> EnvCfg:
         """A fresh `EnvCfg` for `BaseEnv`: `num_envs`, `seed` and `sim_cfg` filled in."""
-        return derive.env_cfg(self.root)
+        cfg = derive.env_cfg(self.root)
+        cfg.sim_cfg.prepared_scene = self.prepared
+        return cfg
 
     @contextmanager
     def locating(self, section: str = "") -> Iterator[None]:
@@ -92,16 +97,17 @@ def resolve(
         ConfigError: Holds every mistake as a `LocatedProblem`.
     """
     composed = config if isinstance(config, Composed) else compose(config, verb, config_dir)
-    problems = validate(composed, verb)
+    prepared = PreparedScene()
+    problems = validate(composed, verb, prepared)
     if problems:
         raise ConfigError(problems)
     filled = derive.fill(composed.tree, verb, composed.locator.chosen)
-    tree, raised = with_armature(derive.settle(check_types(filled).tree, verb))
+    tree, raised = with_armature(derive.settle(check_types(filled).tree, verb), prepared)
     name = composed.choices.get("task") or "task"
     name = name.rpartition("/")[2]
     source = partial(source_of, composed=composed)
     notes = (*composed.notes, *raised)
-    return Resolved(freeze(tree), composed.overrides, name, notes, source)
+    return Resolved(freeze(tree), composed.overrides, name, notes, source, prepared)
 
 
 def resolve_tree(
@@ -124,10 +130,11 @@ def resolve_tree(
     Raises:
         ConfigError: Holds every mistake as a `LocatedProblem`.
     """
-    problems = check_tree(tree, verb, allow_import=allow_import)
+    prepared = PreparedScene()
+    problems = check_tree(tree, verb, allow_import=allow_import, prepared=prepared)
     located = source if callable(source) else lambda path: source
     if problems:
         raise ConfigError([LocatedProblem.of(p, located(p.path)) for p in problems])
     settled = derive.settle(check_types(derive.fill(tree, verb)).tree, verb)
-    settled, raised = with_armature(settled)
-    return Resolved(freeze(settled), (), task_name, raised, located)
+    settled, raised = with_armature(settled, prepared)
+    return Resolved(freeze(settled), (), task_name, raised, located, prepared)

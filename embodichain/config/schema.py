@@ -69,7 +69,7 @@ class RecordCfg:
     """k records every k-th episode of the first viewed environment, and all others meanwhile."""
     max_mb: Annotated[float, Field(gt=0)] | None = None
     """Megabytes after which the log goes on in another file."""
-    compression: Literal["zstd-fast", "zstd", "lz4", "none"] = "zstd-fast"
+    compression: Literal["zstd", "lz4", "none"] = "zstd"
     view_envs: list[Annotated[int, Field(ge=0)]] = [0]
     """Environments that people look at: transforms, shapes, joint states."""
     view_hz: Annotated[float, Field(gt=0)] = 10.0

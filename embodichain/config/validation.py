@@ -1,7 +1,7 @@
 """All checks of a config in one report: types, values, terms, scene; each mistake with its place.
 
 The checks themselves live where their subjects do: types in `check_types`, terms in
-`lab.gym.envs.managers`, the scene in `lab.sim.compiler`.
+`lab.gym.envs.managers`, the scene in `lab.gym.envs.scene_check`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from embodichain.config.introspect import is_named_map, type_at
 from embodichain.config.problems import COMMAND_LINE, LocatedProblem
 from embodichain.config.schema import LARGEST_TRAINING_SEED, RootCfg
 from embodichain.lab.gym.envs.managers.check import check_terms
+from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -32,12 +33,15 @@ _ENTITY = re.compile(r"task(\.(robot|(robots|objects|articulations)(\.[^.]+)?)(\
 """Paths whose loss makes references to entities fail that are not wrong."""
 
 
-def validate(composed: Composed, verb: Verb = "run") -> list[LocatedProblem]:
+def validate(
+    composed: Composed, verb: Verb = "run", prepared: PreparedScene | None = None
+) -> list[LocatedProblem]:
     """Return every mistake of a composed config, with those found while composing; empty is good.
 
     Args:
         composed: What `compose` returned.
         verb: Whose suggested values count.
+        prepared: Receives the scene that was read and compiled.
     """
     problems = list(composed.problems)
     if not composed.usable:
@@ -47,7 +51,8 @@ def validate(composed: Composed, verb: Verb = "run") -> list[LocatedProblem]:
     lost = [p.path for p in (*problems, *unknown)]
     chosen = composed.locator.chosen
     unknown += _said_twice(composed)
-    found = [*unknown, *check_tree(composed.tree, verb, chosen=chosen, lost=lost)]
+    in_tree = check_tree(composed.tree, verb, chosen=chosen, lost=lost, prepared=prepared)
+    found = [*unknown, *in_tree]
     return problems + [LocatedProblem.of(p, source_of(p.path, composed)) for p in found]
 
 
@@ -65,6 +70,7 @@ def check_tree(
     chosen: Chosen | None = None,
     lost: Sequence[str] = (),
     allow_import: bool = True,
+    prepared: PreparedScene | None = None,
 ) -> list[Problem]:
     """Return the mistakes of a plain tree, by key path.
 
@@ -74,6 +80,7 @@ def check_tree(
         chosen: See `derive.fill`.
         lost: Paths that are known to be wrong; nothing more is said of them.
         allow_import: Whether ``package.module:function`` may be imported.
+        prepared: Receives the scene that was read and compiled.
     """
     rest = copy.deepcopy(dict(tree))
     for path in lost:
@@ -85,13 +92,17 @@ def check_tree(
     problems += types.problems
     missing = [*lost, *types.pruned]
     if types.root is not None:
-        further = _check_meaning(types.root, verb, missing, allow_import)
+        further = _check_meaning(types.root, verb, missing, allow_import, prepared)
         problems += [p for p in further if not _below(p.path, missing)]
     return list({p.path + p.message: p for p in problems}.values())
 
 
 def _check_meaning(
-    root: RootCfg, verb: Verb, missing: Sequence[str], allow_import: bool
+    root: RootCfg,
+    verb: Verb,
+    missing: Sequence[str],
+    allow_import: bool,
+    prepared: PreparedScene | None,
 ) -> list[Problem]:
     """Values, terms and scene, of what has the right types."""
     problems = check_root(root, allow_import=allow_import)
@@ -105,9 +116,9 @@ def _check_meaning(
     known = {p.path for p in problems}
     in_task = check_terms(root.task, allow_import=allow_import)
     if not any(_ENTITY.fullmatch(path) for path in missing):
-        from embodichain.lab.sim.compiler import describe  # imports MuJoCo: only when needed
+        from embodichain.lab.gym.envs.scene_check import describe  # imports MuJoCo
 
-        in_task += describe(root.task)
+        in_task += describe(root.task, prepared)
     found = [Problem(_in_task(p.path), p.message, p.hint) for p in in_task]
     return problems + [p for p in found if p.path not in known]
 

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    pass
 
-__all__ = ["EpisodeStatistics", "ended_values", "judges_success"]
+__all__ = ["EpisodeStatistics", "ended_values"]
 
 Flags = NDArray[np.bool_]
 
@@ -95,14 +95,6 @@ class EpisodeStatistics:
         return float(column.mean()) if column.size else None
 
 
-def judges_success(env: BaseEnv) -> bool:
-    """Whether a task says what success is: a metric, a termination, or its class."""
-    from embodichain.lab.gym.envs.hooks import overrides
-
-    declared = env.metric_manager.has_success or env.termination_manager.has_success
-    return declared or any(overrides(env, ["compute_task_state", "evaluate"]).values())
-
-
 def ended_values(
     info: Mapping[str, Any], terminated: Flags, has_success: bool
 ) -> dict[str, NDArray[Any]]:
@@ -111,7 +103,7 @@ def ended_values(
     Args:
         info: What the step returned; it is from before an automatic reset.
         terminated: (N,) which ended by themselves.
-        has_success: What `judges_success` says of the task.
+        has_success: `BaseEnv.judges_success` of the task.
     """
     metrics = {name: _array(value) for name, value in info["metrics"].items()}
     kept = {"terminated": terminated, "diverged": _array(info["diverged"])}

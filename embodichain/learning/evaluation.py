@@ -20,7 +20,6 @@ from embodichain.lab.gym.policies import Policy, resolve_policy
 from embodichain.learning.episode_statistics import (
     EpisodeStatistics,
     ended_values,
-    judges_success,
 )
 from embodichain.learning.spaces import require_torch_batch
 from embodichain.learning.statistics import CONFIDENCE, Estimate, Rate, estimate, rate
@@ -143,7 +142,7 @@ def _play(
     watch: Callable[[EpisodeStatistics], bool | None] | None,
 ) -> float:
     """Step until the quota is met; returns the seconds it took."""
-    has_success = judges_success(env)
+    has_success = env.judges_success
     obs, _ = env.reset(seed=seed)
     policy.reset(None)
     start = time.perf_counter()

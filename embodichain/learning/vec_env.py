@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import inspect
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, cast
 
 import gymnasium as gym
@@ -19,7 +19,6 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from embodichain.lab.gym.utils.spaces import named_obs
-from embodichain.learning.episode_statistics import judges_success
 from embodichain.learning.spaces import (
     ActionScale,
     flat_observation,
@@ -86,7 +85,7 @@ class SB3VecEnv(VecEnv):
         seen = observation_box(self.base, group) if self._named is None else self._named
         super().__init__(num_envs, seen, self._scale.space)
         self.metadata = dict(env.metadata)
-        self._has_success = judges_success(self.base)
+        self._has_success = self.base.judges_success
         self._start = time.time()
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, np.int64)
@@ -330,7 +329,7 @@ def _success(info: dict[str, Any]) -> Bool:
     return _numpy(value).astype(np.bool_)
 
 
-def _by_name(values: dict[str, torch.Tensor], ids: NDArray[np.int64]) -> list[dict[str, Any]]:
+def _by_name(values: Mapping[str, torch.Tensor], ids: NDArray[np.int64]) -> list[dict[str, Any]]:
     """Plain values (N,) of several names, as a dict for each environment of `ids`."""
     found = {name: _numpy(value)[ids].tolist() for name, value in values.items()}
     return [{name: column[k] for name, column in found.items()} for k in range(len(ids))]

@@ -1,4 +1,4 @@
-"""The log: one MCAP file a run, written beside the simulation, read, replayed and verified.
+"""The log: one MCAP file a run, written while it runs, read, replayed and verified.
 
 Names are found on first use, so that importing this package costs nothing.
 """
@@ -12,8 +12,7 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
         "log_diff": ["DiffReport", "LogDifference", "diff"],
         "options": ["RecordOptions"],
         "recorder": ["McapRecorder"],
-        "replay": ["inspect", "verify"],
-        "summary": ["LogSummary"],
-        "verify_report": ["Difference", "VerifyReport"],
+        "summary": ["LogSummary", "inspect"],
+        "verification": ["Difference", "VerifyReport", "verify"],
     },
 )

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TypeVar
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,26 +15,32 @@ import yaml
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.snapshot import Snapshot
-from embodichain.recording import wire
+from embodichain.lab.sim.engine.base import EnvIndex
 from embodichain.recording.arrays import LogArrays
-from embodichain.recording.chunks import ChunkFile
-from embodichain.recording.episode_log import TOPIC as EPISODE_TOPIC
-from embodichain.recording.episode_log import by_episode, decode_ends
-from embodichain.recording.episodes import LogEpisode, find_episodes, of_ended, with_unrecorded
-from embodichain.recording.events import LogEvent
-from embodichain.recording.gather import OUTCOMES, Gatherer, Steps, first_step
-from embodichain.recording.header import Header, LogError
-from embodichain.recording.messages import StepOutcome, WriteRecord
+from embodichain.recording.attachments import MODEL
+from embodichain.recording.chunks import LogReader
+from embodichain.recording.episode_ends import TOPIC as EPISODE_TOPIC
+from embodichain.recording.episode_ends import EndedEpisode, by_episode, decode_ends
+from embodichain.recording.episodes import (
+    LogEpisode,
+    episode_of,
+    find_episodes,
+    of_ended,
+    with_unrecorded,
+)
+from embodichain.recording.events import LogEvent, LogWrite, read_events, read_writes
+from embodichain.recording.gather import OUTCOMES, first_step, gather
+from embodichain.recording.header import Header
+from embodichain.recording.log_error import DamageError, LogError
 from embodichain.recording.metrics import read_metrics
 from embodichain.recording.model_columns import Column, state_columns
-from embodichain.recording.rebuild import FilledFile
-from embodichain.recording.recorded_model import approximate_model, exact_model
+from embodichain.recording.recorded_model import approximate_model, exact_model, model_to_simulate
+from embodichain.recording.simulation import Simulation
+from embodichain.recording.trajectory import Rows, Span, runs
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["Log", "open"]
-
-T = TypeVar("T")
 
 
 def open(path: str | Path, simulate: bool = False) -> Log:
@@ -60,15 +66,16 @@ class Log:
 
     Attributes:
         path: The file.
+        reader: The file's chunks, channels and messages.
         header: What was recorded and how: task, seed, num_envs, time steps, layout of states.
     """
 
     def __init__(self, path: str | Path, simulate: bool = False) -> None:
-        self._file = ChunkFile(Path(path))
+        self.reader = LogReader(path)
         self._simulate = simulate
-        self.path = self._file.path
+        self.path = self.reader.path
         try:
-            self.header: Header = self._file.require_header()
+            self.header: Header = self.reader.require_header()
             if not self.header.period_ns:
                 raise LogError(f"{self.path}: a control step takes {self.header.control_dt} s")
         except LogError:
@@ -77,7 +84,7 @@ class Log:
 
     def close(self) -> None:
         """Close the file; what was read stays."""
-        self._file.close()
+        self.reader.close()
 
     def __enter__(self) -> Log:
         """Return the log."""
@@ -121,19 +128,19 @@ class Log:
     @property
     def complete(self) -> bool:
         """Whether the recorder closed the file and nothing damaged was met so far."""
-        return self._file.complete and self._file.finished
+        return self.reader.complete and self.reader.finished
 
     @property
     def warnings(self) -> list[str]:
         """What is missing or damaged, as far as it was met; empty for a complete log."""
-        if not self._file.complete:
-            why = self._file.damage or "its end is missing"
+        if not self.reader.complete:
+            why = self.reader.damage or "its end is missing"
             return [f"incomplete: {why}; only what precedes can be read"]
-        if self._file.recovered:
-            return [f"recovered from a broken file: {self._file.recovered}"]
-        if not self._file.finished:
+        if self.reader.recovered:
+            return [f"recovered from a broken file: {self.reader.recovered}"]
+        if not self.reader.finished:
             return ["the recorder did not close this log: its last steps may be missing"]
-        return [self._file.part_note] if self._file.part_note else []
+        return [self.reader.part_note] if self.reader.part_note else []
 
     @cached_property
     def versions(self) -> dict[str, str]:
@@ -166,7 +173,7 @@ class Log:
             LogError: If it is missing, or this MuJoCo does not read it.
         """
         same = self.header.mujoco_version == mujoco.__version__
-        data = self.attachment("model.mjb" if same else "scene.mjz")
+        data = self.attachment(MODEL if same else "scene.mjz")
         try:
             return (exact_model if same else approximate_model)(self.header, data)
         except LogError as error:
@@ -175,7 +182,7 @@ class Log:
     @property
     def attachments(self) -> list[str]:
         """Names of the attachments."""
-        return self._file.attachments
+        return self.reader.attachments
 
     def attachment(self, name: str) -> bytes:
         """Content of an attachment.
@@ -183,7 +190,7 @@ class Log:
         Raises:
             LogError: If there is none of that name, or it is damaged.
         """
-        return self._file.attachment(name)
+        return self.reader.attachment(name)
 
     # -- arrays ------------------------------------------------------------------------------------
 
@@ -199,8 +206,8 @@ class Log:
 
     def _action_width(self) -> int:
         """Columns of an action; 0 if no step is in the log."""
-        first = next(self._decoded("/sim/step", StepOutcome.decode), None)
-        return 0 if first is None else first.action.shape[-1]
+        first = next((run for run in runs(self.reader) if run.steps), None)
+        return 0 if first is None else first.calls[-1].arrays["action"].shape[-1]
 
     @property
     def _usual(self) -> list[str]:
@@ -236,11 +243,29 @@ class Log:
             LogError: If the log has no states, or says what cannot be.
         """
         self.header.require_states(self.path)
-        names = self._fields(fields)
-        span = Steps(start, stop)
+        names, ids = self._fields(fields), self._envs(env)
+        if start < 0 or (stop is not None and stop < start):
+            raise ConfigError(f"steps from {start} to {stop}: give 0 <= from <= to")
+        span = Span(start, None if stop is None else stop - 1)
         if episode is not None:
-            span = self._span_of(env, episode, span)
-        return self._gather(names, env, span).arrays(self.columns)
+            span = self._span_of(ids, episode, span)
+        rows = Rows(self.reader, ids)
+        simulates = self._simulate and self.header.keyframe_every > 0
+        if simulates and any(name in self.header.layout for name in names):
+            rows = Simulation(self.reader, self.model_to_simulate, ids)
+        return gather(self.reader, rows, span, names, self.columns)
+
+    @property
+    def model_to_simulate(self) -> mujoco.MjModel:
+        """The model, where states between keyframes can be simulated to the bit.
+
+        Raises:
+            LogError: If they cannot be here.
+        """
+        try:
+            return model_to_simulate(self.header, self.attachment)
+        except LogError as error:
+            raise LogError(f"{self.path}: states between keyframes {error}") from error
 
     def parts(
         self,
@@ -256,8 +281,9 @@ class Log:
             raise ConfigError(f"parts of {steps} control steps: give 1 or more")
         names = self._fields(fields)
         if episode is not None:
-            whole = self._span_of(env, episode, Steps(start, stop))
-            start, stop = whole.start, whole.stop
+            span = Span(start, None if stop is None else stop - 1)
+            span = self._span_of(self._envs(env), episode, span)
+            start, stop = span.first, None if span.last is None else span.last + 1
         at: int | None = start
         while at is not None and (stop is None or at < stop):
             end = at + steps if stop is None else min(at + steps, stop)
@@ -265,7 +291,8 @@ class Log:
             if len(part):
                 yield part
             # Behind a gap of any length it goes on where there is a step.
-            at = end if len(part) else first_step(self._file, Steps(end, stop))
+            last = None if stop is None else stop - 1
+            at = end if len(part) else first_step(self.reader, Span(end, last))
 
     def _fields(self, fields: str | Iterable[str] | None) -> list[str]:
         if fields is None:
@@ -275,9 +302,10 @@ class Log:
             if name not in self.columns:
                 hint = did_you_mean(name, self.columns)
                 raise ConfigError(f"no field {name!r}.{hint} Fields: {', '.join(self.columns)}")
-        return names
+        # Components first, as they are in `columns`.
+        return sorted(dict.fromkeys(names), key=lambda name: name in OUTCOMES)
 
-    def _envs(self, env: int | Sequence[int] | None) -> NDArray[np.int64]:
+    def _envs(self, env: int | Sequence[int] | None) -> EnvIndex:
         if env is None:
             return np.arange(self.num_envs)
         ids = np.atleast_1d(np.asarray(env, np.int64))
@@ -289,32 +317,12 @@ class Log:
             raise ConfigError(f"environments must be in ascending order, not {ids.tolist()}")
         return ids
 
-    def _span_of(self, env: int | Sequence[int] | None, episode: int, span: Steps) -> Steps:
-        ids = self._envs(env)
+    def _span_of(self, ids: EnvIndex, episode: int, span: Span) -> Span:
         if len(ids) != 1:
             raise ConfigError(f"episode {episode} has other steps in each environment: name one")
-        mine = [e for e in self.episodes if e.env == ids[0]]
-        for found in mine:
-            if found.episode == episode:
-                first, last = max(found.first_step, span.start), min(found.last_step, span.last())
-                return Steps(first, last + 1)
-        there = f"there are {mine[0].episode} to {mine[-1].episode}" if mine else "there is none"
-        raise ConfigError(f"no episode {episode} of environment {ids[0]} in the log: {there}")
-
-    def _gather(
-        self, names: Sequence[str], env: int | Sequence[int] | None, span: Steps
-    ) -> Gatherer:
-        if span.start < 0 or (span.stop is not None and span.stop < span.start):
-            raise ConfigError(f"steps from {span.start} to {span.stop}: give 0 <= from <= to")
-        components = [name for name in names if name in self.header.layout]
-        outcomes = [name for name in names if name in OUTCOMES]
-        ids = self._envs(env)
-        file: ChunkFile | FilledFile = self._file
-        if components and self._simulate and self.header.keyframe_every:
-            file = FilledFile(self._file, ids)
-        gatherer = Gatherer(file, components, outcomes, ids, span)
-        gatherer.run()
-        return gatherer
+        found = episode_of(self.episodes, int(ids[0]), episode)
+        last = found.last_step if span.last is None else min(found.last_step, span.last)
+        return Span(max(found.first_step, span.first), last)
 
     # -- the rest ----------------------------------------------------------------------------------
 
@@ -342,7 +350,7 @@ class Log:
         A log with `record.state=none` tells only of those that ended. With `record.every` those
         that were not recorded are there too, with everything but their steps.
         """
-        ended = by_episode(self._decoded(EPISODE_TOPIC, decode_ends))
+        ended = by_episode(self._ended())
         if self.header.state == "none":
             return of_ended(ended)
         data = self.read(["episodes", "rewards", "terminated", "truncated"])
@@ -364,35 +372,24 @@ class Log:
         if env not in self.header.view_envs:
             there = ", ".join(map(str, self.header.view_envs)) or "none"
             raise ConfigError(f"environment {env} was not viewed; viewed were: {there}")
-        return read_metrics(self._file, env)
+        return read_metrics(self.reader, env)
 
     def events(self) -> Iterator[LogEvent]:
         """Yield what the event manager did: terms, environments, what they drew."""
-        return self._decoded("/sim/event", LogEvent.decode)
+        return read_events(self.reader)
 
-    def writes(self) -> Iterator[WriteRecord]:
+    def writes(self) -> Iterator[LogWrite]:
         """Yield every write to the simulation outside physics, model fields included."""
-        return self._decoded("/sim/write", WriteRecord.decode)
+        return read_writes(self.reader)
 
     def raw_messages(self) -> Iterator[tuple[str, int, memoryview]]:
         """Yield topic, log time in ns and bytes of every message, in file order."""
-        return self._file.messages()
+        return self.reader.messages()
 
-    def full_messages(self, env: int | None = None) -> Iterator[tuple[str, int, memoryview]]:
-        """The same, with the states that lie between keyframes, simulated again.
-
-        Args:
-            env: The one environment whose states are needed; those of others are NaN. None is all.
-
-        Raises:
-            LogError: If the log does not simulate to what it says, or this is another MuJoCo.
-        """
-        return FilledFile(self._file, None if env is None else self._envs(env)).messages()
-
-    def _decoded(self, topic: str, decode: Callable[[Any], T]) -> Iterator[T]:
-        for found, _, payload in self._file.messages():
-            if found == topic:
+    def _ended(self) -> Iterator[list[EndedEpisode]]:
+        for topic, _, payload in self.reader.messages():
+            if topic == EPISODE_TOPIC:
                 try:
-                    yield decode(payload)
-                except wire.WireError as error:
+                    yield decode_ends(payload)
+                except DamageError as error:
                     raise LogError(f"{self.path}: a message is damaged: {error}") from error

@@ -12,22 +12,31 @@ from typing import Any
 import mujoco
 import numpy as np
 import yaml
+import zstandard
 
 from embodichain.recording.archive import scene_archive
+from embodichain.recording.log_error import LogError
 from embodichain.recording.provenance import cpu_name
 
 __all__ = [
+    "MODEL",
     "Attachment",
     "attachments_of",
     "load_mjb",
     "model_bytes",
     "model_digest",
     "overrides_yaml",
+    "unpack_model",
     "versions",
 ]
 
 Attachment = tuple[str, str, bytes]
 """Name, media type and content."""
+
+MODEL = "model.mjb.zst"
+"""Attachment with the compiled model, compressed by zstd."""
+_LARGEST_MODEL = 2**31
+"""Bytes; a larger model is not unpacked."""
 
 _PACKAGES = (
     "embodichain",
@@ -50,6 +59,21 @@ def model_bytes(model: mujoco.MjModel) -> bytes:
 def model_digest(mjb: bytes) -> str:
     """Names a model in the log's metadata."""
     return blake2b(mjb, digest_size=16).hexdigest()
+
+
+def unpack_model(data: bytes) -> bytes:
+    """What `model_bytes` made, out of the attachment `MODEL`.
+
+    Raises:
+        LogError: If it is damaged, or too large.
+    """
+    try:
+        size = zstandard.frame_content_size(data)
+        if not 0 <= size <= _LARGEST_MODEL:
+            raise LogError(f"the attachment {MODEL} says it has {size} bytes")
+        return zstandard.ZstdDecompressor().decompress(data)
+    except zstandard.ZstdError as error:
+        raise LogError(f"the attachment {MODEL} is damaged: {error}") from error
 
 
 def load_mjb(data: bytes) -> mujoco.MjModel:
@@ -89,7 +113,7 @@ def attachments_of(
 ) -> list[Attachment]:
     """Every attachment of a log."""
     attachments: list[Attachment] = [
-        ("model.mjb", "application/octet-stream", mjb),
+        (MODEL, "application/zstd", zstandard.ZstdCompressor(level=3).compress(mjb)),
         ("config.yaml", "application/yaml", config.encode()),
         ("overrides.yaml", "application/yaml", overrides_yaml(overrides).encode()),
         ("foxglove_layout.json", "application/json", json.dumps(layout, indent=1).encode()),

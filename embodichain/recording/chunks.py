@@ -1,9 +1,8 @@
-"""Finds the chunks of a log without reading them, and takes messages out of one at a time.
+"""`LogReader`: the chunks, attachments and metadata of a log, in one file or several.
 
-The container is walked from record to record (https://mcap.dev/spec), skipping what chunks hold, so
-that a whole file and one that was cut are found the same way, and a range of steps costs only the
-chunks it lies in. What messages mean is not known here, but where a later file of a log (`parts`)
-repeats what the simulation was.
+The file may be broken, or grow meanwhile: it is read up to the first damage, and `damage` says
+why. No length that a file states is believed before it is compared with what is there, so memory
+stays below a few times `LARGEST_CHUNK` and every loop ends with the bytes.
 """
 
 from __future__ import annotations
@@ -11,43 +10,44 @@ from __future__ import annotations
 import math
 import os
 import struct
+import zlib
 from bisect import bisect_left
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, BinaryIO
+from types import TracebackType
+from typing import Any, BinaryIO, Self
 
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema
+from mcap.records import Attachment, Channel, Metadata, Schema, Statistics
 
 from embodichain.recording.header import (
     METADATA,
     METADATA_END,
     METADATA_RECOVERED,
     Header,
-    LogError,
     check_part,
 )
-from embodichain.recording.mcap_file import MAGIC
-from embodichain.recording.messages import is_start
+from embodichain.recording.log_error import DamageError, LogError
+from embodichain.recording.mcap_records import UNREADABLE, chunk_content, parse, reason_of
 from embodichain.recording.parts import first_file, missing_part, part_name
-from embodichain.recording.records import CUT, DamageError, chunk_content, parse
-from embodichain.recording.wire import WireError
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["ChunkFile", "ChunkPlace", "Found"]
+__all__ = ["MAGIC", "ChunkPlace", "Found", "LogReader"]
 
+MAGIC = b"\x89MCAP0\r\n"
+CUT = "the file ends early: it was not closed, or cut"
+_KEPT = (Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
 _KEPT_LIMIT = 2**29
 """Bytes of the largest attachment or metadata record that is believed."""
-
 _WAITING = 50_000
 """Messages that wait for earlier ones at most: what a chunk says of its times may be wrong."""
 
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQ")  # first and last log time, size
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
-
+_FOOTER = struct.Struct("<QQI")
 Found = tuple[str, int, memoryview]
 """Topic, log time in ns, payload."""
 
@@ -63,7 +63,7 @@ class ChunkPlace:
     Attributes:
         start_ns: Smallest log time in it.
         end_ns: Largest log time in it.
-        size: Bytes it unpacks to.
+        size: Bytes it unpacks to, as it says.
         offset: Where its record begins, after opcode and length.
         length: Bytes of the record.
         part: Number of the file it lies in, of those that were opened.
@@ -77,44 +77,58 @@ class ChunkPlace:
     part: int = 0
 
 
-class ChunkFile:
-    """The chunks, attachments and metadata of a file; the messages are still in it.
+class LogReader:
+    """What a log consists of; its messages stay in the file until they are asked for.
 
     Args:
         path: The file, the manifest of several, or a run's folder. The first file of several stands
             for all of them; any other is read alone.
+
+    Attributes:
+        path: The first file that is read.
+        chunks: Places of the chunks, in the order of the files.
+        channels: Channel id to channel: those of the index, and of the chunks read so far.
+        schemas: Schema id to schema, likewise.
+        metadata: Name to content of the metadata records; of the last file, but for `METADATA`.
+        header: The metadata of the recording; None if there is none.
+        finished: Whether the recorder closed the log itself.
+        recovered: Why the log ends where it does, if it was recovered from a broken one.
+        complete: Whether the file has its end, and all that was read is undamaged.
+        damage: Why reading ends before that; changes when a damaged chunk is met.
+        alone: Why this file is only a part of a log, where nothing of it is lost.
+        good_bytes: Bytes up to the end of the last record that is good.
+        total_bytes: Bytes of all files that were opened.
+        compressions: Compressions of the chunks read so far.
 
     Raises:
         ConfigError: If the file is missing, empty or not MCAP.
         LogError: If its metadata is of another version, or damaged.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path = first_file(path)
-        if not path.is_file():
-            what = "is not a file" if path.exists() else "does not exist"
-            raise ConfigError(f"{path} {what}")
+    def __init__(self, path: str | Path) -> None:
+        self.path = first_file(path)
+        if not self.path.is_file():
+            what = "is not a file" if self.path.exists() else "does not exist"
+            raise ConfigError(f"{self.path} {what}")
         self.chunks: list[ChunkPlace] = []
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
+        self.metadata: dict[str, dict[str, str]] = {}
         self.header: Header | None = None
-        self.finished = False
-        """Whether the recorder closed the log itself."""
-        self.recovered = ""
-        """Why the file ends where it does, if it was recovered from a broken one."""
-        self.complete = False
-        """Whether the file has its end."""
-        self.damage = ""
-        """Why reading ended before that; grows when a damaged chunk is met."""
-        self.alone = ""
-        """Why this file is only a part of a log, where nothing of it is lost."""
+        self.finished = self.complete = False
+        self.recovered = self.damage = self.alone = ""
+        self.good_bytes = self.total_bytes = 0
+        self.compressions: set[str] = set()
         self._attachments: dict[str, tuple[int, int]] = {}
-        self._next = ""
+        self._announced = 0  # messages, by the files' own statistics
+        self._next = ""  # the file that continues the last one
         self._introduced = -1  # the last file that has said what it is
         self._learned = False  # whether chunks were read for their channels
+        self._unpacked: tuple[ChunkPlace, list[Found]] | None = None  # the last one
         self._streams: list[BinaryIO] = []
+        self._begins: list[int] = []  # bytes of the files before each
         try:
-            self._open(path)
+            self._open(self.path)
             while self._walk() and self._next and self._go_on():
                 pass
         except BaseException:
@@ -123,7 +137,8 @@ class ChunkFile:
 
     def _open(self, path: Path) -> None:
         self._streams.append(path.open("rb"))
-        self._stream = self._streams[-1]
+        self._begins.append(self.total_bytes)
+        self.total_bytes += os.fstat(self._streams[-1].fileno()).st_size
 
     @property
     def files(self) -> list[Path]:
@@ -132,9 +147,22 @@ class ChunkFile:
         return [self.path.with_name(name) for name in names]
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the files."""
         for stream in self._streams:
             stream.close()
+
+    def __enter__(self) -> Self:
+        """Return the reader."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        tb: TracebackType | None,
+    ) -> None:
+        """Close the files."""
+        self.close()
 
     # -- the container -----------------------------------------------------------------------------
 
@@ -157,63 +185,78 @@ class ChunkFile:
 
     def _walk(self) -> bool:
         """Note what the last of the files holds; whether it has its end."""
-        stream, first = self._stream, len(self._streams) == 1
-        name, begins = Path(stream.name), len(self.chunks)
-        prefix = "" if first else f"{name.name}: "
-        magic = stream.read(len(MAGIC))
+        part = len(self._streams) - 1
+        magic = self._streams[-1].read(len(MAGIC))
         if magic != MAGIC:
             what = "is empty" if not magic else "is not an MCAP file"
-            if first:
+            if not part:
                 raise ConfigError(f"{self.path} {what}")
-            self.damage = f"{prefix}{CUT if MAGIC.startswith(magic) else what}"
+            self._damaged(part, CUT if MAGIC.startswith(magic) else what)
             return False
-        size, at = os.fstat(stream.fileno()).st_size, len(MAGIC)
+        try:
+            self._note_all(part)
+        except DamageError as error:
+            self._damaged(part, str(error))
+        except UNREADABLE as error:
+            self._damaged(part, f"a record is damaged ({reason_of(error)})")
+        return self.complete
+
+    def _note_all(self, part: int) -> None:
+        """Go from record to record, up to the footer."""
+        stream, begins = self._streams[part], len(self.chunks)
+        at, summary_at = len(MAGIC), 0
+        size = os.fstat(stream.fileno()).st_size
         while True:
+            self.good_bytes = self._begins[part] + at
             head = stream.read(_HEAD.size)
             if len(head) < _HEAD.size:
-                break
+                raise DamageError(CUT)
             opcode, length = _HEAD.unpack(head)
             if not opcode:  # zeros would take minutes, nine bytes at a time
-                self.damage = f"{prefix}what follows is no record: zeros, perhaps after a power cut"
-                return False
+                raise DamageError("what follows is no record: zeros, perhaps after a power cut")
             at += _HEAD.size
             if length > size - at:
-                break
-            try:
-                self._note(opcode, at, length, len(self.chunks) == begins)
-            except DamageError as error:
-                self.damage = f"{prefix}{error}"
-                return False
-            except (struct.error, UnicodeDecodeError) as error:
-                self.damage = f"{prefix}a record is damaged ({error})"
-                return False
+                raise DamageError(CUT)
             if opcode == Opcode.FOOTER:
-                self.complete = True
-                return True
+                _check_end(stream, length, summary_at)
+                self.complete, self.good_bytes = True, self._begins[part] + stream.tell()
+                return
+            self._note(opcode, at, length, part, len(self.chunks) == begins)
             at += length
             stream.seek(at)
-        self.damage = f"{prefix}{CUT}"
-        return False
+            if opcode == Opcode.DATA_END:
+                summary_at = at
 
-    def _note(self, opcode: int, at: int, length: int, head: bool) -> None:
-        """Take over what the record at `at` says."""
-        stream, part = self._stream, len(self._streams) - 1
+    def _note(self, opcode: int, at: int, length: int, part: int, first: bool) -> None:
+        """Take over what the record at `at` says; `first` while no chunk of its file is known."""
+        stream = self._streams[part]
         if opcode == Opcode.CHUNK:
-            if head and part and self._introduced < part:
+            if first and part and self._introduced < part:
                 raise DamageError("it does not say which log it is a part of")
             start, end, size = _CHUNK.unpack(stream.read(_CHUNK.size))
             self.chunks.append(ChunkPlace(start, end, size, at, length, part))
-        elif opcode == Opcode.METADATA and length < _KEPT_LIMIT:
-            record: Any = parse((opcode, stream.read(length)))
-            self._note_metadata(record, part)
         elif opcode == Opcode.ATTACHMENT and length < _KEPT_LIMIT and not part:
             stream.seek(at + 16)  # after log time and creation time
             (n,) = struct.unpack("<I", stream.read(4))
             if n > length:
                 raise DamageError("a name is longer than its record")
             self._attachments[stream.read(n).decode()] = (at, length)
+        elif opcode in _KEPT and length < _KEPT_LIMIT:
+            self._take(parse(opcode, stream.read(length)), part)
 
-    def _note_metadata(self, record: Any, part: int) -> None:
+    def _take(self, record: Any, part: int) -> None:
+        if isinstance(record, Channel):  # the index repeats those of the chunks
+            self.channels.setdefault(record.id, record)
+        elif isinstance(record, Schema):
+            self.schemas.setdefault(record.id, record)
+        elif isinstance(record, Statistics):
+            self._announced += record.message_count
+        else:
+            self._take_metadata(record, part)
+
+    def _take_metadata(self, record: Metadata, part: int) -> None:
+        if record.name != METADATA or not part:
+            self.metadata[record.name] = record.metadata
         if record.name == METADATA:
             if part:
                 check_part(self.require_header(), record.metadata, part)
@@ -225,6 +268,11 @@ class ChunkFile:
             self._next = record.metadata.get("next", "")
         elif record.name == METADATA_RECOVERED:
             self.recovered = record.metadata.get("why", "") or "no reason is given"
+
+    def _damaged(self, part: int, why: str) -> None:
+        """Reading ends here."""
+        where = f"{self.files[part].name}: " if part else ""
+        self.complete, self.damage = False, f"{where}{why}"
 
     def require_header(self) -> Header:
         """The metadata of the recording.
@@ -247,8 +295,8 @@ class ChunkFile:
         """Names of the attachments."""
         return list(self._attachments)
 
-    def attachment(self, name: str) -> bytes:
-        """Content of an attachment.
+    def attachment_record(self, name: str) -> Attachment:
+        """An attachment with its media type and times.
 
         Raises:
             LogError: If there is none of that name, or it is damaged.
@@ -258,18 +306,26 @@ class ChunkFile:
             raise LogError(f"{self.path} has no attachment {name}; there are: {there}")
         at, length = self._attachments[name]
         self._streams[0].seek(at)
+        data = self._streams[0].read(length)
         try:
-            record: Any = parse((Opcode.ATTACHMENT, self._streams[0].read(length)))
-        except DamageError as error:
+            (crc,) = struct.unpack("<I", data[-4:])
+            if crc and zlib.crc32(memoryview(data)[:-4]) != crc:
+                raise DamageError("an attachment is damaged: its checksum is wrong")
+            found: Attachment = parse(Opcode.ATTACHMENT, data)
+        except (DamageError, struct.error) as error:
             raise LogError(f"{self.path}: {name}: {error}") from error
-        content: bytes = record.data
+        return found
+
+    def attachment(self, name: str) -> bytes:
+        """Content of an attachment.
+
+        Raises:
+            LogError: If there is none of that name, or it is damaged.
+        """
+        content: bytes = self.attachment_record(name).data
         return content
 
     # -- messages ----------------------------------------------------------------------------------
-
-    def between(self, start_ns: int, end_ns: int) -> list[ChunkPlace]:
-        """Chunks that may hold messages of these log times, both included, in file order."""
-        return [c for c in self.chunks if c.start_ns <= end_ns and c.end_ns >= start_ns]
 
     def messages(self, chunks: list[ChunkPlace] | None = None) -> Iterator[Found]:
         """Messages of some chunks, or of all, in file order; what is damaged ends iteration."""
@@ -294,20 +350,30 @@ class ChunkFile:
         yield from waiting
 
     def blocks(self, chunks: list[ChunkPlace] | None = None) -> Iterator[list[Found]]:
-        """The same, a list for each chunk. Channels are declared in the first chunks."""
-        if chunks and self.chunks and not self.channels:
-            self._unpack(self.chunks[0])
+        """The same, a list for each chunk; of all chunks, their messages are counted."""
+        read = 0
         for chunk in self.chunks if chunks is None else chunks:
             found = self._unpack(chunk)
             if found is None:
                 return
-            yield _without_start(found) if chunk.part else found
+            read += len(found)
+            yield found
+        if chunks is None and self.complete and self._announced not in (0, read):
+            self._damaged(0, f"{read} messages where the file announces {self._announced}")
 
     def _unpack(self, chunk: ChunkPlace) -> list[Found] | None:
+        if self._unpacked is not None and self._unpacked[0] is chunk:
+            return self._unpacked[1]
+        found = self._read(chunk)
+        self._unpacked = None if found is None else (chunk, found)
+        return found
+
+    def _read(self, chunk: ChunkPlace) -> list[Found] | None:
         stream = self._streams[chunk.part]
         stream.seek(chunk.offset)
         try:
-            _, data = chunk_content(stream.read(chunk.length))
+            compression, data = chunk_content(stream.read(chunk.length))
+            self.compressions.add(compression)
             try:
                 return self._records(memoryview(data))
             except _UnknownChannelError:
@@ -315,8 +381,8 @@ class ChunkFile:
                     raise
                 return self._records(memoryview(data))
         except (DamageError, struct.error) as error:
-            where = f"{Path(stream.name).name}: " if chunk.part else ""
-            self.complete, self.damage = False, f"{where}{error}"
+            self._damaged(chunk.part, str(error))
+            self.good_bytes = self._begins[chunk.part] + chunk.offset - _HEAD.size
             return None
 
     def _learn(self, before: ChunkPlace) -> bool:
@@ -329,42 +395,50 @@ class ChunkFile:
 
     def _records(self, data: memoryview) -> list[Found]:
         found: list[Found] = []
-        head, message = _HEAD.unpack_from, _MESSAGE.unpack_from
         at, size = 0, len(data)
         topics = {i: channel.topic for i, channel in self.channels.items()}
         while at < size:
-            opcode, length = head(data, at)
-            at += 9
+            opcode, length = _HEAD.unpack_from(data, at)
+            at += _HEAD.size
             if length > size - at:
                 raise DamageError("a chunk is damaged: a record is longer than the chunk")
-            if opcode == 5:
-                channel, _, log_time, _ = message(data, at)
+            if opcode == Opcode.MESSAGE:
+                if length < _MESSAGE.size:
+                    raise DamageError("a message is cut short")
+                channel, _, log_time, _ = _MESSAGE.unpack_from(data, at)
                 if channel not in topics:
                     unknown = f"channel {channel}, unknown here"
                     raise _UnknownChannelError(f"a message belongs to {unknown}")
-                found.append((topics[channel], log_time, data[at + 22 : at + length]))
-            elif opcode == Opcode.CHANNEL:
-                record: Any = parse((opcode, bytes(data[at : at + length])))
-                self.channels[record.id], topics[record.id] = record, record.topic
-            elif opcode == Opcode.SCHEMA:
-                schema: Any = parse((opcode, bytes(data[at : at + length])))
-                self.schemas[schema.id] = schema
+                found.append((topics[channel], log_time, data[at + _MESSAGE.size : at + length]))
+            elif opcode in (Opcode.CHANNEL, Opcode.SCHEMA):
+                record = parse(opcode, bytes(data[at : at + length]))
+                if isinstance(record, Channel):
+                    self.channels[record.id], topics[record.id] = record, record.topic
+                else:
+                    self.schemas[record.id] = record
             else:  # zeros of a forged chunk would take minutes, nine bytes at a time
                 raise DamageError(f"a chunk is damaged: it holds a record of kind {opcode}")
             at += length
         return found
 
 
-def _without_start(found: list[Found]) -> list[Found]:
-    """Messages of a chunk of a later file without those that repeat what the simulation was."""
-    kept: list[Found] = []
-    for at, (topic, time_ns, payload) in enumerate(found):
-        if topic == "/sim/write":
-            try:
-                if not is_start(payload):
-                    return kept + found[at:]
-            except WireError:
-                return kept + found[at:]
-        else:
-            kept.append((topic, time_ns, payload))
-    return kept
+def _check_end(stream: BinaryIO, length: int, summary_at: int) -> None:
+    """Check footer, closing magic, and the checksum of everything since the messages' end."""
+    footer_at = stream.tell()
+    footer = stream.read(length)
+    if stream.read(len(MAGIC)) != MAGIC:
+        raise DamageError(CUT)
+    if len(footer) != _FOOTER.size:
+        raise DamageError("the index at its end is damaged")
+    announced, end = _FOOTER.unpack(footer)[2], stream.tell()
+    if announced:
+        stream.seek(summary_at)
+        crc, left = 0, footer_at + _FOOTER.size - 4 - summary_at
+        while left:
+            piece = stream.read(min(left, 2**20))
+            if not piece:
+                raise DamageError(CUT)
+            crc, left = zlib.crc32(piece, crc), left - len(piece)
+        if crc != announced:
+            raise DamageError("the index at its end is damaged: its checksum is wrong")
+    stream.seek(end)

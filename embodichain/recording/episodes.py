@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from embodichain.recording.arrays import LogArrays
-from embodichain.recording.episode_log import EndedEpisode
+from embodichain.recording.episode_ends import EndedEpisode
+from embodichain.utils.errors import ConfigError
 
-__all__ = ["Ended", "LogEpisode", "find_episodes", "of_ended", "with_unrecorded"]
+__all__ = ["Ended", "LogEpisode", "episode_of", "find_episodes", "of_ended", "with_unrecorded"]
 
 Ended = Mapping[tuple[int, int], EndedEpisode]
 """Environment and episode id to what `/episode` tells."""
@@ -52,6 +53,19 @@ class LogEpisode:
     def steps(self) -> int:
         """Control steps."""
         return self.last_step - self.first_step + 1
+
+
+def episode_of(episodes: Sequence[LogEpisode], env: int, episode: int) -> LogEpisode:
+    """The episode with an id of an environment.
+
+    Raises:
+        ConfigError: If there is none.
+    """
+    mine = {e.episode: e for e in episodes if e.env == env}
+    if episode not in mine:
+        there = f"there are {min(mine)} to {max(mine)}" if mine else "there is none"
+        raise ConfigError(f"no episode {episode} of environment {env} in the log: {there}")
+    return mine[episode]
 
 
 def find_episodes(data: LogArrays, ended: Ended) -> list[LogEpisode]:

@@ -1,16 +1,19 @@
-"""Decodes `/sim/event`: which term fired where, and what it drew."""
+"""What a log tells beside states and steps: events of the event manager, and writes."""
 
 from __future__ import annotations
 
-import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.recording import wire
+from embodichain.lab.sim.engine.base import F64, EnvIndex
+from embodichain.recording.block import DRAWN
+from embodichain.recording.chunks import LogReader
+from embodichain.recording.trajectory import columns_of, runs
 
-__all__ = ["LogEvent"]
+__all__ = ["LogEvent", "LogWrite", "read_events", "read_writes"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,61 +21,68 @@ class LogEvent:
     """A term of the event manager fired.
 
     Attributes:
-        step: Control step.
-        call: Number of the physics call that follows.
+        step: Control step: how many were finished before.
         term: The term.
-        mode: ``startup``, ``reset``, ``interval``, ...
-        env_ids: Where; None is everywhere.
-        drawn: What it drew: name to array.
+        mode: ``startup``, ``reset``, ``interval``, ``command``.
+        env_ids: (n,) where; None is everywhere.
+        drawn: What it drew: name to (n, ...) array.
     """
 
     step: int
-    call: int
     term: str
     mode: str
-    env_ids: NDArray[np.int64] | None
+    env_ids: EnvIndex | None
     drawn: dict[str, NDArray[np.float64]]
 
-    @classmethod
-    def decode(cls, data: bytes | memoryview) -> LogEvent:
-        """Read an `Event`.
 
-        Raises:
-            WireError: If the bytes are not one.
-        """
-        f = wire.parse(data)
-        ids = wire.unpack(f, 5, "<u4")
-        drawn = dict(_drawn(raw) for raw in f.get(6, []))
-        return cls(
-            _number(f, 1),
-            _number(f, 2),
-            _text(f, 3),
-            _text(f, 4),
-            ids.astype(np.int64) if ids.size else None,
-            drawn,
-        )
+@dataclass(frozen=True, slots=True)
+class LogWrite:
+    """A write to the simulation outside physics.
 
+    Attributes:
+        step: Control step: how many were finished before.
+        op: ``state``, ``model``, ``reset`` or ``set_const``, as in `lab.sim.engine.base.Write`.
+        field: Component of the state, or model field; empty for ``set_const``.
+        env_ids: (n,) environments; None is all.
+        columns: (k,) columns within the field, or a slice of them.
+        values: (n, k) values; of a ``reset`` the rows that it left; None for ``set_const``.
+    """
 
-def _drawn(raw: object) -> tuple[str, NDArray[np.float64]]:
-    if not isinstance(raw, memoryview):
-        raise wire.WireError("what was drawn is not a message")
-    f = wire.parse(raw)
-    shape, values = wire.unpack_varints(f, 2), wire.unpack(f, 3, "<f8")
-    if math.prod(shape) != values.size:
-        raise wire.WireError(f"{values.size} numbers were drawn where the shape is {shape}")
-    return _text(f, 1), values.reshape(shape)
+    step: int
+    op: str
+    field: str
+    env_ids: EnvIndex | None
+    columns: NDArray[np.int64] | slice
+    values: F64 | None
 
 
-def _number(fields: wire.Fields, number: int) -> int:
-    value = fields.get(number, [0])[-1]
-    if not isinstance(value, int):
-        raise wire.WireError(f"field {number} is not an integer")
-    return value
+def read_events(reader: LogReader) -> Iterator[LogEvent]:
+    """Yield the events of a log.
+
+    Raises:
+        LogError: If a message is damaged.
+    """
+    for run in runs(reader):
+        calls = run.of_kind("event")
+        for t in range(run.count):
+            for call in calls:
+                arrays, kind = {name: values[t] for name, values in call.arrays.items()}, call.kind
+                ids = arrays.pop("env_ids", None)
+                drawn = {name.removeprefix(DRAWN): values for name, values in arrays.items()}
+                yield LogEvent(run.first + t, kind.name, kind.mode, ids, drawn)
 
 
-def _text(fields: wire.Fields, number: int) -> str:
-    value = fields.get(number, [b""])[-1]
-    try:
-        return bytes(value).decode()
-    except (TypeError, UnicodeDecodeError) as error:
-        raise wire.WireError(f"field {number} is not text") from error
+def read_writes(reader: LogReader) -> Iterator[LogWrite]:
+    """Yield the writes of a log.
+
+    Raises:
+        LogError: If a message is damaged.
+    """
+    for run in runs(reader):
+        calls = run.of_kind("write")
+        for t in range(run.count):
+            for call in calls:
+                arrays, kind = {name: values[t] for name, values in call.arrays.items()}, call.kind
+                ids, values = arrays.get("env_ids"), arrays.get("values")
+                columns = columns_of(kind.columns)
+                yield LogWrite(run.first + t, kind.mode, kind.name, ids, columns, values)

@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import json
+import uuid
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
-from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 
-from embodichain.recording.columns import Ranges, moved_ranges, width_of
-from embodichain.recording.mcap_file import CHUNK_LIMIT
+from embodichain.lab.sim.engine.layout import row_layout
+from embodichain.recording.columns import moved_ranges, width_of
+from embodichain.recording.log_error import LARGEST_CHUNK, DamageError, LogError
 from embodichain.recording.options import RecordLike
-from embodichain.recording.records import DamageError
-from embodichain.recording.wire import WireError
 from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.observers import ObservedEnv
 
 __all__ = [
     "FORMAT_VERSION",
@@ -24,9 +26,9 @@ __all__ = [
     "METADATA_END",
     "METADATA_RECOVERED",
     "Header",
-    "LogError",
     "check_keyframes",
     "check_part",
+    "header_of",
     "why_unverifiable",
 ]
 
@@ -34,14 +36,10 @@ METADATA = "embodichain"
 METADATA_END = "embodichain.end"
 METADATA_RECOVERED = "embodichain.recovered"
 """In a file that was saved from a broken one: from which, and why it ends where it does."""
-FORMAT_VERSION = 2
-"""1 had inputs in every state."""
+FORMAT_VERSION = 3
+"""A log of another version is refused."""
 _LONGEST_STEP = 1e5
 """Seconds; a longer step is not believed."""
-
-
-class LogError(ConfigError):
-    """A file is MCAP, but not a log that this version can replay."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,10 +57,9 @@ class Header:
         mujoco_version: Version whose physics this is.
         model: Digest of the attachment model.mjb.
         state: ``all``, ``keyframes`` or ``none``.
-        state_sig: MuJoCo's state specification (`mjSTATE_INTEGRATION`).
-        nstate: Columns of a whole row.
-        columns: Half-open ranges of columns in use, if not all of them; the others are 0. See
-            `ranges_of`.
+        nstate: Columns of a whole row (`mjSTATE_INTEGRATION`).
+        moved: Columns that a physics step may write, as half-open ranges: what is recorded of rows
+            that physics returned.
         layout: Component of the row to its (start, stop) columns.
         view_envs: Environments shown to viewers.
         unverifiable: Why this log cannot be verified; empty if it can.
@@ -83,9 +80,8 @@ class Header:
     mujoco_version: str
     model: str
     state: str
-    state_sig: int
     nstate: int
-    columns: list[tuple[int, int]]
+    moved: list[tuple[int, int]]
     layout: dict[str, tuple[int, int]]
     view_envs: list[int]
     unverifiable: str = ""
@@ -108,13 +104,12 @@ class Header:
         """Read the record.
 
         Raises:
-            LogError: If it was written by a later version, or lacks something.
+            LogError: If it was written by another version, or lacks something.
         """
         version = values.get("format_version", "")
-        if version not in map(str, range(1, FORMAT_VERSION + 1)):
+        if version != str(FORMAT_VERSION):
             raise LogError(
-                f"the log has format version {version or 'none'!r}; this reads 1 to "
-                f"{FORMAT_VERSION}"
+                f"the log has format version {version or 'none'!r}; this reads {FORMAT_VERSION}"
             )
         text = {"task", "mujoco_version", "model", "state", "unverifiable", "log_id"}
         # What has a default came later than the first logs.
@@ -123,7 +118,7 @@ class Header:
             found: dict[str, Any] = {
                 k: values[k] if k in text else json.loads(values[k]) for k in names
             }
-            found["columns"] = [(int(a), int(b)) for a, b in found["columns"]]
+            found["moved"] = [(int(a), int(b)) for a, b in found["moved"]]
             found["layout"] = {k: (int(a), int(b)) for k, (a, b) in found["layout"].items()}
             header = cls(**found)
             header._check()
@@ -133,7 +128,7 @@ class Header:
 
     def _check(self) -> None:
         """Raise ValueError unless arrays of these sizes can be made and filled."""
-        whole = ("seed", "num_envs", "substeps", "start_ns", "state_sig", "nstate")
+        whole = ("seed", "num_envs", "substeps", "start_ns", "nstate")
         counts = ("keyframe_every", "every", "part", "first_step")
         wrong = [name for name in (*whole, *counts) if type(getattr(self, name)) is not int]
         wrong += [name for name in counts if not 0 <= getattr(self, name) < 2**62]
@@ -141,20 +136,16 @@ class Header:
         for name in ("control_dt", "physics_dt"):
             if not 0 < getattr(self, name) <= _LONGEST_STEP:
                 wrong.append(name)
-        at = 0
-        for start, stop in self.columns:
-            if not at <= start <= stop <= self.nstate:
-                wrong.append("columns")
-            at = stop
+        edges = [edge for span in self.moved for edge in span]
+        if edges != sorted(edges) or not edges or edges[0] < 0 or edges[-1] > self.nstate:
+            wrong.append("moved")
         if any(not 0 <= a <= b <= self.nstate for a, b in self.layout.values()):
             wrong.append("layout")
         if {"qpos", "qvel"} - self.layout.keys():
             wrong.append("layout")
-        if self.state_sig != int(mujoco.mjtState.mjSTATE_INTEGRATION):
-            wrong.append("state_sig")
         if not all(type(i) is int and 0 <= i < self.num_envs for i in self.view_envs):
             wrong.append("view_envs")
-        if 8 * self.num_envs * self.nstate > CHUNK_LIMIT:
+        if 8 * self.num_envs * self.nstate > LARGEST_CHUNK:
             wrong.append("num_envs")
         if not 0 <= self.start_ns < 2**62:
             wrong.append("start_ns")
@@ -200,34 +191,9 @@ class Header:
         return f"{begins}; {alone or 'its last file'}"
 
     @property
-    def moved(self) -> Ranges:
-        """Columns that physics writes."""
-        return _moved(tuple(self.layout.items()))
-
-    @property
-    def width(self) -> int:
-        """How many columns are in use, if not all of them."""
-        return width_of(self.columns)
-
-    def is_moved(self, component: str) -> bool:
-        """Whether physics writes a component, so that every state has it."""
-        start, stop = self.layout[component]
-        return any(a <= start and stop <= b for a, b in self.moved)
-
-    def has_inputs(self, width: int) -> bool:
-        """Whether a state of so many columns has more than physics writes."""
-        return width in (self.nstate, self.width)
-
-    def ranges_of(self, width: int) -> Ranges:
-        """Which columns a state of so many has: all, those in use, or those that physics writes.
-
-        Raises:
-            WireError: If no state has so many.
-        """
-        for ranges in ([(0, self.nstate)], self.columns, self.moved):
-            if width_of(ranges) == width:
-                return ranges
-        raise WireError(f"rows have {width} columns")
+    def moved_width(self) -> int:
+        """How many columns physics writes."""
+        return width_of(self.moved)
 
     def slices(self) -> dict[str, slice]:
         """The layout as slices."""
@@ -246,11 +212,51 @@ def check_part(first: Header, values: Mapping[str, str], part: int) -> None:
         header = Header.from_metadata(values)
     except LogError as error:
         raise DamageError(str(error)) from error
-    same = ("log_id", "model", "num_envs", "nstate", "columns", "layout", "start_ns", "state")
+    same = ("log_id", "model", "num_envs", "nstate", "moved", "layout", "start_ns", "state")
     if not first.log_id or any(getattr(first, n) != getattr(header, n) for n in same):
         raise DamageError("it is part of another log")
     if header.part != part:
         raise DamageError(f"it is part {header.part} of the log, not {part}")
+
+
+def header_of(
+    env: ObservedEnv, options: RecordLike, model_digest: str, task: str, start_ns: int
+) -> Header:
+    """The metadata of a recording that begins.
+
+    Args:
+        env: What is recorded.
+        options: How it is recorded.
+        model_digest: Digest of the compiled model.
+        task: The task's name.
+        start_ns: Wall clock.
+    """
+    model = env.sim.engine.model
+    layout = row_layout(model)
+    nstate = max(columns.stop for columns in layout.values())
+    # MuJoCo's own reset in the middle of a step, and plugins, write inputs too.
+    resets = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    moved = [(0, nstate)] if resets or model.nplugin else moved_ranges(layout)
+    return Header(
+        task=task,
+        seed=int(env.seed_value),
+        num_envs=env.num_envs,
+        control_dt=float(env.step_dt),
+        physics_dt=float(env.physics_dt),
+        substeps=int(env.sim_steps_per_control),
+        start_ns=start_ns,
+        mujoco_version=mujoco.__version__,
+        model=model_digest,
+        state=options.state,
+        nstate=nstate,
+        moved=moved,
+        layout={name: (s.start, s.stop) for name, s in layout.items()},
+        view_envs=[int(i) for i in options.view_envs],
+        unverifiable=why_unverifiable(model, options.state),
+        keyframe_every=options.keyframe_every if options.state == "keyframes" else 0,
+        every=options.every,
+        log_id=uuid.uuid4().hex,
+    )
 
 
 def why_unverifiable(model: mujoco.MjModel, state: str) -> str:
@@ -270,8 +276,3 @@ def check_keyframes(options: RecordLike, model: mujoco.MjModel) -> None:
     if why:
         message = f"keyframes cannot be replayed: {why}; use record.state=all"
         raise ConfigError([Problem("record.state", message)])
-
-
-@lru_cache(maxsize=8)  # asked for with every state
-def _moved(layout: tuple[tuple[str, tuple[int, int]], ...]) -> Ranges:
-    return moved_ranges({name: slice(*columns) for name, columns in layout})

@@ -1,112 +1,178 @@
-"""`LogFile`: the MCAP file of a log, which may go on in another file; channels are known by topic.
-
-What messages mean is known elsewhere.
-"""
+"""`LogFile`: a log's MCAP file in progress, which may go on in another one."""
 
 from __future__ import annotations
 
 import errno
 import os
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from io import FileIO
+from pathlib import Path
+from typing import Any
 
-from embodichain.recording.handover import Counters
-from embodichain.recording.mcap_file import McapFile, Part, Piece
-from embodichain.recording.schemas import descriptor_set
+import mcap.writer
+import zstandard
+from mcap.writer import CompressionType, Writer
+
+from embodichain.recording.schema import descriptor_set
 
 __all__ = ["LogFile"]
 
 _LIBRARY = "embodichain"
+_COMPRESSIONS = {
+    "none": CompressionType.NONE,
+    "lz4": CompressionType.LZ4,
+    "zstd": CompressionType.ZSTD,
+}
+_FAST = zstandard.ZstdCompressionParameters(
+    window_log=20,
+    hash_log=13,
+    chain_log=6,
+    search_log=1,
+    min_match=7,
+    target_length=47,
+    strategy=zstandard.STRATEGY_FAST,
+)
+
+
+class _FastZstd:
+    """What `mcap.writer` uses of zstandard; its level 3 takes nine times as long on float64."""
+
+    compress = staticmethod(zstandard.ZstdCompressor(compression_params=_FAST).compress)
+
+
+_library: Any = mcap.writer
+_library.zstandard = _FastZstd  # it takes no level
+
+
+class _Appended:
+    """A new file that is written without a buffer: what fails to be written must not come again."""
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+        self.size = 0
+
+    def write(self, data: bytes) -> int:
+        """Append all bytes.
+
+        Raises:
+            OSError: If not all of them could be written; `size` says how many bytes the file has.
+        """
+        left = memoryview(data)
+        while left:
+            done = os.write(self.descriptor, left)  # a disk that is nearly full takes a part
+            self.size += done
+            left = left[done:]
+        return len(data)
+
+    def tell(self) -> int:
+        return self.size
+
+    def flush(self) -> None:
+        """Everything is in the file."""
 
 
 class LogFile:
     """A log's file in progress.
 
     Args:
-        file: Descriptor of a new file; it is closed in the end.
-        folder: Of the file's folder: later files go there, whoever renames it meanwhile.
-        name: The file's name.
-        compression: One of `mcap_file.COMPRESSORS`.
-        counters: Told how large it is; None tells nobody.
+        path: A new file. Later files go into the same folder, also if it is renamed meanwhile.
+        compression: ``zstd``, ``lz4`` or ``none``.
+
+    Attributes:
+        name: The first file's name.
+        folder: Descriptor of the folder.
+        part: How many files were finished before this one.
+
+    Raises:
+        FileExistsError: If `path` exists.
     """
 
-    def __init__(
-        self, file: int, folder: int, name: str, compression: str, counters: Counters | None = None
-    ) -> None:
-        self.name, self.folder = name, folder
-        self._compression = compression
-        self._counters = counters
-        self._stream = FileIO(file, "wb")
-        self._writer = McapFile(self._stream, compression, _LIBRARY)
-        self._before: Counter[str] = Counter()
-        self._bytes_before = 0
-        self._head_bytes = 0
+    def __init__(self, path: Path, compression: str) -> None:
+        self.name = path.name
+        self._compression = _COMPRESSIONS[compression]
+        self.folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         self.part = 0
-        """Files that were finished."""
-        self.finished: Callable[[int], None] | None = None
-        """Called with the size of the last file, when it is whole."""
-        self._channels: dict[str, int] = {}
-        self._declared: dict[str, tuple[str, bytes | None]] = {}
+        self._before = 0  # bytes of finished files
+        self._last_step = self._readable_step = -1
+        self._declared: dict[str, tuple[str, bytes]] = {}
+        try:
+            self._open(self.name)
+        except BaseException:
+            os.close(self.folder)
+            raise
+
+    def _open(self, name: str) -> None:
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+        self._stream = _Appended(os.open(name, flags, 0o666, dir_fd=self.folder))
+        stream: Any = self._stream
+        self._writer: Any = Writer(stream, compression=self._compression)
+        self._writer.start(library=_LIBRARY)
         self._schemas: dict[str, int] = {}
-        self.count()
+        self._channels: dict[str, int] = {}
+        for topic, (schema, data) in self._declared.items():
+            self._register(topic, schema, data)
+
+    @property
+    def size(self) -> int:
+        """Bytes of the file in progress."""
+        return self._stream.size
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all files so far."""
+        return self._before + self._stream.size
+
+    @property
+    def where_it_ends(self) -> str:
+        """Where the log ends if nothing more is written, in words."""
+        step = self._readable_step
+        return f"it ends after control step {step}" if step >= 0 else "no control step is in it"
 
     def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
-        """Declare a channel once.
+        """Declare a channel, for this file and later ones; a second call does nothing.
 
         Args:
             topic: Its name.
             schema: ``embodichain.NAME`` or ``foxglove.NAME``.
             data: The schema's FileDescriptorSet, where it is this run's own.
         """
-        if topic in self._channels:
-            return
-        self._declared[topic] = schema, data
+        if topic not in self._declared:
+            declared = self._declared[topic] = schema, data or descriptor_set(schema)
+            self._register(topic, *declared)
+
+    def _register(self, topic: str, schema: str, data: bytes) -> None:
+        writer = self._writer
         if schema not in self._schemas:
-            self._schemas[schema] = self._writer.schema(
-                schema, data if data is not None else descriptor_set(schema)
-            )
-        self._channels[topic] = self._writer.channel(topic, self._schemas[schema])
+            self._schemas[schema] = writer.register_schema(schema, "protobuf", data)
+        self._channels[topic] = writer.register_channel(topic, "protobuf", self._schemas[schema])
 
     def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
         """Add an attachment."""
-        self._writer.attachment(name, media_type, data, time_ns)
+        self._writer.add_attachment(time_ns, time_ns, name, media_type, data)
 
     def metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Add a metadata record."""
-        self._writer.metadata(name, values)
+        self._writer.add_metadata(name, dict(values))
 
-    def write(self, topic: str, time_ns: int, parts: Sequence[Part]) -> None:
-        """Add a message to a declared channel."""
-        self._writer.message(self._channels[topic], time_ns, parts)
+    def write(self, topic: str, time_ns: int, data: bytes, last_step: int | None = None) -> None:
+        """Add a message to a declared channel.
+
+        Args:
+            topic: The channel.
+            time_ns: Log time.
+            data: The message.
+            last_step: Newest control step that is finished with it.
+        """
+        if last_step is not None:
+            self._last_step = last_step
+        size = self._stream.size
+        self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
+        if self._stream.size != size:  # a chunk was finished, this message included
+            self._readable_step = self._last_step
 
     def send(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> None:
         """Write messages of one moment, each with its topic."""
-        channels = self._channels
-        self._writer.messages(time_ns, [(channels[topic], data) for topic, data in messages])
-
-    def write_rows(
-        self, messages: Sequence[tuple[str, Sequence[Piece]]], times: Sequence[int]
-    ) -> None:
-        """Write the same messages for each of some moments: see `McapFile.rows`."""
-        channels = self._channels
-        self._writer.rows([(channels[topic], pieces) for topic, pieces in messages], times)
-
-    def began(self) -> None:
-        """The start of this file is written."""
-        self._head_bytes = self._writer.size
-        self.count()
-
-    def written(self, topic: str) -> int:
-        """How many messages of a channel are in the files, readable there."""
-        channel = self._channels.get(topic)
-        return self._before[topic] + (0 if channel is None else self._writer.count(channel))
-
-    @property
-    def where_it_ends(self) -> str:
-        """Where the log ends if nothing more is written, in words."""
-        steps = self.written("/sim/step")
-        return f"it ends after control step {steps - 1}" if steps else "no control step is in it"
+        for topic, data in messages:
+            self.write(topic, time_ns, data)
 
     def flush(self) -> None:
         """Make everything readable in the file.
@@ -115,72 +181,69 @@ class LogFile:
             OSError: If it cannot be written, or was removed.
         """
         self._writer.flush()
+        self._readable_step = self._last_step
         self._check_place()
-        self.count()
 
-    def roll(self, name: str, last: Callable[[LogFile], None]) -> int:
-        """Finish the file, and go on in another one, with the same channels under the same ids.
+    def put_beside(self, name: str, text: str) -> None:
+        """Write a small file beside the log, unless there is one of that name."""
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+        try:
+            descriptor = os.open(name, flags, 0o666, dir_fd=self.folder)
+        except FileExistsError:
+            return
+        with open(descriptor, "w") as stream:
+            stream.write(text)
 
-        The new file exists before the old one names it: whoever reads finds both.
+    def roll(self, name: str, finish: Callable[[], None]) -> int:
+        """Finish the file and go on in another one with the same channels.
+
+        The new file exists before the old one names it: a reader finds both.
 
         Args:
             name: The new file, in the same folder.
-            last: Called for what the old file shall end with.
+            finish: Called for what the old file ends with.
 
         Returns:
             Size of the finished file.
         """
-        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-        opened = os.open(name, flags, 0o666, dir_fd=self.folder)
-        stream = FileIO(opened, "wb")
+        old, writer = self._stream, self._writer
         try:
-            last(self)
-            self._writer.finish()
-            self._check_place()
+            self._open(name)
+        finally:  # what `finish` adds belongs to the old file
+            new, self._stream = self._stream, old
+            new_writer, self._writer = self._writer, writer
+        try:
+            finish()
+            self._finish()
         except BaseException:
-            stream.close()
+            os.close(new.descriptor)
             raise
-        for topic, channel in self._channels.items():
-            self._before[topic] += self._writer.count(channel)
-        nbytes = self._writer.nbytes
-        self._stream.close()
-        self._stream = stream
-        self._writer = McapFile(stream, self._compression, _LIBRARY)
-        self._bytes_before += nbytes
-        self._head_bytes = 0
-        self._channels.clear()
-        self._schemas.clear()
-        for topic, (schema, data) in list(self._declared.items()):
-            self.channel(topic, schema, data)
+        os.close(old.descriptor)
+        self._before += old.size
+        self._stream, self._writer = new, new_writer
         self.part += 1
-        self.count()
-        return nbytes
+        return old.size
 
-    def finish(self) -> None:
-        """Write the index and the end of the file, and close it.
+    def _finish(self) -> None:
+        self._writer.finish()
+        self._readable_step = self._last_step
+        self._check_place()
+
+    def finish(self) -> int:
+        """Write the index and the end of the file, and return its size.
 
         Raises:
             OSError: If it cannot be written, or was removed.
         """
-        self._writer.finish()
-        self._check_place()
-        if self.finished is not None:
-            self.finished(self._writer.nbytes)
-        self.count()
-        self.close()
+        self._finish()
+        return self._stream.size
 
     def close(self) -> None:
-        """Close the file as it is. Some file systems say only here that they could not write."""
+        """Close the file as it is. Some file systems report only here that they could not write."""
         os.close(self.folder)
-        self._stream.close()
+        os.close(self._stream.descriptor)
 
     def _check_place(self) -> None:
         """Raise if the file was removed: what is written then is gone with this process."""
-        if not os.fstat(self._stream.fileno()).st_nlink:
+        if not os.fstat(self._stream.descriptor).st_nlink:
             raise FileNotFoundError(errno.ENOENT, "the file was removed while it was written")
-
-    def count(self) -> None:
-        """Say how large the files are."""
-        if self._counters is not None:
-            nbytes = self._bytes_before + self._writer.nbytes
-            self._counters.set(nbytes, self._writer.size, self.part, self._head_bytes)

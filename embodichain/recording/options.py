@@ -12,7 +12,7 @@ from embodichain.utils.suggest import did_you_mean
 __all__ = ["COMPRESSIONS", "STATES", "RecordLike", "RecordOptions", "check_options"]
 
 STATES = ("all", "keyframes", "none")
-COMPRESSIONS = ("zstd-fast", "lz4", "zstd", "none")
+COMPRESSIONS = ("zstd", "lz4", "none")
 
 
 class RecordLike(Protocol):
@@ -59,9 +59,8 @@ class RecordOptions:
     """Environments whose poses, joints and metrics viewers show."""
     view_hz: float = 10.0
     """How often they are sampled, in 1/s of simulated time; at most once a control step."""
-    compression: str = "zstd-fast"
-    """``zstd-fast``, ``lz4``, ``zstd`` or ``none``. The first costs the simulation least; ``zstd``
-    makes files smaller."""
+    compression: str = "zstd"
+    """``zstd`` with its fastest strategy, ``lz4`` or ``none``."""
     keyframe_every: int = 100
     """Control steps from one state to the next with ``keyframes``."""
     every: int = 1

@@ -5,37 +5,56 @@ What is left to do across versions of MuJoCo is decided where a log is read or v
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import mujoco
 
 from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.recording.archive import load_mjz
-from embodichain.recording.attachments import load_mjb, model_digest
-from embodichain.recording.header import Header, LogError
+from embodichain.recording.attachments import MODEL, load_mjb, model_digest, unpack_model
+from embodichain.recording.header import Header
+from embodichain.recording.log_error import LogError
 
-__all__ = ["approximate_model", "check_rows", "exact_model"]
+__all__ = ["approximate_model", "check_rows", "exact_model", "model_to_simulate"]
 
 _SHOWN = {"qpos", "qvel", "mocap_pos", "mocap_quat", "ctrl"}
 """Components that are drawn, exported or named by the model."""
 
 
-def exact_model(header: Header, mjb: bytes) -> mujoco.MjModel:
+def exact_model(header: Header, packed: bytes) -> mujoco.MjModel:
     """The recorded model, to the bit: for the same version of MuJoCo.
 
     Args:
         header: The log's metadata.
-        mjb: Its attachment model.mjb.
+        packed: Its attachment `MODEL`.
 
     Raises:
         LogError: It is another model, or this MuJoCo does not read it.
     """
+    mjb = unpack_model(packed)
     if model_digest(mjb) != header.model:
-        raise LogError("the attachment model.mjb is not the model that was recorded")
+        raise LogError(f"the attachment {MODEL} is not the model that was recorded")
     try:
         model = load_mjb(mjb)
     except ValueError as error:
-        raise LogError(f"the attachment model.mjb cannot be loaded: {error}") from error
+        raise LogError(f"the attachment {MODEL} cannot be loaded: {error}") from error
     check_rows(header, model)
     return model
+
+
+def model_to_simulate(header: Header, attachment: Callable[[str], bytes]) -> mujoco.MjModel:
+    """The model with which a log is simulated to the bit.
+
+    Args:
+        header: The log's metadata.
+        attachment: Name to content of its attachments.
+
+    Raises:
+        LogError: If it cannot be with this MuJoCo, or the model is damaged.
+    """
+    if header.mujoco_version != mujoco.__version__:
+        raise LogError(f"need mujoco=={header.mujoco_version}, this is {mujoco.__version__}")
+    return exact_model(header, attachment(MODEL))
 
 
 def approximate_model(header: Header, mjz: bytes) -> mujoco.MjModel:
@@ -67,7 +86,7 @@ def check_rows(header: Header, model: mujoco.MjModel) -> None:
     Raises:
         LogError: They are not.
     """
-    size = mujoco.mj_stateSize(model, header.state_sig)
+    size = mujoco.mj_stateSize(model, int(mujoco.mjtState.mjSTATE_INTEGRATION))
     if size != header.nstate:
         raise LogError(f"the model has {size} numbers of state, the rows have {header.nstate}")
     here = row_layout(model)

@@ -1,16 +1,16 @@
 """`McapRecorder`: watches an environment and writes its log.
 
-It only collects and hands over to another process (`writer`): what replay needs is `state_log`,
-what people look at is `foxglove.views`, both come together in `log_builder`.
+It collects the calls of each control step, gathers steps with the same calls in a run, and writes
+a run, in the stepping thread, when the calls change or the run is large or old enough.
 """
 
 from __future__ import annotations
 
 import atexit
-import json
 import time
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,27 +20,46 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
 from embodichain.lab.sim.engine.base import EnvIndex, PhysicsEvent, Write
-from embodichain.lab.sim.engine.layout import row_layout
-from embodichain.recording.attachments import attachments_of, model_bytes
-from embodichain.recording.columns import NEEDS_HEED, RowColumns
+from embodichain.recording.attachments import attachments_of, model_bytes, model_digest
+from embodichain.recording.block import DRAWN, ArrayKind, CallKind
+from embodichain.recording.columns import take
+from embodichain.recording.episode_ends import Ends
 from embodichain.recording.episode_gate import EpisodeGate
-from embodichain.recording.episode_log import Ends
-from embodichain.recording.foxglove.layout import foxglove_layout
-from embodichain.recording.foxglove.views import Views
-from embodichain.recording.header import check_keyframes
-from embodichain.recording.log_head import LogHead, RecordStats, header_of
-from embodichain.recording.options import (
-    RecordLike,
-    RecordOptions,
-    check_options,
-)
-from embodichain.recording.seen_together import VIEW
-from embodichain.recording.writer import LogWriter
+from embodichain.recording.hashing import row_hashes
+from embodichain.recording.header import check_keyframes, header_of
+from embodichain.recording.log_writer import LogWriter, PendingRun, Recorded
+from embodichain.recording.options import RecordLike, RecordOptions, check_options
+from embodichain.recording.views.layout import foxglove_layout
+from embodichain.recording.views.views import Views
+from embodichain.recording.writing import Writing
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv
 
 __all__ = ["McapRecorder", "RecordStats"]
+
+RUN_STEPS, RUN_BYTES, RUN_SECONDS = 256, 2**20, 0.25
+"""A run is written when it has so many steps, or bytes, or has waited so long."""
+FLUSH_SECONDS = 0.5
+"""What is written is readable in the file after so long; with `RUN_SECONDS`, and the time between
+two calls of the timer, at most a second is lost when the process is killed."""
+START_SHARE = 32
+"""A start is written after so many times its bytes of other data."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordStats:
+    """What a recorder has written.
+
+    Attributes:
+        path: The file; the first one, if the log goes on in others.
+        steps: Control steps.
+        nbytes: Size of the log so far.
+    """
+
+    path: Path
+    steps: int
+    nbytes: int
 
 
 class McapRecorder(StepObserver):
@@ -73,96 +92,37 @@ class McapRecorder(StepObserver):
     ) -> None:
         options = RecordOptions() if options is None else options
         check_options(options, env.num_envs)
-        engine = env.sim.engine
-        check_keyframes(options, engine.model)
-        self._columns = RowColumns(row_layout(engine.model))
-        self._period_ns = round(env.step_dt * 1e9)
+        self._engine = env.sim.engine
+        check_keyframes(options, self._engine.model)
+        self._path = Path(path)
         self._start_ns = time.time_ns()
-        self._step = 0
-        self._closed = False
+        mjb = model_bytes(self._engine.model)
+        header = header_of(env, options, model_digest(mjb), task, self._start_ns)
+        self._moved, self._period_ns = header.moved, header.period_ns
+        self._substeps, self._keyframe_every = header.substeps, header.keyframe_every
         self._keeps_state = options.state != "none"
         self._gate = EpisodeGate(options.every, next(iter(options.view_envs), 0))
-        self._substeps = int(env.sim_steps_per_control)
-        self._keyframe_every = options.keyframe_every if options.state == "keyframes" else 0
-        # What is reset in the middle of a step, or changed by a plugin, no write tells.
-        self._derives = not (self._keyframe_every or engine.steps_write_inputs)
-        self._keyframe_due = True
-        self._keyframe = -1  # control step of the newest one
-        self._view_envs = [int(i) for i in options.view_envs]
-        self._engine = engine
         self._max_bytes = 0.0 if options.max_mb is None else options.max_mb * 1e6
-        self._places: dict[object, int] = {}
-        self._known = False  # whether the writer can tell every row from calls and writes
-        self._as_written = False  # whether physics is at it, with rows that the writer can tell
-        self._told = 0  # width of the rows that the writer knows of
-        self._parts = 0  # files that were asked for after the first
-        known = self._derives and self._keeps_state
-        self._views = Views(env, options, self._push, self._now, rows_known=known)
-        make_head = self._head(env, options, config, overrides, task)
-        # A slab holds the rows of two steps, and half as much again of the rest.
-        step_bytes = 3 * 8 * env.num_envs * self._columns.width
-        self._file = LogWriter(Path(path), options.compression, make_head, step_bytes)
-        if not self._columns.narrow_enough(engine.rows):
-            self._columns.widen()
-        self._tell_columns()
-        model_fields = engine.state_dict()["model"]
-        self._write_start(model_fields)
-        self._views.start(model_fields)
-        # A program that fails without closing still leaves a whole log.
+        self._view_envs = header.view_envs
+        self._step = 0
+        self._calls: list[Recorded] = []  # since the last control step
+        self._run = PendingRun(0, [], 0.0, 0)
+        self._kinds: dict[object, CallKind] = {}
+        self._since_start = self._start_bytes = 0
+        self._flushed = time.monotonic()
+        self._closed = False
+        layout = foxglove_layout(env, options.view_envs)
+        attachments = attachments_of(mjb, env.sim.scene.spec, config, overrides, layout)
+        self._log = LogWriter(self._path, options.compression, header, attachments, layout)
+        self._views = Views(env, options, self._log.views, self._now)
+        self._views.say("recording begins")
+        self._write_start()
+        self._log.began()
+        file = self._log.file
+        self._writing = Writing(self._path, lambda: file.where_it_ends, self._tick)
+        # A program that ends without closing still leaves a whole log.
         self._at_exit = partial(_close_if_alive, weakref.ref(self))
         atexit.register(self._at_exit)
-
-    def _head(
-        self,
-        env: ObservedEnv,
-        options: RecordLike,
-        config: str,
-        overrides: str | Sequence[str],
-        task: str,
-    ) -> Callable[[], LogHead]:
-        """What makes the head of the log, on another thread: packing a scene takes a while."""
-        model, spec = env.sim.engine.model, env.sim.scene.spec
-        layout = foxglove_layout(env, options.view_envs)
-        mjb = model_bytes(model)
-        header = header_of(env, options, self._columns, mjb, task, self._start_ns)
-        views, rolls = self._views.spec, bool(self._max_bytes)
-
-        def make() -> LogHead:
-            attachments = attachments_of(mjb, spec, config, overrides, layout)
-            return LogHead(header, attachments, views, json.dumps(layout, indent=1), rolls)
-
-        return make
-
-    def _write_start(self, model_fields: dict[str, NDArray[Any]]) -> None:
-        """Say what the simulation is now: a file begins."""
-        if self._keeps_state:
-            fields = {name: np.array(values) for name, values in model_fields.items()}
-            self._file.call("start", self._engine.rows.copy(), fields)
-        self._file.call("began")
-
-    def _roll(self) -> None:
-        """Go on in another file, from the state that the simulation has right now."""
-        self._parts += 1
-        self._file.call("roll", self._step)
-        self._write_start(self._engine.model_fields())
-        self._views.show(self._view_envs)
-        self._keyframe_due = True
-
-    @property
-    def _full(self) -> bool:
-        """Whether the file in progress has reached its size.
-
-        A file holds at least as much of the run as it has attachments.
-        """
-        if self._file.ahead > self._max_bytes / 4:
-            self._file.catch_up()
-        written = self._file.counters
-        here = written.part == self._parts and written.head_bytes > 0
-        return here and written.size > max(self._max_bytes, 2 * written.head_bytes)
-
-    def _push(self, method: str, *args: object) -> None:
-        """Called by the views."""
-        self._file.call(VIEW + method, *args)
 
     def _now(self) -> int:
         return self._start_ns + self._step * self._period_ns
@@ -170,202 +130,290 @@ class McapRecorder(StepObserver):
     @property
     def stats(self) -> RecordStats:
         """What has been written so far."""
-        return RecordStats(self._file.path, self._step, self._file.counters.nbytes)
+        return RecordStats(self._path, self._step, self._log.file.nbytes)
 
-    @property
-    def writer_pid(self) -> int:
-        """The process that writes the file."""
-        return self._file.worker_pid
+    # -- what happens ------------------------------------------------------------------------------
 
     def on_write(self, env: ObservedEnv, write: Write) -> None:
-        """Something outside physics was written to the simulation."""
-        ids, values = write.env_ids, write.values
-        if self._keeps_state and write.op != "forward" and (ids is None or len(ids)):
-            if write.op != "state" or write.field == "row":
-                self._known = False
-            if write.field in NEEDS_HEED:
-                self._columns.heed(write)
-                self._tell_columns()
-            if self._gate.open or write.op in ("model", "set_const"):
-                place = self._place(write)
-                if ids is None and values is not None:
-                    self._file.call_alike("write", (place, None), values)
-                else:
-                    self._file.call("write", place, ids, values)
-        if write.op == "model":
+        """Record a write outside physics, and of a reset the rows that it left."""
+        op, field, ids, columns, values = write
+        if op == "model":
             self._views.on_model_write(write)
-
-    def _place(self, write: Write) -> int:
-        """Number of what is written and where, which is told once."""
-        columns = write.columns
+        if op == "forward" or not self._records(ids):
+            return
+        if op == "reset":
+            values = self._engine.rows if ids is None else self._engine.rows[ids]
+        shape = None if values is None else values.shape
         if isinstance(columns, slice):
             span: object = (columns.start, columns.stop, columns.step)
         else:
             span = columns.tobytes()
-        key = write.op, write.field, span
-        number = self._places.get(key)
-        if number is None:
-            number = self._places[key] = len(self._places)
-            self._file.call("place", number, write.op, write.field, columns)
-        return number
+        key = op, field, span, shape, None if ids is None else len(ids)
+        kind = self._kinds.get(key)
+        if kind is None:
+            kind = self._kinds[key] = self._kind_of(write, shape)
+        arrays: tuple[NDArray[Any], ...] = ()
+        if values is not None:
+            arrays = (np.array(values, np.float64, order="C"),)
+        self._calls.append((kind, arrays if ids is None else (ids.copy(), *arrays)))
 
-    def _tell_columns(self) -> None:
-        """Say which columns are handed over from now on, if that has changed."""
-        if self._told != self._columns.width:
-            self._told = self._columns.width
-            self._file.call("columns", self._columns.ranges)
+    def _kind_of(self, write: Write, shape: tuple[int, ...] | None) -> CallKind:
+        columns, named = write.columns, None
+        if not isinstance(columns, slice):
+            named = tuple(columns.tolist())
+        elif write.op in ("state", "model") and columns != slice(None):
+            named = tuple(range(*columns.indices(self._width_of(write))))
+        values = () if shape is None else (ArrayKind("values", "<f8", shape),)
+        return CallKind("write", write.field, write.op, 0, named, _of(write.env_ids) + values)
+
+    def _width_of(self, write: Write) -> int:
+        """Columns of the flattened field that is written."""
+        if write.op == "state":
+            if write.field == "row":
+                return int(self._engine.rows.shape[1])
+            columns = self._engine.component(write.field)
+            return int(columns.stop - columns.start)
+        owner: Any = self._engine.model
+        for part in write.field.split("."):
+            owner = getattr(owner, part)
+        return int(np.size(owner))
+
+    def _records(self, ids: EnvIndex | None) -> bool:
+        """Whether something that happens in these environments is recorded."""
+        return self._gate.open and self._keeps_state and (ids is None or len(ids) > 0)
 
     def on_physics(self, env: ObservedEnv, event: PhysicsEvent) -> None:
-        """Physics is about to step, or has just stepped."""
-        ids = event.env_ids
-        before = event.phase == "before"
-        if before and ids is None and event.nstep == self._substeps:
-            self._gate.on_physics()
-        if not self._gate.open:
-            self._known = False
+        """Show what physics receives; record what it returned."""
+        phase, nstep, ids, rows, failed = event
+        if phase == "before":
+            if ids is None:
+                if nstep == self._substeps:
+                    self._gate.on_physics()
+                if self._gate.open:
+                    self._views.on_rows(self._step, rows)
             return
-        if before and ids is None:  # first: what is shown is shown with these rows
-            self._views.on_rows(self._step, event.rows)
-        if self._keeps_state:
-            if before:
-                self._before(event)
-            else:
-                method, self._as_written = "stepped" if self._as_written else "after", False
-                self._take(method, (event.nstep, ids, event.failed), event)
-
-    def _before(self, event: PhysicsEvent) -> None:
-        """Hand over the rows that physics receives, unless they follow from what was before."""
-        nstep, ids = event.nstep, event.env_ids
-        self._as_written = False
-        if self._keyframe_every and not self._is_keyframe(event):
-            self._file.call("before", nstep, ids, None)
-        elif self._known:
-            self._as_written = True  # said together with what physics returns
+        if not self._records(ids):
+            return
+        result: NDArray[Any] = take(self._moved, rows if ids is None else rows[ids])
+        if self._keyframe_every:
+            result = row_hashes(result)
+        failures = None if failed is None else len(failed)
+        key = "physics", nstep, None if ids is None else len(ids), failures
+        kind = self._kinds.get(key)
+        if kind is None:
+            name, dtype = ("hashes", "<u8") if self._keyframe_every else ("rows", "<f8")
+            arrays = (*_of(ids), ArrayKind(name, dtype, result.shape))
+            kind = CallKind("physics", nstep=nstep, arrays=arrays + _of(failed, "failed"))
+            self._kinds[key] = kind
+        if ids is None and failed is None:
+            self._calls.append((kind, (result,)))
         else:
-            self._take("before", (nstep, ids), event)
-            self._known = ids is None and self._derives
-
-    def _take(self, method: str, args: tuple[object, ...], event: PhysicsEvent) -> None:
-        """Hand over the rows of a physics call."""
-        columns, rows = self._columns, event.rows
-        width, take = columns.width, columns.take
-        if event.env_ids is not None:
-            rows = rows[event.env_ids]
-        elif method == "stepped":
-            width, take = columns.moved_width, columns.take_moved
-        alike = event.env_ids is None and event.failed is None
-        self._file.call_with(method, args, (len(rows), width), partial(take, rows), alike)
-
-    def _is_keyframe(self, event: PhysicsEvent) -> bool:
-        """Whether this call's rows are written: the first of a step's own physics, when due.
-
-        Before the first step things may settle for as long: there each such call's are, since the
-        last one is the step's own.
-        """
-        step = self._step
-        due = self._keyframe_due or step % self._keyframe_every == 0
-        own = event.env_ids is None and event.nstep == self._substeps
-        if not own or not due or (step > 0 and self._keyframe == step):
-            return False
-        self._keyframe, self._keyframe_due = step, False
-        return True
+            more = [a for a in (ids, result, failed) if a is not None]
+            self._calls.append((kind, tuple(np.ascontiguousarray(a) for a in more)))
 
     def on_event(self, env: ObservedEnv, event: EventRecord) -> None:
-        """A term of the event manager fired."""
+        """Record that a term of the event manager fired, and what it drew."""
         if not self._gate.open:
             self._gate.hold(event)
             return
-        ids, drawn = event.env_ids, event.drawn.values()
-        if ids is None:
-            what = event.term, event.mode, None, tuple(event.drawn)
-            self._file.call_alike("event", what, *drawn)
-        else:
-            self._file.call("event", event.term, event.mode, ids, tuple(event.drawn), *drawn)
+        self._views.on_event(event)
+        if self._records(event.env_ids):
+            term, mode, ids, drawn = event
+            values = [np.array(v, np.float64, order="C") for v in drawn.values()]
+            shapes = tuple(value.shape for value in values)
+            key = "event", term, mode, None if ids is None else len(ids), (*drawn, *shapes)
+            kind = self._kinds.get(key)
+            if kind is None:
+                named = zip(drawn, shapes, strict=True)
+                arrays = tuple(ArrayKind(DRAWN + name, "<f8", shape) for name, shape in named)
+                kind = self._kinds[key] = CallKind("event", term, mode, arrays=_of(ids) + arrays)
+            self._calls.append((kind, tuple(values if ids is None else (ids.copy(), *values))))
 
     def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
-        """Environments were reset."""
+        """Show environments that were reset; begin or pause recording there (`record.every`)."""
         if self._gate.open:
             self._views.on_reset(env_ids)
-        self._go_on(env, self._gate.on_reset(env_ids))
+        was_open = self._gate.open
+        self._switched(env, was_open, self._gate.on_reset(env_ids))
 
-    def _go_on(self, env: ObservedEnv, held: list[EventRecord] | None, skip: bool = False) -> None:
-        """Between two steps: record again if the gate has just opened, from the state right now.
+    def on_step(self, env: ObservedEnv, step: StepRecord) -> None:
+        """Record that a control step ended.
+
+        Raises:
+            LogWriteError: If the log could not be written; it ends there.
+        """
+        self._writing.check()
+        number = self._step
+        ends = Ends.of(step, env.termination_manager.values)
+        if ends is not None:
+            self._log.end_episodes(number, ends)
+        was_open = self._gate.open
+        if was_open:
+            self._views.on_step(number, step, ended=ends is not None)
+            # Copies: the caller of `step` may write into what it received.
+            arrays = (
+                np.array(step.action, np.float64, order="C"),
+                np.array(step.reward, np.float32, order="C"),
+                step.terminated.copy(),
+                step.truncated.copy(),
+                step.episode_ids.copy(),
+            )
+            kind = self._kinds.get(arrays[0].shape)
+            if kind is None:
+                kind = self._kinds[arrays[0].shape] = _step_kind(arrays)
+            self._calls.append((kind, arrays))
+            self._add_step()
+        else:
+            with self._writing.writes():
+                self._log.skip(number, step.reward, step.episode_ids)
+        self._step = number + 1
+        self._switched(env, was_open, self._gate.switch())
+        if self._gate.open:
+            self._write_when_due()
+
+    def _switched(self, env: ObservedEnv, was_open: bool, held: list[EventRecord] | None) -> None:
+        """Between two steps: recording may have been paused, or goes on.
 
         Args:
             env: The environment.
-            held: The events that led there; None if it has not.
-            skip: Whether the step that ended is not in the log.
+            was_open: Whether it was recorded before.
+            held: Events that led here, if recording goes on; else None.
         """
-        for event in held or ():
-            self.on_event(env, event)
-        if skip:
-            self._file.call("skip")
+        if was_open and not self._gate.open:
+            with self._writing.writes():
+                self._write_run()
+                self._write_rest()
         if held is not None:
-            self.on_write(env, Write("state", "row", None, slice(None), self._engine.rows))
-            self._keyframe_due = True
+            with self._writing.writes():
+                self._write_start()
             self._views.show(self._view_envs)
+            for event in held:
+                self.on_event(env, event)
 
-    def on_step(self, env: ObservedEnv, step: StepRecord) -> None:
-        """A control step ended."""
-        ends = Ends.of(step, env.termination_manager.values)
-        recorded = self._gate.open
-        # Copies: the caller of `step` may write into what it was handed.
-        if not recorded:
-            reward, ids = step.reward.copy(), step.episode_ids.copy()
-            self._file.call("unseen_step", ends, reward, ids)
-        else:
-            what = step.action, step.reward, step.episode_ids
-            if ends is None:
-                self._file.call_alike("step", (None,), *what)
-            else:
-                over = step.terminated, step.truncated
-                self._file.call("step", ends, *(array.copy() for array in (*what, *over)))
-            self._views.on_step(self._step, step, ended=ends is not None)
-        held = self._gate.switch()
-        if held is not None or not recorded:
-            self._go_on(env, held, skip=not recorded)
-        self._step += 1
-        if self._max_bytes and self._full:
-            self._roll()
-        self._file.hand_over_when_due()
+    # -- runs --------------------------------------------------------------------------------------
+
+    def _add_step(self) -> None:
+        """Add a finished step to the run; write the run before, if its calls are others."""
+        kinds = [kind for kind, _ in self._calls]
+        run = self._run
+        if kinds != run.kinds or not run.steps:
+            if run.steps:
+                with self._writing.writes():
+                    self._write_run()
+            size = sum(array.nbytes for _, arrays in self._calls for array in arrays)
+            run = PendingRun(self._step, kinds, time.monotonic(), size)
+        with self._writing.lock:
+            # One statement takes the step over: an interrupt loses none, and adds none twice.
+            run.steps.append(self._calls)
+            self._run = run
+        self._calls = []
+
+    def _write_when_due(self) -> None:
+        """Write the run if it is large or old, then a start, the next file, or flush, when due."""
+        run, now = self._run, time.monotonic()
+        step_bytes, count = run.step_bytes, len(run.steps)
+        begins = self._start_is_due(self._since_start + step_bytes * count)
+        full = self._max_bytes > 0 and self._log.is_full(self._max_bytes)
+        old = run.steps and now - run.begun > RUN_SECONDS
+        if begins or full or old or count >= RUN_STEPS or step_bytes * count >= RUN_BYTES:
+            with self._writing.writes():
+                self._write_run()
+                if full:
+                    self._log.roll(self._step)
+                    self._write_start()
+                    self._log.began()
+                    self._views.show(self._view_envs)
+                elif begins:
+                    self._write_start()
+                if now - self._flushed > FLUSH_SECONDS:
+                    self._flush()
+
+    def _start_is_due(self, nbytes: int) -> bool:
+        if self._keyframe_every:
+            return self._step % self._keyframe_every == 0 and self._keeps_state
+        return nbytes > START_SHARE * self._start_bytes > 0
+
+    def _write_run(self) -> None:
+        run = self._run
+        self._run = PendingRun(run.end, [], 0.0, 0)
+        if run.steps:
+            self._since_start += run.step_bytes * len(run.steps)
+            self._log.run(run)
+
+    def _write_rest(self) -> None:
+        """Write calls that no control step follows."""
+        calls, self._calls = self._calls, []
+        if calls:
+            self._log.run(PendingRun(self._step, [kind for kind, _ in calls], 0.0, 0, [calls]))
+
+    def _write_start(self) -> None:
+        if self._keeps_state:
+            fields = self._engine.model_fields()
+            self._start_bytes = self._log.start(self._step, self._engine.rows, fields)
+            self._since_start = 0
+
+    def _flush(self) -> None:
+        self._flushed = time.monotonic()
+        self._log.flush()
+
+    def _tick(self) -> None:
+        """On the timer's thread: write and flush what no further step does."""
+        if time.monotonic() - self._flushed >= FLUSH_SECONDS:
+            self._write_run()
+            self._flush()
+
+    # -- the end -----------------------------------------------------------------------------------
 
     def on_close(self, env: ObservedEnv) -> None:
         """The environment closes."""
         self.close()
 
     def flush(self) -> None:
-        """Wait until everything recorded so far is in the file, where readers find it.
+        """Write everything recorded so far into the file, where readers find it.
 
-        Nobody has to call this: the file is flushed within a second. After `close` it does nothing.
+        The recorder does so by itself within a second. After `close` it does nothing.
 
         Raises:
-            OSError: If the file could not be written.
+            LogWriteError: If the file could not be written.
         """
         if not self._closed:
-            self._file.flush()
+            with self._writing.writes():
+                self._write_run()
+                self._flush()
 
     def close(self) -> None:
         """Write the last rows and finish the file. A second call does nothing.
 
         Raises:
-            OSError: If the file could not be written, and no step said so before.
+            LogWriteError: If the file could not be written, and no step raised it before.
         """
         if self._closed:
             return
         self._closed = True
         atexit.unregister(self._at_exit)
-        if self._file.lost:
-            self._file.close()
+        self._writing.stop()
+        if self._writing.told:
             return
-        try:
-            if self._keeps_state and self._gate.open:
-                rows, columns = self._engine.rows, self._columns
-                shape = len(rows), columns.width
-                self._file.call_with("end", (), shape, partial(columns.take, rows))
+        with self._writing.writes():
+            if self._run.steps and self._calls is self._run.steps[-1]:
+                self._calls = []  # an interrupt came right after the step was taken over
+            self._step = max(self._step, self._run.end)
+            self._write_run()
+            if self._gate.open:
+                self._write_rest()
             self._views.close(self._step, self._engine.rows)
-            self._file.call("finish", self._step)
-        finally:
-            self._file.close()
+            self._log.finish(self._step)
+
+
+def _of(ids: EnvIndex | None, name: str = "env_ids") -> tuple[ArrayKind, ...]:
+    """The kind of an array of environments; None for nothing."""
+    return () if ids is None else (ArrayKind(name, "<i8", ids.shape),)
+
+
+def _step_kind(arrays: Sequence[NDArray[Any]]) -> CallKind:
+    names = ("action", "reward", "terminated", "truncated", "episode_ids")
+    named = zip(names, arrays, strict=True)
+    return CallKind("step", arrays=tuple(ArrayKind(n, a.dtype.str, a.shape) for n, a in named))
 
 
 def _close_if_alive(recorder: weakref.ref[McapRecorder]) -> None:

@@ -8,14 +8,16 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from mcap.records import Attachment, Channel, Message, Metadata, Schema
+from mcap.writer import CompressionType, Writer
 
-from embodichain.recording.header import METADATA_RECOVERED, LogError
-from embodichain.recording.mcap_file import McapFile
+from embodichain.recording.block import unpack_run
+from embodichain.recording.chunks import LogReader
+from embodichain.recording.header import METADATA, METADATA_END, METADATA_RECOVERED
+from embodichain.recording.log_error import DamageError, LogError
 from embodichain.recording.parts import first_file
-from embodichain.recording.reader import LogReader
-from embodichain.recording.records import Record
+from embodichain.recording.schema import STEPS_TOPIC
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["Recovery", "recover"]
@@ -68,62 +70,93 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
             raise ConfigError(f"the folder {target.parent} does not exist")
         temporary = target.with_name(f".{target.name}.{os.getpid()}")
         try:
-            with temporary.open("xb", buffering=0) as stream:
-                copy = _Copy(reader, McapFile(stream, "zstd-fast", library="embodichain recover"))
+            with temporary.open("xb") as stream:
+                copy = _Copy(reader, Writer(stream, compression=CompressionType.LZ4))
                 copy.all_records()
+                stream.flush()
                 os.fsync(stream.fileno())
             _publish(temporary, target)
         finally:
             temporary.unlink(missing_ok=True)
         lost = 0 if reader.complete else reader.total_bytes - reader.good_bytes
-        names = list(reader.attachments)
+        names = copy.attachments
         nbytes = target.stat().st_size
         return Recovery(source, target, copy.messages, copy.steps, names, nbytes, copy.why, lost)
 
 
 class _Copy:
-    """Writes what a reader yields."""
+    """Writes what a reader finds."""
 
-    def __init__(self, reader: LogReader, file: McapFile) -> None:
-        self._reader, self._file = reader, file
+    def __init__(self, reader: LogReader, writer: Any) -> None:
+        self._reader, self._writer = reader, writer
         self._schemas: dict[int, int] = {}
-        self._channels: dict[int, int] = {}
+        self._channels: dict[str, int] = {}
+        self.attachments: list[str] = []
         self.messages = self.steps = 0
         self.why = ""
 
     def all_records(self) -> None:
-        """Copy up to the first damage, and close the file."""
-        reader = self._reader
-        for record in reader.records():
-            self._add(record)
-        reader.require_header()
-        self.why = reader.damage or ("" if reader.complete else "its end is missing")
+        """Copy up to the first damage, and close the file.
+
+        Raises:
+            LogError: If there is no metadata, or a channel is not a log's.
+        """
+        reader, writer = self._reader, self._writer
+        header = reader.require_header()
+        sizes = header.num_envs, header.moved_width, header.nstate
+        writer.start(library="embodichain recover")
+        damaged = [name for name in reader.attachments if not self._attach(name)]
+        writer.add_metadata(METADATA, reader.metadata[METADATA])
+        try:
+            for topic, time_ns, data in reader.messages():
+                if topic == STEPS_TOPIC:
+                    self.steps += unpack_run(data, *sizes).steps
+                writer.add_message(self._channel(topic), time_ns, bytes(data), time_ns)
+                self.messages += 1
+            self.why = reader.damage or ("" if reader.complete else "its end is missing")
+        except DamageError as error:
+            self.why = f"a message is damaged: {error}"
         if not self.why and not reader.finished and not reader.recovered:
             self.why = "the recorder did not close it"
+        if not self.why and damaged:
+            self.why = f"the attachment {damaged[0]} is damaged"
+        if reader.recovered:
+            writer.add_metadata(METADATA_RECOVERED, reader.metadata[METADATA_RECOVERED])
+        if reader.finished:
+            writer.add_metadata(METADATA_END, reader.metadata[METADATA_END])
         if self.why:
             values = {"why": self.why, "steps": str(self.steps), "source": reader.path.name}
-            self._file.metadata(METADATA_RECOVERED, values)
-        self._file.finish()
+            writer.add_metadata(METADATA_RECOVERED, values)
+        writer.finish()
 
-    def _add(self, record: Record) -> None:
-        reader, file = self._reader, self._file
-        if isinstance(record, Message):
-            file.message(self._channels[record.channel_id], record.log_time, (record.data,))
-            self.messages += 1
-            self.steps += reader.channels[record.channel_id].topic == "/sim/step"
-        elif isinstance(record, Schema):
-            if record.id not in self._schemas:
-                self._schemas[record.id] = file.schema(record.name, record.data)
-        elif isinstance(record, Channel):
-            if record.id not in self._channels:
-                if record.message_encoding != "protobuf" or record.schema_id not in self._schemas:
-                    raise LogError(f"{reader.path}: the channel {record.topic} is not a log's")
-                schema = self._schemas[record.schema_id]
-                self._channels[record.id] = file.channel(record.topic, schema)
-        elif isinstance(record, Attachment):
-            file.attachment(record.name, record.media_type, record.data, record.log_time)
-        elif isinstance(record, Metadata):
-            file.metadata(record.name, record.metadata)
+    def _attach(self, name: str) -> bool:
+        """Copy an attachment; whether it is good."""
+        try:
+            found = self._reader.attachment_record(name)
+        except LogError:
+            return False
+        times = found.create_time, found.log_time
+        self._writer.add_attachment(*times, found.name, found.media_type, found.data)
+        self.attachments.append(name)
+        return True
+
+    def _channel(self, topic: str) -> int:
+        """The new file's channel of a topic.
+
+        Raises:
+            LogError: If it is not one of a log.
+        """
+        if topic not in self._channels:
+            channel = next(c for c in self._reader.channels.values() if c.topic == topic)
+            schema = self._reader.schemas.get(channel.schema_id)
+            if channel.message_encoding != "protobuf" or schema is None:
+                raise LogError(f"{self._reader.path}: the channel {topic} is not a log's")
+            if schema.id not in self._schemas:
+                declared = schema.name, schema.encoding, schema.data
+                self._schemas[schema.id] = self._writer.register_schema(*declared)
+            declared_as = self._schemas[schema.id]
+            self._channels[topic] = self._writer.register_channel(topic, "protobuf", declared_as)
+        return self._channels[topic]
 
 
 def _publish(temporary: Path, target: Path) -> None:

@@ -1,23 +1,23 @@
-"""`LogSummary`: what is in a log, gathered in one pass."""
+"""`inspect`: what is in a log, gathered in one pass over it."""
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from mcap.records import Channel
 
-from embodichain.recording.attachments import model_digest
-from embodichain.recording.episode_log import TOPIC as EPISODE_TOPIC
-from embodichain.recording.episode_log import EndedEpisode, decode_ends
+from embodichain.recording.attachments import MODEL, model_digest, unpack_model
+from embodichain.recording.block import unpack_run
+from embodichain.recording.chunks import LogReader
+from embodichain.recording.episode_ends import TOPIC as EPISODE_TOPIC
+from embodichain.recording.episode_ends import EndedEpisode, decode_ends
 from embodichain.recording.header import Header
-from embodichain.recording.messages import StepOutcome
-from embodichain.recording.reader import LogReader
-from embodichain.recording.wire import WireError
+from embodichain.recording.log_error import DamageError, LogError
+from embodichain.recording.schema import STEPS_TOPIC
 
-__all__ = ["ChannelInfo", "Episode", "LogSummary", "summarize"]
+__all__ = ["ChannelInfo", "Episode", "LogSummary", "inspect"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Episode:
     Attributes:
         env: The environment.
         episode: Its episode id, from 0 within the environment.
-        steps: Control steps within the log.
+        steps: Control steps of it that the recorder saw.
         total_reward: Sum of rewards over them, undiscounted.
         terminated: Whether it ended by itself; else by a limit.
         last_step: Control step that ended it.
@@ -51,6 +51,12 @@ class Episode:
     terminated: bool
     last_step: int
     success: bool | None = None
+
+    @classmethod
+    def of(cls, end: EndedEpisode) -> Episode:
+        """What `/episode` tells."""
+        total = end.total_reward
+        return cls(end.env, end.episode, end.steps, total, end.terminated, end.step, end.success)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,34 +107,7 @@ class LogSummary:
         return float(np.mean([episode.total_reward for episode in self.episodes]))
 
 
-class _Episodes:
-    """Adds up rewards until episodes end."""
-
-    def __init__(self, num_envs: int) -> None:
-        self._sums = np.zeros(num_envs)
-        self._lengths = np.zeros(num_envs, np.int64)
-        self.ended: list[Episode] = []
-
-    def add(self, step: StepOutcome) -> None:
-        if len(step.reward) != len(self._sums):
-            raise WireError(f"step {step.step} is of {len(step.reward)} environments")
-        self._sums += step.reward
-        self._lengths += 1
-        for env in np.flatnonzero(step.terminated | step.truncated).tolist():
-            self.ended.append(
-                Episode(
-                    env,
-                    int(step.episode_ids[env]),
-                    int(self._lengths[env]),
-                    float(self._sums[env]),
-                    bool(step.terminated[env]),
-                    step.step,
-                )
-            )
-            self._sums[env] = self._lengths[env] = 0
-
-
-def summarize(path: str | Path) -> LogSummary:
+def inspect(path: str | Path) -> LogSummary:
     """Read a log once and return what is in it; a broken one up to where it is readable.
 
     Raises:
@@ -137,84 +116,75 @@ def summarize(path: str | Path) -> LogSummary:
     """
     counts: Counter[str] = Counter()
     steps, last_step = 0, -1
-    episodes: _Episodes | None = None
-    ended: list[EndedEpisode] = []
-    with LogReader(Path(path)) as reader:
-        for topic, message in reader.messages():
-            counts[topic] += 1
-            if topic == "/sim/step":
-                if episodes is None:
-                    episodes = _Episodes(reader.require_header().num_envs)
-                try:
-                    outcome = StepOutcome.decode(message.data)
-                    episodes.add(outcome)
-                except WireError as error:
-                    reader.complete, reader.damage = False, f"a step is damaged ({error})"
-                    break
-                steps, last_step = steps + 1, outcome.step
-            elif topic == EPISODE_TOPIC:
-                try:
-                    ended += decode_ends(message.data)
-                except WireError as error:
-                    reader.complete, reader.damage = False, f"an episode is damaged ({error})"
-                    break
-            elif topic == "/sim/state" and not reader.header:
-                reader.require_header()
+    episodes: list[Episode] = []
+    with LogReader(path) as reader:
         header = reader.require_header()
-        channels = [
-            ChannelInfo(
-                channel.topic,
-                _schema_name(reader, channel),
-                channel.message_encoding,
-                counts[channel.topic],
-            )
-            for channel in sorted(reader.channels.values(), key=lambda c: c.topic)
-        ]
+        sizes = header.num_envs, header.moved_width, header.nstate
+        try:
+            for topic, _, data in reader.messages():
+                counts[topic] += 1
+                if topic == STEPS_TOPIC:
+                    run = unpack_run(data, *sizes)
+                    if run.steps:
+                        steps, last_step = steps + run.steps, run.first + run.count - 1
+                elif topic == EPISODE_TOPIC:
+                    episodes += map(Episode.of, decode_ends(data))
+        except DamageError as error:
+            reader.complete, reader.damage = False, f"a message is damaged: {error}"
+        # Of a log that ends early, an episode may be told whose last steps are missing.
+        cut = not reader.complete and header.state != "none" and header.every == 1
+        attachments, warnings = _attachments(reader)
+        channels = []
+        for channel in sorted(reader.channels.values(), key=lambda c: c.topic):
+            schema = reader.schemas.get(channel.schema_id)
+            name, encoding = schema.name if schema is not None else "", channel.message_encoding
+            channels.append(ChannelInfo(channel.topic, name, encoding, counts[channel.topic]))
         return LogSummary(
             path=reader.path,
             nbytes=reader.total_bytes,
             header=header,
             channels=channels,
             steps=steps,
-            episodes=_joined(header, episodes.ended if episodes else [], ended),
-            attachments={name: len(data) for name, data in reader.attachments.items()},
+            episodes=[e for e in episodes if not cut or e.last_step <= last_step],
+            attachments=attachments,
             compressions=sorted(reader.compressions),
             complete=reader.complete and reader.finished,
-            warnings=_warnings(reader, last_step),
+            warnings=[*_end(reader, last_step), *warnings],
             files=[file.name for file in reader.files],
         )
 
 
-def _joined(header: Header, found: list[Episode], ended: list[EndedEpisode]) -> list[Episode]:
-    """Episodes of a log's steps, or of `/episode` where steps are left out on purpose."""
-    if header.state == "none" or header.every > 1:
-        return [
-            Episode(e.env, e.episode, e.steps, e.total_reward, e.terminated, e.step, e.success)
-            for e in ended
-        ]
-    success = {(e.env, e.step): e.success for e in ended}
-    return [replace(e, success=success.get((e.env, e.last_step))) for e in found]
+def _attachments(reader: LogReader) -> tuple[dict[str, int], list[str]]:
+    """Sizes of the attachments, and what is wrong with them."""
+    sizes, warnings, model = {}, [], b""
+    for name in reader.attachments:
+        try:
+            data = reader.attachment(name)
+        except LogError as error:
+            reader.complete = False
+            warnings.append(str(error).removeprefix(f"{reader.path}: "))
+            continue
+        sizes[name] = len(data)
+        model = data if name == MODEL else model
+    try:
+        same = model_digest(unpack_model(model)) == reader.require_header().model
+    except LogError:
+        same = False
+    if not same:
+        warnings.append(f"the attachment {MODEL} is not the model that was recorded")
+    return sizes, warnings
 
 
-def _schema_name(reader: LogReader, channel: Channel) -> str:
-    schema = reader.schemas.get(channel.schema_id)
-    return schema.name if schema is not None else ""
-
-
-def _warnings(reader: LogReader, last_step: int) -> list[str]:
+def _end(reader: LogReader, last_step: int) -> list[str]:
+    """Where a log ends, if that is not as it should be."""
     warnings = []
-    if reader.recovered and reader.complete:
-        where = f"after step {last_step}" if last_step >= 0 else "before its first step is complete"
-        warnings.append(f"recovered from a broken file; it ends {where}: {reader.recovered}")
-    elif not reader.complete:
+    if not reader.complete:
         why = reader.damage or "its end is missing"
         missing = f"what followed step {last_step} is missing"
         warnings.append(f"incomplete: {why}; {missing if last_step >= 0 else 'no step is in it'}")
+    elif reader.recovered:
+        where = f"after step {last_step}" if last_step >= 0 else "before its first step is complete"
+        warnings.append(f"recovered from a broken file; it ends {where}: {reader.recovered}")
     elif not reader.finished:
         warnings.append("the recorder did not close this log: its last steps may be missing")
-    if reader.part_note:
-        warnings.append(reader.part_note)
-    mjb = reader.attachments.get("model.mjb", b"")
-    if model_digest(mjb) != reader.require_header().model:
-        warnings.append("the attachment model.mjb is not the model that was recorded")
-    return warnings
+    return [*warnings, *([reader.part_note] if reader.part_note else [])]

@@ -86,7 +86,7 @@ def test_it_is_played_to_who_looks_and_again(name, request):
     path = request.getfixturevalue(name)
     server, stop = FoxgloveServer("127.0.0.1", 0), threading.Event()
     topics = declare_channels(path, server)
-    assert "/sim/state" not in topics and {"/tf", "/env_1/scene", "/env_1/metrics"} <= set(topics)
+    assert "/sim/steps" not in topics and {"/tf", "/env_1/scene", "/env_1/metrics"} <= set(topics)
     player = threading.Thread(target=play_log, args=(path, server, stop.is_set), daemon=True)
     player.start()
     try:

@@ -168,7 +168,7 @@ BAD = {
         new="    mode: intervall",
     ),
     "wrong choice in a group": bad(
-        "command line: record.compression: expected one of 'zstd-fast', 'zstd', 'lz4', 'none', got "
+        "command line: record.compression: expected one of 'zstd', 'lz4', 'none', got "
         "'zst'. Did you mean 'zstd'?",
         overrides=("record.compression=zst",),
     ),

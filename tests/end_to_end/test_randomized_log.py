@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from embodichain.recording import McapRecorder
-from embodichain.recording.replay import verify
-from embodichain.recording.writer import LogWriter
+from embodichain.recording import McapRecorder, verify
+from embodichain.recording.log_writer import LogWriter
 from tests.helpers.randomizers import CASES
 from tests.helpers.ur10_task import HOME, builder
 
@@ -47,12 +46,9 @@ def test_it_verifies(tmp_path, late) -> None:
 
 @pytest.mark.parametrize("lost", ["all fields", "one field", "derived fields"])
 def test_what_was_randomized_before_the_log_belongs_to_it(tmp_path, monkeypatch, lost) -> None:
-    call = LogWriter.call
+    start = LogWriter.start
 
-    def forgetful(self, method, *args):
-        if method != "start":
-            return call(self, method, *args)
-        rows, fields = args
+    def forgetful(self, step, rows, fields):
         kept = dict(fields)
         if lost == "all fields":
             kept = {}
@@ -60,8 +56,8 @@ def test_what_was_randomized_before_the_log_belongs_to_it(tmp_path, monkeypatch,
             kept.pop("actuator_forcerange")
         else:
             kept["dof_invweight0"] = kept["dof_invweight0"] * 1.01
-        return call(self, method, rows, kept)
+        return start(self, step, rows, kept)
 
-    monkeypatch.setattr(LogWriter, "call", forgetful)
+    monkeypatch.setattr(LogWriter, "start", forgetful)
     record(tmp_path / "log.mcap", late=True)
     assert not verify(tmp_path / "log.mcap").ok

@@ -6,9 +6,8 @@ import gymnasium as gym
 import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode
-from tensordict import TensorDict
 
-from embodichain.lab.gym.envs.hooks import EnvHooks
+from embodichain.utils.tensor_mapping import TensorMapping
 
 
 class CountingEnv(gym.Env):
@@ -39,8 +38,8 @@ class CountingEnv(gym.Env):
             group_terms=self._group_terms,
             flatten=lambda obs, group: torch.cat([obs["where", "id"], obs["time"]], dim=1),
         )
-        self.metric_manager = SimpleNamespace(has_success=False)
-        self.termination_manager = SimpleNamespace(has_success=has_success, values={})
+        self.judges_success = has_success
+        self.termination_manager = SimpleNamespace(values={})
         self.weights = np.arange(float(self.num_envs))
         self.level = 3
         self.resets = []
@@ -48,9 +47,6 @@ class CountingEnv(gym.Env):
         self.count = np.zeros(self.num_envs, np.float32)
         self.episode = np.zeros(self.num_envs, np.float32)
         self._reward = torch.zeros(self.num_envs)
-
-    evaluate = EnvHooks.evaluate  # not overridden: says nothing of success
-    compute_task_state = EnvHooks.compute_task_state
 
     @staticmethod
     def _group_terms(group):
@@ -61,8 +57,8 @@ class CountingEnv(gym.Env):
     def _obs(self):
         ids = torch.arange(self.num_envs, dtype=torch.float32)[:, None]
         time = torch.from_numpy(np.stack([self.episode, self.count], axis=1))
-        where = TensorDict({"id": ids}, [self.num_envs])
-        return TensorDict({"where": where, "time": time}, [self.num_envs])
+        where = TensorMapping({"id": ids})
+        return TensorMapping({"where": where, "time": time})
 
     def reset(self, *, seed=None, options=None):
         self.resets.append((seed, options))

@@ -9,7 +9,7 @@ import pytest
 from mcap.writer import Writer
 
 from embodichain.recording import inspect, verify
-from embodichain.recording.header import LogError
+from embodichain.recording.log_error import LogError
 from embodichain.utils.errors import ConfigError
 
 ROOT = Path(__file__).parents[2]
@@ -65,7 +65,7 @@ def test_a_killed_run_reads_up_to_its_last_chunk(killed):
         "incomplete: the file ends early: it was not closed, or cut; "
         f"what followed step {summary.steps - 1} is missing"
     ]
-    assert set(summary.attachments) >= {"model.mjb", "scene.mjz", "config.yaml"}
+    assert set(summary.attachments) >= {"model.mjb.zst", "scene.mjz", "config.yaml"}
     assert summary.episodes
     report = verify(path)
     assert not report.ok
@@ -139,7 +139,7 @@ def test_a_later_format_is_refused(record, tmp_path):
     from tests.recording.rewrite import rewrite
 
     path = rewrite(
-        record(), tmp_path / "new.mcap", metadata=lambda name, v: {**v, "format_version": "3"}
+        record(), tmp_path / "new.mcap", metadata=lambda name, v: {**v, "format_version": "4"}
     )
-    with pytest.raises(LogError, match="format version '3'; this reads 1 to 2"):
+    with pytest.raises(LogError, match="format version '4'; this reads 3"):
         inspect(path)

@@ -6,8 +6,8 @@ import pytest
 
 import embodichain.recording as recording
 from embodichain.recording.film import film_log
-from embodichain.recording.header import LogError
-from embodichain.recording.messages import WriteRecord
+from embodichain.recording.log_error import LogError
+from embodichain.recording.schema import STEPS_TOPIC, message_class
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
 
@@ -89,9 +89,8 @@ def test_nothing_is_overwritten(record, tmp_path):
 
 def test_a_damaged_message_in_the_middle_leaves_no_file(record, tmp_path):
     def damage(topic, data):
-        if topic == "/sim/write" and WriteRecord.decode(data).step == 6:
-            return b"\xff\xff\xff"
-        return data
+        steps = topic == STEPS_TOPIC and message_class("Steps").FromString(data)
+        return b"\xff\xff\xff" if steps and steps.first >= 6 else data
 
     bad = rewrite(record(), tmp_path / "bad.mcap", message=damage)
     before = sorted(tmp_path.iterdir())

@@ -7,11 +7,12 @@ import pytest
 import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.recording import McapRecorder, RecordOptions, diff, inspect, verify
-from embodichain.recording.header import LogError
-from embodichain.recording.messages import State, StepOutcome
+from embodichain.recording.log_error import LogError
 from embodichain.recording.playback import Playback, Span
+from embodichain.recording.schema import START_TOPIC
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
+from tests.recording.runs import changed, flip
 from tests.recording.scene import SmallEnv
 
 KEYFRAMES = RecordOptions(state="keyframes", keyframe_every=8)
@@ -80,39 +81,16 @@ def test_one_environment_and_one_episode(record):
     assert report.ok and report.steps == 18 - 7
 
 
-def changed(path, target, step, change):
-    """A log whose message of a step is another."""
-
-    def message(topic, data):
-        return change(topic, data) if topic in ("/sim/step", "/sim/state") else data
-
-    return rewrite(path, target, message=lambda t, d: message(t, d))
-
-
 def test_a_changed_keyframe_is_found(record, tmp_path):
-    def change(topic, data):
-        state = State.decode(data) if topic == "/sim/state" else None
-        if state is None or state.step != 16:
-            return data
-        rows = state.rows.copy()
-        rows.view(np.uint64)[2, 3] ^= np.uint64(1)
-        return data.replace(state.rows.tobytes(), rows.tobytes())
-
-    path = changed(record(steps=30, options=KEYFRAMES), tmp_path / "bad.mcap", 16, change)
+    path, bad = record(steps=30, options=KEYFRAMES), tmp_path / "bad.mcap"
+    path = changed(path, bad, 16, "start", "row", flip((2, 3)), START_TOPIC)
     difference = verify(path).difference
     assert (difference.step, difference.env, difference.field) == (16, 2, "qpos[2]")
 
 
 def test_a_changed_hash_between_keyframes_is_found(record, tmp_path):
-    def change(topic, data):
-        outcome = StepOutcome.decode(data) if topic == "/sim/step" else None
-        if outcome is None or outcome.step != 11:
-            return data
-        hashes = outcome.physics.hashes.copy()
-        hashes[1] ^= np.uint64(1)
-        return data.replace(outcome.physics.hashes.tobytes(), hashes.tobytes())
-
-    path = changed(record(steps=30, options=KEYFRAMES), tmp_path / "bad.mcap", 11, change)
+    path, bad = record(steps=30, options=KEYFRAMES), tmp_path / "bad.mcap"
+    path = changed(path, bad, 11, "physics", "hashes", flip(1))
     difference = verify(path).difference
     assert (difference.step, difference.env, difference.field) == (11, 1, "hash")
     assert verify(path, env=0).ok
@@ -124,19 +102,11 @@ def test_a_changed_hash_between_keyframes_is_found(record, tmp_path):
 
 
 def test_a_changed_write_between_keyframes_is_found(record, tmp_path):
-    seen = []
-
-    def message(topic, data):
-        if topic == "/sim/write" and b"mocap_pos" in data:
-            seen.append(data)
-            if len(seen) == 6:  # after the physics of step 5; the next rows are those of step 8
-                return data[:-1] + bytes([data[-1] ^ 0x40])
-        return data
-
-    path = record(steps=30, options=KEYFRAMES)
-    difference = verify(rewrite(path, tmp_path / "bad.mcap", message=message)).difference
+    path, bad = record(steps=30, options=KEYFRAMES), tmp_path / "bad.mcap"
+    path = changed(path, bad, 5, "write", "values", flip((2, 1), 62), name="ctrl")
+    difference = verify(path).difference
     assert difference.env == 2
-    assert difference.step == 6
+    assert difference.step == 5
 
 
 def test_a_cut_log_verifies_up_to_its_end(record, tmp_path):

@@ -5,38 +5,28 @@ import pytest
 
 from embodichain.cli.dispatch import main
 from embodichain.recording import RecordOptions, diff
-from embodichain.recording.header import LogError
-from embodichain.recording.schemas import message_class
+from embodichain.recording.block import pack_run
+from embodichain.recording.log_error import LogError
+from embodichain.recording.schema import STEPS_TOPIC
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
+from tests.recording.runs import changed, header_of, unpack
 
 
 @pytest.fixture
-def changed(record, tmp_path):
-    """A log and a copy in which one message of step 6 is changed."""
+def nudged(record, tmp_path):
+    """A log and a copy in which an array of step 6 is changed."""
 
-    def make(topic, kind, change):
+    def make(kind, array, change, name=""):
         path = record(steps=12)
-
-        def message(found, data):
-            if found != topic:
-                return data
-            decoded = message_class(kind).FromString(data)
-            if decoded.step != 6 or make.done:
-                return data
-            make.done = True
-            change(decoded)
-            return decoded.SerializeToString(deterministic=True)
-
-        make.done = False
-        return path, rewrite(path, tmp_path / "changed.mcap", message=message)
+        return path, changed(path, tmp_path / "changed.mcap", 6, kind, array, change, name=name)
 
     return make
 
 
 def test_two_runs_alike_are_the_same(record):
     a = record("a.mcap", steps=15)
-    b = record("b.mcap", steps=15, threads=2, options=RecordOptions(compression="zstd"))
+    b = record("b.mcap", steps=15, threads=2, options=RecordOptions(compression="lz4"))
     report = diff(a, b)
     assert report.same
     assert report.steps == 15
@@ -52,13 +42,12 @@ def test_another_seed_differs_at_once(record):
     assert "seed: 0 and 1" in report.notes
 
 
-def test_a_state_is_named_by_joint(changed):
-    def nudge(message):  # environment 1, column 4 of its rows: time, then qpos
-        at = message.width + 4
-        nudge.values = message.state[at], np.nextafter(message.state[at], 9.0)
-        message.state[at] = nudge.values[1]
+def test_a_state_is_named_by_joint(nudged):
+    def nudge(rows):  # environment 1, column 4 of its rows: time, then qpos
+        nudge.values = rows[1, 4], np.nextafter(rows[1, 4], 9.0)
+        rows[1, 4] = nudge.values[1]
 
-    a, b = changed("/sim/state", "BatchedState", nudge)
+    a, b = nudged("physics", "rows", nudge)
     found = diff(a, b).difference
     assert (found.step, found.env, found.field, found.column) == (6, 1, "qpos", "cube/free.y")
     assert (found.a, found.b) == nudge.values
@@ -66,21 +55,14 @@ def test_a_state_is_named_by_joint(changed):
 
 
 @pytest.mark.parametrize(
-    ("kind", "change", "expected"),
+    ("array", "change", "expected"),
     [
-        ("reward", lambda m: m.reward.__setitem__(2, 7.0), (2, "reward", "", 7.0)),
-        ("action", lambda m: m.action.__setitem__(3, 7.0), (1, "action", "1", 7.0)),
-        (
-            "truncated",
-            lambda m: setattr(m, "truncated", bytes([0, 1 - m.truncated[1], 0])),
-            None,
-        ),
-        ("hash", lambda m: m.hash.__setitem__(1, 0xAB), (1, "result of physics", "hash",
-                                                         "00000000000000ab")),
+        ("reward", lambda v: v.__setitem__(2, 7.0), (2, "reward", "", 7.0)),
+        ("truncated", lambda v: v.__setitem__(1, ~v[1]), None),
     ],
-)  # fmt: skip
-def test_outcomes_are_named(changed, kind, change, expected):
-    found = diff(*changed("/sim/step", "Step", change)).difference
+)
+def test_outcomes_are_named(nudged, array, change, expected):
+    found = diff(*nudged("step", array, change)).difference
     assert found.step == 6
     if expected is not None:
         assert (found.env, found.field, found.column, found.b) == expected
@@ -88,12 +70,37 @@ def test_outcomes_are_named(changed, kind, change, expected):
         assert found.field == "truncated"
 
 
-def test_a_write_is_named_by_environment_and_column(changed):
-    def nudge(message):
-        assert message.field == "ctrl"
-        message.values[5] += 1.0
+def test_an_action_is_named(record, tmp_path):
+    a = record("a.mcap", steps=12)
 
-    found = diff(*changed("/sim/write", "Write", nudge)).difference
+    def message(topic, data):
+        if topic != STEPS_TOPIC:
+            return data
+        run = unpack(header_of(a), data)
+        steps = [[[v[t].copy() for v in c.arrays.values()] for c in run.calls]
+                 for t in range(run.count)]  # fmt: skip
+        if run.first <= 6 < run.first + run.count:
+            steps[6 - run.first][-1][0][1, 1] = 7.0  # of the step, not of the write
+        return pack_run(run.first, [call.kind for call in run.calls], steps)
+
+    found = diff(a, rewrite(a, tmp_path / "b.mcap", message=message)).difference
+    assert (found.step, found.env, found.field) == (6, 1, "action")
+    assert (found.column, found.b) == ("1", 7.0)
+
+
+def test_a_hash_is_named(record, tmp_path):
+    a = record(steps=12, options=RecordOptions("keyframes"))
+    b = changed(a, tmp_path / "b.mcap", 6, "physics", "hashes", lambda v: v.__setitem__(1, 0xAB))
+    found = diff(a, b).difference
+    assert (found.step, found.env, found.field) == (6, 1, "result of physics")
+    assert (found.column, found.b) == ("hash", "00000000000000ab")
+
+
+def test_a_write_is_named_by_environment_and_column(nudged):
+    def nudge(values):
+        values[2, 1] += 1.0
+
+    found = diff(*nudged("write", "values", nudge, "ctrl")).difference
     assert (found.step, found.env, found.field, found.column) == (6, 2, "write ctrl", "1")
 
 
@@ -146,5 +153,5 @@ def test_a_log_that_claims_to_have_all_states_is_refused(record, tmp_path):
     def forge(name, values):
         return values | ({"state": "all", "keyframe_every": "0"} if "state" in values else {})
 
-    with pytest.raises(LogError, match="a message is damaged: rows have 0 columns"):
+    with pytest.raises(LogError, match="a message is damaged: step 0 has no rows"):
         diff(path, rewrite(path, tmp_path / "forged.mcap", metadata=forge))

@@ -31,7 +31,7 @@ def validate(validator, path):
     return done.returncode, json.loads(done.stdout)
 
 
-@pytest.mark.parametrize("compression", ["zstd-fast", "lz4", "zstd", "none"])
+@pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
 def test_reads_it_indexed_and_as_a_stream(validator, record, compression):
     path = record(steps=30, options=RecordOptions(compression=compression, view_envs=(0, 2)))
     code, found = validate(validator, path)
@@ -41,7 +41,7 @@ def test_reads_it_indexed_and_as_a_stream(validator, record, compression):
     assert found["counts"] == {c.topic: c.messages for c in summary.channels if c.messages}
     assert found["attachments"] == summary.attachments
     assert found["metadata"] == ["embodichain", "embodichain.end"]
-    assert found["counts"]["/sim/state"] == 31
+    assert found["counts"]["/sim/start"] == 1
     assert int(found["end"]) - int(found["start"]) == 30 * 20_000_000
 
 

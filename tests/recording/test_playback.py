@@ -6,7 +6,7 @@ import pytest
 import embodichain.recording as recording
 from embodichain.lab.gym.envs.observers import StepObserver
 from embodichain.recording import RecordOptions
-from embodichain.recording.header import LogError
+from embodichain.recording.log_error import LogError
 from embodichain.recording.playback import Playback, Span, span_of
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import SmallEnv

@@ -11,19 +11,16 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
 import time
 from contextlib import suppress
 from pathlib import Path
 
 import pytest
 
-from benchmarks.log_survival import children_of
 from embodichain.cli import main
-from embodichain.recording import McapRecorder, inspect, verify, write_process
+from embodichain.recording import McapRecorder, inspect, verify
 from embodichain.recording.recover import recover
 from embodichain.utils.errors import ConfigError
-from tests.helpers.writing_here import write_here
 from tests.recording.scene import SmallEnv
 
 ROOT = Path(__file__).parents[2]
@@ -57,11 +54,8 @@ def run_in(folder, *words, **kwargs):
 def test_killed_at_any_moment_it_reads_verifies_and_recovers(tmp_path, moment):
     process, log = run_in(tmp_path)
     time.sleep(random.Random(moment).uniform(0, 1.5))
-    if moment % 2:  # with the process that writes: the machine ran out of memory, say
-        (writer,) = children_of(process.pid)
-        os.kill(writer, signal.SIGKILL)
     process.kill()
-    process.communicate()  # until both have ended
+    process.communicate()
     before = log.read_bytes()
     broken = verify(log)
     assert broken.difference is None
@@ -142,45 +136,6 @@ def test_an_exception_in_a_users_code_leaves_a_whole_log(tmp_path, capfd, monkey
     assert json.loads((folder / "summary.json").read_text())["status"] == "failed"
 
 
-def steps_in(path):
-    try:
-        return inspect(path).steps
-    except ConfigError:
-        return 0  # its beginning is not there yet
-
-
-def test_what_no_step_hands_over_is_written_within_a_while(tmp_path):
-    """A policy that thinks for long after a step: the step is in the file meanwhile."""
-    env = SmallEnv()
-    recorder = McapRecorder(tmp_path / "log.mcap", env)
-    env.add_observer(recorder)
-    env.reset()
-    deadline = time.monotonic() + 60
-    for _ in range(3):
-        env.step()
-    while time.monotonic() < deadline and steps_in(tmp_path / "log.mcap") < 3:
-        time.sleep(0.05)
-    assert inspect(tmp_path / "log.mcap").steps == 3
-    env.close()
-    assert verify(tmp_path / "log.mcap").ok
-
-
-def test_the_first_steps_are_written_as_soon_as_the_writer_can(tmp_path, monkeypatch):
-    """They have waited for its process to start: they do not wait for the next flush as well."""
-    write_here(monkeypatch.setattr)
-    monkeypatch.setattr(write_process, "FLUSH_SECONDS", 1e9)
-    env = SmallEnv()
-    env.add_observer(McapRecorder(tmp_path / "log.mcap", env))
-    env.reset()
-    deadline = time.monotonic() + 20
-    for _ in range(3):
-        env.step()
-    while time.monotonic() < deadline and not steps_in(tmp_path / "log.mcap"):
-        time.sleep(0.05)
-    assert inspect(tmp_path / "log.mcap").steps
-    env.close()
-
-
 def test_a_growing_log_is_read_by_others(tmp_path):
     env = SmallEnv()
     recorder = McapRecorder(tmp_path / "log.mcap", env)
@@ -197,19 +152,3 @@ def test_a_growing_log_is_read_by_others(tmp_path):
         assert (report.steps, report.difference) == (steps, None)
     env.close()
     assert verify(tmp_path / "log.mcap").ok
-
-
-def test_steps_and_what_is_handed_over_meanwhile_keep_their_order(tmp_path, monkeypatch):
-    """What is pending is looked for all the time, while steps are made."""
-    monkeypatch.setattr("embodichain.recording.writer.IDLE_SECONDS", 0.0)
-    env = SmallEnv(num_envs=2)
-    recorder = McapRecorder(tmp_path / "log.mcap", env)
-    env.add_observer(recorder)
-    env.reset()
-    for _ in range(300):
-        env.step()
-    env.close()
-    report = verify(tmp_path / "log.mcap")
-    assert report.ok, str(report)
-    assert report.steps == 300
-    assert threading.active_count() < 20

@@ -54,7 +54,7 @@ def test_the_fuzzer_tells_a_traceback_from_a_clear_error(tmp_path, monkeypatch):
     def broken(path):
         raise KeyError("qpos")
 
-    monkeypatch.setattr("embodichain.recording.replay.summarize", broken)
+    monkeypatch.setattr("embodichain.recording.inspect", broken)
     outcome, why = outcome_of(path, everything=False)
     assert outcome == "traceback"
     assert "KeyError('qpos')" in why

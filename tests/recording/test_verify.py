@@ -5,20 +5,21 @@ import sys
 from pathlib import Path
 
 import mujoco
-import numpy as np
 import pytest
+import zstandard
 
 import embodichain.recording as recording
 from embodichain.cli.dispatch import main
 from embodichain.recording import inspect, verify
-from embodichain.recording.attachments import load_mjb, model_bytes, model_digest
-from embodichain.recording.columns import RowColumns
-from embodichain.recording.messages import State, StepOutcome
+from embodichain.recording.attachments import MODEL as MODEL_FILE
+from embodichain.recording.attachments import load_mjb, model_bytes, model_digest, unpack_model
 from embodichain.recording.options import RecordOptions
 from embodichain.recording.playback import Playback, Span
 from embodichain.recording.provenance import cpu_name
+from embodichain.recording.schema import START_TOPIC
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
+from tests.recording.runs import changed, flip, header_of
 from tests.recording.scene import MODEL
 
 
@@ -70,28 +71,12 @@ def test_what_is_not_in_the_log(record, arguments):
         verify(record(), **arguments)
 
 
-class Flip:
-    """Changes one bit of one number of one row of the state message of a step."""
-
-    def __init__(self, step, env, column, bit=0):
-        self.step, self.env, self.column, self.bit = step, env, column, bit
-
-    def __call__(self, topic, data):
-        if topic != "/sim/state":
-            return data
-        state = State.decode(data)
-        if state.step != self.step:
-            return data
-        changed = state.rows.copy()
-        changed.view(np.uint64)[self.env, self.column] ^= np.uint64(1) << np.uint64(self.bit)
-        return data.replace(state.rows.tobytes(), changed.tobytes())
-
-
 @pytest.mark.parametrize(
     ("column", "bit", "field"), [(1, 0, "qpos[0]"), (3, 63, "qpos[2]"), (0, 7, "time[0]")]
 )
 def test_a_changed_bit_of_a_state_is_named(record, tmp_path, column, bit, field):
-    path = rewrite(record(), tmp_path / "bad.mcap", message=Flip(11, 1, column, bit))
+    change = flip((1, column), bit)
+    path = changed(record(), tmp_path / "bad.mcap", 11, "physics", "rows", change)
     report = verify(path)
     assert not report.ok
     assert (report.difference.step, report.difference.env) == (11, 1)
@@ -101,13 +86,16 @@ def test_a_changed_bit_of_a_state_is_named(record, tmp_path, column, bit, field)
     assert verify(path, env=0).ok
     assert not verify(path, env=1).ok
     assert verify(path, env=1, episode=0).ok  # steps 0 to 7
-    # the episode it is in: the row is not its first, so it is compared
+    # the episode it is in
     assert verify(path, env=1, episode=1).difference.field == field
 
 
-def test_a_changed_bit_where_an_episode_is_entered_shows_in_the_hash(record, tmp_path):
-    # step 8 is the first of environment 1's second episode: that row is taken over
-    path = rewrite(record(), tmp_path / "bad.mcap", message=Flip(8, 1, 1, 40))
+def test_a_changed_bit_where_an_episode_is_entered_shows(record, tmp_path):
+    # step 8 is the first of environment 1's second episode; what the reset left is changed
+    change = flip((0, 1), 40)
+    path = changed(record(), tmp_path / "bad.mcap", 7, "write", "values", change, name="row")
+    assert verify(path, env=1).difference.field == "qpos[0]"
+    path = changed(record("b.mcap"), tmp_path / "c.mcap", 8, "physics", "rows", flip((1, 1), 40))
     difference = verify(path, env=1, episode=1).difference
     assert difference.step == 8
     assert verify(path, env=1).difference.field == "qpos[0]"
@@ -124,7 +112,7 @@ def test_another_model_differs_from_the_first_step(record, tmp_path):
     path = rewrite(
         record(),
         tmp_path / "bad.mcap",
-        attachment=lambda name, data: mjb if name == "model.mjb" else data,
+        attachment=lambda name, data: zstandard.compress(mjb) if name == MODEL_FILE else data,
         metadata=metadata,
     )
     report = verify(path)
@@ -134,65 +122,46 @@ def test_another_model_differs_from_the_first_step(record, tmp_path):
 
 
 def test_a_swapped_attachment_is_not_the_recorded_model(record, tmp_path):
-    path = rewrite(
-        record(),
-        tmp_path / "bad.mcap",
-        attachment=lambda name, data: data[:-1] + b"\x5a" if name == "model.mjb" else data,
-    )
+    def swapped(name, data):
+        if name != MODEL_FILE:
+            return data
+        return zstandard.compress(unpack_model(data)[:-1] + b"\x5a")
+
+    path = rewrite(record(), tmp_path / "bad.mcap", attachment=swapped)
     report = verify(path)
     assert not report.ok
     assert report.steps == 0
-    problem = "the attachment model.mjb is not the model that was recorded"
+    problem = "the attachment model.mjb.zst is not the model that was recorded"
     assert report.problems == [problem]
     assert inspect(path).warnings == [problem]
 
 
-def test_a_changed_write_is_found(record, tmp_path):
-    seen = []
-
-    def message(topic, data):
-        if topic == "/sim/write" and b"mocap_pos" in data:
-            seen.append(data)
-            if len(seen) == 6:
-                return data[:-1] + bytes([data[-1] ^ 0x40])
-        return data
-
-    report = verify(rewrite(record(), tmp_path / "bad.mcap", message=message))
-    # the sixth write follows the physics of step 5: what step 6 was simulated from shows it
-    assert (report.difference.step, report.difference.env) == (6, 2)
-    assert report.difference.field == "hash"  # a marker, which moves nothing
-
-
 def test_a_changed_write_is_named_by_what_it_moves(record, tmp_path):
-    seen = []
-
-    def message(topic, data):
-        if topic == "/sim/write" and b"ctrl" in data:
-            seen.append(data)
-            if len(seen) == 6:
-                return data[:-1] + bytes([data[-1] ^ 0x40])
-        return data
-
-    report = verify(rewrite(record(), tmp_path / "bad.mcap", message=message))
-    assert report.difference.env == 2
+    change = flip((2, 1), 62)
+    bad = changed(record(), tmp_path / "bad.mcap", 5, "write", "values", change, name="ctrl")
+    report = verify(bad)
+    assert (report.difference.step, report.difference.env) == (5, 2)
     assert report.difference.field.startswith(("qpos", "qvel", "qacc"))
 
 
-def test_a_changed_hash_is_found(record, tmp_path):
-    def message(topic, data):
-        if topic == "/sim/step":
-            outcome = StepOutcome.decode(data)
-            if outcome.step == 4:
-                hashes = outcome.physics.hashes.copy()
-                hashes[2] ^= np.uint64(1)
-                return data.replace(outcome.physics.hashes.tobytes(), hashes.tobytes())
-        return data
+def test_a_changed_start_is_found(record, tmp_path):
+    options = RecordOptions("keyframes", keyframe_every=8)
+    column = header_of(path := record(options=options)).layout["mocap_pos"][0]
+    change = flip((2, column))
+    bad = changed(path, tmp_path / "bad.mcap", 8, "start", "row", change, START_TOPIC)
+    report = verify(bad)
+    assert (report.difference.step, report.difference.env) == (8, 2)
+    assert report.difference.field == "mocap_pos[0]"  # a marker, which moves nothing
 
-    difference = verify(rewrite(record(), tmp_path / "bad.mcap", message=message)).difference
+
+def test_a_changed_hash_is_found(record, tmp_path):
+    path = record(options=RecordOptions("keyframes"))
+    bad = changed(path, tmp_path / "bad.mcap", 4, "physics", "hashes", flip(2))
+    difference = verify(bad).difference
     assert (difference.step, difference.env, difference.field) == (4, 2, "hash")
 
 
-@pytest.mark.parametrize("topic", ["/sim/state", "/sim/write", "/sim/step", "/sim/physics"])
+@pytest.mark.parametrize("topic", ["/sim/start", "/sim/steps"])
 def test_a_message_that_is_no_message(record, tmp_path, topic):
     def message(this, data):
         return data[: len(data) - 3] if this == topic else data
@@ -282,25 +251,6 @@ def test_progress_is_told(record):
     assert steps == list(range(1, 21))
 
 
-def test_whole_rows_begin_at_the_first_applied_force(record):
-    from embodichain.recording.reader import LogReader
-
-    with LogReader(record(push=True)) as reader:
-        widths = [
-            State.decode(m.data).rows.shape[1]
-            for topic, m in reader.messages()
-            if topic == "/sim/state"
-        ]
-        header = reader.require_header()
-    columns = RowColumns(header.slices())
-    narrow, moved = columns.width, columns.moved_width
-    # Every reset, in steps 3, 6 and so on, is followed by a state with inputs.
-    assert widths[:3] == [narrow, moved, moved]
-    assert set(widths[3:]) == {header.nstate, moved}
-    assert widths[3] == widths[-1] == header.nstate
-    assert narrow == header.nstate - MODEL.nv - 6 * MODEL.nbody
-
-
 def test_what_is_another_here_is_said_where_physics_differs(record, tmp_path):
     def attachment(name, data):
         if name != "versions.json":
@@ -312,14 +262,13 @@ def test_what_is_another_here_is_said_where_physics_differs(record, tmp_path):
     whole = record()
     elsewhere = rewrite(whole, tmp_path / "elsewhere.mcap", attachment=attachment)
     assert verify(elsewhere).ok  # a name alone is no difference
-    flip = Flip(step=5, env=1, column=3, bit=2)
-    bad = rewrite(whole, tmp_path / "bad.mcap", message=flip, attachment=attachment)
-    report = verify(bad)
+    difference = 5, "physics", "rows", flip((1, 3), 2)
+    report = verify(changed(elsewhere, tmp_path / "bad.mcap", *difference))
     assert not report.ok
     assert report.notes[0] == f"processor Abacus 9000 there, {cpu_name()} here"
     assert "can be played all the same" in report.notes[1]
     assert report.notes[1] in str(report)
-    same = verify(rewrite(whole, tmp_path / "changed.mcap", message=flip))
+    same = verify(changed(whole, tmp_path / "changed.mcap", *difference))
     assert "the file was changed" in same.notes[0]
 
 

@@ -14,8 +14,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_sb3
 import embodichain
 from embodichain.config import compose, list_options
 from embodichain.learning import SB3VecEnv
-from embodichain.recording import McapRecorder
-from embodichain.recording.replay import verify
+from embodichain.recording import McapRecorder, verify
 from tests.end_to_end.test_invariance import action_of, tensors
 
 CONF = Path(embodichain.__file__).parent / "conf" / "task"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import inspect
 import re
-import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
+from types import UnionType
 from typing import Any
 
 from embodichain.lab.gym.envs.managers.registry import Kind, describe_term, register_term
@@ -27,6 +27,7 @@ def alias(
     params: Mapping[str, str] | None = None,
     options: Iterable[str] = (),
     defaults: Mapping[str, Any] | None = None,
+    hints: Mapping[str, Any] | None = None,
     fixed: Mapping[str, Any] | None = None,
     extra: Mapping[str, tuple[Any, Any, str]] | None = None,
     convert: Convert | None = None,
@@ -43,6 +44,7 @@ def alias(
         params: Its parameter -> the target's, in order; needed unless in `defaults`.
         options: Parameters that keep the target's name and default.
         defaults: Other defaults, by the alias's names.
+        hints: Other types, by the alias's names.
         fixed: Values of parameters of the target that the alias lacks.
         extra: Further parameters -> type, default (`inspect.Parameter.empty`: needed) and what it
             is; `convert` handles them.
@@ -51,13 +53,14 @@ def alias(
         caller: The module that the alias belongs to.
     """
     spec = describe_term(kind, target)
-    hints, documented = spec.hints(), _arguments(spec.doc)
+    types, documented = spec.hints(), _arguments(spec.doc)
     renames = {**(params or {}), **{option: option for option in options}}
     defaults, fixed = defaults or {}, fixed or {}
     signature = [inspect.Parameter("env", inspect.Parameter.POSITIONAL_OR_KEYWORD)]
     lines = []
     for new, old in renames.items():
-        hint, default = hints[old], defaults.get(new, spec.params[old].default)
+        hint = (hints or {}).get(new, types[old])
+        default = defaults.get(new, spec.params[old].default)
         if new in (params or {}) and new not in defaults:
             hint, default = _given(hint), inspect.Parameter.empty
         signature.append(_keyword(new, default, hint))
@@ -99,7 +102,7 @@ def _keyword(name: str, default: Any, annotation: Any) -> inspect.Parameter:
 
 def _given(hint: Any) -> Any:
     """A type without None."""
-    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+    if typing.get_origin(hint) in (typing.Union, UnionType):
         parts = [part for part in typing.get_args(hint) if part is not type(None)]
         return parts[0] if len(parts) == 1 else hint
     return hint

@@ -10,7 +10,6 @@ import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
-from tensordict import TensorDict
 
 from embodichain.lab.gym.envs.autoreset import parse_mode
 from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -112,8 +111,6 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
         return found
 
     def _array(self, value: Any) -> Any:
-        if isinstance(value, TensorDict):
-            return numpy_obs(value)
         if isinstance(value, Mapping):
             return {key: self._array(v) for key, v in value.items()}
         if isinstance(value, torch.Tensor):

@@ -152,6 +152,15 @@ class SimulationManagerCfg:
     ground_plane: bool = dataclasses.field(default=True, kw_only=True)
     """Whether the `default_plane` at z = 0 exists."""
 
+    @property
+    def prepared_scene(self) -> Any:
+        """A `PreparedScene` of the same config, or None; not part of the config's values."""
+        return vars(self).get("_prepared_scene")
+
+    @prepared_scene.setter
+    def prepared_scene(self, prepared: Any) -> None:
+        vars(self)["_prepared_scene"] = prepared
+
 
 @configclass
 class ObjectBaseCfg:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.compiler.pose import initial_pose
+from embodichain.lab.sim.compiler.rigid_math import initial_pose
 from embodichain.utils.math import quat_rotate
 
 if TYPE_CHECKING:

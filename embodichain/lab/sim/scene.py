@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,22 +17,26 @@ from embodichain.lab.sim.cfg import (
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_articulation
 from embodichain.lab.sim.compiler.chatter import DriveChange, physics_step
 from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
-from embodichain.lab.sim.compiler.sensor_plans import plan_sensor
+from embodichain.lab.sim.compiler.scene_sensors import plan_sensor
 from embodichain.lab.sim.engine.base import Engine
 from embodichain.lab.sim.host import Host
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
-from embodichain.lab.sim.sensors.base import BaseSensor
-from embodichain.lab.sim.sensors.camera_cfg import CameraCfg, no_camera
-from embodichain.lab.sim.sensors.cfg import SensorCfg
-from embodichain.lab.sim.sensors.contact import ContactSensor
-from embodichain.lab.sim.sensors.force_torque import ForceTorqueSensor
-from embodichain.lab.sim.sensors.imu import ImuSensor
+from embodichain.lab.sim.prepared_scene import PreparedScene
+from embodichain.lab.sim.sensors.cfg import CameraCfg, SensorCfg, no_camera
+from embodichain.lab.sim.sensors.sensor_handles import (
+    BaseSensor,
+    ContactSensor,
+    ForceTorqueSensor,
+    ImuSensor,
+)
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["Entity", "Scene"]
+
+_log = logging.getLogger(__name__)
 
 Entity = Articulation | RigidObject
 
@@ -45,6 +50,9 @@ _SENSORS: dict[str, type[BaseSensor]] = {
 class Scene:
     """Entities and sensors by uid; compiled once, after which nothing can be added.
 
+    What a check of the same config has read and compiled (`PreparedScene`) is used. What a user
+    should be told about files is logged as warnings, once.
+
     Args:
         cfg: Physics options and ground plane.
         host: The simulation that the handles belong to.
@@ -57,6 +65,7 @@ class Scene:
     def __init__(self, cfg: SimulationManagerCfg, host: Host) -> None:
         self._cfg = cfg
         self._host = host
+        self._prepared: PreparedScene = cfg.prepared_scene or PreparedScene()
         self.robots: dict[str, Robot] = {}
         self.articulations: dict[str, Articulation] = {}
         self.rigid_objects: dict[str, RigidObject] = {}
@@ -79,13 +88,18 @@ class Scene:
     def compile(self) -> CompiledScene:
         """Compile everything into one model; the second time return it."""
         if self.compiled is None:
-            self.compiled = compile_scene(
+            articulations = [articulation.parsed for articulation in self.jointed.values()]
+            parts = (
                 self._cfg,
-                [articulation.parsed for articulation in self.jointed.values()],
+                articulations,
                 {uid: obj.cfg for uid, obj in self.rigid_objects.items()},
                 {uid: light.cfg for uid, light in self.lights.items()},
                 {uid: sensor.plan for uid, sensor in self.sensors.items()},
             )
+            self.compiled = self._prepared.take_scene(*parts) or compile_scene(*parts)
+            notes = [f"{parsed.uid}: {note}" for parsed in articulations for note in parsed.notes]
+            for note in (*notes, *self.compiled.notes):
+                _log.warning("%s", note)
         return self.compiled
 
     def bind(self, engine: Engine) -> None:
@@ -121,8 +135,8 @@ class Scene:
         return uid
 
     def _parse(self, uid: str, cfg: ArticulationCfg) -> ParsedArticulation:
-        step = physics_step(self._cfg)
-        return parse_articulation(uid, cfg, step, self.drive_changes.get(uid, ()))
+        wanted = uid, cfg, physics_step(self._cfg), self.drive_changes.get(uid, ())
+        return self._prepared.take_articulation(*wanted) or parse_articulation(*wanted)
 
     def add_robot(self, cfg: RobotCfg) -> Robot:
         """Add a robot; its file is read at once, so names and limits are known on return.

@@ -31,9 +31,8 @@ from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.scene import Entity, Scene
-from embodichain.lab.sim.sensors.base import BaseSensor
-from embodichain.lab.sim.sensors.camera_cfg import CameraCfg
-from embodichain.lab.sim.sensors.cfg import SensorCfg
+from embodichain.lab.sim.sensors.cfg import CameraCfg, SensorCfg
+from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.lab.sim.upstream_members import UpstreamMembers
 
 if TYPE_CHECKING:

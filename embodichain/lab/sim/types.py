@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import torch
-from tensordict import TensorDict
+
+from embodichain.utils.tensor_mapping import TensorMapping
 
 __all__ = ["Array", "Device", "EnvAction", "EnvIds", "EnvObs"]
 
@@ -15,5 +16,6 @@ Array = torch.Tensor | np.ndarray[Any, Any] | Sequence[Any]
 Device = str | torch.device
 EnvIds = torch.Tensor | np.ndarray[Any, Any] | Sequence[int] | None
 """Sorted, unique environment indices, or a boolean mask of length N; None is all of them."""
-EnvObs = TensorDict
-EnvAction = torch.Tensor | TensorDict
+EnvObs = TensorMapping
+"""Nested tensors (N, ...)."""
+EnvAction = torch.Tensor | Mapping[str, torch.Tensor]

@@ -49,28 +49,26 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """A format of files.
+    """A format of files, written by `write(log, part, path)` of the module of its name.
 
     Attributes:
         suffix: Of the file's name; empty where it is a folder.
-        module: Below this package; its `write(log, part, path)` makes the file.
         what: One line.
     """
 
     suffix: str
-    module: str
     what: str
 
 
 FORMATS: Mapping[str, Format] = {
-    "csv": Format(".csv", "csv", "a table, a row for each step and environment"),
-    "npz": Format(".npz", "npz", "numpy arrays (T, N, ...), with names and units of columns"),
-    "parquet": Format(".parquet", "parquet", "the table of csv, columnar and typed"),
-    "hdf5": Format(".hdf5", "hdf5", "demonstrations in robomimic's layout, one for each episode"),
-    "lerobot": Format("", "lerobot", "a LeRobotDataset v3, with films of the task's cameras"),
-    "rrd": Format(".rrd", "rrd", "a recording for Rerun: scene, curves, events"),
-    "ros2": Format(".mcap", "ros2", "a ROS 2 bag: joint states, transforms, robot description"),
-    "mp4": Format(".mp4", "mp4", "a film of one environment"),
+    "csv": Format(".csv", "a table, a row for each step and environment"),
+    "npz": Format(".npz", "numpy arrays (T, N, ...), with names and units of columns"),
+    "parquet": Format(".parquet", "the table of csv, columnar and typed"),
+    "hdf5": Format(".hdf5", "demonstrations in robomimic's layout, one for each episode"),
+    "lerobot": Format("", "a LeRobotDataset v3, with films of the task's cameras"),
+    "rrd": Format(".rrd", "a recording for Rerun: scene, curves, events"),
+    "ros2": Format(".mcap", "a ROS 2 bag: joint states, transforms, robot description"),
+    "mp4": Format(".mp4", "a film of one environment"),
 }
 _PACKAGES = {"rerun": "rerun-sdk"}
 """Packages whose names are others than their modules'."""
@@ -120,7 +118,7 @@ def export(
     part = part or Part()
     log.header.require_states(log.path)
     _require_steps(log, part)
-    module = importlib.import_module(f"embodichain.recording.export.{chosen.module}")
+    module = importlib.import_module(f"embodichain.recording.export.{format}")
     watching = {"progress": progress, "stop": stop} if format == "mp4" else {}
     with _new_file(path, chosen.suffix) as partial:
         module.write(log, part, partial, **watching)

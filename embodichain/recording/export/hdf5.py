@@ -20,7 +20,7 @@ from embodichain.recording.episodes import LogEpisode
 from embodichain.recording.export.demonstrations import demonstrations
 from embodichain.recording.export.formats import Part, required
 from embodichain.recording.export.table import about
-from embodichain.recording.header import LogError
+from embodichain.recording.log_error import LogError
 
 __all__ = ["write"]
 

@@ -6,6 +6,7 @@ the task's cameras saw (`record_camera_data`), drawn again from the states.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,14 +17,16 @@ from embodichain.recording.api import Log
 from embodichain.recording.episodes import LogEpisode
 from embodichain.recording.export.demonstrations import demonstrations
 from embodichain.recording.export.formats import Part, required
-from embodichain.recording.export.lerobot_features import Columns, Feature, features_of
-from embodichain.recording.export.lerobot_files import Frames, write_info, write_meta
-from embodichain.recording.export.lerobot_videos import Videos
-from embodichain.recording.header import LogError
+from embodichain.recording.export.lerobot_frames import Columns, Feature, Frames, features_of
+from embodichain.recording.export.lerobot_stats import merged
+from embodichain.recording.export.lerobot_videos import CHUNK, FILE, VIDEO, Videos
+from embodichain.recording.log_error import LogError
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["write"]
 
+_VERSION = "v3.0"
+_DATA = f"data/{FILE}.parquet"
 _BLOCK_BYTES = 2**28
 """About how much of a log is held at a time."""
 
@@ -48,34 +51,63 @@ def write(log: Log, part: Part, path: Path) -> None:
     features = features_of(log)
     videos = Videos(log, path, fps)
     path.mkdir()
-    frames = Frames(path, features, fps)
-    for columns in _read(log, chosen, features):
-        frames.add(columns)
-    frames.close()
+    frames = Frames(path / _DATA.format(chunk_index=0, file_index=0), features, fps)
+    frames.write(_read(log, chosen, features))
     videos.draw([(episode.env, steps) for episode, steps in chosen])
-    sources = [
-        {
-            "source/env": episode.env,
-            "source/episode": episode.episode,
-            "source/first_step": steps.start,
-        }
-        for episode, steps in chosen
-    ]
-    described = log.config.get("task") if isinstance(log.config.get("task"), dict) else {}
-    write_meta(path, _sentence(described, log), frames, videos, sources)
-    write_info(path, _robot(described), frames, videos)
-
-
-def _sentence(task: Any, log: Log) -> str:
-    """What the episodes are about, in words."""
-    text = task.get("description")
-    return text if isinstance(text, str) and text else log.task
-
-
-def _robot(task: Any) -> str | None:
-    robot = task.get("robot")
+    _write_meta(path, log, chosen, frames, videos)
+    task: Any = log.config.get("task")
+    robot = task.get("robot") if isinstance(task, dict) else None
     uid = robot.get("uid") if isinstance(robot, dict) else None
-    return str(uid) if uid is not None else None
+    info = {
+        "codebase_version": _VERSION,
+        "robot_type": None if uid is None else str(uid),
+        "total_episodes": len(chosen),
+        "total_frames": frames.total,
+        "total_tasks": 1,
+        "chunks_size": CHUNK,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": fps,
+        "splits": {"train": f"0:{len(chosen)}"},
+        "data_path": _DATA,
+        "video_path": VIDEO if videos.features else None,
+        "features": frames.info() | videos.features,
+    }
+    (path / "meta/info.json").write_text(json.dumps(info, indent=4))
+
+
+def _write_meta(
+    root: Path,
+    log: Log,
+    chosen: list[tuple[LogEpisode, range]],
+    frames: Frames,
+    videos: Videos,
+) -> None:
+    """Write the task, the episodes, where in the log they come from, and their statistics."""
+    pa: Any = required("pyarrow", "lerobot")
+    pq: Any = required("pyarrow.parquet", "lerobot")
+    pd: Any = required("pandas", "lerobot")
+    task: Any = log.config.get("task")
+    said = task.get("description") if isinstance(task, dict) else None
+    sentence = said if isinstance(said, str) and said else log.task
+    stats = [a | b for a, b in zip(frames.stats, videos.stats, strict=True)]
+    parts = zip(chosen, frames.episodes, videos.episodes, stats, strict=True)
+    rows = [
+        row
+        | {"tasks": [sentence], "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
+        | {"source/env": episode.env, "source/episode": episode.episode}
+        | {"source/first_step": steps.start}
+        | video
+        | {f"stats/{key}/{name}": v.tolist() for key, s in own.items() for name, v in s.items()}
+        for (episode, steps), row, video, own in parts
+    ]
+    folder = root / "meta/episodes/chunk-000"
+    folder.mkdir(parents=True)
+    pq.write_table(pa.Table.from_pylist(rows), folder / "file-000.parquet")
+    pd.DataFrame({"task_index": [0]}, index=[sentence]).to_parquet(root / "meta/tasks.parquet")
+    whole = {key: merged([own[key] for own in stats]) for key in stats[0]}
+    tree = {key: {name: v.tolist() for name, v in s.items()} for key, s in whole.items()}
+    (root / "meta/stats.json").write_text(json.dumps(tree, indent=4))
 
 
 def _read(

@@ -7,7 +7,7 @@ pictures. Every episode is a file of its own, and every second picture a key fra
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -67,7 +67,7 @@ class Videos:
         self.features = {camera.key: _info(camera, fps) for camera in self._cameras}
 
     def draw(self, episodes: Sequence[tuple[int, range]]) -> None:
-        """Film episodes: environment and control steps of each, by environment, then in time.
+        """Film episodes: environment and control steps of each.
 
         Raises:
             RenderError: If no OpenGL library works here.
@@ -76,48 +76,34 @@ class Videos:
 
         self.episodes, self.stats = [{} for _ in episodes], [{} for _ in episodes]
         with ExitStack() as stack:
-            renderers: dict[tuple[int, int], Any] = {}
-            for camera in self._cameras:
-                if camera.size not in renderers:
-                    made = SceneRenderer(self._log.model, *camera.size)
-                    renderers[camera.size] = made
-                    stack.callback(made.close)
-            for env in sorted({env for env, _ in episodes}) if self._cameras else ():
-                mine = [(i, steps) for i, (e, steps) in enumerate(episodes) if e == env]
-                playback = Playback(self._log, env)
-                reached = playback.steps(Span(mine[0][1].start, mine[-1][1].stop - 1))
-                for index, steps in mine:
-                    self._film(index, steps, playback, reached, renderers)
+            renderers = {
+                size: stack.enter_context(closing(SceneRenderer(self._log.model, *size)))
+                for size in {camera.size for camera in self._cameras}
+            }
+            for index, (env, steps) in enumerate(episodes if renderers else ()):
+                self._film(index, env, steps, renderers)
 
     def _film(
-        self,
-        index: int,
-        steps: range,
-        playback: Playback,
-        reached: Iterator[int],
-        renderers: dict[tuple[int, int], Any],
+        self, index: int, env: int, steps: range, renderers: dict[tuple[int, int], Any]
     ) -> None:
         chunk, file = divmod(index, CHUNK)
         every = max(1, len(steps) // _COUNTED)
-        levels = {camera.key: np.zeros((3, 256), np.int64) for camera in self._cameras}
+        counted = len(range(0, len(steps), every))
+        playback = Playback(self._log, env)
         with ExitStack() as stack:
-            films = {}
+            films, levels = [], []
             for camera in self._cameras:
                 name = VIDEO.format(video_key=camera.key, chunk_index=chunk, file_index=file)
                 film = VideoFile(self._root / name, camera.size, self._fps, _OPTIONS)
-                films[camera.key] = stack.enter_context(film)
-            for step in reached:
-                if step not in steps:
-                    continue  # of an episode that is not meant
-                for camera in self._cameras:
+                films.append(stack.enter_context(film))
+                levels.append(np.zeros((3, 256), np.int64))
+            for step in playback.steps(Span(steps[0], steps[-1])):
+                for camera, film, counts in zip(self._cameras, films, levels, strict=True):
                     picture = renderers[camera.size].draw(playback.engine, 0, camera.look)
-                    films[camera.key].write(picture)
-                    if not (step - steps.start) % every:
-                        levels[camera.key] += _levels(picture)
-                if step == steps[-1]:
-                    break
-        counted = len(range(0, len(steps), every))
-        for camera in self._cameras:
+                    film.write(picture)
+                    if not (step - steps[0]) % every:
+                        counts += _levels(picture)
+        for camera, counts in zip(self._cameras, levels, strict=True):
             at = f"videos/{camera.key}"
             self.episodes[index] |= {
                 f"{at}/chunk_index": chunk,
@@ -125,7 +111,7 @@ class Videos:
                 f"{at}/from_timestamp": 0.0,
                 f"{at}/to_timestamp": len(steps) / self._fps,
             }
-            self.stats[index][camera.key] = of_levels(levels[camera.key], counted)
+            self.stats[index][camera.key] = of_levels(counts, counted)
 
 
 def _cameras(log: Log) -> Iterator[_Camera]:

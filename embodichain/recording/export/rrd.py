@@ -10,24 +10,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.recording.api import Log
 from embodichain.recording.arrays import LogArrays
 from embodichain.recording.export.formats import Part
-from embodichain.recording.export.poses import INPUTS
 from embodichain.recording.export.rrd_layout import layout
 from embodichain.recording.export.rrd_scene import Scene
 from embodichain.recording.export.rrd_stream import Stream
 from embodichain.recording.export.table import about
-from embodichain.recording.foxglove.log_lines import event_text
-from embodichain.recording.foxglove.messages import FrameTransforms
+from embodichain.recording.views.log_lines import event_text
+from embodichain.recording.views.messages import FrameTransforms
+from embodichain.recording.views.motion import scalar_joints
 
 __all__ = ["write"]
-
-_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
 
 
 def write(log: Log, part: Part, path: Path) -> None:
@@ -37,32 +34,29 @@ def write(log: Log, part: Part, path: Path) -> None:
         ConfigError: If rerun is not installed.
     """
     envs = [part.env] if part.env is not None else log.header.view_envs or [0]
-    fields = {*INPUTS, "qvel", "actions", "rewards"}
-    parts = log.parts(
-        [name for name in log.columns if name in fields], envs, part.episode, part.start, part.stop
-    )
+    fields = {"qpos", "qvel", "actions", "rewards"}
+    names = [name for name in log.columns if name in fields]
     offsets = _offsets(log) if len(envs) > 1 else {}
     places = np.array([offsets.get(env, np.zeros(3)) for env in envs])
     stream = Stream(log.header, layout(log.model, envs, places))
     stream.about(about(log))
     stream.log("world", stream.rr.ViewCoordinates.RIGHT_HAND_Z_UP, None)
-    makers: list[Scene | _Numbers] = []
-    for column, env in enumerate(envs):
-        makers.append(Scene(stream, log, env, column, places[column]))
-        makers.append(_Numbers(stream, log, env, column))
+    for env, place in zip(envs, places, strict=True):
+        Scene(stream, log, env, place).send(part)
+    curves = [_Curves(stream, log, env, column) for column, env in enumerate(envs)]
     first = last = -1
-    for data in parts:
+    for data in log.parts(names, envs, part.episode, part.start, part.stop):
         first = int(data.steps[0]) if first < 0 else first
         last = int(data.steps[-1])
-        for maker in makers:
-            maker.add(data)
+        for of_env in curves:
+            of_env.add(data)
     for env in envs:
         _tell(stream, log, env, first, last)
     stream.save(path)
 
 
 def _offsets(log: Log) -> dict[int, NDArray[np.float64]]:
-    """Where environments stand in what viewers see: `/tf` says it in its first message."""
+    """Positions of the environments for viewers, from the first message of `/tf`."""
     for topic, _, payload in log.raw_messages():
         if topic == "/tf":
             message = FrameTransforms.FromString(bytes(payload))
@@ -76,21 +70,20 @@ def _offsets(log: Log) -> dict[int, NDArray[np.float64]]:
     return {}
 
 
-class _Numbers:
+class _Curves:
     """The curves of one environment."""
 
     def __init__(self, stream: Stream, log: Log, env_id: int, column: int) -> None:
         self._stream, self._column, self._root = stream, column, f"/env_{env_id}"
-        model = log.model
-        ids = [j for j in range(model.njnt) if int(model.jnt_type[j]) in _SCALAR]
-        names = [model.joint(j).name or f"joint_{j}" for j in ids]
+        joints = scalar_joints(log.model)
+        ids = np.array(list(joints.values()), np.int64)
         self._of: dict[str, tuple[str, Any]] = {
-            "qpos": ("joint_positions", np.array([model.jnt_qposadr[j] for j in ids], np.int64)),
-            "qvel": ("joint_velocities", np.array([model.jnt_dofadr[j] for j in ids], np.int64)),
+            "qpos": ("joint_positions", log.model.jnt_qposadr[ids]),
+            "qvel": ("joint_velocities", log.model.jnt_dofadr[ids]),
             "actions": ("actions", slice(None)),
         }
         for path in ("joint_positions", "joint_velocities"):
-            stream.name(f"{self._root}/{path}", names)
+            stream.name(f"{self._root}/{path}", list(joints))
         stream.name(f"{self._root}/actions", [c.name for c in log.columns.get("actions", [])])
         stream.name(f"{self._root}/reward", ["reward"])
 

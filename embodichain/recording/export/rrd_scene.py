@@ -12,12 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.recording.api import Log
-from embodichain.recording.arrays import LogArrays
-from embodichain.recording.export.poses import ModelHistory, Poses
+from embodichain.recording.export.formats import Part
+from embodichain.recording.export.poses import poses
 from embodichain.recording.export.rrd_stream import Stream, path_of
-from embodichain.recording.shapes import LOOKS, Shape, mesh_of, shapes
+from embodichain.recording.views.meshes import corner_normals
+from embodichain.recording.views.shapes import Shape, mesh_of, shapes
 
 __all__ = ["Scene"]
+
+_STEPS = 1000
+"""Whose poses are sent together."""
 
 Looks = dict[str, tuple[Any, ...]]
 """Path to the arrays that make up what is drawn there."""
@@ -30,54 +34,54 @@ class Scene:
         stream: Where it goes.
         log: The log.
         env_id: The environment.
-        column: Where it stands in the arrays that `add` gets.
-        offset: (3,) where it stands in the world, metres.
+        offset: (3,) its position in the world, metres.
     """
 
-    def __init__(
-        self, stream: Stream, log: Log, env_id: int, column: int, offset: NDArray[np.float64]
-    ) -> None:
-        self._stream, self._column = stream, column
+    def __init__(self, stream: Stream, log: Log, env_id: int, offset: NDArray[np.float64]) -> None:
+        self._stream, self._log, self._env_id = stream, log, env_id
         self._root = f"/world/env_{env_id}"
         self._paths = _paths(log.model, self._root)
-        self._poses = Poses(log, env_id)
-        self._history = ModelHistory(log, env_id, LOOKS)
         self._drawn: Looks = {}
         self._last: NDArray[np.float64] | None = None
         stream.log(self._root, stream.rr.Transform3D(translation=offset), None)
 
-    def add(self, data: LogArrays) -> None:
-        """Add the steps of `data`, which has `poses.INPUTS`."""
-        steps, rows = [], []
-        for step, poses in self._poses.of(data, self._column):
+    def send(self, part: Part) -> None:
+        """Send the control steps of a part."""
+        steps, rows = list[int](), list[NDArray[np.float64]]()
+        for step, data, changed in poses(self._log, self._env_id, part):
             steps.append(step)
-            rows.append(poses.copy())
-            if self._history.until(step) or not self._drawn:
-                self._draw(step)
-        self._move(np.array(steps, np.int64), np.array(rows))
+            rows.append(np.concatenate([data.xpos[1:], data.xquat[1:]], axis=1))
+            if changed:
+                self._draw(data.model, step)
+            if len(steps) == _STEPS:
+                self._move(steps, rows)
+                steps, rows = [], []
+        if steps:
+            self._move(steps, rows)
 
-    def _draw(self, step: int) -> None:
+    def _draw(self, model: mujoco.MjModel, step: int) -> None:
         """Draw what is new or looks other than before."""
-        for path, look in _looks(self._history.model, self._paths).items():
+        for path, look in _looks(model, self._paths).items():
             before = self._drawn.get(path)
             if before is None or not _same(before, look):
                 self._drawn[path] = look
                 self._stream.log(path, _archetype(self._stream.rr, path, look), step)
 
-    def _move(self, steps: NDArray[np.int64], poses: NDArray[np.float64]) -> None:
-        """Send (T, nbody - 1, 7) poses, each body's where it differs from the one before."""
+    def _move(self, numbers: list[int], rows: list[NDArray[np.float64]]) -> None:
+        """Send (nbody - 1, 7) poses of some steps, each body's where it differs from before."""
+        steps, poses = np.array(numbers, np.int64), np.array(rows)
         first = poses[:1] if self._last is None else self._last
         changed = np.any(np.diff(poses, axis=0, prepend=first) != 0, axis=2)
         changed[0] |= self._last is None
         self._last = poses[-1:]
         for body, path in enumerate(self._paths[1:]):
-            rows = changed[:, body]
-            if rows.any():
-                here = poses[rows, body]
+            there = changed[:, body]
+            if there.any():
+                here = poses[there, body]
                 columns = self._stream.rr.Transform3D.columns(
                     translation=here[:, :3], quaternion=here[:, [4, 5, 6, 3]]
                 )
-                self._stream.columns(path, steps[rows], columns)
+                self._stream.columns(path, steps[there], columns)
 
 
 def _paths(model: mujoco.MjModel, root: str) -> list[str]:
@@ -113,20 +117,15 @@ def _primitives(group: list[Shape]) -> tuple[Any, ...]:
 
 
 def _mesh(model: mujoco.MjModel, shape: Shape) -> tuple[Any, ...]:
-    """Vertices, faces and normals in the body's frame, and the colour.
-
-    Normals are those of the faces: each has vertices of its own.
-    """
+    """Vertices, faces and normals in the body's frame, and the colour; corners are not shared."""
     mesh = mesh_of(model, shape.geom)
     turn = np.empty(9)
     mujoco.mju_quat2Mat(turn, shape.quat)
-    corners = mesh.vertices[mesh.faces].astype(np.float64) @ turn.reshape(3, 3).T + shape.pos
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = normals / np.where(lengths > 0, lengths, 1.0)
-    faces = np.arange(3 * len(corners), dtype=np.uint32).reshape(-1, 3)
-    vertices = corners.reshape(-1, 3).astype(np.float32)
-    return vertices, faces, np.repeat(normals, 3, axis=0).astype(np.float32), _packed(shape.rgba)
+    matrix = turn.reshape(3, 3).T
+    vertices = mesh.vertices[mesh.faces].reshape(-1, 3) @ matrix + shape.pos
+    normals = corner_normals(mesh) @ matrix
+    faces = np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3)
+    return vertices.astype(np.float32), faces, normals.astype(np.float32), _packed(shape.rgba)
 
 
 def _archetype(rr: Any, path: str, look: tuple[Any, ...]) -> Any:

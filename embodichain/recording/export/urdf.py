@@ -13,7 +13,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.recording.foxglove.frames import frame_names
+from embodichain.recording.views.motion import frame_names
+from embodichain.utils.math import quat_multiply, quat_rotate
 
 __all__ = ["urdf"]
 
@@ -57,22 +58,21 @@ def _joints(robot: Element, model: mujoco.MjModel, body: int, names: list[str]) 
     first = int(model.body_jntadr[body])
     count = int(model.body_jntnum[body])
     joints = range(first, first + count)
-    if any(int(model.jnt_type[j]) not in (_HINGE, _SLIDE) for j in joints) or (
-        int(model.body_mocapid[body]) >= 0
-    ):
+    scalar = all(int(model.jnt_type[j]) in (_HINGE, _SLIDE) for j in joints)
+    if not scalar or int(model.body_mocapid[body]) >= 0:
         _join(robot, f"{names[body]}_floating", "floating", parent, names[body], pos, quat)
         return
     left = _ZERO  # from the frame that was reached back to the body's own
     for number, joint in enumerate(joints):
         anchor = model.jnt_pos[joint]
-        pos = pos + _rotate(quat, left + anchor)
+        pos = pos + quat_rotate(quat, left + anchor)
         left = -anchor
         axis, zero = model.jnt_axis[joint], float(model.qpos0[model.jnt_qposadr[joint]])
         hinge = int(model.jnt_type[joint]) == _HINGE
         if hinge:  # the joint's zero is where qpos is 0, not where the model was drawn
-            quat = _product(quat, _turn(axis, -zero))
+            quat = quat_multiply(quat, _turn(axis, -zero))
         else:
-            pos = pos - _rotate(quat, zero * axis)
+            pos = pos - quat_rotate(quat, zero * axis)
         whole = number == count - 1 and not left.any()
         child = names[body] if whole else f"{names[body]}_joint_{number}"
         if not whole:
@@ -120,7 +120,7 @@ def _visual(link: Element, model: mujoco.MjModel, geom: int) -> None:
     pos, quat = model.geom_pos[geom], model.geom_quat[geom]
     for offset, (tag, attributes) in _shapes(model, geom):
         visual = SubElement(link, "visual")
-        _origin(visual, pos + _rotate(quat, offset), quat)
+        _origin(visual, pos + quat_rotate(quat, offset), quat)
         SubElement(SubElement(visual, "geometry"), tag, attributes)
         material = int(model.geom_matid[geom])
         rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
@@ -155,18 +155,6 @@ def _origin(owner: Element, pos: Floats, quat: Floats) -> None:
     pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
     yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
     SubElement(owner, "origin", xyz=_text(pos), rpy=_text(np.array([roll, pitch, yaw])))
-
-
-def _rotate(quat: Floats, vector: Floats) -> Floats:
-    out = np.empty(3)
-    mujoco.mju_rotVecQuat(out, np.asarray(vector, np.float64), quat)
-    return out
-
-
-def _product(left: Floats, right: Floats) -> Floats:
-    out = np.empty(4)
-    mujoco.mju_mulQuat(out, left, right)
-    return out
 
 
 def _turn(axis: Floats, angle: float) -> Floats:

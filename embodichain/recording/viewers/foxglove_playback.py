@@ -1,27 +1,24 @@
-"""Plays a log through a `FoxgloveServer`: what people look at, at the speed at which it happened.
+"""Plays the channels for viewers of a log through a `FoxgloveServer`, in real time.
 
-The log may be broken: it is played up to where it can be read.
+A damaged log is played up to where it can be read.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import closing
+from collections.abc import Callable
 from pathlib import Path
 
-from embodichain.recording.chunks import ChunkFile
-from embodichain.recording.reader import LogReader
+from embodichain.recording.chunks import LogReader
 from embodichain.recording.viewers.foxglove_server import FoxgloveServer
 
 __all__ = ["declare_channels", "play_log"]
 
-_NOT_FOR_PEOPLE = ("/sim/", "/episode")
 _PAUSE = 0.02
 
 
 def declare_channels(path: Path, server: FoxgloveServer) -> list[str]:
-    """Declare the log's channels for people, and return their topics.
+    """Declare the log's channels for viewers, and return their topics.
 
     Raises:
         ConfigError: If the file is missing, empty or not MCAP.
@@ -30,10 +27,10 @@ def declare_channels(path: Path, server: FoxgloveServer) -> list[str]:
     topics = []
     with LogReader(path) as reader:
         for _ in reader.messages():
-            pass
+            pass  # the channels of a damaged log are known by its messages only
         for channel in reader.channels.values():
             schema = reader.schemas.get(channel.schema_id)
-            if schema is not None and _is_for_people(channel.topic):
+            if schema is not None and _is_viewed(channel.topic):
                 server.channel(channel.topic, schema.name, schema.data)
                 topics.append(channel.topic)
     return topics
@@ -47,63 +44,44 @@ def play_log(
     speed: float = 1.0,
     again: bool = True,
 ) -> None:
-    """Play a log whose channels are declared; it waits while nobody looks.
+    """Play a log whose channels are declared; it waits while nothing is subscribed to.
 
     Args:
         path: The log.
         server: Where it is shown.
         stopped: Asked often; ends it.
-        speed: 2 is twice as fast as it happened.
-        again: Whether to begin anew at the end.
+        speed: 2 is twice as fast as it was simulated.
+        again: Whether to start again at the end.
     """
     while not stopped():
-        clock = _Clock(speed)
-        still: dict[str, tuple[int, bytes]] = {}  # the newest scenes: they come seldom
-        for topic, log_time, data in _for_people(path):
-            while not stopped() and not (server.wanted and clock.due(log_time)):
-                if not server.wanted:
-                    clock.stop()
-                time.sleep(_PAUSE)
-            if stopped():
-                return
-            for new in server.newcomers() & still.keys():
-                time_ns, scene = still[new]
-                server.send(time_ns, [(new, scene)])
-            if topic.endswith("/scene"):
-                still[topic] = log_time, data
-            server.send(log_time, [(topic, data)])
+        scenes: dict[str, tuple[int, bytes]] = {}  # the newest ones: they come rarely
+        offset: float | None = None  # of the wall clock to the log's; None: it stands still
+        reached = 0.0
+        with LogReader(path) as reader:
+            for topic, time_ns, payload in reader.messages_in_time(_is_viewed):
+                data, due = bytes(payload), time_ns / 1e9 / speed
+                while not stopped():
+                    if not server.wanted:
+                        offset = None
+                    else:
+                        if offset is None:
+                            offset = time.monotonic() - max(due, reached)
+                        reached = time.monotonic() - offset
+                        if reached >= due:
+                            break
+                    time.sleep(_PAUSE)
+                if stopped():
+                    return
+                for new in server.newcomers() & scenes.keys():
+                    shown_ns, scene = scenes[new]
+                    server.send(shown_ns, [(new, scene)])
+                if topic.endswith("/scene"):
+                    scenes[topic] = time_ns, data
+                server.send(time_ns, [(topic, data)])
         if not again:
             return
-        server.begin_anew()
+        server.restart()
 
 
-def _for_people(path: Path) -> Iterator[tuple[str, int, bytes]]:
-    with closing(ChunkFile(path)) as file:
-        for topic, log_time, data in file.messages_in_time(_is_for_people):
-            yield topic, log_time, bytes(data)
-
-
-def _is_for_people(topic: str) -> bool:
-    return not topic.startswith(_NOT_FOR_PEOPLE)
-
-
-class _Clock:
-    """Log time that passes with the wall clock, and can stand still."""
-
-    def __init__(self, speed: float) -> None:
-        self._speed = speed
-        self._offset: float | None = None
-        self._last = 0.0
-
-    def due(self, time_ns: int) -> bool:
-        """Whether this moment of the log has come."""
-        wanted = time_ns / 1e9 / self._speed
-        now = time.monotonic()
-        if self._offset is None:
-            self._offset = now - max(wanted, self._last)
-        self._last = now - self._offset
-        return self._last >= wanted
-
-    def stop(self) -> None:
-        """Stand still until it is asked again."""
-        self._offset = None
+def _is_viewed(topic: str) -> bool:
+    return not topic.startswith(("/sim/", "/episode"))

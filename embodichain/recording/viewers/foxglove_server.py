@@ -1,6 +1,6 @@
-"""`FoxgloveServer`: channels of a log over Foxglove's WebSocket protocol, read-only.
+"""`FoxgloveServer`: serves channels over Foxglove's WebSocket protocol, read-only.
 
-It knows topics, schemas and who looks; what is shown is decided elsewhere. Needs foxglove-sdk.
+It knows topics, schemas and subscriptions. Needs foxglove-sdk.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import threading
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from embodichain.recording.schemas import descriptor_set
+from embodichain.recording.schema import descriptor_set
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -37,55 +37,47 @@ def need_sdk() -> Any:
 
 
 class FoxgloveServer:
-    """Serves messages to whoever connects; what nobody has subscribed to costs nothing.
+    """Serves messages to viewers; a channel without subscribers costs nothing.
 
     Args:
         host: The address to listen on.
         port: 0 takes a free one.
-        name: What clients show as the source.
 
     Raises:
         ConfigError: If foxglove-sdk is not installed, or the address cannot be listened on.
     """
 
-    def __init__(self, host: str, port: int = DEFAULT_PORT, name: str = "embodichain") -> None:
+    def __init__(self, host: str, port: int = DEFAULT_PORT) -> None:
         foxglove = self._sdk = need_sdk()
         self._context = foxglove.Context()
         self._channels: dict[str, Channel] = {}
         self._schemas: dict[str, Any] = {}
-        self._audience = _Audience()
+        self._subscriptions = _Subscriptions()
         try:
             self._server = foxglove.start_server(
-                name=name,
+                name="embodichain",
                 host=host,
                 port=port,
-                server_listener=self._audience,  # has what is called
+                server_listener=self._subscriptions,
                 context=self._context,
             )
         except RuntimeError as error:
-            message = f"cannot listen on {host}:{port}: {error}"
-            raise ConfigError([Problem("viewer.port", message, "viewer.port=N is another")]) from (
-                error
-            )
-        self.host, self.port = host, int(self._server.port)
-
-    @property
-    def url(self) -> str:
-        """What clients open."""
-        host = f"[{self.host}]" if ":" in self.host else self.host
-        return f"ws://{host}:{self.port}"
+            message, hint = f"cannot listen on {host}:{port}: {error}", "viewer.port=N is another"
+            raise ConfigError([Problem("viewer.port", message, hint)]) from error
+        self.port = int(self._server.port)
+        self.url = f"ws://[{host}]:{self.port}" if ":" in host else f"ws://{host}:{self.port}"
 
     @property
     def wanted(self) -> bool:
-        """Whether anybody looks at anything."""
-        return self._audience.present
+        """Whether any channel has a subscriber."""
+        return bool(self._subscriptions.present)
 
     def newcomers(self) -> set[str]:
-        """Topics that somebody subscribed to since the last call."""
-        return self._audience.take()
+        """Return topics with new subscriptions since the last call."""
+        return self._subscriptions.take()
 
     def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
-        """Declare a channel once.
+        """Declare a channel; a second call does nothing.
 
         Args:
             topic: Its name.
@@ -104,12 +96,8 @@ class FoxgloveServer:
             context=self._context,
         )
 
-    def watched(self, topic: str) -> bool:
-        """Whether somebody has subscribed to a channel."""
-        return bool(self._channels[topic].has_sinks())
-
     def send(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> None:
-        """Send messages to those who have subscribed.
+        """Send messages to their subscribers.
 
         Raises:
             KeyError: If a channel was not declared.
@@ -119,42 +107,39 @@ class FoxgloveServer:
             if channel.has_sinks():
                 channel.log(data, log_time=time_ns)
 
-    def begin_anew(self) -> None:
-        """Tell clients that time begins again: they forget what they have, and stay subscribed."""
+    def restart(self) -> None:
+        """Tell clients that time starts again: they drop what they have and stay subscribed."""
         self._server.clear_session()
 
     def close(self) -> None:
-        """Say goodbye to everybody. A second call does nothing."""
+        """Close all connections. A second call does nothing."""
         self._server.stop()
         for channel in self._channels.values():
             channel.close()
         self._channels.clear()
 
 
-class _Audience:
-    """Who has subscribed to what; called on threads of the server."""
+class _Subscriptions:
+    """Clients by channel; the server calls it on its own threads."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._seats: set[tuple[int, int]] = set()
         self._new: set[str] = set()
-        self.present = False
+        self.present: set[tuple[int, int]] = set()
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
-        """Somebody wants a channel."""
+        """Add a subscription."""
         with self._lock:
-            self._seats.add((client.id, channel.id))
+            self.present.add((client.id, channel.id))
             self._new.add(channel.topic)
-            self.present = True
 
     def on_unsubscribe(self, client: Client, channel: ChannelView) -> None:
-        """Somebody wants it no longer, or has gone."""
+        """Remove a subscription; also called when a client has gone."""
         with self._lock:
-            self._seats.discard((client.id, channel.id))
-            self.present = bool(self._seats)
+            self.present.discard((client.id, channel.id))
 
     def take(self) -> set[str]:
-        """Topics with new subscribers since the last call."""
+        """Return topics with new subscriptions since the last call."""
         if not self._new:
             return set()
         with self._lock:

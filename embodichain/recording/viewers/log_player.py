@@ -87,7 +87,7 @@ class _Player:
             if playback.changes != seen:
                 seen = playback.changes
                 screen.begin(playback.engine)
-            screen.show(playback.engine, self._facts(step))
+            screen.show(playback.engine.rows[0], self._facts(step))
             screen.pace(self._seconds)
             reached = step
         return reached

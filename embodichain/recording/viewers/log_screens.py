@@ -1,7 +1,4 @@
-"""Screens for logs: MuJoCo Studio's page, or MuJoCo's own window. What is played is `log_player`'s.
-
-Neither knows a log: they show states of an engine with one environment.
-"""
+"""`Screen`: what `log_player` plays a log on; `WebPage` is one, and MuJoCo's own window here."""
 
 from __future__ import annotations
 
@@ -13,10 +10,10 @@ from embodichain.lab.sim.viewer import NativeViewer
 from embodichain.recording.viewers.controls import Facts
 
 if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.base import F64
     from embodichain.lab.sim.engine.cpu import CpuEngine
-    from embodichain.recording.viewers.web_page import WebPage
 
-__all__ = ["NativeScreen", "Screen", "WebScreen"]
+__all__ = ["NativeScreen", "Screen"]
 
 _SPACE = 32
 _NAP = 0.02
@@ -40,53 +37,14 @@ class Screen(Protocol):
     def begin(self, engine: CpuEngine) -> None:
         """Show this engine's environment from now on, as its model looks now."""
 
-    def show(self, engine: CpuEngine, facts: Facts) -> None:
-        """Show the engine's state."""
+    def show(self, row: F64, facts: Facts) -> None:
+        """Show the engine's state, (nstate,)."""
 
     def pace(self, seconds: float) -> None:
         """Wait for the next step, or as long as people pause."""
 
     def close(self) -> None:
         """Show nothing any more."""
-
-
-class WebScreen:
-    """The page in a browser.
-
-    Args:
-        page: It; closed with this.
-    """
-
-    is_open = True
-
-    def __init__(self, page: WebPage) -> None:
-        self._page = page
-
-    @property
-    def env_id(self) -> int:
-        """The environment that people chose on the page."""
-        return self._page.env_id
-
-    @property
-    def watched(self) -> bool:
-        """Whether a browser has the page open."""
-        return self._page.watched
-
-    def begin(self, engine: CpuEngine) -> None:
-        """Show the model."""
-        self._page.show_model(engine.model_of(0))
-
-    def show(self, engine: CpuEngine, facts: Facts) -> None:
-        """Show the state."""
-        self._page.show(engine.rows[0], facts)
-
-    def pace(self, seconds: float) -> None:
-        """Wait as the page's buttons say; another environment ends a pause."""
-        self._page.pace(seconds, lambda: None)
-
-    def close(self) -> None:
-        """Serve no longer."""
-        self._page.close()
 
 
 class NativeScreen:
@@ -124,8 +82,8 @@ class NativeScreen:
             self._window = NativeViewer(engine, 0, self._on_key)
         self._window.follow(engine)
 
-    def show(self, engine: CpuEngine, facts: Facts) -> None:
-        """Show the state."""
+    def show(self, row: F64, facts: Facts) -> None:
+        """Show the engine's state."""
         if self._window is not None:
             self._window.sync()
 

@@ -19,7 +19,7 @@ import threading
 import time
 from collections.abc import Callable
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -27,6 +27,9 @@ import numpy as np
 from embodichain.lab.sim.engine.base import F64
 from embodichain.recording.viewers.controls import Facts, Setup, Wishes
 from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.cpu import CpuEngine
 
 __all__ = ["LOOKS", "WebPage"]
 
@@ -65,6 +68,8 @@ class WebPage:
     Raises:
         ConfigError: The address cannot be listened on.
     """
+
+    is_open = True
 
     def __init__(
         self,
@@ -118,6 +123,10 @@ class WebPage:
         """Whether steps come as fast as they are made: not each is worth showing."""
         return self._wishes.speed is None
 
+    def begin(self, engine: CpuEngine) -> None:
+        """Show states of an engine's environment 0 from now on."""
+        self.show_model(engine.model_of(0))
+
     def show_model(self, model: mujoco.MjModel) -> None:
         """Show states of another model from now on, if it looks different.
 
@@ -140,7 +149,7 @@ class WebPage:
             told = None if facts is None else facts.plain()
             self._send("state", (np.asarray(row, np.float64).tobytes(), told))
 
-    def pace(self, seconds: float, changed: Callable[[], None]) -> None:
+    def pace(self, seconds: float, changed: Callable[[], None] = lambda: None) -> None:
         """Wait as people want it: for the clock, and while they pause. Returns for the next step.
 
         Does not wait while nobody looks.

@@ -1,4 +1,5 @@
 import copy
+from collections.abc import Mapping
 
 import gymnasium as gym
 import numpy as np
@@ -24,7 +25,7 @@ from tests.lab.gym.conftest import HOME, UR10, flat, home, jumping, marker, targ
 def test_what_reset_and_step_return(make_env):
     env = make_env()
     obs, info = env.reset()
-    assert isinstance(obs, TensorDict) and obs.batch_size == (3,)
+    assert isinstance(obs, Mapping) and obs.batch_size == (3,)
     for name in ("qpos", "qvel", "qf"):
         assert obs["robot", name].shape == (3, 6) and obs["robot", name].dtype == torch.float32
     np.testing.assert_allclose(obs["robot", "qpos"][1], HOME, atol=1e-6)

@@ -10,6 +10,8 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 import embodichain.recording as recording
@@ -87,16 +89,23 @@ def test_hdf5_is_one_demonstration_for_each_episode(log):
         assert ElementTree.fromstring(demo.attrs["model_file"]).tag == "mujoco"
 
 
-def test_rosbags_reads_the_bag(log, tmp_path):
+def bag_messages(path):
+    """Topic, time in ns and message of a ROS 2 bag, in the order of time."""
+    with path.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        assert reader.get_header().profile == "ros2"
+        return [(c.topic, m.log_time, ros) for _, c, m, ros in reader.iter_decoded_messages()]
+
+
+def test_foxgloves_reader_of_ros_2_reads_the_bag(log, tmp_path):
     path = export(log, "ros2", tmp_path / "bag.mcap", Part(env=1))
     data = log.read(["qpos", "qvel", "mocap_pos"], env=1)
     joints, frames, described = [], [], []
-    with AnyReader([path]) as reader:
-        assert reader.message_count == 24 * 2 + 1
-        for connection, stamp, raw in reader.messages():
-            message = reader.deserialize(raw, connection.msgtype)
-            kind = {"/env_1/joint_states": joints, "/tf": frames}.get(connection.topic, described)
-            kind.append((stamp, message))
+    messages = bag_messages(path)
+    assert len(messages) == 24 * 2 + 1
+    for topic, stamp, message in messages:
+        kind = {"/env_1/joint_states": joints, "/tf": frames}.get(topic, described)
+        kind.append((stamp, message))
     assert [list(m.name) for _, m in joints] == [["arm/shoulder", "arm/elbow"]] * 24
     assert np.array_equal([m.position for _, m in joints], data["qpos"][:, 0, :2])
     assert np.array_equal([m.velocity for _, m in joints], data["qvel"][:, 0, :2])
@@ -113,6 +122,11 @@ def test_rosbags_reads_the_bag(log, tmp_path):
         assert (position.x, position.y, position.z) == tuple(expected[:3])
         found = np.array([turn.w, turn.x, turn.y, turn.z])
         assert found == pytest.approx(expected[3:] / np.linalg.norm(expected[3:]), abs=1e-12)
+    with AnyReader([path]) as reader:  # rosbags finds the same, and the latched topic
+        assert reader.message_count == len(messages)
+        (latched,) = [c for c in reader.connections if c.topic == "/env_1/robot_description"]
+        (quality,) = latched.ext.offered_qos_profiles
+        assert quality.durability.name == "TRANSIENT_LOCAL"
     text = described[0][1].data
     links = {link.get("name") for link in ElementTree.fromstring(text).iter("link")}
     assert set(poses) < links
@@ -139,13 +153,11 @@ def test_frames_follow_the_model_of_their_environment(record, tmp_path):
         path = export(log, "ros2", tmp_path / "bag.mcap", Part(env=2))
         episodes = log.read("episodes", env=2)["episodes"][:, 0]
     lengths = []
-    with AnyReader([path]) as reader:
-        for connection, _, raw in reader.messages():
-            if connection.topic == "/tf":
-                message = reader.deserialize(raw, connection.msgtype)
-                at = {t.child_frame_id: t.transform.translation for t in message.transforms}
-                a, b = at["env_2/arm/upper"], at["env_2/arm/fore"]
-                lengths.append(np.linalg.norm([a.x - b.x, a.y - b.y, a.z - b.z]))
+    for topic, _, message in bag_messages(path):
+        if topic == "/tf":
+            at = {t.child_frame_id: t.transform.translation for t in message.transforms}
+            a, b = at["env_2/arm/upper"], at["env_2/arm/fore"]
+            lengths.append(np.linalg.norm([a.x - b.x, a.y - b.y, a.z - b.z]))
     assert lengths == pytest.approx(0.5 + 0.01 * episodes)
 
 
@@ -269,8 +281,7 @@ def test_a_late_part_of_a_log_of_many_chunks(many_chunks, tmp_path, capsys, form
         with h5py.File(out) as file:
             assert np.array_equal(file["data/demo_0/obs/qpos"], data["qpos"][:, 0])
     elif format == "ros2":
-        with AnyReader([out]) as reader:
-            assert reader.message_count == 30 * 2 + 1
+        assert len(bag_messages(out)) == 30 * 2 + 1
     else:
         assert any(f.stat().st_size for f in (out.rglob("*") if out.is_dir() else [out]))
 
@@ -302,6 +313,7 @@ def test_nothing_is_overwritten(log, tmp_path, format):
         ("hdf5", "h5py", "h5py", "hdf5"),
         ("rrd", "rerun", "rerun-sdk", "rerun"),
         ("lerobot", "pyarrow", "pyarrow", "lerobot"),
+        ("ros2", "rosbags", "rosbags", "ros2"),
     ],
 )
 def test_a_missing_package_is_named(log, monkeypatch, tmp_path, format, module, package, extra):

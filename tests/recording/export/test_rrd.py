@@ -12,7 +12,7 @@ import pytest
 import embodichain.recording as recording
 from embodichain.cli.dispatch import main
 from embodichain.recording.export import Part, export
-from embodichain.recording.shapes import mesh_of, shapes
+from embodichain.recording.views.shapes import mesh_of, shapes
 from tests.recording.scene import MODEL, SmallEnv
 
 pytest.importorskip("rerun")
@@ -196,7 +196,7 @@ def test_rerun_finds_nothing_wrong_with_logs(log, tmp_path):
         rows = [line.split() for line in checked.stdout.splitlines()[1:] if " /" in line]
         states[path] = {row[3]: row[0] for row in rows}
         assert set(states[path].values()) == {"ok"}
-    assert "/sim/state" in states[log.path] and "/env_0/scene" in states[log.path]
+    assert "/sim/steps" in states[log.path] and "/env_0/scene" in states[log.path]
     assert {"/tf", "/env_0/joint_states", "/env_0/robot_description"} <= set(states[bag])
 
 

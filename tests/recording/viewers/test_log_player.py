@@ -13,7 +13,7 @@ from embodichain.cli import replay
 from embodichain.recording import McapRecorder
 from embodichain.recording.viewers import log_screens
 from embodichain.recording.viewers.log_player import play_log
-from embodichain.recording.viewers.log_screens import NativeScreen, WebScreen
+from embodichain.recording.viewers.log_screens import NativeScreen
 from embodichain.recording.viewers.web_page import WebPage
 from embodichain.utils.errors import ConfigError
 from tests.helpers.browser import chromium, needs_chromium, picture, share_of
@@ -45,8 +45,8 @@ class Screen:
     def begin(self, engine):
         self.models.append(engine.model_field("body_mass")[0].copy())
 
-    def show(self, engine, facts):
-        self.shown.append((self.env_id, facts.step, engine.rows[0].copy(), facts))
+    def show(self, row, facts):
+        self.shown.append((self.env_id, facts.step, row.copy(), facts))
         self.then.get(len(self.shown), lambda screen: None)(self)
 
     def pace(self, seconds):
@@ -183,9 +183,8 @@ def test_the_page_shows_the_log(tmp_path):
     with recording.open(tmp_path / "log.mcap") as log:
         page = WebPage(log.model, resets=False)
         stop = SimpleNamespace(now=False)
-        screen = WebScreen(page)
         arguments = {"speed": 0.1, "stopped": lambda: stop.now}
-        thread = threading.Thread(target=play_log, args=(log, screen), kwargs=arguments)
+        thread = threading.Thread(target=play_log, args=(log, page), kwargs=arguments)
         thread.start()
         try:
             with chromium() as visit:
@@ -197,5 +196,5 @@ def test_the_page_shows_the_log(tmp_path):
         finally:
             stop.now = True
             thread.join(30)
-            screen.close()
+            page.close()
     assert not thread.is_alive()

@@ -1,65 +1,88 @@
 """`BaseEnv`: N environments of one task, stepped together. The step contract is in `BaseEnv.step`.
 
-What a subclass may override is in `hooks.py`, counters and random numbers in `basics.py`, building
-in `assembly.py`, observing and judging in `outcome.py`. What a term computes, how physics steps and
-how anything is recorded is no business of this file.
+Its parts: `Episodes` (counters), `ObservationLayout` (columns of the observation), `judging` (who
+succeeded, whose episode ends), `scene_setup` (config to entities), `restoring` (recorded moments),
+`StateDump` (environments that diverged), and the managers of terms.
 """
 
 from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
 import torch
+from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs import restoring, seeding, state
-from embodichain.lab.gym.envs.autoreset import (
-    AutoresetMode,
-    add_finals,
-    blanked,
-    instance_metadata,
-    parse_mode,
-)
+from embodichain.lab.gym.envs import autoreset, restoring, scene_setup, seeding
+from embodichain.lab.gym.envs.actions import ActionCheck, action_space
+from embodichain.lab.gym.envs.autoreset import AutoresetMode
 from embodichain.lab.gym.envs.cfg import EnvCfg
-from embodichain.lab.gym.envs.declared import explained, frozen_cfg
+from embodichain.lab.gym.envs.divergence import StateDump
 from embodichain.lab.gym.envs.drive_changes import drive_changes
-from embodichain.lab.gym.envs.flags import Mask, nobody, reset_ids
-from embodichain.lab.gym.envs.observers import StepRecord
-from embodichain.lab.gym.envs.outcome import EnvOutcome
+from embodichain.lab.gym.envs.embodichain_members import EmbodiChainMembers
+from embodichain.lab.gym.envs.env_reads import EnvReads
+from embodichain.lab.gym.envs.episodes import Episodes
+from embodichain.lab.gym.envs.hooks import EnvHooks, overridden_hooks
+from embodichain.lab.gym.envs.judging import StepJudge, as_mask, ends, none_set, reset_ids
+from embodichain.lab.gym.envs.managers.action_manager import ActionManager
+from embodichain.lab.gym.envs.managers.base import Manager
+from embodichain.lab.gym.envs.managers.command_manager import CommandManager
+from embodichain.lab.gym.envs.managers.curriculum_manager import CurriculumManager
+from embodichain.lab.gym.envs.managers.event_manager import EventManager
+from embodichain.lab.gym.envs.managers.metric_manager import MetricManager
+from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
+from embodichain.lab.gym.envs.managers.reward_manager import RewardManager
+from embodichain.lab.gym.envs.managers.termination_manager import TerminationManager
+from embodichain.lab.gym.envs.observation import Observation
+from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
+from embodichain.lab.gym.envs.observers import Observers, StepRecord
 from embodichain.lab.gym.envs.snapshot import Snapshot, SnapshotSource
-from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.gym.utils.spaces import observation_space
+from embodichain.lab.sim.objects._arrays import as_env_ids
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.random import RandomStreams
 
+if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.base import EnvIndex
+
 __all__ = ["BaseEnv", "EmbodiedEnv"]
 
 Step = tuple[EnvObs, torch.Tensor, torch.Tensor, torch.Tensor, dict[str, Any]]
-_ONE = np.ones((), np.int32)  # an array: a Python number is converted anew in every step
+Mask = NDArray[np.bool_]
+Info = dict[str, Any]
+_ZERO = np.float32(0.0)
 
 
-class BaseEnv(EnvOutcome):
+class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]):
     """N environments of one task: declared in an `EnvCfg`, or built by overriding hooks, or both.
 
-    Observations are a `TensorDict` with batch size N and float32 entries; ``obs["robot"]`` holds
-    ``qpos``, ``qvel``, ``qf`` (N, A) of the active joints. Tensors handed out belong to the caller.
+    Observations are nested mappings of float32 tensors (N, ...), see `TensorMapping`;
+    ``obs["robot"]`` has ``qpos``, ``qvel``, ``qf`` (N, A) of the active joints. Tensors that are
+    returned belong to the caller.
 
     Args:
-        cfg: The task; copied, so that nobody else's changes reach this environment.
+        cfg: The task; copied.
         render_mode: ``rgb_array`` or None.
-        autoreset_mode: SAME_STEP (the default), NEXT_STEP or DISABLED. It stands in
-            ``metadata["autoreset_mode"]`` of the instance.
+        autoreset_mode: SAME_STEP, NEXT_STEP or DISABLED; also in the instance's `metadata`.
         num_envs: N; wins over the config's.
-        run_dir: Where states of environments that diverge are written.
-        **kwargs: Handed to the hooks that build.
+        run_dir: Where states of environments that diverge are written; None is nowhere.
+        **kwargs: Passed to the hooks that build.
+
+    Attributes:
+        sim_steps_per_control: K, physics steps a control step.
+        control_step: Control steps since the environment was built.
+        managers: The manager of each kind of terms, by section.
+        single_action_space, single_observation_space: Spaces of one environment; those of all N
+            are `action_space` and `observation_space`.
 
     Raises:
-        ConfigError: If the task is wrong; holds every mistake that can be found.
+        ConfigError: If the task is wrong; contains every mistake that can be found.
         DeviceError: If the device is unknown or has no engine.
     """
 
@@ -67,6 +90,9 @@ class BaseEnv(EnvOutcome):
         "render_modes": ["rgb_array"],
         "autoreset_mode": AutoresetMode.SAME_STEP,
     }
+    single_action_space: gym.Space[Any]
+    single_observation_space: gym.Space[Any]
+    managers: dict[str, Manager[Any]]
 
     def __init__(
         self,
@@ -77,34 +103,117 @@ class BaseEnv(EnvOutcome):
         run_dir: Path | None = None,
         **kwargs: Any,
     ) -> None:
-        self.cfg = frozen_cfg(cfg, num_envs)
+        EmbodiChainMembers.__init__(self)
+        self.cfg = cfg = scene_setup.frozen_cfg(cfg, num_envs)
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"unknown render_mode {render_mode!r}; one of: rgb_array, None")
         self.render_mode = render_mode
-        self.run_dir = run_dir
-        self.sim_steps_per_control = self.cfg.sim_steps_per_control
-        self.metadata = instance_metadata(self, parse_mode(autoreset_mode))
+        self.run_dir, self.control_step = run_dir, 0
+        self.sim_steps_per_control = cfg.sim_steps_per_control
+        self.metadata = autoreset.instance_metadata(self, autoreset.parse_mode(autoreset_mode))
         self.metadata["render_fps"] = self.control_frequency
-        self.streams = RandomStreams(seeding.first_seed(self.cfg.seed), self.cfg.num_envs)
-        if self.cfg.seed is not None:
+        self.streams = RandomStreams(seeding.first_seed(cfg.seed), cfg.num_envs)
+        if cfg.seed is not None:
             seeding.seed_globals(self, self.streams.seed)
-        self._init_counters()
-        self.sim = SimulationManager(self.cfg.sim_cfg)
-        self.sim.drive_changes = drive_changes(self.cfg.events)
+        self.episodes = Episodes(cfg.num_envs, cfg.max_episode_steps)
+        self.observers = Observers(self)
+        # EmbodiChain shares one class-level list between all environments of a process.
+        self.active_joint_ids = list(type(self).active_joint_ids)
+        self.sensors = {}
+        self._detached_uids: list[str] = []
+        self.overridden = overridden_hooks(type(self))
+        self._task_success = torch.zeros(cfg.num_envs, dtype=torch.bool)
+        self._closed = False
+        self.sim = SimulationManager(cfg.sim_cfg)
+        self.sim.drive_changes = drive_changes(cfg.events)
         try:
-            self._build(kwargs)
+            self._build_scene(kwargs)
+            self._build_managers()
+            self._start(kwargs)
         except ConfigError as error:
             self.sim.destroy()
-            raise explained(error, self) from error
+            by_hooks = not self.overridden.isdisjoint(("_setup_robot", "_prepare_scene"))
+            raise scene_setup.with_all_problems(error, cfg, by_hooks) from error
         except BaseException:
             self.sim.destroy()
             raise
+
+    # -- building ------------------------------------------------------------------------------
+
+    def _build_scene(self, kwargs: dict[str, Any]) -> None:
+        """Declare robot, scene, sensors, in this order, and compile them."""
+        cfg, sim = self.cfg, self.sim
+        self.drives_robot = not cfg.actions and bool(cfg.robot or cfg.robots)
+        own = self._setup_robot(**kwargs)
+        # After each hook, what the config declares and an override left out.
+        declared = scene_setup.add_declared_robots(sim, cfg)
+        self.robot = own if own is not None else declared
+        has_space = getattr(self, "single_action_space", None) is not None
+        chosen = has_space or self.active_joint_ids or "_step_action" in self.overridden
+        if self.drives_robot and not chosen:
+            cfg.actions = scene_setup.default_actions(self.robot)
+            self.drives_robot = not cfg.actions
+        if self.robot is not None and not self.active_joint_ids:
+            self.active_joint_ids = list(self.robot.active_joint_ids)
+        self._prepare_scene(**kwargs)
+        scene_setup.add_declared_scene(sim, cfg)
+        sensors = self._setup_sensors(**kwargs) or {}
+        self.sensors = {**scene_setup.add_declared_sensors(sim, cfg), **sensors}
+        scene_setup.set_extensions(self, cfg.extensions)
+        sim.compile()
+        scene_setup.open_window(sim, cfg.sim_cfg)
+
+    def _build_managers(self) -> None:
+        cfg = self.cfg
+        # Commands first: other terms look them up when they are built. Curricula last: they look
+        # up all others.
+        self.command_manager = CommandManager(self, cfg.commands)
+        self.observation_manager = ObservationManager(self, cfg.observations)
+        self.event_manager = EventManager(self, cfg.events)
+        self.action_manager = ActionManager(self, cfg.actions)
+        self.reward_manager = RewardManager(self, cfg.rewards)
+        self.termination_manager = TerminationManager(self, cfg.terminations)
+        self.metric_manager = MetricManager(self, cfg.metrics)
+        built: list[Manager[Any]] = [self.command_manager, self.observation_manager]
+        built += [self.event_manager, self.action_manager, self.reward_manager]
+        built += [self.termination_manager, self.metric_manager]
+        self.managers = {manager.section: manager for manager in built}
+        self.curriculum_manager = CurriculumManager(self, cfg.curriculum)
+        self.managers["curriculum"] = self.curriculum_manager
+
+    def _start(self, kwargs: dict[str, Any]) -> None:
+        """Make spaces, run startup events, and observe once."""
+        cfg, sim, robot, joints = self.cfg, self.sim, self.robot, self.active_joint_ids
+        if getattr(self, "single_action_space", None) is None or len(self.action_manager):
+            self.single_action_space = action_space(robot, joints, self.action_manager)
+        space = self.single_action_space
+        self.action_space = batch_space(space, cfg.num_envs)
+        self._check_action = ActionCheck(space, cfg.num_envs, self.device)
+        self.episodes.last_action = np.zeros((cfg.num_envs, gym.spaces.utils.flatdim(space)))
+        sim.reset_objects_state()
+        self._init_sim_state(**kwargs)
+        self.event_manager.apply("startup", None)
+        sim.engine.forward()
+        self._dump = StateDump(sim.engine)
+        self._judge = StepJudge(self, self.overridden)
+        own_code = self.overridden & {"get_obs", "_extend_obs"}
+        self.observation_buffer = buffer = ObservationBuffer(
+            robot, joints, self.observation_manager, not own_code
+        )
+        saved = self.streams.state_dict()
+        first = buffer.store(buffer.build(self.get_obs(**kwargs)))
+        self._judge.check_terms(first)
+        self.streams.load_state_dict(saved)  # this observation does not count
+        self.single_observation_space = observation_space(first)
+        self.observation_space = batch_space(self.single_observation_space, cfg.num_envs)
+        if cfg.sim_cfg.visualization is not None:
+            cfg.sim_cfg.visualization.attach(self)
 
     # -- reset ---------------------------------------------------------------------------------
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[EnvObs, dict[str, Any]]:
+    ) -> tuple[EnvObs, Info]:
         """Start new episodes.
 
         Curricula come first, and see the episodes that end. A reset is MuJoCo's own (velocities,
@@ -125,57 +234,46 @@ class BaseEnv(EnvOutcome):
             ValueError: If the environments to reset are given wrongly.
         """
         options = dict(options or {})
-        ids = reset_ids(options, self.cfg.num_envs)
+        ids = reset_ids(options, self.num_envs)
         if seed is not None:
-            seeding.reseed(self, seed)
+            seeding.seed_globals(self, seeding.reseed(self.streams, seed))
         self._reset_rows(ids, options)
-        if self._pending is not None:
-            self._pending[ids] = False
+        self.episodes.settle(ids)
         return self._observe_reset(ids, options), dict(self.get_info(**options).items())
 
     def _reset_rows(self, ids: NDArray[np.int64], options: dict[str, Any]) -> None:
         if not len(ids):
             return
-        where = None if len(ids) == self.cfg.num_envs else ids
+        where = None if len(ids) == self.num_envs else ids
         self._task_success = self.is_task_success()
-        if self._has_curriculum:
-            self.curriculum_manager.compute(where)
-        self.sim.reset_objects_state(where, excluded_uids=self._detached_uids_for_reset)
-        for manager in self._resetting:
+        self.curriculum_manager.compute(where)
+        self.sim.reset_objects_state(where, excluded_uids=self._detached_uids)
+        for manager in self.managers.values():
             manager.reset(where)
-        self._last_action = self._last_action.copy()  # observers may keep the one of the step
-        self._last_action[ids] = 0.0
+        self.episodes.set_last_action(ids, 0.0)
         self._initialize_episode(torch.from_numpy(ids.copy()), **options)
-        if self._has_events:
-            self.event_manager.apply("reset", where)
-        if self._has_commands:
-            self.command_manager.resample(where)
+        self.event_manager.apply("reset", where)
+        self.command_manager.resample(where)
         self.sim.engine.forward(where)
-        self._elapsed[ids] = 0
-        self._success[ids] = False
-        if self._cut is not None:  # that episode has ended
-            self._cut[ids] = False
-        self._episode_ids[ids] += 1
+        self.episodes.begin(ids)
         for observer in self.observers:
             observer.on_reset(self, ids)
 
-    def _observe_reset(self, ids: NDArray[np.int64], options: dict[str, Any]) -> EnvObs:
-        """The observation after a reset; other rows stay as they were last observed, to the bit."""
-        memory, count = self._memory, self.cfg.num_envs
-        stay = np.ones(count, np.bool_)
-        stay[ids] = False
-        partial = len(ids) < count
-        saved = self.streams.state_dict() if partial else None
-        obs = self._observe(options, ids if partial else None)
+    def _observe_reset(self, ids: NDArray[np.int64], options: dict[str, Any]) -> Observation:
+        """Observe after a reset; other rows stay as they were last observed, to the bit."""
+        others = np.ones(self.num_envs, np.bool_)
+        others[ids] = False
+        where = ids if len(ids) < self.num_envs else None
+        saved = None if where is None else self.streams.state_dict()
+        obs = self._observe(options, where)
         if saved is not None:
-            seeding.rewind(self.streams, saved, stay)
-            obs = memory.with_rows(obs, memory.flat, stay)
-        return memory.made_finite(obs, self._proprioception)
+            seeding.rewind(self.streams, saved, others)
+        return self.observation_buffer.store_first(obs, others)
 
     # -- step ----------------------------------------------------------------------------------
 
     # A diverging environment's numbers may not fit float32: they become infinite, and are found.
-    @np.errstate(over="ignore")
+    @np.errstate(over="ignore", invalid="ignore")
     def step(self, action: EnvAction, **kwargs: Any) -> Step:  # type: ignore[override]
         """Advance all environments by one control step (K physics steps).
 
@@ -186,19 +284,19 @@ class BaseEnv(EnvOutcome):
         counters; who is terminated or truncated; `_hook_after_sim_step`. With SAME_STEP,
         environments that are done are then reset in place, and the observation returned is their
         new one. With NEXT_STEP that happens in the next step, which gives them reward 0. With
-        DISABLED it is the caller's business.
+        DISABLED it is left to the caller.
 
         Poses, velocities and sensors are those after the last physics step and all writes; efforts
         and contact forces (``qf``) are those within the last physics step.
 
         An environment that diverges (a counter of MuJoCo's rises, or its observation or reward is
         not finite) is terminated with ``info["diverged"]``, reward 0 and its last finite
-        observation as the final one; it touches no other.
+        observation as the final one; it affects no other.
 
         Args:
             action: (N, A) finite floating tensor on the environment's device, or a numpy array, or
-                a TensorDict if `_step_action` takes one.
-            **kwargs: Handed to the hooks.
+                a mapping of tensors (such as a TensorDict) if `_step_action` takes one.
+            **kwargs: Passed to the hooks.
 
         Returns:
             Observation; reward (N,) float32; terminated (N,) bool; truncated (N,) bool; info: a
@@ -212,115 +310,94 @@ class BaseEnv(EnvOutcome):
             ValueError: If its shape or device is wrong or it is not finite; nothing was changed.
             gymnasium.error.ResetNeeded: If there was no reset yet.
         """
-        action, given = self._receive(action)
-        saved = None if self._pending is None else self.streams.state_dict()
-        seen = self._act(self._preprocess_action(action))
+        episodes = self.episodes
+        if not episodes.begun:
+            raise gym.error.ResetNeeded("call reset() before the first step()")
+        action, given = self._check_action(action)
+        episodes.last_action = given
+        pending = episodes.pending  # NEXT_STEP: these are reset instead of stepped
+        saved = None if pending is None else self.streams.state_dict()
+        stepped = None if pending is None else np.flatnonzero(~pending)
+
+        action = self._act(self._preprocess_action(action))
         if self.run_dir is not None:
             self._dump.keep()
         self.sim.update(step=self.sim_steps_per_control)
         self._update_sim_state(**kwargs)
-        stepped = None if self._pending is None else np.flatnonzero(~self._pending)
-        if self._has_events:
-            self.event_manager.step(stepped)
-        if self._has_commands:
-            self.command_manager.step(stepped)
+        self.event_manager.step(stepped)
+        self.command_manager.step(stepped)
         obs = self._observe(kwargs, stepped)
-        info, flags = self._judge(obs, seen, kwargs)
-        reward = self._reward(obs, seen, info)
-        seen = self._postprocess_action(seen)
-        obs, reward, info = self._contain(obs, reward, info, flags, given)
-        self._elapsed += _ONE
+        info, outcome = self._judge.info(obs, action, kwargs)
+        reward = self._judge.reward(obs, action, info)
+        action = self._postprocess_action(action)
+        mask = self._judge.diverged(obs, reward)
+        if mask is not None:
+            info = self._judge.exclude(mask, info, outcome)
+            obs, reward = self.observation_buffer.without(obs, mask), np.where(mask, _ZERO, reward)
+            self._dump.write(self.run_dir, mask, self.control_step, given)
+        self.observation_buffer.store(obs)
+        info["diverged"] = torch.from_numpy(
+            np.zeros(len(given), np.bool_) if mask is None else mask
+        )
+
+        episodes.advance()
         self.control_step += 1
-        info["elapsed_steps"] = torch.from_numpy(self._elapsed.copy())
-        terminated, truncated = self._ends(obs, info, flags)
-        if saved is not None:
-            reward, info = self._disregard(reward, terminated, truncated, info, saved)
-        if self._hooks_steps:
-            self._after_step(obs, seen, reward, terminated, truncated, info, kwargs)
-        episodes = self._episode_ids.copy() if self.observers else self._episode_ids
+        info["elapsed_steps"], over = self.elapsed_steps, episodes.over()
+        if "check_truncated" in self.overridden:
+            over |= as_mask(self.check_truncated(obs, info), self.num_envs, "check_truncated")
+        terminated, truncated = ends(outcome, over, self.cfg.ignore_terminations)
+        if pending is not None and saved is not None:
+            seeding.rewind(self.streams, saved, pending)
+            terminated, truncated = terminated & ~pending, truncated & ~pending
+            reward = np.where(pending, _ZERO, reward)
+            info = autoreset.blanked(info, torch.from_numpy(pending))
+        flags = torch.from_numpy(terminated), torch.from_numpy(truncated)
+        rewards = torch.from_numpy(reward)
+        if "_hook_after_sim_step" in self.overridden:
+            ended = {"terminateds": flags[0].clone(), "truncateds": flags[1].clone()}
+            dones = torch.from_numpy(terminated | truncated)
+            self._hook_after_sim_step(obs, action, rewards, dones, info, **ended, **kwargs)
+
+        ids = episodes.ids.copy() if self.observers else episodes.ids
         obs = self._autoreset(obs, info, terminated, truncated)
         if self.observers:
-            flat = given, reward.numpy(), terminated, truncated, info, obs, episodes
-            record = StepRecord(self.control_step, *flat)
+            results = reward, terminated, truncated, info, obs, ids
+            record = StepRecord(self.control_step, given, *results)
             for observer in self.observers:
                 observer.on_step(self, record)
-        return obs, reward, torch.from_numpy(terminated), torch.from_numpy(truncated), info
-
-    def _receive(self, action: EnvAction) -> tuple[EnvAction, F64]:
-        if not self._begun:
-            if self._episode_ids[0] < 0:
-                raise gym.error.ResetNeeded("call reset() before the first step()")
-            self._begun = True
-        action, given = self._check_action(action)
-        self._last_action = given
-        return action, given
+        return obs, rewards, *flags, info
 
     def _act(self, action: EnvAction) -> EnvAction:
         """Apply an action; returns the one that rewards see."""
-        if self._acts:
+        if len(self.action_manager):
+            if not isinstance(action, torch.Tensor):
+                raise TypeError(f"action terms take a tensor (N, A), got {type(action).__name__}")
             self.action_manager.apply(action)
-        if self._steps_actions or self._drives_declared:
-            seen = self._step_action(action)
-            return action if seen is None else seen
-        return action
-
-    def _after_step(
-        self,
-        obs: EnvObs,
-        action: EnvAction,
-        reward: torch.Tensor,
-        terminated: Mask,
-        truncated: Mask,
-        info: dict[str, Any],
-        kwargs: dict[str, Any],
-    ) -> None:
-        masks = {
-            "terminateds": torch.from_numpy(terminated.copy()),
-            "truncateds": torch.from_numpy(truncated.copy()),
-        }
-        dones = torch.from_numpy(terminated | truncated)
-        self._hook_after_sim_step(obs, action, reward, dones, info, **masks, **kwargs)
-
-    # -- automatic resets ----------------------------------------------------------------------
-
-    def _disregard(
-        self,
-        reward: torch.Tensor,
-        terminated: Mask,
-        truncated: Mask,
-        info: dict[str, Any],
-        saved: dict[str, Any],
-    ) -> tuple[torch.Tensor, dict[str, Any]]:
-        """NEXT_STEP: this step does not count for environments that are to be reset in it."""
-        pending = self._pending
-        if pending is None:
-            return reward, info
-        seeding.rewind(self.streams, saved, pending)
-        rows = torch.from_numpy(pending)
-        terminated &= ~pending
-        truncated &= ~pending
-        return torch.where(rows, torch.zeros(()), reward), blanked(info, rows)
+        seen = self._step_action(action)
+        return action if seen is None else seen
 
     def _autoreset(
-        self, obs: EnvObs, info: dict[str, Any], terminated: Mask, truncated: Mask
-    ) -> EnvObs:
-        """Reset what the mode says; returns the observation with its rows replaced."""
+        self, obs: Observation, info: Info, terminated: Mask, truncated: Mask
+    ) -> Observation:
+        """Reset what the mode says; returns the observation with those rows replaced."""
         mode = self.metadata["autoreset_mode"]
-        done = None if nobody(terminated) and nobody(truncated) else terminated | truncated
-        if mode is AutoresetMode.SAME_STEP:
-            if done is None:
-                return obs
-            add_finals(info, obs, done)
-            ids = np.flatnonzero(done)
+        done = None if none_set(terminated) and none_set(truncated) else terminated | truncated
+        if mode is AutoresetMode.SAME_STEP and done is not None:
+            autoreset.add_finals(info, obs, done)
         elif mode is AutoresetMode.NEXT_STEP:
-            before, self._pending = self._pending, done
-            if before is None or nobody(before):
-                return obs
-            ids = np.flatnonzero(before)
+            done, self.episodes.pending = self.episodes.pending, done
         else:
             return obs
+        if done is None or none_set(done):
+            return obs
+        ids = np.flatnonzero(done)
         self._reset_rows(ids, {})
         return self._observe_reset(ids, {})
+
+    def _observe(self, kwargs: dict[str, Any], stepped: EnvIndex | None) -> Observation:
+        """The observation that is returned, of environments that stepped or were reset."""
+        self.observation_manager.stepped = stepped
+        return self.observation_buffer.complete(self.get_obs(**kwargs))
 
     # -- the rest ------------------------------------------------------------------------------
 
@@ -339,20 +416,19 @@ class BaseEnv(EnvOutcome):
         episode: int | None = None,
         step: int | None = None,
         env_ids: Any = None,
-    ) -> tuple[EnvObs, dict[str, Any]]:
-        """Go on from a recorded moment: state, model fields and counters are as they were.
+    ) -> tuple[EnvObs, Info]:
+        """Continue from a recorded moment: state, model fields and counters are as they were.
 
         With the recorded actions the recorded states follow, to the bit, until something random
-        happens: a log does not hold how far random streams have come, nor what terms remember.
-        ``info["not_restored"]`` names both, as far as this task has them; they begin as at a reset.
+        happens: counters of random streams and states of terms are not in a log. They begin as at
+        a reset; ``info["not_restored"]`` names them.
 
         Args:
             log: An open log (`embodichain.recording.open`), or a snapshot that was taken of one.
             env: The recorded environment.
             episode: One of its episodes; None counts `step` from the start of the recording.
             step: Finished control steps of the episode, or of the recording; None is 0.
-            env_ids: The environments here that go on from there (sorted unique, or a mask); None
-                is all of them.
+            env_ids: The environments that continue here (sorted unique, or a mask); None is all.
 
         Returns:
             The observation and info of all N environments; rows of others are as before.
@@ -360,11 +436,33 @@ class BaseEnv(EnvOutcome):
         Raises:
             ConfigError: If there is no such moment, or it is of another scene.
         """
-        return restoring.restore(self, restoring.snapshot_of(log, env, episode, step), env_ids)
+        snapshot = restoring.snapshot_of(log, env, episode, step)
+        found = as_env_ids(env_ids, self.num_envs)
+        ids = np.arange(self.num_envs) if found is None else found
+        restoring.put(snapshot, self.sim, self.managers, self.episodes, ids)
+        self._task_success = self.is_task_success()
+        for observer in self.observers:
+            observer.on_reset(self, ids)
+        obs = self._observe_reset(ids, {})
+        missing = restoring.not_restored(snapshot, self.sim.engine.model, self.managers)
+        return obs, {**self.get_info(), "not_restored": missing}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything needed to continue to the bit (copies)."""
-        return state.save(self)
+        """Return everything needed to continue to the bit (copies).
+
+        Subclasses with a state of their own extend it.
+        """
+        return {
+            "num_envs": self.num_envs,
+            "control_step": self.control_step,
+            "np_random": self.np_random.bit_generator.state,
+            "observation": self.observation_buffer.last.copy(),
+            "managers": {name: manager.state_dict() for name, manager in self.managers.items()},
+            **{name: part.state_dict() for name, part in self._parts().items()},
+        }
+
+    def _parts(self) -> dict[str, Any]:
+        return {"sim": self.sim, "streams": self.streams, "episodes": self.episodes}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Continue exactly where `state_dict` was taken, in an environment of the same config.
@@ -372,23 +470,31 @@ class BaseEnv(EnvOutcome):
         Raises:
             ValueError: If the number of environments differs.
         """
-        state.load(self, saved)
+        if saved["num_envs"] != self.num_envs:
+            raise ValueError(
+                f"this state is of {saved['num_envs']} environments, "
+                f"the environment has {self.num_envs}"
+            )
+        for name, part in self._parts().items():
+            part.load_state_dict(saved[name])
+        self.np_random.bit_generator.state = saved["np_random"]
+        for name, manager in self.managers.items():
+            manager.load_state_dict(saved["managers"][name])
+        self.control_step = saved["control_step"]
+        self.observation_buffer.last = saved["observation"].copy()
 
     def close(self) -> None:
-        """Tell observers, and free the simulation; does nothing the second time.
-
-        Every observer is told and the simulation is freed, also if one of them raises.
-        """
+        """Tell observers, and free the simulation, also if one raises; once only."""
         if self._closed:
             return
         self._closed = True
         with ExitStack() as stack:  # runs all of it, last first
-            # Nothing holds the engine then: its memory is free at once, not when cycles are.
+            # Without the dump nothing refers to the engine: its memory is freed at once.
             stack.callback(self.sim.destroy)
             stack.callback(self.__dict__.pop, "_dump", None)
-            for observer in reversed(self.observers):
+            for observer in reversed(list(self.observers)):
                 stack.callback(observer.on_close, self)
 
 
 EmbodiedEnv = BaseEnv
-"""EmbodiChain's name for an environment built from its config; here every environment can be."""
+"""EmbodiChain's name for an environment built from its config."""

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
-from embodichain.lab.gym.envs.observers import ObservedEnv, StepObserver
+from embodichain.lab.gym.envs.observers import ObservedEnv, Observers, StepObserver
 
 if TYPE_CHECKING:
     import torch
@@ -187,7 +187,7 @@ class TermContext(ObservedEnv, Protocol):
         ...
 
     @property
-    def observers(self) -> Sequence[StepObserver]:
+    def observers(self) -> Observers:
         """Attached observers."""
         ...
 

@@ -15,7 +15,7 @@ from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
 from embodichain.lab.gym.envs.managers.registry import TERMS, Kind
 from embodichain.lab.gym.gym_config.conversion import Conversion, convert
 from embodichain.lab.sim.cfg import ArticulationCfg, LightCfg, RigidObjectCfg, name_of
-from embodichain.lab.sim.sensors.camera_cfg import CameraCfg, no_camera
+from embodichain.lab.sim.sensors.cfg import CameraCfg, no_camera
 from embodichain.utils.configclass import configclass, is_configclass
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.from_dict import from_dict

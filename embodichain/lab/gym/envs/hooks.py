@@ -1,4 +1,4 @@
-"""`EnvHooks`: what a subclass of `BaseEnv` may override, each with its default.
+"""`EnvHooks`: the methods that a subclass of `BaseEnv` may override, each with its default.
 
 `BaseEnv.step` and `BaseEnv.reset` say when each is called. Managers and declared entities are no
 part of any hook: a subclass that overrides one without calling ``super()`` loses nothing.
@@ -6,33 +6,56 @@ part of any hook: a subclass that overrides one without calling ``super()`` lose
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import torch
 
-if TYPE_CHECKING:
-    from tensordict import TensorDict
+from embodichain.lab.gym.envs.actions import drive_robot
+from embodichain.lab.gym.envs.judging import task_state
+from embodichain.lab.gym.envs.scene_setup import (
+    add_declared_robots,
+    add_declared_scene,
+    add_declared_sensors,
+)
 
+if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
+    from embodichain.lab.gym.envs.episodes import Episodes
+    from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
     from embodichain.lab.sim.objects.robot import Robot
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.lab.sim.types import EnvAction, EnvObs
 
-__all__ = ["EnvHooks", "overrides"]
+__all__ = ["EnvHooks", "overridden_hooks"]
 
 
 class EnvHooks:
-    """The overridable part of `BaseEnv`. N is the number of environments."""
+    """The overridable part of `BaseEnv`. N is the number of environments.
+
+    Attributes:
+        cfg: The environment's own copy of its config, derived values filled in.
+        sim: The simulation of all N environments.
+        robot: The robot, or None.
+        active_joint_ids: Its joints that ``obs["robot"]`` contains and actions move.
+        sensors: Sensors by uid.
+        episodes: Counters of the episodes.
+        observation_buffer: Makes observations.
+        overridden: Names of the hooks that the class overrides, of those whose defaults do nothing.
+        drives_robot: Whether actions are joint targets of the declared robot: there are no action
+            terms.
+    """
 
     cfg: EnvCfg
     sim: SimulationManager
     robot: Robot | None
     active_joint_ids: list[int] = []
     sensors: dict[str, Any] = {}
-    _success: np.ndarray[Any, np.dtype[np.bool_]]
-    _drives_declared: bool = False
+    episodes: Episodes
+    observation_buffer: ObservationBuffer
+    overridden: frozenset[str]
+    drives_robot: bool = False
 
     # -- building ------------------------------------------------------------------------------
 
@@ -42,14 +65,10 @@ class EnvHooks:
         An override may set ``self.single_action_space``. The default adds what the config declares
         under ``robot`` and ``robots``; what an override leaves out of those is added after it.
         """
-        from embodichain.lab.gym.envs.declared import add_declared_robots
-
         return add_declared_robots(self.sim, self.cfg)
 
     def _prepare_scene(self, **kwargs: Any) -> None:
         """Add everything else; called after `_setup_robot`. The default adds what is declared."""
-        from embodichain.lab.gym.envs.declared import add_declared_scene
-
         add_declared_scene(self.sim, self.cfg)
 
     def _setup_sensors(self, **kwargs: Any) -> dict[str, Any]:
@@ -57,8 +76,6 @@ class EnvHooks:
 
         The default adds what the config declares; so is what an override leaves out of that.
         """
-        from embodichain.lab.gym.envs.declared import add_declared_sensors
-
         return dict(add_declared_sensors(self.sim, self.cfg))
 
     def _init_sim_state(self, **kwargs: Any) -> None:
@@ -79,7 +96,7 @@ class EnvHooks:
 
         The default is ``info["success"]`` (or the metric called ``success``) of the last step.
         """
-        return torch.from_numpy(self._success.copy())
+        return torch.from_numpy(self.episodes.success.copy())
 
     # -- stepping ------------------------------------------------------------------------------
 
@@ -91,12 +108,10 @@ class EnvHooks:
         """Apply an action; what is returned is the action that rewards see (None: as it was).
 
         The default moves a declared robot that has no action terms: a tensor (N, A) is absolute
-        joint targets, a TensorDict holds any of ``qpos``, ``qvel``, ``qf``. With action terms, they
-        run first and an override runs after them.
+        joint targets, a mapping has any of ``qpos``, ``qvel``, ``qf``. With action terms, they run
+        first and an override runs after them.
         """
-        if self._drives_declared:
-            from embodichain.lab.gym.envs.declared import drive_robot
-
+        if self.drives_robot:
             period = self.sim.sim_config.physics_dt * self.cfg.sim_steps_per_control
             drive_robot(self.robot, self.active_joint_ids, action, period)
         return action
@@ -128,9 +143,27 @@ class EnvHooks:
             **kwargs: ``terminateds`` and ``truncateds`` (N,) bool, and what `step` was given.
         """
 
-    # -- judging -------------------------------------------------------------------------------
+    # -- observing -----------------------------------------------------------------------------
 
-    def _get_sensor_obs(self, **kwargs: Any) -> TensorDict | Mapping[str, Any]:
+    @property
+    def observes_sensors(self) -> bool:
+        """Whether ``obs["sensor"]`` exists: a sensor or an overriding hook says so."""
+        if "_get_sensor_obs" in self.overridden:
+            return bool(self.sensors)
+        return any(getattr(sensor, "observe", True) for sensor in self.sensors.values())
+
+    def get_obs(self, **kwargs: Any) -> EnvObs:
+        """Observe all environments: robot, sensors, `_extend_obs`, observation terms.
+
+        Returns:
+            Batch size N; ``obs["robot"]`` has ``qpos``, ``qvel``, ``qf``, (N, A) float32 each.
+        """
+        sensors = self._get_sensor_obs(**kwargs) if self.observes_sensors else {}
+        extends = "_extend_obs" in self.overridden
+        extend = partial(self._extend_obs, **kwargs) if extends else None
+        return self.observation_buffer.observe(sensors, extend)
+
+    def _get_sensor_obs(self, **kwargs: Any) -> Mapping[str, Any]:
         """Return ``obs["sensor"]``: each sensor's data by uid.
 
         Called only if there are sensors. The default leaves out those whose `observe` is False.
@@ -141,6 +174,17 @@ class EnvHooks:
         """Return the observation with more in it; observation terms run after this."""
         return obs
 
+    # -- judging -------------------------------------------------------------------------------
+
+    def get_info(self, **kwargs: Any) -> dict[str, Any]:
+        """Return ``elapsed_steps`` (N,) int32, and what the class's own hooks give."""
+        info = {"elapsed_steps": torch.from_numpy(self.episodes.elapsed.copy())}
+        if "compute_task_state" in self.overridden:
+            name = f"{type(self).__name__}.compute_task_state"
+            info |= task_state(self.compute_task_state(**kwargs), self.cfg.num_envs, name)
+        info.update(self.evaluate(**kwargs))
+        return info
+
     def compute_task_state(
         self, **kwargs: Any
     ) -> tuple[torch.Tensor, torch.Tensor, dict[str, torch.Tensor]]:
@@ -148,8 +192,8 @@ class EnvHooks:
 
         Either ends the episode. Declared terminations and metrics are added to them.
         """
-        nobody = torch.zeros(len(self._success), dtype=torch.bool)
-        return nobody, nobody.clone(), {}
+        none = torch.zeros(self.cfg.num_envs, dtype=torch.bool)
+        return none, none.clone(), {}
 
     def evaluate(self, **kwargs: Any) -> Mapping[str, Any]:
         """Return entries of ``info``; ``success`` and ``fail``, (N,) bool, end the episode.
@@ -160,7 +204,7 @@ class EnvHooks:
 
     def get_reward(self, obs: EnvObs, action: EnvAction, info: dict[str, Any]) -> torch.Tensor:
         """Return (N,) rewards; those of reward terms are added to them."""
-        return torch.zeros(len(self._success))
+        return torch.zeros(self.cfg.num_envs)
 
     def _extend_reward(
         self, rewards: torch.Tensor, obs: EnvObs, action: EnvAction, info: dict[str, Any]
@@ -170,9 +214,19 @@ class EnvHooks:
 
     def check_truncated(self, obs: EnvObs, info: dict[str, Any]) -> torch.Tensor:
         """Return (N,) bool: episodes to cut off, besides those at `max_episode_steps`."""
-        return torch.zeros(len(self._success), dtype=torch.bool)
+        return torch.zeros(self.cfg.num_envs, dtype=torch.bool)
 
 
-def overrides(env: EnvHooks, names: Sequence[str]) -> dict[str, bool]:
-    """Return which hooks a class overrides: `step` skips the defaults that do nothing."""
-    return {name: getattr(type(env), name) is not getattr(EnvHooks, name) for name in names}
+OPTIONAL_HOOKS = (
+    *("get_obs", "_extend_obs", "_get_sensor_obs", "_step_action", "get_reward", "_extend_reward"),
+    *("check_truncated", "_hook_after_sim_step", "compute_task_state", "evaluate", "get_info"),
+    *("_setup_robot", "_prepare_scene"),
+)
+"""Hooks that are treated otherwise where a class does not override them: most are not called."""
+
+
+def overridden_hooks(cls: type[EnvHooks]) -> frozenset[str]:
+    """Return which of `OPTIONAL_HOOKS` a class overrides."""
+    return frozenset(
+        name for name in OPTIONAL_HOOKS if getattr(cls, name) is not getattr(EnvHooks, name)
+    )

@@ -7,7 +7,7 @@ observer: it does not see what happens inside an automatic reset.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -21,7 +21,15 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.lab.sim.types import EnvObs
 
-__all__ = ["EndedBy", "EventRecord", "ObservedEnv", "RewardWeights", "StepObserver", "StepRecord"]
+__all__ = [
+    "EndedBy",
+    "EventRecord",
+    "ObservedEnv",
+    "Observers",
+    "RewardWeights",
+    "StepObserver",
+    "StepRecord",
+]
 
 
 class RewardWeights(Protocol):
@@ -167,3 +175,50 @@ class StepObserver:
 
     def on_close(self, env: ObservedEnv) -> None:
         """The environment closes; nothing follows."""
+
+
+class Observers:
+    """The observers attached to an environment; they also hear its engine.
+
+    Args:
+        env: The environment.
+    """
+
+    def __init__(self, env: ObservedEnv) -> None:
+        self._env = env
+        self._attached: list[StepObserver] = []
+
+    def __iter__(self) -> Iterator[StepObserver]:
+        """Iterate in the order of attachment."""
+        return iter(self._attached)
+
+    def __len__(self) -> int:
+        """Return the number of observers."""
+        return len(self._attached)
+
+    def add(self, observer: StepObserver) -> None:
+        """Attach an observer."""
+        if not self._attached:
+            self._env.sim.engine.listeners.append(self)
+        self._attached.append(observer)
+
+    def remove(self, observer: StepObserver) -> None:
+        """Detach an observer; ValueError if it is not attached."""
+        self._attached.remove(observer)
+        if not self._attached:
+            self._env.sim.engine.listeners.remove(self)
+
+    def on_write(self, write: Write) -> None:
+        """Something outside physics was written."""
+        for observer in self._attached:
+            observer.on_write(self._env, write)
+
+    def on_physics(self, event: PhysicsEvent) -> None:
+        """Physics is about to step, or has stepped."""
+        for observer in self._attached:
+            observer.on_physics(self._env, event)
+
+    def on_event(self, event: EventRecord) -> None:
+        """A term has fired."""
+        for observer in self._attached:
+            observer.on_event(self._env, event)

@@ -1,7 +1,7 @@
-"""Putting a recorded moment into a live environment, so that it goes on from there.
+"""Restoring a recorded moment: the state, the model and the draws of a `Snapshot`.
 
-What a log knows is a `Snapshot`. What terms remember besides (histories, delays, commands, timers)
-and how far random streams have come is not in it: those begin as at a reset, and it is said.
+The states of terms (histories, delays, commands, timers) and of random streams are not in it: they
+begin as at a reset, and `not_restored` names them.
 """
 
 from __future__ import annotations
@@ -11,22 +11,21 @@ from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.snapshot import Drawn, Snapshot, SnapshotSource
 from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS
-from embodichain.lab.sim.objects._arrays import as_env_ids
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.episodes import Episodes
     from embodichain.lab.gym.envs.managers.base import Manager
     from embodichain.lab.sim.engine.base import EnvIndex
-    from embodichain.lab.sim.types import EnvObs
+    from embodichain.lab.sim.engine.cpu import CpuEngine
+    from embodichain.lab.sim.sim_manager import SimulationManager
 
-__all__ = ["not_restored", "put", "restore", "snapshot_of"]
+__all__ = ["not_restored", "put", "snapshot_of"]
 
 _ALWAYS = ("random streams", "sums of rewards and metrics over the episode")
 
@@ -55,68 +54,61 @@ def snapshot_of(
     return log.snapshot(env, episode, step)
 
 
-def restore(env: BaseEnv, snapshot: Snapshot, env_ids: Any) -> tuple[EnvObs, dict[str, Any]]:
-    """Put a snapshot into environments, tell observers, and observe; see `BaseEnv.restore`."""
-    ids = as_env_ids(env_ids, env.num_envs)
-    ids = np.arange(env.num_envs) if ids is None else ids
-    put(env, snapshot, ids)
-    for observer in env.observers:
-        observer.on_reset(env, ids)
-    obs = env._observe_reset(ids, {})
-    info = dict(env.get_info().items())
-    return obs, {**info, "not_restored": not_restored(env, snapshot)}
-
-
-def put(env: BaseEnv, snapshot: Snapshot, ids: EnvIndex) -> None:
-    """Give environments the state, the model and the counters of a snapshot; observes nothing.
+def put(
+    snapshot: Snapshot,
+    sim: SimulationManager,
+    managers: Mapping[str, Manager[Any]],
+    episodes: Episodes,
+    ids: EnvIndex,
+) -> None:
+    """Give environments the state, the model, the terms' draws and the counters of a snapshot.
 
     Args:
-        env: The environment.
-        snapshot: What to put in.
+        snapshot: The snapshot.
+        sim: The simulation.
+        managers: All managers by section.
+        episodes: The counters.
         ids: (n,) sorted unique environments.
 
     Raises:
         ConfigError: If it is of another scene or another action space.
     """
-    _check(env, snapshot)
-    where = None if len(ids) == env.num_envs else ids
-    for manager in env._resetting:
+    _check(snapshot, sim.engine.model, episodes.last_action.shape[1])
+    where = None if len(ids) == sim.num_envs else ids
+    for manager in managers.values():
         manager.reset(where)
-    env.sim.reset_objects_state(where)
+    sim.reset_objects_state(where)
     for drawn in snapshot.drawn:
-        _fire(env, drawn, where)
-    _put_model(env, snapshot.fields, where)
-    env.sim.engine.write("row", snapshot.row, where)
-    handles = {**env.sim.robots, **env.sim.articulations}
-    for handle in handles.values():
+        _replay_draw(managers, drawn, where)
+    _put_model(sim.engine, snapshot.fields, where)
+    sim.engine.write("row", snapshot.row, where)
+    for handle in {**sim.robots, **sim.articulations}.values():
         handle.drives.take_over(where, snapshot.fields)
-    for body in env.sim.rigid_objects.values():
+    for body in sim.rigid_objects.values():
         body.take_over(where, snapshot.fields)
-    env.sim.engine.forward(where)
-    env.command_manager.update(where)
-    env._last_action = env._last_action.copy()  # observers may keep the one of the step
-    env._last_action[ids] = snapshot.last_action
-    env._elapsed[ids] = snapshot.elapsed
-    env._episode_ids[ids] = snapshot.episode
-    env._success[ids] = False
-    if env._pending is not None:
-        env._pending[ids] = False
-    env._task_success = torch.from_numpy(env._success.copy())
+    sim.engine.forward(where)
+    commands: Any = managers["commands"]
+    commands.update(where)
+    episodes.restore(ids, snapshot.elapsed, snapshot.episode)
+    episodes.set_last_action(ids, snapshot.last_action)
 
 
-def _fire(env: BaseEnv, drawn: Drawn, where: EnvIndex | None) -> None:
-    """Let a term do again what it did, for what it keeps outside the simulation's state."""
-    if drawn.mode == "command" and drawn.term in env.command_manager.terms:
-        env.command_manager.replay(drawn.term, "command", where, drawn.values)
+def _replay_draw(
+    managers: Mapping[str, Manager[Any]], drawn: Drawn, where: EnvIndex | None
+) -> None:
+    """Call a term with its recorded draws, for what it stores outside the simulation's state."""
+    manager: Any = managers["commands" if drawn.mode == "command" else "events"]
+    term = manager.terms.get(drawn.term)
+    if term is None:
         return
-    term = env.event_manager.terms.get(drawn.term)
-    if term is not None and term.cfg.mode == drawn.mode and not term.cfg.is_global:
-        env.event_manager.replay(drawn.term, drawn.mode, where, drawn.values)
+    if drawn.mode == "command" or (term.cfg.mode == drawn.mode and not term.cfg.is_global):
+        manager.replay(drawn.term, drawn.mode, where, drawn.values)
 
 
-def _put_model(env: BaseEnv, fields: Mapping[str, NDArray[Any]], where: EnvIndex | None) -> None:
+def _put_model(
+    engine: CpuEngine, fields: Mapping[str, NDArray[Any]], where: EnvIndex | None
+) -> None:
     """Set what may differ between environments; the rest becomes what was compiled."""
-    engine = env.sim.engine
     engine.forward(where)  # nothing that is still to be derived may undo what follows
     engine.reset(where)  # and its counters are those of a new beginning
     for name, values in engine.state_dict()["model"].items():
@@ -138,8 +130,7 @@ def _compiled(model: mujoco.MjModel, name: str) -> NDArray[Any]:
     return np.asarray(getattr(owner, last)).reshape(-1)
 
 
-def _check(env: BaseEnv, snapshot: Snapshot) -> None:
-    model = env.sim.engine.model
+def _check(snapshot: Snapshot, model: mujoco.MjModel, width: int) -> None:
     for what, here, there in zip(
         ("bodies", "joints", "actuators"), _names(model), _names(snapshot.model), strict=True
     ):
@@ -152,7 +143,6 @@ def _check(env: BaseEnv, snapshot: Snapshot) -> None:
     layout = {name: (s.start, s.stop) for name, s in row_layout(model).items()}
     if layout != dict(snapshot.layout):
         raise ConfigError(f"{snapshot.origin}: its rows hold other components than here")
-    width = env._last_action.shape[1]
     if snapshot.last_action.shape != (width,):
         raise ConfigError(
             f"{snapshot.origin}: its actions have {len(snapshot.last_action)} columns, here {width}"
@@ -164,15 +154,17 @@ def _names(model: mujoco.MjModel) -> tuple[list[str], ...]:
     return tuple([named(i).name for i in range(count)] for count, named in kinds)
 
 
-def not_restored(env: BaseEnv, snapshot: Snapshot) -> list[str]:
+def not_restored(
+    snapshot: Snapshot, model: mujoco.MjModel, managers: Mapping[str, Manager[Any]]
+) -> list[str]:
     """What is not as it was when the snapshot's moment was recorded, one line each."""
     found = [*snapshot.notes, *_ALWAYS]
     again = {("commands" if d.mode == "command" else "events", d.term) for d in snapshot.drawn}
-    for section, manager in env.managers.items():
+    for section, manager in managers.items():
         for name, why in _kept(manager):
             if why or (section, name) not in again:
                 found.append(f"{section}.{name}{why}")
-    other = _differing(env.sim.engine.model, snapshot.model)
+    other = _differing(model, snapshot.model)
     if other:
         found.insert(0, f"the scene is another one: its {', '.join(other)} differ")
     return found

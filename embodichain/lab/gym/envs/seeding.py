@@ -1,4 +1,4 @@
-"""Seeds of an environment, and winding its random streams back."""
+"""Seeds of an environment, and rewinding its random streams."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import torch
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.basics import EnvBasics
     from embodichain.utils.random import RandomStreams
 
 __all__ = ["first_seed", "reseed", "rewind", "seed_globals"]
@@ -25,7 +24,7 @@ def first_seed(seed: int | None) -> int:
     return int(seed)
 
 
-def seed_globals(env: EnvBasics, seed: int) -> None:
+def seed_globals(env: gym.Env[Any, Any], seed: int) -> None:
     """Seed what code outside this package may draw from: `np_random` and torch's generator.
 
     Nothing in this package draws from torch's generator; tutorial-like classes do.
@@ -35,8 +34,8 @@ def seed_globals(env: EnvBasics, seed: int) -> None:
     torch.manual_seed(seed % 2**64)
 
 
-def reseed(env: EnvBasics, seed: Any) -> None:
-    """Start every random stream of an environment anew.
+def reseed(streams: RandomStreams, seed: Any) -> int:
+    """Start every random stream of an environment anew; returns the seed in use.
 
     Raises:
         ValueError: If the seed is not an integer.
@@ -45,9 +44,9 @@ def reseed(env: EnvBasics, seed: Any) -> None:
         raise ValueError(
             f"seed must be one integer (each environment has its own stream): {seed!r}"
         )
-    seed = first_seed(int(seed))
-    env.streams.load_state_dict({"seed": seed, "counters": {}})
-    seed_globals(env, seed)
+    value = first_seed(int(seed))
+    streams.load_state_dict({"seed": value, "counters": {}})
+    return value
 
 
 def rewind(streams: RandomStreams, saved: dict[str, Any], rows: NDArray[np.bool_]) -> None:

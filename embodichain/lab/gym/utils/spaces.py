@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
-from tensordict import TensorDict
 
 from embodichain.lab.gym.utils.bounds import joint_bounds
 
@@ -37,7 +36,7 @@ def joint_space(articulation: Articulation, joint_ids: Sequence[int]) -> spaces.
     return spaces.Box(low, high, dtype=np.float32)
 
 
-def observation_space(obs: TensorDict) -> spaces.Dict:
+def observation_space(obs: Mapping[str, Any]) -> spaces.Dict:
     """Return the space of one environment's observation.
 
     Floating point entries are unbounded, integers bounded by their type, booleans by 0 and 1.
@@ -47,7 +46,7 @@ def observation_space(obs: TensorDict) -> spaces.Dict:
     """
     return spaces.Dict(
         {
-            key: observation_space(value) if isinstance(value, TensorDict) else _leaf_space(value)
+            key: observation_space(value) if isinstance(value, Mapping) else _leaf_space(value)
             for key, value in obs.items()
         }
     )
@@ -97,9 +96,9 @@ def named_obs(obs: Any, space: spaces.Dict) -> dict[str, NDArray[Any]]:
     return {name: np.array(part, space[name].dtype) for name, part in parts.items()}
 
 
-def numpy_obs(obs: TensorDict) -> dict[str, Any]:
+def numpy_obs(obs: Mapping[str, Any]) -> dict[str, Any]:
     """Return an observation as nested dicts of numpy arrays (N, ...) over the same memory."""
     return {
-        key: numpy_obs(value) if isinstance(value, TensorDict) else value.cpu().numpy()
+        key: numpy_obs(value) if isinstance(value, Mapping) else value.cpu().numpy()
         for key, value in obs.items()
     }

@@ -1,4 +1,4 @@
-"""From declared configs to one MuJoCo model: `parse_articulation`, `compile_scene`, `describe`.
+"""From declared configs to one MuJoCo model: `parse_articulation` and `compile_scene`.
 
 Nothing here steps physics, and nothing here imports torch.
 """
@@ -11,17 +11,13 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_articulation
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
-    from embodichain.lab.sim.compiler.scene_check import describe
-    from embodichain.lab.sim.compiler.tables import SceneDescription, describe_scene
 
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
         "articulation": ["ParsedArticulation", "parse_articulation"],
-        "scene_check": ["describe"],
         "index": ["EntityIndex"],
         "scene": ["CompiledScene", "compile_scene"],
-        "tables": ["SceneDescription", "describe_scene"],
     },
 )
 
@@ -29,9 +25,6 @@ __all__ = [
     "CompiledScene",
     "EntityIndex",
     "ParsedArticulation",
-    "SceneDescription",
     "compile_scene",
-    "describe",
-    "describe_scene",
     "parse_articulation",
 ]

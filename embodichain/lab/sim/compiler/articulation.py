@@ -17,17 +17,14 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.cfg import ArticulationCfg
 from embodichain.lab.sim.compiler.actuators import Servos, control_names, read_servos
-from embodichain.lab.sim.compiler.assembly import read_robot
-from embodichain.lab.sim.compiler.attachments import add_attachments, check_attachments
 from embodichain.lab.sim.compiler.chatter import (
     DriveChange,
     PhysicsStep,
     drawn_joints,
     quiet_armature,
 )
-from embodichain.lab.sim.compiler.collision import prepare_shapes
 from embodichain.lab.sim.compiler.drives import DriveGains, apply_drives, resolve_drives
-from embodichain.lab.sim.compiler.files import ModelFile, compile_quietly
+from embodichain.lab.sim.compiler.file_joints import movable_joints, read_joints, read_mimics
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.initial import (
     Keyframe,
@@ -35,16 +32,28 @@ from embodichain.lab.sim.compiler.initial import (
     read_keyframe,
     resolve_qpos,
 )
-from embodichain.lab.sim.compiler.joints import movable_joints, read_joints, read_mimics
-from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
-from embodichain.lab.sim.compiler.names import match
-from embodichain.lab.sim.compiler.pose import initial_pose
-from embodichain.lab.sim.compiler.roots import set_root, strip_world
-from embodichain.lab.sim.compiler.tools import add_tools, resolve_tools
+from embodichain.lab.sim.compiler.link_additions import (
+    add_attachments,
+    add_tools,
+    check_attachments,
+    resolve_tools,
+)
+from embodichain.lab.sim.compiler.model_files import (
+    MUJOCO_ERRORS,
+    ModelFile,
+    as_line,
+    compile_quietly,
+)
+from embodichain.lab.sim.compiler.names import exact_pattern, match
+from embodichain.lab.sim.compiler.rigid_math import initial_pose
+from embodichain.lab.sim.compiler.robot_assembly import read_robot
+from embodichain.lab.sim.compiler.robot_bodies import prepare_shapes, set_root, strip_world
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import listing
 
 __all__ = ["ParsedArticulation", "parse_articulation", "parse_with_problems"]
+
+_RAISED = "is raised"
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +141,18 @@ class ParsedArticulation:
     keyframe: Keyframe | None
     notes: tuple[str, ...]
 
+    def with_given_armature(self, armature: Mapping[str, float]) -> ParsedArticulation:
+        """The same as if the config gave the armature that was added: joint -> kg m^2 or kg."""
+        drives = self.cfg.drive_pros
+        given = drives.armature if isinstance(drives.armature, Mapping) else {}
+        names = {exact_pattern(name): value for name, value in armature.items()}
+        return replace(
+            self,
+            cfg=replace(self.cfg, drive_pros=replace(drives, armature={**given, **names})),
+            added_armature=np.zeros(len(self.joint_names)),
+            notes=tuple(n for n in self.notes if f"drive_pros.armature {_RAISED}" not in n),
+        )
+
     def without_model(self) -> ParsedArticulation:
         """The same with an empty `spec` and `model`, which are large."""
         empty = mujoco.MjSpec()
@@ -214,7 +235,7 @@ def parse_with_problems(
         spec, root = set_root(file.spec, cfg.fix_base)
         model = compile_quietly(spec)
         added = np.zeros(len(joints.names))
-        if step is not None:
+        if step is not None and not problems:
             added, said = _quieten(spec, model, joints.names, gains, qpos, parts, step, changes)
             notes += [f"{file.path}: {note}" for note in said]
     except (ConfigError, *MUJOCO_ERRORS) as error:
@@ -247,7 +268,7 @@ def parse_with_problems(
             max_effort=np.where(kept, servos.max_effort, gains.max_effort),
             max_velocity=gains.max_velocity,
             friction=gains.friction,
-            armature=gains.armature + added,
+            armature=np.where(added > 0, _rounded(gains.armature + added), gains.armature),
             added_armature=added,
             mimic_ids=mimics.ids,
             mimic_parents=mimics.parents,
@@ -301,18 +322,23 @@ def _quieten(
     )
     given = gains.armature_given | drawn_joints("armature", names, parts, changes)
     added = np.where(given, 0.0, lacking)
-    for name, more in zip(names, added, strict=True):
-        if more > 0:
-            spec.joint(name).armature += float(more)
-            model.dof_armature[model.joint(name).dofadr[0]] += float(more)
+    for i in np.flatnonzero(added > 0).tolist():
+        total = float(_rounded(gains.armature + added)[i])
+        spec.joint(names[i]).armature = total
+        model.dof_armature[model.joint(names[i]).dofadr[0]] = total
     if added.any():
         mujoco.mj_setConst(model, mujoco.MjData(model))
     enough = gains.armature + lacking
     notes = (
-        _armature_note("is raised", names, enough, added > 0, step),
+        _armature_note(_RAISED, names, enough, added > 0, step),
         _armature_note("is too small", names, enough, given & (lacking > 0), step),
     )
     return added, [note for note in notes if note]
+
+
+def _rounded(values: F64) -> F64:
+    """12 digits after the point: what a config that gives the armature says."""
+    return np.array([round(float(value), 12) for value in values])
 
 
 def _armature_note(

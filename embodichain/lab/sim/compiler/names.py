@@ -1,4 +1,4 @@
-"""Names in configs against names in models: regexes, and uids."""
+"""Names in configs: regexes against the names in models, and uids."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
-__all__ = ["check_uid", "match"]
+__all__ = ["check_uid", "exact_pattern", "match"]
 
 
 def match(
@@ -30,6 +30,15 @@ def match(
         return found, []
     message = f"no {what} matches {pattern!r}; there are: {listing(names, pattern)}"
     return (), [Problem(path, message, did_you_mean(pattern, names).strip())]
+
+
+def exact_pattern(name: str) -> str:
+    """Return a name as a regex that matches it."""
+    try:
+        plain = re.fullmatch(name, name) is not None
+    except re.error:
+        plain = False
+    return name if plain else re.escape(name)
 
 
 def check_uid(uid: str, path: str, taken: Mapping[str, str]) -> list[Problem]:

@@ -1,27 +1,25 @@
-"""`compile_scene`: parsed articulations, objects and lights into one model."""
+"""`compile_scene`: parsed articulations, objects, lights and sensors into one model."""
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import LightCfg, RigidObjectCfg, SimulationManagerCfg
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation
-from embodichain.lab.sim.compiler.collision import MAX_MASKED, separate
-from embodichain.lab.sim.compiler.files import compile_quietly
 from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
-from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
+from embodichain.lab.sim.compiler.model_files import MUJOCO_ERRORS, as_line, compile_quietly
 from embodichain.lab.sim.compiler.names import check_uid
-from embodichain.lab.sim.compiler.objects import add_object, check_object, damping_of
-from embodichain.lab.sim.compiler.options import apply_options, replace_options
-from embodichain.lab.sim.compiler.pose import initial_pose
-from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
-from embodichain.lab.sim.compiler.sensors import (
+from embodichain.lab.sim.compiler.rigid_math import initial_pose
+from embodichain.lab.sim.compiler.rigid_objects import add_object, check_object, damping_of
+from embodichain.lab.sim.compiler.robot_bodies import MAX_MASKED, separate
+from embodichain.lab.sim.compiler.scene_sensors import (
     SensorIndex,
+    SensorPlan,
     add_sensors,
     deaf_sensors,
     index_sensors,
@@ -36,9 +34,95 @@ from embodichain.lab.sim.compiler.visuals import (
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_multiply, quat_rotate
 
-__all__ = ["CompiledScene", "compile_scene"]
+__all__ = ["CompiledScene", "apply_options", "compile_scene", "replace_options"]
 
-_log = logging.getLogger(__name__)
+_INTEGRATORS = {
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
+    "Euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "RK4": mujoco.mjtIntegrator.mjINT_RK4,
+}
+_SOLVERS = {
+    "Newton": mujoco.mjtSolver.mjSOL_NEWTON,
+    "CG": mujoco.mjtSolver.mjSOL_CG,
+    "PGS": mujoco.mjtSolver.mjSOL_PGS,
+}
+_CONES = {
+    "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL,
+    "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC,
+}
+_ENUMS: dict[str, type[Any]] = {
+    "integrator": mujoco.mjtIntegrator,
+    "solver": mujoco.mjtSolver,
+    "cone": mujoco.mjtCone,
+    "jacobian": mujoco.mjtJacobian,
+}
+_FLAGS: dict[str, type[Any]] = {
+    "disableflags": mujoco.mjtDisableBit,
+    "enableflags": mujoco.mjtEnableBit,
+}
+
+
+def apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
+    """Set a scene's physics options.
+
+    Auto-reset is off: it would put a diverged simulation back to qpos0 in the middle of a step.
+
+    Raises:
+        ConfigError: If the timestep is not positive.
+    """
+    if not cfg.physics_dt > 0:
+        raise ConfigError([Problem("physics_dt", f"must be positive, got {cfg.physics_dt}")])
+    physics, option = cfg.physics_config, spec.option
+    option.timestep = float(cfg.physics_dt)
+    option.gravity = [float(g) for g in physics.gravity]
+    option.integrator = int(_INTEGRATORS[physics.integrator])
+    option.solver = int(_SOLVERS[physics.solver])
+    option.iterations = int(physics.iterations)
+    option.cone = int(_CONES[physics.cone])
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+
+
+def replace_options(child: mujoco.MjSpec, scene: mujoco.MjSpec) -> list[str]:
+    """Give a child the scene's options.
+
+    Returns:
+        ``name: value in the file -> value of the scene`` for each option that the file sets to
+        something other than MuJoCo's default and the scene does not share.
+    """
+    default = mujoco.MjSpec().option
+    replaced: list[str] = []
+    for name in _names(default):
+        old, new = getattr(child.option, name), getattr(scene.option, name)
+        if name in _FLAGS:
+            theirs = int(old) & ~int(new)
+            if theirs:
+                replaced.append(f"{name} {_flags(name, theirs)} -> off")
+        elif not np.array_equal(old, new) and not np.array_equal(old, getattr(default, name)):
+            replaced.append(f"{name} {_show(name, old)} -> {_show(name, new)}")
+        setattr(child.option, name, new)
+    return replaced
+
+
+def _names(option: Any) -> list[str]:
+    return [name for name in dir(option) if not name.startswith("_")]
+
+
+def _show(name: str, value: Any) -> str:
+    if name in _ENUMS:
+        return str(_ENUMS[name](int(value)).name.split("_")[-1].lower())
+    array = np.asarray(value, np.float64).reshape(-1)
+    return " ".join(f"{x:g}" for x in array)
+
+
+def _flags(name: str, bits: int) -> str:
+    known = [flag for flag in _FLAGS[name].__members__.values() if int(flag) & bits]
+    names = [flag.name.split("_")[-1].lower() for flag in known if _one_bit(int(flag))]
+    return ", ".join(names) or hex(bits)
+
+
+def _one_bit(value: int) -> bool:
+    return value > 0 and value & (value - 1) == 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +135,15 @@ class CompiledScene:
         spec: What it was compiled from, for export as XML or archive.
         entities: Where each entity is in the model.
         sensors: Where each sensor is.
+        notes: What a user should be told, one line each: options of the robots' files that the
+            scene's replace, sensors that can report nothing.
     """
 
     model: mujoco.MjModel
     spec: mujoco.MjSpec
     entities: dict[str, EntityIndex]
     sensors: dict[str, SensorIndex] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
 
 def compile_scene(
@@ -65,13 +152,8 @@ def compile_scene(
     objects: Mapping[str, RigidObjectCfg],
     lights: Mapping[str, LightCfg],
     sensors: Mapping[str, SensorPlan] | None = None,
-    *,
-    report: bool = True,
 ) -> CompiledScene:
     """Compile one model; everything of an entity is named ``uid/NAME`` in it.
-
-    Options of the robots' files that the scene's replace, and whatever else was left out of the
-    files, are logged as warnings, once a file.
 
     Args:
         sim_cfg: Timestep, physics options, ground plane.
@@ -79,7 +161,6 @@ def compile_scene(
         objects: Rigid objects by uid.
         lights: Lights by uid.
         sensors: Sensors by uid.
-        report: Whether to log those warnings.
 
     Raises:
         ConfigError: If names clash, an object is wrong, or MuJoCo refuses the model.
@@ -95,15 +176,13 @@ def compile_scene(
         add_ground(spec)
     add_lights(spec, lights)
     masked = 0
+    notes: list[str] = []
     for parsed in articulations:
         child = parsed.spec.copy()
         if parsed.cfg.disable_self_collision:
             masked += 1
             separate(child, masked)
-        notes = _attach(spec, child, parsed)
-        if report:
-            for note in notes:
-                _log.warning("%s: %s", parsed.uid, note)
+        notes += _attach(spec, child, parsed)
     for number, (uid, cfg) in enumerate(objects.items()):
         add_object(spec, uid, cfg, number)
     add_sensors(spec, sensors)
@@ -111,9 +190,7 @@ def compile_scene(
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
         raise ConfigError(f"MuJoCo cannot compile the scene: {as_line(error)[0]}") from error
-    if report:
-        for note in deaf_sensors(model, sensors):
-            _log.warning("%s", note)
+    notes += deaf_sensors(model, sensors)
     entities = {p.uid: _index_articulation(model, p) for p in articulations}
     for uid, cfg in objects.items():
         index = entities[uid] = _index_object(model, uid, cfg)
@@ -121,7 +198,7 @@ def compile_scene(
             dofs = slice(index.free_qvel_adr, index.free_qvel_adr + 6)
             model.dof_damping[dofs] = damping_of(model, index.root_body_id, cfg)
     aim_camera(spec, model, _start(model, articulations, entities))
-    return CompiledScene(model, spec, entities, index_sensors(model, sensors))
+    return CompiledScene(model, spec, entities, index_sensors(model, sensors), tuple(notes))
 
 
 def _check(
@@ -144,19 +221,14 @@ def _check(
         raise ConfigError(problems)
 
 
-def _attach(
-    spec: mujoco.MjSpec, child: mujoco.MjSpec, parsed: ParsedArticulation
-) -> tuple[str, ...]:
+def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, parsed: ParsedArticulation) -> list[str]:
     """Attach an articulation at its pose; return what a user should be told."""
-    replaced = replace_options(child, spec)
-    notes = parsed.notes
-    if replaced:
-        what = "; ".join(replaced)
-        notes = (*notes, f"the scene's physics replaces options of {parsed.path}: {what}")
+    what = "; ".join(replace_options(child, spec))
+    options = f"{parsed.uid}: the scene's physics replaces options of {parsed.path}: {what}"
     pos, quat = initial_pose(parsed.cfg)
     frame = spec.worldbody.add_frame(pos=pos, quat=quat)
     spec.attach(child, frame=frame, prefix=f"{parsed.uid}/")
-    return notes
+    return [options] if what else []
 
 
 def _index_articulation(model: mujoco.MjModel, parsed: ParsedArticulation) -> EntityIndex:

@@ -9,10 +9,20 @@ import numpy as np
 
 from embodichain.lab.sim.cfg import LightCfg
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.pose import initial_pose
+from embodichain.lab.sim.compiler.rigid_math import initial_pose
 from embodichain.lab.sim.shapes import VisualMaterialCfg
+from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["CAMERA", "GROUND", "add_ground", "add_lights", "aim_camera", "set_look", "surface"]
+__all__ = [
+    "CAMERA",
+    "GROUND",
+    "add_ground",
+    "add_lights",
+    "aim_camera",
+    "check_light",
+    "set_look",
+    "surface",
+]
 
 CAMERA = "default"
 GROUND = "default_plane"
@@ -103,6 +113,23 @@ def surface(spec: mujoco.MjSpec, uid: str, cfg: VisualMaterialCfg | None, number
         emission=float(cfg.emissive_intensity) * float(max(cfg.emissive)),
     )
     return name
+
+
+def check_light(cfg: LightCfg) -> list[Problem]:
+    """Return every mistake in a light's config, with paths below it."""
+    problems: list[Problem] = []
+    try:
+        initial_pose(cfg)
+    except ConfigError as error:
+        problems += error.problems
+    color, direction = np.asarray(cfg.color, np.float64), np.asarray(cfg.direction, np.float64)
+    if not ((color >= 0) & (color <= 1)).all():
+        problems.append(Problem("color", f"RGB in [0, 1], got {color.tolist()}"))
+    if not cfg.intensity >= 0:
+        problems.append(Problem("intensity", f"must not be negative, got {cfg.intensity}"))
+    if not (np.isfinite(direction).all() and np.linalg.norm(direction) > 1e-9):
+        problems.append(Problem("direction", f"must not be zero, got {direction.tolist()}"))
+    return problems
 
 
 def add_lights(spec: mujoco.MjSpec, lights: Mapping[str, LightCfg]) -> None:

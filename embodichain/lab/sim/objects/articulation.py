@@ -16,10 +16,9 @@ from embodichain.lab.sim.objects._arrays import (
     names_matching,
     to_tensor,
 )
-from embodichain.lab.sim.objects.actuator_controls import ActuatorControls
 from embodichain.lab.sim.objects.articulation_data import ArticulationData
 from embodichain.lab.sim.objects.articulation_links import ArticulationLinks
-from embodichain.lab.sim.objects.drives import Drives
+from embodichain.lab.sim.objects.drives import ActuatorControls, Drives
 from embodichain.lab.sim.objects.entity import BatchEntity
 from embodichain.lab.sim.objects.joint_state import JointState
 from embodichain.lab.sim.unavailable import not_available
@@ -213,16 +212,9 @@ class Articulation(BatchEntity):
         """(N, D) drive effort of the last physics step, without passive damping."""
         return self._state.qf()
 
-    def proprioception(
-        self, joint_ids: Columns | None = None
-    ) -> tuple[tuple[torch.Tensor, ...], NDArray[np.float32]]:
-        """(qpos, qvel, qf), each (N, k) float32, and (3, N, k) that they are views of."""
-        parts = self._state.qpos(), self._state.qvel(), self._state.efforts()
-        if joint_ids is not None:
-            parts = parts[0][:, joint_ids], parts[1][:, joint_ids], parts[2][:, joint_ids]
-        out = np.empty((3, *parts[0].shape), np.float32)
-        out[0], out[1], out[2] = parts
-        return tuple(map(torch.from_numpy, out)), out
+    def read_efforts(self) -> F64:
+        """(N, D) `read_qf`; efforts set by `set_qf` since the last physics step are read as set."""
+        return self._state.efforts()
 
     # -- joints --------------------------------------------------------------------------------
 

@@ -1,25 +1,26 @@
-"""`RigidObject`: handle over one rigid body in N environments; its pose, velocity and forces.
-
-Its mass, size and friction are in `rigid_properties.py`.
-"""
+"""`RigidObject`: handle over one rigid body in N environments."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.objects._arrays import as_rows, to_tensor
-from embodichain.lab.sim.objects.rigid_properties import RigidProperties
+from embodichain.lab.sim.objects._arrays import as_rows, bool_rows, to_tensor
+from embodichain.lab.sim.objects.entity import BatchEntity
+from embodichain.lab.sim.objects.rigid_inertia import RigidInertia
 from embodichain.lab.sim.unavailable import not_available
 from embodichain.utils.math import quat_conjugate, quat_rotate
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import RigidObjectCfg
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.compiler.index import EntityIndex
+    from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex
     from embodichain.lab.sim.host import Host
+    from embodichain.lab.sim.objects.rigid_inertia import Solid
 
 __all__ = ["RigidBodyData", "RigidObject"]
 
@@ -78,8 +79,8 @@ class RigidBodyData:
         """(N, 7) centre-of-mass frame in the body's frame."""
         owner = self._owner
         body = owner.entity.root_body_id
-        pos = owner.model_values("body_ipos", slice(3 * body, 3 * body + 3))
-        quat = owner.model_values("body_iquat", slice(4 * body, 4 * body + 4))
+        pos = owner.engine.model_field("body_ipos")[:, 3 * body : 3 * body + 3]
+        quat = owner.engine.model_field("body_iquat")[:, 4 * body : 4 * body + 4]
         return to_tensor(np.concatenate([pos, quat], axis=1))
 
     @property
@@ -93,16 +94,39 @@ class RigidBodyData:
         return self._owner.get_inertia()
 
 
-class RigidObject(RigidProperties):
+class RigidObject(BatchEntity):
     """One rigid body with one shape, in N environments.
 
     `dynamic` bodies are simulated, `kinematic` ones move only by `set_local_pose`, `static` ones
     stand still unless `set_local_pose` moves them.
+
+    Args:
+        cfg: Its config (kept as given).
+        uid: Its name in the scene.
+        host: The simulation.
     """
+
+    cfg: RigidObjectCfg
 
     def __init__(self, cfg: RigidObjectCfg, uid: str, host: Host) -> None:
         super().__init__(cfg, uid, host)
+        self._inertia = RigidInertia(self.binding, cfg)
         self._data = RigidBodyData(self)
+
+    def bind(self, engine: Engine, index: EntityIndex) -> None:
+        """Set the engine and the body's indices. Called once, by the simulation."""
+        super().bind(engine, index)
+        self._inertia.bind()
+
+    @property
+    def is_static(self) -> bool:
+        """Whether the body never moves."""
+        return self.cfg.body_type == "static"
+
+    @property
+    def is_non_dynamic(self) -> bool:
+        """Whether forces do not move the body."""
+        return self.cfg.body_type != "dynamic"
 
     @property
     def body_data(self) -> RigidBodyData | None:
@@ -114,11 +138,17 @@ class RigidObject(RigidProperties):
         """(N, 13): pose 7, linear velocity 3, angular velocity 3."""
         return torch.cat([self._data.pose, self._data.vel], dim=1)
 
+    def _need_dynamic(self, what: str) -> slice:
+        dofs = self._inertia.dofs
+        if dofs is None:
+            raise ValueError(f"{self.uid} is {self.cfg.body_type}: {what} needs body_type: dynamic")
+        return dofs
+
     # -- velocity and force --------------------------------------------------------------------
 
     def read_velocity(self) -> tuple[F64, F64]:
         """Linear and angular velocity, (N, 3) each, world axes; zeros unless dynamic."""
-        dofs = self._dofs()
+        dofs = self._inertia.dofs
         if dofs is None:
             zero = np.zeros((self.num_instances, 3))
             return zero, zero
@@ -128,7 +158,7 @@ class RigidObject(RigidProperties):
 
     def read_acceleration(self) -> tuple[F64, F64]:
         """Linear and angular acceleration of the last physics step, (N, 3) each, world axes."""
-        dofs = self._dofs()
+        dofs = self._inertia.dofs
         if dofs is None:
             zero = np.zeros((self.num_instances, 3))
             return zero, zero
@@ -187,8 +217,8 @@ class RigidObject(RigidProperties):
         self.stop(ids)
 
     def stop(self, ids: NDArray[np.int64] | None) -> None:
-        """`clear_dynamics` for checked indices: the door for terms."""
-        dofs = self._dofs()
+        """`clear_dynamics` for checked indices."""
+        dofs = self._inertia.dofs
         if dofs is None:
             return
         self.engine.write("qvel", 0.0, ids, dofs)
@@ -196,6 +226,161 @@ class RigidObject(RigidProperties):
         body = self.entity.root_body_id
         if self.engine.state("xfrc_applied")[:, 6 * body : 6 * body + 6].any():
             self.engine.write("xfrc_applied", 0.0, ids, slice(6 * body, 6 * body + 6))
+
+    # -- mass, inertia, damping --------------------------------------------------------------------
+
+    def get_mass(self, env_ids: Any = None) -> torch.Tensor:
+        """(n,) kg."""
+        return to_tensor(self._inertia.read(self._ids(env_ids)[0])[0])
+
+    def set_mass(self, mass: Any, env_ids: Any = None) -> None:
+        """Set the mass (n,) in kg; the inertia scales with it, so the body stays consistent.
+
+        Raises:
+            ValueError: If a mass is not positive.
+        """
+        self._need_dynamic("set_mass")
+        ids, rows = self._ids(env_ids)
+        new = as_rows(np.reshape(mass, (-1, 1)), rows, 1, f"{self.uid}: mass")[:, 0]
+        if (new <= 0).any():
+            raise ValueError(f"{self.uid}: mass must be positive, got {new.min()}")
+        self._inertia.write_mass(new, ids)
+
+    def write_mass(self, mass: F64, ids: EnvIndex | None, inertia: bool = True) -> None:
+        """Set the mass from checked arrays; see `RigidInertia.write_mass`."""
+        self._inertia.write_mass(mass, ids, inertia)
+
+    def write_inertia_scale(self, factor: F64, ids: EnvIndex | None) -> None:
+        """Scale the inertia by checked factors (n,); see `RigidInertia.write_inertia_scale`."""
+        self._inertia.write_inertia_scale(factor, ids)
+
+    def get_inertia(self, env_ids: Any = None) -> torch.Tensor:
+        """(n, 3) principal moments of inertia, kg m^2."""
+        return to_tensor(self._inertia.read(self._ids(env_ids)[0])[1])
+
+    def set_inertia(self, inertia: Any, env_ids: Any = None) -> None:
+        """Set the principal moments of inertia (n, 3) in kg m^2.
+
+        Raises:
+            ValueError: If a moment is not positive or the triangle inequality fails.
+        """
+        self._need_dynamic("set_inertia")
+        ids, rows = self._ids(env_ids)
+        new = as_rows(inertia, rows, 3, f"{self.uid}: inertia")
+        if (new <= 0).any() or (2 * new.max(axis=1) > new.sum(axis=1) + 1e-12).any():
+            raise ValueError(
+                f"{self.uid}: moments must be positive, the largest at most the sum "
+                "of the other two"
+            )
+        self._inertia.write_inertia(new, ids)
+
+    def get_damping(self, env_ids: Any = None) -> torch.Tensor:
+        """(n, 2) linear and angular damping, 1/s."""
+        ids, _ = self._ids(env_ids)
+        damping = self._inertia.read_damping()
+        return to_tensor(damping if ids is None else damping[ids])
+
+    def set_damping(self, damping: Any, env_ids: Any = None) -> None:
+        """Set linear and angular damping, (n, 2) in 1/s."""
+        self._need_dynamic("set_damping")
+        ids, rows = self._ids(env_ids)
+        self._inertia.write_damping(as_rows(damping, rows, 2, f"{self.uid}: damping"), ids)
+
+    def set_com_pose(self, com_pose: Any, env_ids: Any = None) -> None:
+        """Set the centre-of-mass frame in the body's frame, (n, 7)."""
+        self._need_dynamic("set_com_pose")
+        ids, rows = self._ids(env_ids)
+        pose = self._pose_rows(com_pose, rows)
+        body = self.entity.root_body_id
+        self.engine.write_model("body_ipos", pose[:, :3], ids, slice(3 * body, 3 * body + 3))
+        self.engine.write_model("body_iquat", pose[:, 3:], ids, slice(4 * body, 4 * body + 4))
+        self.engine.set_const_later(ids)
+
+    # -- size ------------------------------------------------------------------------------------
+
+    @property
+    def solid(self) -> Solid:
+        """The shape at other sizes; see `RigidInertia.solid`."""
+        return self._inertia.solid
+
+    def write_scale(self, scale: F64, ids: EnvIndex | None, fixed_density: bool = True) -> None:
+        """Scale the shape by checked factors (n, 3); see `RigidInertia.write_scale`."""
+        self._inertia.write_scale(scale, ids, fixed_density)
+
+    def get_body_scale(self, env_ids: Any = None) -> torch.Tensor:
+        """(n, 3) scale of the shape."""
+        ids, _ = self._ids(env_ids)
+        scale = np.asarray(self.cfg.body_scale, np.float64) * self._inertia.read_scale()
+        return to_tensor(scale if ids is None else scale[ids])
+
+    def set_body_scale(self, scale: Any, env_ids: Any = None) -> None:
+        """Set the shape's scale (n, 3); mass and inertia follow at the same density.
+
+        Raises:
+            ValueError: If the shape is a mesh or a plane, or cannot be scaled so.
+        """
+        ids, rows = self._ids(env_ids)
+        wanted = as_rows(scale, rows, 3, f"{self.uid}: scale")
+        relative = wanted / np.asarray(self.cfg.body_scale, np.float64)
+        self.solid.check(relative)
+        self.write_scale(relative, ids)
+
+    # -- contact and looks -----------------------------------------------------------------------
+
+    def get_friction(self, env_ids: Any = None) -> torch.Tensor:
+        """(n,) sliding friction coefficient."""
+        ids, _ = self._ids(env_ids)
+        geom = int(self.entity.geom_ids[0])
+        values = self.engine.model_field("geom_friction")[:, 3 * geom]
+        return to_tensor(values if ids is None else values[ids])
+
+    def set_friction(self, friction: Any, env_ids: Any = None) -> None:
+        """Set the sliding friction coefficient, (n,); a contact takes the larger of its two."""
+        ids, rows = self._ids(env_ids)
+        new = as_rows(np.reshape(friction, (-1, 1)), rows, 1, f"{self.uid}: friction")
+        if (new < 0).any():
+            raise ValueError(f"{self.uid}: friction must not be negative, got {new.min()}")
+        for geom in self.entity.geom_ids:
+            self.engine.write_model(
+                "geom_friction", new, ids, slice(3 * int(geom), 3 * int(geom) + 1)
+            )
+
+    def enable_collision(self, enable: Any, env_ids: Any = None) -> None:
+        """Switch contacts on or off, (n,) booleans."""
+        ids, rows = self._ids(env_ids)
+        on = bool_rows(enable, rows, f"{self.uid}: enable").astype(np.float64)[:, None]
+        model, body = self.engine.model, self.entity.root_body_id
+        groups = [("geom", int(g)) for g in self.entity.geom_ids] + [("body", body)]
+        for kind, index in groups:
+            for field in ("contype", "conaffinity"):
+                name = f"{kind}_{field}"
+                value = int(getattr(model, name)[index])
+                self.engine.write_model(name, on * value, ids, slice(index, index + 1))
+
+    def get_user_ids(self) -> torch.Tensor:
+        """(N,) id of the body in segmentation images: its MuJoCo body id."""
+        return torch.full((self.num_instances,), self.entity.root_body_id, dtype=torch.int32)
+
+    def set_visible(self, visible: bool = True) -> None:
+        """Draw the body or not, in pictures of every environment."""
+        for geom in self.entity.geom_ids:
+            column = slice(4 * int(geom) + 3, 4 * int(geom) + 4)
+            alpha = float(self.engine.model.geom_rgba[geom, 3]) if visible else 0.0
+            self.engine.write_model("geom_rgba", alpha, None, column)
+
+    # -- whole simulations -------------------------------------------------------------------------
+
+    def take_over(self, ids: EnvIndex | None, fields: Mapping[str, NDArray[Any]]) -> None:
+        """Read size, inertia and damping out of a model; see `RigidInertia.take_over`."""
+        self._inertia.take_over(ids, fields)
+
+    def state_dict(self) -> dict[str, F64]:
+        """Values that are in no model field (copies)."""
+        return self._inertia.state_dict()
+
+    def load_state_dict(self, state: dict[str, F64]) -> None:
+        """Continue exactly where `state_dict` was taken; the engine restores model fields."""
+        self._inertia.load_state_dict(state)
 
     set_body_type = not_available("set_body_type", "the body type is compiled into the model")
     set_attrs = not_available("set_attrs", "use set_mass, set_friction, set_damping, set_inertia")

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from embodichain.lab.sim.objects._arrays import to_tensor
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.unavailable import not_available
+from embodichain.utils.tensor_mapping import TensorMapping
 
 if TYPE_CHECKING:
-    from tensordict import TensorDict
-
     from embodichain.lab.sim.cfg import RobotCfg
 
 __all__ = ["Robot"]
@@ -28,16 +28,10 @@ class Robot(Articulation):
         names = self.parsed.joint_names
         return {part: [names[i] for i in ids] for part, ids in self.parsed.control_parts.items()}
 
-    def get_proprioception(self) -> TensorDict:
+    def get_proprioception(self) -> TensorMapping:
         """Joint positions, velocities and efforts: ``qpos``, ``qvel``, ``qf``, (N, D) each."""
-        from tensordict import TensorDict
-
-        (qpos, qvel, qf), _ = self.proprioception()
-        return TensorDict(
-            {"qpos": qpos, "qvel": qvel, "qf": qf},
-            batch_size=[self.num_instances],
-            device=self.device,
-        )
+        parts = {"qpos": self.read_qpos(), "qvel": self.read_qvel(), "qf": self.read_efforts()}
+        return TensorMapping({name: to_tensor(values) for name, values in parts.items()})
 
     compute_fk = not_available("compute_fk", f"{_IK}; get_link_pose reads the simulated pose")
     compute_ik = not_available("compute_ik", _IK)

@@ -6,13 +6,10 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from embodichain.lab.gym.envs.cfg import EventCfg
-from embodichain.lab.gym.envs.mdp._ik import solve
-from embodichain.lab.gym.envs.mdp._kinematics import Chain
-from embodichain.lab.gym.envs.mdp.events.eef_pose import reach_of
+from embodichain.lab.gym.envs.mdp._ik import Reach
 from embodichain.lab.gym.envs.observers import StepObserver
 from embodichain.lab.sim.cfg import RobotCfg
 from embodichain.utils.errors import ConfigError
-from embodichain.utils.math import quat_to_matrix
 from tests.helpers.ur10_task import CUBE_POS, GOAL_POS, HOME
 from tests.lab.gym.mdp.test_events import build, poses
 
@@ -71,7 +68,9 @@ def test_physics_may_run_after_placing(make) -> None:
 
 
 @pytest.mark.parametrize("observed", [False, True])
-def test_an_orientation_that_stands_is_not_written_again(make, monkeypatch, observed: bool) -> None:
+def test_an_unchanged_orientation_is_not_written_for_observers(
+    make, monkeypatch, observed: bool
+) -> None:
     params = {"entity_cfg": {"uid": "goal"}, "position_range": BOX}
     move = EventCfg("randomize_rigid_object_pose", params, mode="interval", interval_step=1)
     env = make(events={"e": move})
@@ -94,59 +93,40 @@ def test_an_orientation_that_stands_is_not_written_again(make, monkeypatch, obse
         assert np.array_equal(poses(env, "goal")[1], np.tile([1.0, 0, 0, 0], (3, 1)))
         return {field for field in written if field.startswith("mocap")}
 
+    both = {"mocap_pos", "mocap_quat"}
+    unchanged = {"mocap_pos"} if observed else both
     env.reset()
     env.step(action)
-    assert fields_of_a_step() == {"mocap_pos"}
+    assert fields_of_a_step() == unchanged
     write("mocap_quat", turned, np.array([1]))
-    assert fields_of_a_step() == {"mocap_pos", "mocap_quat"}
-    assert fields_of_a_step() == {"mocap_pos"}
+    assert fields_of_a_step() == both
+    assert fields_of_a_step() == unchanged
     rows = engine.rows.copy()
     rows[:, engine.component("mocap_quat")] = turned
     write("row", rows)
-    assert fields_of_a_step() == {"mocap_pos", "mocap_quat"}
+    assert fields_of_a_step() == both
     env.reset(options={"reset_ids": [2]})
-    # The reset has turned it back already, which only somebody who is watched looks for.
-    assert fields_of_a_step() == ({"mocap_pos"} if observed else {"mocap_pos", "mocap_quat"})
-    assert fields_of_a_step() == {"mocap_pos"}
-
-
-def test_forward_kinematics_are_mujocos(make) -> None:
-    spread = event("randomize_robot_qpos", **ARM, qpos_range=[-2.0, 2.0])
-    root = event("randomize_articulation_root_pose", **ARM, rotation_range=[[-99] * 3, [99] * 3])
-    env = make(events={"q": spread, "r": root}, num_envs=16)
-    env.reset()
-    robot, body = env.robot, env.robot.body_of("ee_link")
-    pos, quat = robot.read_pose()
-    chain = Chain(robot, body)
-    now = chain.posture(pos, quat_to_matrix(quat), robot.read_qpos())
-    found_pos, found_quat = tool(env)
-    assert np.allclose(now.pos, found_pos, atol=1e-12)
-    assert np.allclose(now.mat, quat_to_matrix(found_quat), atol=1e-12)
-    model = env.sim.engine.model
-    for name in ("xanchor", "xaxis"):
-        mine = now.anchors if name == "xanchor" else now.axes
-        joints = [model.joint(f"ur10/{j}").id for j in robot.joint_names]
-        theirs = env.sim.engine.derived(name)[:, joints]
-        assert np.allclose(np.swapaxes(mine, 0, 1), theirs, atol=1e-12), name
+    assert fields_of_a_step() == unchanged  # the reset has turned it back
 
 
 def test_inverse_kinematics_find_reachable_poses(make) -> None:
     spread = event("randomize_robot_qpos", **ARM, qpos_range=[-0.6, 0.6])
     env = make(events={"q": spread}, num_envs=64)
     env.reset()
-    reach = reach_of(env.scene_entity(TOOL["entity_cfg"]))
-    pos, quat = env.robot.read_pose()
-    frame = pos, quat_to_matrix(quat)
-    aim = reach.chain.posture(*frame, env.robot.read_qpos())
+    reach = Reach(env.scene_entity(TOOL["entity_cfg"]))
+    root = env.robot.read_pose()
+    pos, quat = tool(env)
     start = np.tile(HOME, (64, 1))
-    found, solved = solve(reach, *frame, start, aim.pos, aim.mat)
+    found, solved = reach.solve(*root, start, pos, quat)
     assert solved.mean() > 0.95
-    reached = reach.chain.posture(*frame, found)
-    assert np.linalg.norm(reached.pos - aim.pos, axis=1)[solved].max() < 5e-4
-    alone, ok = solve(reach, *(f[5:6] for f in frame), start[:1], aim.pos[5:6], aim.mat[5:6])
+    env.robot.write_qpos(found)
+    reached, turned = tool(env)
+    assert np.linalg.norm(reached - pos, axis=1)[solved].max() < 5e-4
+    error = (rotation(turned).inv() * rotation(quat)).magnitude()
+    assert error[solved].max() < 5e-4
+    alone, ok = reach.solve(*(part[5:6] for part in root), start[:1], pos[5:6], quat[5:6])
     assert ok[0] == solved[5] and np.array_equal(alone[0], found[5])
-    free, solved = solve(reach, *frame, start, aim.pos, None)
-    assert solved.all()
+    assert reach.solve(*root, start, pos, None)[1].all()
 
 
 def test_the_tool_is_moved_and_turned_by_the_draw(make) -> None:
@@ -179,10 +159,11 @@ def test_out_of_reach_keeps_the_joints(make) -> None:
 
 def test_without_a_link_the_tool_is_the_farthest_one(make) -> None:
     env = make()
-    reach = reach_of(env.scene_entity(ARM["entity_cfg"]))
-    assert list(reach.chain.columns) == [0, 1, 2, 3, 4, 5]
+    reach = Reach(env.scene_entity(ARM["entity_cfg"]))
+    assert reach.body == env.robot.body_of("ee_link")
+    assert list(reach.joints) == [0, 1, 2, 3, 4, 5]
     wrist = {"uid": "ur10", "joint_names": "Joint[56]", "link_names": "wrist_3_link"}
-    assert list(reach_of(env.scene_entity(wrist)).moving) == [False] * 4 + [True] * 2
+    assert list(Reach(env.scene_entity(wrist)).joints) == [4, 5]
 
 
 def test_targets_are_matrices_on_the_environment(make) -> None:
@@ -343,20 +324,13 @@ def test_slides_and_axes_off_the_origin(make, tmp_path) -> None:
     )
     env.reset()
     gantry, body = env.robot, env.robot.body_of("tip")
-    reach = reach_of(env.scene_entity({"uid": "gantry", "link_names": "tip"}))
-    pos, quat = gantry.read_pose()
-    frame = pos, quat_to_matrix(quat)
-    qpos = gantry.read_qpos().copy()
-    now = reach.chain.posture(*frame, qpos)
-    derived = env.sim.engine.derived
-    assert np.allclose(now.pos, derived("xpos")[:, body], atol=1e-12)
-    assert np.allclose(now.mat, quat_to_matrix(derived("xquat")[:, body]), atol=1e-12)
-    joints = [env.sim.engine.model.joint(f"gantry/{j}").id for j in gantry.joint_names]
-    assert np.allclose(np.swapaxes(now.axes, 0, 1), derived("xaxis")[:, joints], atol=1e-12)
-    assert list(reach.chain.slides) == [True, False, False, True]
+    reach = Reach(env.scene_entity({"uid": "gantry", "link_names": "tip"}))
+    wanted = env.sim.engine.derived("xpos")[:, body].copy()
     # Positions alone: four joints, three equations.
-    found, solved = solve(reach, *frame, np.zeros_like(qpos), now.pos, None)
+    start = np.zeros_like(gantry.read_qpos())
+    found, solved = reach.solve(*gantry.read_pose(), start, wanted, None)
     assert solved.mean() > 0.9
-    again = reach.chain.posture(*frame, found)
-    assert np.linalg.norm(again.pos - now.pos, axis=1)[solved].max() < 5e-4
     assert (np.abs(found[:, [0, 3]]) <= 1).all()
+    gantry.write_qpos(found)
+    missing = np.linalg.norm(env.sim.engine.derived("xpos")[:, body] - wanted, axis=1)
+    assert missing[solved].max() < 5e-4

@@ -301,5 +301,5 @@ def test_a_registry_may_be_declared(make) -> None:
     env = make(events={"e": what}, extensions={"mine": {"old": 1}})
     env.reset()
     assert set(env.mine) >= {"old", "cube_pose"}
-    with pytest.raises(ConfigError, match=r"env\.mine is a list; a dict is kept there"):
+    with pytest.raises(ConfigError, match=r"env\.mine is a list; a dict is stored there"):
         make(events={"e": what}, extensions={"mine": [1]})

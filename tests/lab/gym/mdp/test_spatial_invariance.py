@@ -5,8 +5,8 @@ import numpy as np
 from embodichain.lab.gym.envs.managers import TERMS
 from tests.helpers.spatial_events import EVENTS, LIGHTS
 
-PACKAGE = "embodichain.lab.gym.envs.mdp.events."
-OTHERS = ("object_pose", "robot_qpos", "randomize")
+PACKAGES = ("embodichain.lab.gym.envs.mdp.events.", "embodichain.compat.terms.")
+OTHERS = (".object_pose", ".poses", ".randomize", ".randomizers")
 FIELDS = ("mat_rgba", "mat_specular", "geom_rgba", "light_pos", "light_diffuse", "cam_quat")
 
 
@@ -84,8 +84,7 @@ def test_every_event_of_these_modules_takes_part() -> None:
     names = {
         name
         for name, spec in TERMS["event"].items()
-        if spec.func.__module__.startswith(PACKAGE)
-        and not spec.func.__module__.removeprefix(PACKAGE).startswith(OTHERS)
+        if spec.func.__module__.startswith(PACKAGES) and not spec.func.__module__.endswith(OTHERS)
     }
-    wanted = names | {"randomize_articulation_root_pose"}  # stands beside objects' event
+    wanted = names - {"randomize_robot_qpos"} | {"randomize_articulation_root_pose"}
     assert {str(event.func) for event in EVENTS.values()} == wanted

@@ -63,9 +63,12 @@ class ActionPipeline:
 
     def __call__(self, action: torch.Tensor) -> torch.Tensor:
         """(N, A) float32 what the term receives for this step's action."""
+        values: NDArray[Any] = action.numpy()
         if self._longest:
-            action = torch.from_numpy(self._delayed(action.numpy()).astype(np.float32))
-        return action if self._noise is None else self._noise.apply(action, None)
+            values = self._delayed(values).astype(np.float32)
+        if self._noise is not None:
+            values = self._noise.apply(values, None)
+        return torch.from_numpy(values)
 
     def _delayed(self, action: NDArray[np.float32]) -> F64:
         past = self._past

@@ -12,8 +12,6 @@ from embodichain.lab.gym.envs.managers.registry import Kind
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    import torch
-
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
 
@@ -112,21 +110,18 @@ class Manager(Generic[C]):
             term.load_state_dict(state["terms"][name])
 
 
-def checked_rows(value: Any, num_envs: int, kind: Kind, name: str) -> torch.Tensor:
-    """Return a term's value if it is a tensor of shape (N,).
+def checked_rows(value: Any, num_envs: int, kind: Kind, name: str) -> None:
+    """Check that a term's value is a tensor or an array of shape (N,).
 
     Raises:
         ValueError: If it is not; names the term. (N, 1) is refused too: it would broadcast.
     """
-    import torch
-
-    if not isinstance(value, torch.Tensor):
+    if not hasattr(value, "shape") or not hasattr(value, "dtype"):
         raise ValueError(
             f"{kind} term {name!r} must return a tensor of shape ({num_envs},), "
             f"got {type(value).__name__}"
         )
-    if value.shape != (num_envs,):
+    if tuple(value.shape) != (num_envs,):
         raise ValueError(
             f"{kind} term {name!r} must return shape ({num_envs},), got {tuple(value.shape)}"
         )
-    return value

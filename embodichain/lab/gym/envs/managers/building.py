@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-import lazy_loader
 import numpy as np
 
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg, TermCfg
@@ -20,12 +19,10 @@ from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    import torch
+    from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = ["BuiltTerm", "build_term"]
 
@@ -119,8 +116,8 @@ def _call(
     shapes: list[Shape],
     kind: Kind,
     where: str,
-) -> Callable[..., torch.Tensor]:
-    """What a manager calls: reads the quantity, shapes it and makes a tensor of it.
+) -> Callable[..., NDArray[Any]]:
+    """What a manager calls: reads the quantity and shapes it.
 
     Args:
         name: The quantity's name, for messages.
@@ -134,13 +131,13 @@ def _call(
     column = kind == "observation"
     shape_path = f"{where.removesuffix('.params')}.shape"
 
-    def call(env: TermContext, *passed: Any) -> torch.Tensor:
+    def call(env: TermContext, *passed: Any) -> NDArray[Any]:
         try:
-            value = read(env, *(passed[i] for i in at)) if at else read(env)
+            value: Any = read(env, *(passed[i] for i in at)) if at else read(env)
         except ConfigError as error:
             raise _moved(error, where) from error
-        if isinstance(value, torch.Tensor):
-            value = value.numpy()
+        if type(value) is not np.ndarray:
+            value = value.numpy(force=True)
             value = value if value.dtype == np.bool_ else value.astype(np.float64)
         for shape in shapes:
             value = shape(value)
@@ -149,9 +146,8 @@ def _call(
         elif value.ndim > 1 and not column:
             message = f"{name} has {value.shape[1]} columns; a {kind} is one number: try shape: l2"
             raise ConfigError([Problem(shape_path, message)])
-        if value.dtype == np.bool_ and not column:
-            return torch.from_numpy(value)
-        return torch.from_numpy(value.astype(np.float32))
+        shaped: NDArray[Any] = value
+        return shaped
 
     return call
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import TermCfg
 from embodichain.lab.gym.envs.managers.base import BuiltTerm, Manager
+from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import Draws, TermContext
@@ -92,7 +93,13 @@ class DrawingManager(Manager[C]):
         """Call a term with a stream of its own, and log what it drew."""
         self._stream = f"{self.section}.{term.name}"
         self._drawn = {}
-        term.call(*args)
+        try:
+            term.call(*args)
+        except ConfigError as error:
+            where = f"{self.section}.{term.name}.params"
+            raise ConfigError(
+                Problem(f"{where}.{p.path}".rstrip("."), p.message, p.hint) for p in error.problems
+            ) from error
         if self.env.observers:
             self.env.log_event(term.name, mode, env_ids, self._drawn)
 

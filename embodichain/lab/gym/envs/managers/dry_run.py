@@ -17,21 +17,29 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.termination_manager import TerminationManager
     from embodichain.lab.sim.types import EnvObs
 
-__all__ = ["check_shapes"]
+__all__ = ["JudgedEnv", "check_shapes"]
 
 
-class _JudgedEnv(TermContext, Protocol):
-    @property
-    def termination_manager(self) -> TerminationManager: ...
-
-    @property
-    def metric_manager(self) -> MetricManager: ...
+class JudgedEnv(TermContext, Protocol):
+    """An environment whose managers of steps are built."""
 
     @property
-    def reward_manager(self) -> RewardManager: ...
+    def termination_manager(self) -> TerminationManager:
+        """The terminations."""
+        ...
+
+    @property
+    def metric_manager(self) -> MetricManager:
+        """The metrics."""
+        ...
+
+    @property
+    def reward_manager(self) -> RewardManager:
+        """The rewards."""
+        ...
 
 
-def check_shapes(env: _JudgedEnv, obs: EnvObs) -> None:
+def check_shapes(env: JudgedEnv, obs: EnvObs) -> None:
     """Call every termination, metric and reward once, and take back what that changed.
 
     Random streams are put back and terms are reset, so that nothing of it shows later. For
@@ -59,7 +67,7 @@ def check_shapes(env: _JudgedEnv, obs: EnvObs) -> None:
     saved = env.streams.state_dict()
     env.termination_manager.compute(obs, action, info)
     env.metric_manager.compute(obs, action, info)
-    env.reward_manager.compute(torch.zeros(count), obs, action, info)
+    env.reward_manager.compute(None, obs, action, info)
     env.streams.load_state_dict(saved)
     for manager in managers:
         manager.reset(None)

@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader
+import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import MetricCfg
 from embodichain.lab.gym.envs.managers.base import Manager, checked_rows
@@ -23,24 +25,16 @@ else:
 
 __all__ = ["MetricManager"]
 
-_JOIN: dict[str, Callable[[Any, Any], Any]] = {
-    "last": lambda kept, value: value,
-    "any": lambda kept, value: kept | value,
-    "all": lambda kept, value: kept & value,
-    "sum": lambda kept, value: kept + value,
-    "mean": lambda kept, value: kept + value,
-    "max": lambda kept, value: torch.maximum(kept, value),
-    "min": lambda kept, value: torch.minimum(kept, value),
+_REDUCE: dict[str, tuple[Callable[[Any, Any], Any], bool | float]] = {
+    "last": (lambda so_far, value: value, 0.0),
+    "any": (np.logical_or, False),
+    "all": (np.logical_and, True),
+    "sum": (np.add, 0.0),
+    "mean": (np.add, 0.0),
+    "max": (np.maximum, float("-inf")),
+    "min": (np.minimum, float("inf")),
 }
-_START: dict[str, bool | float] = {
-    "last": 0.0,
-    "any": False,
-    "all": True,
-    "sum": 0.0,
-    "mean": 0.0,
-    "max": float("-inf"),
-    "min": float("inf"),
-}
+"""What joins the value so far with the next one, and the first value."""
 
 
 class MetricManager(Manager[MetricCfg]):
@@ -56,31 +50,37 @@ class MetricManager(Manager[MetricCfg]):
 
     def __init__(self, env: TermContext, cfgs: Mapping[str, MetricCfg]) -> None:
         super().__init__(env, "metrics", "metric", cfgs)
-        self._kept: dict[str, torch.Tensor] = {}
-        self._count: torch.Tensor | None = None
-        if self._calls:
-            self._kept = {n: torch.full((self.num_envs,), _START[r]) for n, _, r in self._calls}
-            self._count = torch.zeros(self.num_envs)
-        self._checked = False
+        # Arrays (N,), replaced and never written to: those handed out stay as they are.
+        self._so_far: dict[str, NDArray[Any]] = {
+            name: np.full(self.num_envs, start, dtype)
+            for name, _, dtype, _, start, _ in self._calls
+        }
+        self._count: NDArray[np.float32] = np.zeros(self.num_envs, np.float32)
 
     def _bind(self) -> None:
-        # `success` first: other metrics may ask for it.
+        self._checked = False
+        # `success` first: other metrics may read it.
         ordered = sorted(self.terms.items(), key=lambda item: item[0] != "success")
-        self._calls = [(name, t.call, t.cfg.reduce) for name, t in ordered]
+        self._calls = []
+        for name, term in ordered:
+            join, start = _REDUCE[term.cfg.reduce]
+            dtype = np.bool_ if isinstance(start, bool) else np.float32
+            mean = term.cfg.reduce == "mean"
+            self._calls.append((name, term.call, dtype, join, start, mean))
 
     @property
     def has_success(self) -> bool:
         """Whether the metric ``success`` exists."""
         return "success" in self.terms
 
-    def compute(self, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor | None:
-        """Take this step's values in.
+    def compute(self, obs: Any, action: Any, info: dict[str, Any]) -> NDArray[np.bool_] | None:
+        """Evaluate every term of this step.
 
         Args:
             obs: The step's observation.
             action: The step's action.
-            info: ``metrics`` in it gains name -> (N,), this step included, left alone afterwards;
-                what the environment's class put there stays.
+            info: ``metrics`` in it gains name -> (N,), this step included, which does not change
+                afterwards; entries of the environment's class remain.
 
         Returns:
             (N,) bool, the metric ``success``; None if there is none.
@@ -90,48 +90,40 @@ class MetricManager(Manager[MetricCfg]):
         """
         metrics: dict[str, torch.Tensor] = dict(info.get("metrics", {}))
         info["metrics"] = metrics
-        if self._count is None:
+        if not self._calls:
             return None
-        self._count = self._count + 1.0
-        for name, call, reduce in self._calls:
+        self._count = self._count + np.float32(1.0)
+        success: NDArray[np.bool_] | None = None
+        for name, call, dtype, join, _, mean in self._calls:
             value = call(self.env, obs, action, info)
             if not self._checked:
                 checked_rows(value, self.num_envs, "metric", name)
-            if reduce in ("any", "all"):
-                value = value if value.dtype == torch.bool else value != 0
-            elif value.dtype != torch.float32:
-                value = value.to(torch.float32)
-            kept = self._kept[name] = _JOIN[reduce](self._kept[name], value)
-            metrics[name] = kept / self._count if reduce == "mean" else kept.clone()
+            array = value if type(value) is np.ndarray else value.numpy(force=True)
+            so_far = self._so_far[name] = join(self._so_far[name], array.astype(dtype))
+            shown = so_far / self._count if mean else so_far.copy()
+            metrics[name] = torch.from_numpy(shown)
+            if name == "success":
+                success = shown.astype(np.bool_)
         self._checked = True
-        success = metrics.get("success") if self.has_success else None
-        if success is None or success.dtype == torch.bool:
-            return success
-        return success != 0
+        return success
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Start these environments' episodes anew; what `info` holds is left alone."""
+        """Start these environments' episodes anew."""
         super().reset(env_ids)
-        if self._count is None:
-            return
         where: Any = slice(None) if env_ids is None else env_ids
-        self._count = self._count.clone()
+        self._count = self._count.copy()
         self._count[where] = 0.0
-        for name, _, reduce in self._calls:
-            kept = self._kept[name] = self._kept[name].clone()
-            kept[where] = _START[reduce]
+        for name, _, _, _, start, _ in self._calls:
+            so_far = self._so_far[name] = self._so_far[name].copy()
+            so_far[where] = start
 
     def state_dict(self) -> dict[str, Any]:
         """Values so far, and the state of terms that are classes (copies)."""
-        state = super().state_dict()
-        if self._count is not None:
-            state["count"] = self._count.clone()
-            state["kept"] = {name: kept.clone() for name, kept in self._kept.items()}
-        return state
+        so_far = {name: values.copy() for name, values in self._so_far.items()}
+        return {**super().state_dict(), "count": self._count.copy(), "kept": so_far}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         super().load_state_dict(state)
-        if self._count is not None:
-            self._count = state["count"].clone()
-            self._kept = {name: kept.clone() for name, kept in state["kept"].items()}
+        self._count = state["count"].copy()
+        self._so_far = {name: values.copy() for name, values in state["kept"].items()}

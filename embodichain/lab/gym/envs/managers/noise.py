@@ -1,27 +1,22 @@
-"""`Noise`: the random numbers that one observation is changed by.
-
-What else is done to an observation is in `observation_entry.py`.
-"""
+"""`Noise`: random numbers that change an observation or an action."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-import lazy_loader
 import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import NoiseCfg
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    import torch
-
     from embodichain.lab.sim.engine.base import F64, EnvIndex
     from embodichain.utils.random import RandomStreams
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = ["Noise", "first_given"]
+
+F32 = NDArray[np.float32]
 
 
 def first_given(*values: Any) -> Any:
@@ -32,16 +27,19 @@ def first_given(*values: Any) -> Any:
 class Noise:
     """Draws noise for environments that step, each from its own stream, and applies it.
 
-    What was drawn last is kept: whoever looks between steps sees the same noise again.
+    The last draw is stored: an observation between two steps has the same noise again.
 
     Args:
         cfg: What kind of noise.
-        shape: Of one environment's observation.
-        path: Key path of the observation: the name of its stream, and for messages.
+        shape: Of one environment's value.
+        path: Key path of the value: the name of its stream, and for messages.
         streams: The environment's random numbers.
 
+    Attributes:
+        last: (N, ...) float32, the last draw.
+
     Raises:
-        ConfigError: If a list has another length than the observation's last dimension.
+        ConfigError: If a list has another length than the value's last dimension.
     """
 
     def __init__(
@@ -64,15 +62,15 @@ class Noise:
             self._low, self._high = sized("low", "n_min"), sized("high", "n_max")
         else:
             self._low = self._high = sized("bias")
-        # Before the first draw nothing changes; in the place of a value stands the lower bound.
+        # Before the first draw nothing changes; a value that is replaced is the lower bound.
         start: Any = {"add": 0.0, "scale": 1.0, "abs": self._low}[cfg.operation]
         rows = np.broadcast_to(start if self._draws else self._low, (streams.num_envs, self._width))
-        self.last: torch.Tensor = self._tensor(rows)
+        self.last = self._shaped(rows)
 
-    def _tensor(self, rows: Any) -> torch.Tensor:
-        return torch.from_numpy(rows.astype(np.float32)).reshape(-1, *self._shape[1:])
+    def _shaped(self, rows: NDArray[np.float64]) -> F32:
+        return rows.astype(np.float32).reshape(-1, *self._shape[1:])
 
-    def apply(self, value: torch.Tensor, rows: EnvIndex | None) -> torch.Tensor:
+    def apply(self, value: NDArray[Any], rows: EnvIndex | None) -> NDArray[Any]:
         """Return a value with noise.
 
         Args:
@@ -80,14 +78,14 @@ class Noise:
             rows: (n,) environments that draw anew, or None for all.
         """
         if self._draws and (rows is None or len(rows)):
-            drawn = self._tensor(self._draw(rows))
+            drawn = self._shaped(self._draw(rows))
             if rows is None:
                 self.last = drawn
             else:
-                self.last[torch.from_numpy(rows)] = drawn
+                self.last[rows] = drawn
         if self._operation == "add":
             return value + self.last
-        return value * self.last if self._operation == "scale" else self.last.clone()
+        return value * self.last if self._operation == "scale" else self.last.copy()
 
     def _draw(self, rows: EnvIndex | None) -> F64:
         """(n, width) float64."""

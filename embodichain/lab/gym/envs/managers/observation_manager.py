@@ -1,12 +1,11 @@
-"""`ObservationManager`: adds declared entries to the observation, and flattens groups of them.
+"""`ObservationManager`: evaluates observation terms, and returns groups of them as one vector.
 
-What is done to a term's value is in `observation_entry.py`; the terms themselves are in
-`envs/mdp/observations`.
+What is done to a term's value is in `observation_entry.py`; terms are in `envs/mdp/observations`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, MutableMapping
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader
@@ -17,54 +16,56 @@ from embodichain.lab.gym.envs.cfg import ObservationCfg
 from embodichain.lab.gym.envs.managers.base import Manager
 from embodichain.lab.gym.envs.managers.observation_entry import ObservationEntry
 from embodichain.lab.gym.envs.managers.past import Rows
+from embodichain.lab.gym.envs.observation import Observation
+from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.observation import ObservationLayout
     from embodichain.lab.sim.engine.base import EnvIndex
-    from embodichain.lab.sim.types import EnvObs
 else:
     torch = lazy_loader.load("torch")
 
 __all__ = ["ObservationManager"]
 
-_NOBODY: NDArray[np.int64] = np.zeros(0, np.int64)
-_LOOKING = Rows(_NOBODY, None)
+_NONE: NDArray[np.int64] = np.zeros(0, np.int64)
+_BETWEEN_STEPS = Rows(_NONE, None)
 
 
 class ObservationManager(Manager[ObservationCfg]):
-    """Runs observation terms in declared order.
+    """Evaluates observation terms in declared order.
 
-    Noise is drawn, and delays and histories move on, once for each environment that stepped or was
-    reset: the environment says who by setting `stepped` before it observes. Whoever calls `compute`
-    besides only looks, and changes nothing.
+    Noise is drawn, and delays and histories advance, once for each environment that stepped or was
+    reset: the environment sets `stepped` before it observes. Other calls change nothing.
 
     Args:
         env: The environment; its scene is complete.
         cfgs: Name -> observation.
 
     Attributes:
-        stepped: (n,) environments that the next `compute` is for, or None for all.
+        stepped: (n,) environments that the next observation is for, or None for all.
+        layout: Columns of all entries, once the first observation was made.
     """
 
     def __init__(self, env: TermContext, cfgs: Mapping[str, ObservationCfg]) -> None:
         self._entries: list[ObservationEntry] = []
+        self.layout: ObservationLayout | None = None
         super().__init__(env, "observations", "observation", cfgs)
-        corrupted = env.cfg.enable_corruption
+        noisy = env.cfg.enable_corruption
         for term in self.terms.values():
-            noisy = (
-                corrupted if isinstance(corrupted, bool) else corrupted.get(term.cfg.group, True)
-            )
-            self._entries.append(ObservationEntry(env, term, noisy))
+            on = noisy if isinstance(noisy, bool) else noisy.get(term.cfg.group, True)
+            self._entries.append(ObservationEntry(env, term, on))
         self._groups: dict[str, dict[tuple[str, ...], None]] = {}
         for entry in self._entries:
-            # A term that modifies an entry declares it as well; each stands once.
+            # A term that modifies an entry declares it as well; each is in the vector once.
             self._groups.setdefault(entry.term.cfg.group, {})[entry.path] = None
+        self._last_modifier = {e.path: i for i, e in enumerate(self._entries) if e.modifies}
         self._remembers = any(entry.remembers for entry in self._entries)
         self._fresh: NDArray[np.bool_] = np.ones(env.num_envs, np.bool_)
-        self.stepped: EnvIndex | None = _NOBODY
+        self.stepped: EnvIndex | None = _NONE
 
     def _bind(self) -> None:
         for entry in self._entries:
@@ -74,6 +75,11 @@ class ObservationManager(Manager[ObservationCfg]):
     def groups(self) -> tuple[str, ...]:
         """Names of the groups, in order of appearance."""
         return tuple(self._groups)
+
+    @property
+    def paths(self) -> dict[str, tuple[tuple[str, ...], ...]]:
+        """Paths of each group's entries, in declared order."""
+        return {name: tuple(paths) for name, paths in self._groups.items()}
 
     def group_terms(self, group: str = "policy") -> tuple[str, ...]:
         """Names of a group's entries ("/" nests) in the order of the flattened vector.
@@ -93,26 +99,53 @@ class ObservationManager(Manager[ObservationCfg]):
                 f"{did_you_mean(group, self._groups)}"
             ) from None
 
-    def compute(self, obs: EnvObs) -> EnvObs:
-        """Add or modify the declared entries.
+    def compute(self, obs: MutableMapping[Any, Any]) -> None:
+        """Add or modify the declared entries of nested tensors.
 
         Args:
-            obs: What is observed already; entries are set in it.
-
-        Returns:
-            The same object.
+            obs: What is observed already; entries are set in it, float32 or not floating point.
 
         Raises:
-            ValueError: If a term's value is not a tensor (N, ...); names the term.
+            ValueError: If a term's value is not (N, ...); names the term.
+            ConfigError: If a term modifies an entry that does not exist.
         """
-        rows = self._rows() if self._remembers else _LOOKING
+        rows = self._rows()
         for entry in self._entries:
-            entry.compute(obs, rows)
-        return obs
+            if entry.modifies and entry.path not in obs:
+                raise _nothing_to_modify(entry, obs)
+            value = entry.value(obs[entry.path] if entry.modifies else obs, rows)
+            obs[entry.path] = _copy(value)
+
+    def write(self, obs: Observation, own: Mapping[tuple[str, ...], Any]) -> None:
+        """Write entries into an observation whose layout is known.
+
+        Args:
+            obs: The observation.
+            own: Path -> value (N, ...) of the entries before those of terms.
+
+        Raises:
+            ValueError: If a term's value has another shape than at first.
+        """
+        rows, layout, last = self._rows(), obs.layout, self._last_modifier
+        unfinished: dict[tuple[str, ...], Any] = {}
+        for path, value in own.items():
+            if path in last:
+                unfinished[path] = value
+            else:
+                layout.write(obs, path, value)
+        for index, entry in enumerate(self._entries):
+            path = entry.path
+            value = entry.value(_copy(unfinished[path]) if entry.modifies else obs, rows)
+            if last.get(path, index) > index:
+                unfinished[path] = value
+            else:
+                layout.write(obs, path, value)
 
     def _rows(self) -> Rows:
-        """Whom this observation is for; the next one is for nobody."""
-        stepped, self.stepped = self.stepped, _NOBODY
+        """The environments that this observation is for; the next one is for none."""
+        if not self._remembers:
+            return _BETWEEN_STEPS
+        stepped, self.stepped = self.stepped, _NONE
         fresh = self._fresh if self._fresh.any() else None
         if fresh is not None and (stepped is None or len(stepped)):
             self._fresh = fresh.copy()
@@ -120,7 +153,7 @@ class ObservationManager(Manager[ObservationCfg]):
         return Rows(stepped, fresh)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Begin these environments' episodes; delays are drawn, the past is filled anew."""
+        """Begin these environments' episodes: delays are drawn, histories are filled anew."""
         super().reset(env_ids)
         if self._remembers:
             self._fresh[slice(None) if env_ids is None else env_ids] = True
@@ -135,25 +168,30 @@ class ObservationManager(Manager[ObservationCfg]):
         Raises:
             ValueError: If no term is in the group; lists the groups.
         """
-        widths = {entry.path: entry.width for entry in self._entries}
-        return {"/".join(path): widths[path] for path in self._paths(group)}
+        paths, layout = self._paths(group), self.layout
+        widths = {} if layout is None else layout.widths
+        return {"/".join(path): widths.get(path, 0) for path in paths}
 
-    def flatten(self, obs: EnvObs, group: str = "policy") -> torch.Tensor:
-        """Concatenate a group's entries in declared order.
+    def flatten(self, obs: Mapping[Any, Any], group: str = "policy") -> torch.Tensor:
+        """Return a group's entries in declared order as one vector an environment.
 
         Args:
             obs: An observation of the environment.
             group: The group.
 
         Returns:
-            (N, K) float32.
+            (N, K) float32; it may share memory with the observation.
 
         Raises:
             ValueError: If no term is in the group; lists the groups.
         """
-        count = self.num_envs
-        parts = [obs[path].reshape(count, -1).to(torch.float32) for path in self._paths(group)]
-        return torch.cat(parts, dim=1)
+        layout = self.layout
+        if layout is not None and isinstance(obs, Observation) and obs.layout is layout:
+            columns = layout.groups.get(group)
+            if columns is not None and obs.packed:
+                return torch.from_numpy(np.ascontiguousarray(obs.rows[:, columns]))
+        count, paths = self.num_envs, self._paths(group)
+        return torch.cat([obs[p].reshape(count, -1).to(torch.float32) for p in paths], dim=1)
 
     def state_dict(self) -> dict[str, Any]:
         """Noise, delays and histories, and the state of terms that are classes (copies)."""
@@ -169,3 +207,17 @@ class ObservationManager(Manager[ObservationCfg]):
             self._fresh[:] = state["fresh"]
             for entry in self._entries:
                 entry.load_state_dict(state["memories"][entry.term.name])
+
+
+def _copy(value: Any) -> torch.Tensor:
+    """A tensor of its own, float32 or not floating point."""
+    array = value if isinstance(value, np.ndarray) else value.numpy(force=True)
+    wide = np.issubdtype(array.dtype, np.floating)
+    return torch.from_numpy(np.array(array, np.float32 if wide else None))
+
+
+def _nothing_to_modify(entry: ObservationEntry, obs: Any) -> ConfigError:
+    known = [k if isinstance(k, str) else "/".join(k) for k in obs.keys(True, True)]
+    wanted = "/".join(entry.path)
+    message = f"nothing to modify is called {wanted!r}; before it: {', '.join(known)}"
+    return ConfigError([Problem(f"{entry.key}.name", message, did_you_mean(wanted, known).strip())])

@@ -1,21 +1,16 @@
-"""`Past`: the last values of an observation, and what delays and histories make of them."""
+"""`Past`: the last values of an observation; `Delay`: the value of some steps ago."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    import torch
-
     from embodichain.lab.sim.engine.base import EnvIndex
     from embodichain.utils.random import RandomStreams
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = ["Delay", "Past", "Rows"]
 
@@ -25,8 +20,9 @@ class Rows:
     """Which environments an observation is of.
 
     Attributes:
-        stepped: (n,) environments that moved on, or None for all; nobody when someone only looks.
-        fresh: (N,) bool, environments whose episode has no earlier observation; None is nobody.
+        stepped: (n,) environments that stepped or were reset, or None for all; empty for an
+            observation between two steps.
+        fresh: (N,) bool, environments whose episode has no earlier observation, or None.
     """
 
     stepped: EnvIndex | None
@@ -38,7 +34,7 @@ class Past:
 
     Args:
         num_envs: N.
-        depth: How many.
+        depth: Number of values.
 
     Attributes:
         values: (N, depth, ...), None before the first value.
@@ -47,44 +43,44 @@ class Past:
     def __init__(self, num_envs: int, depth: int) -> None:
         self._num_envs = num_envs
         self._depth = depth
-        self.values: torch.Tensor | None = None
+        self.values: NDArray[Any] | None = None
 
-    def seen(self, value: torch.Tensor, rows: Rows) -> torch.Tensor:
-        """Take a value in where environments stepped.
+    def append(self, value: NDArray[Any], rows: Rows) -> NDArray[Any]:
+        """Append a value where environments stepped.
 
         Args:
             value: (N, ...), left as it is.
-            rows: Environments that did not step keep their values; fresh ones have had this value
-                all along.
+            rows: Environments that did not step keep their values; for fresh ones all values are
+                this one.
 
         Returns:
             (N, depth, ...): do not write into it.
         """
-        newest = value.unsqueeze(1)
+        newest = value[:, None]
         old = self.values
         if old is None:
-            old = newest.new_zeros((self._num_envs, self._depth, *value.shape[1:]))
-        moved = torch.cat([old[:, 1:], newest], dim=1)
+            old = np.zeros((self._num_envs, self._depth, *value.shape[1:]), value.dtype)
+        moved = np.concatenate([old[:, 1:], newest], axis=1)
+        stepped = np.ones(self._num_envs, np.bool_)
         if rows.stepped is not None:
-            stepped = torch.zeros(self._num_envs, dtype=torch.bool)
-            stepped[torch.from_numpy(rows.stepped)] = True
-            moved = torch.where(_column(stepped, moved), moved, old)
+            stepped[:] = False
+            stepped[rows.stepped] = True
+            moved = np.where(_column(stepped, moved), moved, old)
         if rows.fresh is not None:
-            fresh = _column(torch.from_numpy(rows.fresh), moved)
-            moved = torch.where(fresh, newest.expand_as(moved), moved)
-        if rows.stepped is None:
-            self.values = moved
-        else:  # who only looks leaves no trace
-            self.values = torch.where(_column(stepped, moved), moved, old)
+            moved = np.where(_column(rows.fresh, moved), newest, moved)
+        # An observation between two steps changes nothing that is stored.
+        self.values = (
+            moved if rows.stepped is None else np.where(_column(stepped, moved), moved, old)
+        )
         return moved
 
 
-def _column(mask: torch.Tensor, like: torch.Tensor) -> torch.Tensor:
+def _column(mask: NDArray[np.bool_], like: NDArray[Any]) -> NDArray[np.bool_]:
     return mask.reshape(-1, *[1] * (like.ndim - 1))
 
 
 class Delay:
-    """Hands on the value of some steps ago; at the beginning of an episode its first one.
+    """Returns the value of some steps ago; at the beginning of an episode its first one.
 
     Args:
         steps: Control steps, or [low, high]: each episode of each environment draws its own.
@@ -92,8 +88,8 @@ class Delay:
         streams: The environment's random numbers.
 
     Attributes:
-        past: The values on their way.
-        lag: (N,) int64 steps in force.
+        past: The values that are still delayed.
+        lag: (N,) int64 current delay in steps.
     """
 
     def __init__(self, steps: int | list[int], stream: str, streams: RandomStreams) -> None:
@@ -102,7 +98,7 @@ class Delay:
         self._streams = streams
         self.past = Past(streams.num_envs, self._high + 1)
         self.lag: NDArray[np.int64] = np.full(streams.num_envs, self._low, np.int64)
-        self._rows = torch.arange(streams.num_envs)
+        self._rows = np.arange(streams.num_envs)
 
     def restart(self, env_ids: EnvIndex | None) -> None:
         """Draw the delay of a new episode; (n,) environments, or None for all."""
@@ -111,9 +107,8 @@ class Delay:
         drawn = self._streams.uniform(self._stream, (), self._low, self._high + 1, env_ids)
         self.lag[slice(None) if env_ids is None else env_ids] = drawn.astype(np.int64)
 
-    def __call__(self, value: torch.Tensor, rows: Rows) -> torch.Tensor:
+    def __call__(self, value: NDArray[Any], rows: Rows) -> NDArray[Any]:
         """(N, ...) the delayed value."""
-        seen = self.past.seen(value, rows)
-        if self._low == self._high:
-            return seen[:, 0].clone()
-        return seen[self._rows, torch.from_numpy(self._high - self.lag)]
+        recent = self.past.append(value, rows)
+        delayed: NDArray[Any] = recent[self._rows, self._high - self.lag]
+        return delayed

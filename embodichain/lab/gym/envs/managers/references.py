@@ -19,9 +19,11 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import F64
-    from embodichain.lab.sim.sensors.contact import ContactSensor
-    from embodichain.lab.sim.sensors.force_torque import ForceTorqueSensor
-    from embodichain.lab.sim.sensors.imu import ImuSensor
+    from embodichain.lab.sim.sensors.sensor_handles import (
+        ContactSensor,
+        ForceTorqueSensor,
+        ImuSensor,
+    )
 
 __all__ = [
     "Body",

@@ -1,7 +1,6 @@
 """`TerminationManager`: which environments end their episode, and why.
 
-The terms themselves are in `envs/mdp/terminations.py`. The time limit `max_episode_steps` is the
-environment's own.
+Terms are in `envs/mdp/terminations`. The limit `max_episode_steps` is the environment's own.
 """
 
 from __future__ import annotations
@@ -9,21 +8,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-import lazy_loader
+import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import TerminationCfg
 from embodichain.lab.gym.envs.managers.base import Manager, checked_rows
+from embodichain.lab.gym.envs.managers.term_rows import TermRows
 
 if TYPE_CHECKING:
-    import torch
-
     from embodichain.lab.gym.envs.context import TermContext
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = ["TerminationManager"]
 
-Masks = dict[str, "torch.Tensor"]
+Masks = dict[str, NDArray[np.bool_]]
 
 
 class TerminationManager(Manager[TerminationCfg]):
@@ -34,15 +31,16 @@ class TerminationManager(Manager[TerminationCfg]):
         cfgs: Name -> termination.
 
     Attributes:
-        values: Name -> (N,) bool of the last step: which term ended what.
+        values: Name -> (N,) bool of the last step; empty before the first.
     """
 
     def __init__(self, env: TermContext, cfgs: Mapping[str, TerminationCfg]) -> None:
         super().__init__(env, "terminations", "termination", cfgs)
-        self.values: Masks = {}
-        self._checked = False
+        self._names = tuple(self.terms)
+        self.values = TermRows(())
 
     def _bind(self) -> None:
+        self._checked = False
         self._calls = [(name, t.call, t.cfg.kind) for name, t in self.terms.items()]
 
     @property
@@ -68,15 +66,15 @@ class TerminationManager(Manager[TerminationCfg]):
         masks: Masks = {}
         if not self._calls:
             return masks
-        values: Masks = {}
+        values: list[NDArray[np.bool_]] = []
         for name, call, kind in self._calls:
             value = call(self.env, obs, action, info)
             if not self._checked:
                 checked_rows(value, self.num_envs, "termination", name)
-            if value.dtype != torch.bool:
-                value = value != 0
-            values[name] = value
-            masks[kind] = masks[kind] | value if kind in masks else value
+            flags = value if type(value) is np.ndarray else value.numpy(force=True)
+            flags = flags.astype(np.bool_)  # a copy: the term may reuse its own
+            values.append(flags)
+            masks[kind] = masks[kind] | flags if kind in masks else flags
         self._checked = True
-        self.values = values
+        self.values = TermRows(self._names, values)
         return masks

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.mdp._ranges import constant
+from embodichain.lab.gym.envs.managers.drawing import constant
 from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import ConfigError, Problem
 

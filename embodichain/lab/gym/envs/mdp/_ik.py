@@ -1,28 +1,25 @@
-"""Inverse kinematics by damped least squares, for many environments at once.
-
-Each step solves (J J^T + c I) y = e and moves the joints by J^T y, where e is the pose error and
-the damping c = |e|^2 / 2 + 1e-6 falls with it, so that the method is safe where no solution exists
-and fast near one (T. Sugihara, "Solvability-unconcerned inverse kinematics by the
-Levenberg-Marquardt method", IEEE Transactions on Robotics 27(5), 2011). A row is left alone as soon
-as it is solved or does not move any more; no row's result depends on another's.
-"""
+"""`Reach`: joint positions that bring a robot's tool to a pose, by damped least squares."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.mdp._kinematics import Chain, Posture
-from embodichain.lab.gym.envs.mdp._rows import norm
-from embodichain.utils.math import cross
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.mdp._kinematics import tool_links
+from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.base import F64
+    import mujoco
 
-__all__ = ["Reach", "solve"]
+    from embodichain.lab.sim.engine.base import F64
+else:
+    mujoco = lazy_loader.load("mujoco")
+
+__all__ = ["Reach"]
 
 POSITION_TOLERANCE = 5e-4
 """Metres; EmbodiChain's `pos_eps`."""
@@ -33,128 +30,118 @@ _DAMPING = 1e-6
 _LONGEST_STEP = 0.5
 """Rad or m: no joint moves farther in one iteration."""
 _SHORTEST_STEP = 1e-5
-"""Rad or m: where no joint moves farther than this there is nothing nearer to the pose."""
+"""Rad or m: where no joint moves farther than this, nothing nearer to the pose is found."""
 
 
-@dataclass(frozen=True)
 class Reach:
-    """Which link is to be brought somewhere, and by which joints.
+    """Inverse kinematics of one tool.
 
-    Attributes:
-        chain: From the root to the link.
-        moving: (K,) which joints of the chain may move.
-        low, high: (D,) limits of all joints of the articulation; infinite where there is none.
-    """
-
-    chain: Chain
-    moving: NDArray[np.bool_]
-    low: F64
-    high: F64
-
-
-def solve(
-    reach: Reach, root_pos: F64, root_mat: F64, qpos: F64, pos: F64, mat: F64 | None
-) -> tuple[F64, NDArray[np.bool_]]:
-    """Look for joint positions that bring the link to a pose, from where the joints are.
+    Each step solves (J J^T + c I) y = e and moves the joints by J^T y, where e is the pose error
+    and c = |e|^2 / 2 + 1e-6 (T. Sugihara, "Solvability-unconcerned inverse kinematics by the
+    Levenberg-Marquardt method", IEEE Transactions on Robotics 27(5), 2011). Environments are solved
+    one by one with the compiled model, so that no result depends on another's.
 
     Args:
-        reach: The link and the joints.
-        root_pos: (n, 3) of the articulation's root.
-        root_mat: (n, 3, 3).
-        qpos: (n, D) where to begin.
-        pos: (n, 3) wanted position.
-        mat: (n, 3, 3) wanted axes; None leaves the orientation free.
+        entity: The robot; its picked joints move, its picked link is the tool. Without one it is
+            the picked part's tool point, else the link farthest from the base that they all move.
+        path: The parameter, for messages.
 
-    Returns:
-        (n, D) joint positions within the limits, and (n,) whether they reach the pose within
-        0.5 mm and 0.5 mrad.
+    Attributes:
+        body: MuJoCo body id of the tool.
+
+    Raises:
+        ConfigError: If there is no such link or more than one, or no picked joint moves it.
     """
-    qpos, solved = qpos.copy(), np.zeros(len(qpos), np.bool_)
-    columns = reach.chain.columns[reach.moving]
-    low, high = reach.low[columns], reach.high[columns]
-    left = np.arange(len(qpos))
-    for _ in range(MAX_ITERATIONS):
-        joints = qpos[left]
-        now = reach.chain.posture(root_pos[left], root_mat[left], joints)
-        error, good = _error(now, pos[left], None if mat is None else mat[left])
-        solved[left] = good
-        step = _step(reach, now, error)
-        before = joints[:, columns]
-        after = np.minimum(np.maximum(before + step, low), high)
-        going = ~good & (np.abs(after - before).max(axis=1) > _SHORTEST_STEP)
-        left = left[going]
-        if not len(left):
-            break
-        qpos[left[:, None], columns] = after[going]
-    return qpos, solved
 
+    def __init__(self, entity: ResolvedEntity, path: str = "entity_cfg") -> None:
+        asset = entity.asset
+        if not entity.joint_ids:
+            raise ConfigError([Problem(f"{path}.uid", f"{entity.uid!r} has no joints")])
+        links = list(entity.link_ids) or tool_links(entity)
+        if len(links) != 1:
+            names = [asset.parsed.link_names[link] for link in links]
+            message = f"name one link as the tool; the picked joints suggest {names or 'none'}"
+            raise ConfigError([Problem(f"{path}.link_names", message)])
+        index = asset.entity
+        self.body = int(index.body_ids[links[0]])
+        self._model: mujoco.MjModel = asset.engine.model
+        self._data = mujoco.MjData(self._model)
+        dofs = np.asarray(index.dof_adr, np.int64)
+        above, body = [], self.body
+        while body != index.root_body_id:
+            above.append(body)
+            body = int(self._model.body_parentid[body])
+        moving = [j for j in entity.joint_ids if self._model.dof_bodyid[dofs[j]] in above]
+        if not moving:
+            tool = asset.parsed.link_names[links[0]]
+            message = f"none of the picked joints moves {tool!r}"
+            raise ConfigError([Problem(f"{path}.link_names", message)])
+        self.joints: NDArray[np.int64] = np.array(sorted(moving))
+        self._dofs, self._qpos_adr = dofs[self.joints], np.asarray(index.qpos_adr, np.int64)
+        self._low, self._high = np.asarray(asset.parsed.qpos_limits, np.float64)[self.joints].T
+        self._root = index.root_body_id
 
-def _error(now: Posture, pos: F64, mat: F64 | None) -> tuple[F64, NDArray[np.bool_]]:
-    """(n, 3) or (n, 6) what is missing, position first, and (n,) whether it is little enough."""
-    missing = pos - now.pos
-    small = norm(missing) < POSITION_TOLERANCE
-    if mat is None:
-        return missing, small
-    turn = _rotation_vector(now.mat, mat)
-    return np.concatenate([missing, turn], axis=1), small & (norm(turn) < ROTATION_TOLERANCE)
+    def solve(
+        self, root_pos: F64, root_quat: F64, qpos: F64, pos: F64, quat: F64 | None
+    ) -> tuple[F64, NDArray[np.bool_]]:
+        """Look for joint positions that bring the tool to a pose, from where the joints are.
 
+        Args:
+            root_pos: (n, 3) of the robot's root, environment's frame, as every pose.
+            root_quat: (n, 4) wxyz.
+            qpos: (n, D) all joints, where to begin.
+            pos: (n, 3) wanted position.
+            quat: (n, 4) wanted orientation; None leaves it free.
 
-def _rotation_vector(now: F64, wanted: F64) -> F64:
-    """(n, 3) axis times angle, environment's axes, that turns one frame into the other."""
-    total = np.zeros((len(now), 3))
-    trace = np.zeros(len(now))
-    for axis in range(3):
-        a, b = now[:, :, axis], wanted[:, :, axis]
-        total = total + cross(a, b)
-        trace = trace + a[:, 0] * b[:, 0] + a[:, 1] * b[:, 1] + a[:, 2] * b[:, 2]
-    sine = 0.5 * norm(total)
-    angle = np.arctan2(sine, 0.5 * (trace - 1.0))
-    factor = np.divide(angle, sine, out=np.ones_like(angle), where=sine > 1e-12)
-    vector: F64 = 0.5 * total * factor[:, None]
-    return vector
+        Returns:
+            (n, D) joint positions within the limits, and (n,) whether they reach the pose within
+            0.5 mm and 0.5 mrad.
+        """
+        found, solved = qpos.copy(), np.zeros(len(qpos), np.bool_)
+        for row in range(len(qpos)):
+            turn = None if quat is None else quat[row]
+            aim = self._in_model(root_pos[row], root_quat[row], pos[row], turn)
+            solved[row] = self._solve(found[row], *aim)
+        return found, solved
 
+    def _in_model(
+        self, root_pos: F64, root_quat: F64, pos: F64, quat: F64 | None
+    ) -> tuple[F64, F64 | None]:
+        """A pose relative to the root as the pose it is when the root is where it was compiled."""
+        mujoco.mj_kinematics(self._model, self._data)
+        home_pos, home_quat = self._data.xpos[self._root], self._data.xquat[self._root]
+        back_pos, back_quat = np.empty(3), np.empty(4)
+        mujoco.mju_negPose(back_pos, back_quat, root_pos, root_quat)
+        for frame_pos, frame_quat in ((back_pos, back_quat), (home_pos, home_quat)):
+            moved, turned = np.empty(3), np.empty(4)
+            given = np.array([1.0, 0.0, 0.0, 0.0]) if quat is None else quat
+            mujoco.mju_mulPose(moved, turned, frame_pos, frame_quat, pos, given)
+            pos, quat = moved, None if quat is None else turned
+        return pos, quat
 
-def _step(reach: Reach, now: Posture, error: F64) -> F64:
-    """(n, K') how far each moving joint goes."""
-    rows = error.shape[1]
-    jacobian = _jacobian(reach, now, rows)
-    squares = error * error
-    weight = squares[:, 0]
-    for row in range(1, rows):
-        weight = weight + squares[:, row]
-    matrix = np.zeros((rows, rows + 1, len(error)))
-    for column in jacobian:
-        matrix[:, :rows] += column[:, None] * column[None, :]
-    diagonal = np.arange(rows)
-    matrix[diagonal, diagonal] += 0.5 * weight + _DAMPING
-    matrix[:, rows] = error.T
-    y = _eliminate(matrix)
-    terms = jacobian * y
-    moved = terms[:, 0]
-    for row in range(1, rows):
-        moved = moved + terms[:, row]
-    moved = moved.T
-    longest = np.abs(moved).max(axis=1)
-    scale: F64 = np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-12))
-    return moved * scale[:, None]
-
-
-def _jacobian(reach: Reach, now: Posture, rows: int) -> F64:
-    """(K', rows, n) how the link moves, and turns, with each moving joint."""
-    axes, arms = now.axes[reach.moving], now.pos - now.anchors[reach.moving]
-    slides = reach.chain.slides[reach.moving][:, None, None]
-    linear = np.where(slides, axes, cross(axes, arms))
-    both = [linear] if rows == 3 else [linear, np.where(slides, 0.0, axes)]
-    return np.ascontiguousarray(np.concatenate(both, axis=2).transpose(0, 2, 1))
-
-
-def _eliminate(matrix: F64) -> F64:
-    """Solve A y = b of (A | b), (m, m + 1, n), for positive definite A: Gauss and Jordan."""
-    rows = len(matrix)
-    for pivot in range(rows):
-        matrix[pivot] = matrix[pivot] / matrix[pivot, pivot]
-        factor = matrix[:, pivot].copy()
-        factor[pivot] = 0.0
-        matrix -= factor[:, None] * matrix[pivot]
-    solution: F64 = matrix[:, rows]
-    return solution
+    def _solve(self, qpos: F64, pos: F64, quat: F64 | None) -> bool:
+        """Change joint positions (D,) in place until they reach a pose; returns whether they do."""
+        model, data, rows = self._model, self._data, 3 if quat is None else 6
+        jacobian, error = np.zeros((6, model.nv)), np.zeros(6)
+        for _ in range(MAX_ITERATIONS):
+            data.qpos[self._qpos_adr] = qpos
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_comPos(model, data)
+            error[:3] = pos - data.xpos[self.body]
+            if quat is not None:
+                mujoco.mju_subQuat(error[3:], quat, data.xquat[self.body])
+                error[3:] = data.xmat[self.body].reshape(3, 3) @ error[3:]
+            close = np.linalg.norm(error[:3]) < POSITION_TOLERANCE
+            if close and np.linalg.norm(error[3:]) < ROTATION_TOLERANCE:
+                return True
+            mujoco.mj_jacBody(model, data, jacobian[:3], jacobian[3:], self.body)
+            part = jacobian[:rows, self._dofs]
+            damping = 0.5 * (error @ error) + _DAMPING
+            step = part.T @ np.linalg.solve(part @ part.T + damping * np.eye(rows), error[:rows])
+            step *= min(1.0, _LONGEST_STEP / max(np.abs(step).max(), 1e-12))
+            before = qpos[self.joints]
+            after = np.clip(before + step, self._low, self._high)
+            if np.abs(after - before).max() <= _SHORTEST_STEP:
+                return False
+            qpos[self.joints] = after
+        return False

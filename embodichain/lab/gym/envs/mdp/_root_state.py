@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from embodichain.lab.gym.envs.managers.drawing import Uniform
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, quat_conjugate, quat_rotate
 
@@ -31,15 +31,15 @@ __all__ = [
 AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
-def six_axes(ranges: Mapping[Any, Sequence[float]] | None) -> tuple[F64, F64] | None:
-    """Low and high, (6,) each, of a map from axes to [low, high]; absent axes are 0.
+def six_axes(name: str, ranges: Mapping[Any, Sequence[float]] | None) -> Uniform | None:
+    """A draw of shape (6,) from a map from axes to [low, high]; absent axes are 0.
 
-    None if no axis is named: nothing is to be drawn.
+    None if no axis is named: there is nothing to draw.
     """
     if not ranges:
         return None
     low, high = np.array([ranges.get(axis, (0.0, 0.0)) for axis in AXES], np.float64).T
-    return constant(low), constant(high)
+    return Uniform(name, low, high)
 
 
 def rpy_to_quat(angles: F64) -> F64:

@@ -1,16 +1,13 @@
-"""What joint actions have in common: the joints, and value = centre + scale x clamp(action).
-
-What is done with the value is each term's own business.
-"""
+"""Joints that actions move, and what is written to them: targets or efforts."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar
+import logging
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from embodichain.lab.gym.envs.managers.term import ActionTerm
-from embodichain.lab.gym.envs.mdp.actions._affine import Affine
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -20,7 +17,9 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.sim.engine.base import F64
 
-__all__ = ["AffineJointTerm", "JointTerm"]
+__all__ = ["Efforts", "JointTerm", "VelocityTargets"]
+
+logger = logging.getLogger(__name__)
 
 
 class JointTerm(ActionTerm):
@@ -30,16 +29,19 @@ class JointTerm(ActionTerm):
         env: The environment.
         entity: The robot and the joints picked.
         driven: Whether every joint must have a drive.
+        positions: Whether the drives must take position targets.
 
     Raises:
-        ConfigError: If there is no joint, or one without a drive, or one whose servo in the file
-            takes velocity targets only.
+        ConfigError: If there is no joint, or one without such a drive.
     """
 
-    sets_position: ClassVar[bool] = True
-    """Whether it needs drives that take position targets."""
-
-    def __init__(self, env: TermContext, entity: ResolvedEntity, driven: bool = True) -> None:
+    def __init__(
+        self,
+        env: TermContext,
+        entity: ResolvedEntity,
+        driven: bool = True,
+        positions: bool = True,
+    ) -> None:
         self._period = env.step_dt
         asset = entity.asset
         if not hasattr(asset, "parsed"):
@@ -61,7 +63,7 @@ class JointTerm(ActionTerm):
         parsed = asset.parsed
         speeds = (parsed.servos.drive >= 0) & ~parsed.driven & (parsed.stiffness == 0)
         fast = [n for n, i in zip(self.names, self._ids, strict=True) if speeds[i]]
-        if driven and self.sets_position and fast:
+        if driven and positions and fast:
             names = ", ".join(map(repr, fast))
             message = f"joints {names} take velocity targets only: use joint_velocity"
             raise ConfigError([Problem("entity_cfg", message)])
@@ -86,28 +88,74 @@ class JointTerm(ActionTerm):
         return qpos if self._joints is None else qpos[:, self._ids]
 
 
-class AffineJointTerm(JointTerm):
-    """A joint term whose value is affine in the action.
+class VelocityTargets:
+    """Writes velocity targets: a velocity drive's, or a moving position target of a stiff drive.
 
     Args:
-        env: The environment.
-        entity: The robot and the joints picked.
-        scale, offset, clip, centre, limits: See `Affine`.
-        driven: See `JointTerm`.
+        asset: The articulation.
+        joints: (A,) indices of its joints.
+        period: Seconds of a control step.
+
+    Raises:
+        ConfigError: If a joint has neither stiffness nor damping.
     """
 
-    def __init__(
-        self,
-        env: TermContext,
-        entity: ResolvedEntity,
-        scale: Any,
-        offset: Any,
-        clip: Any,
-        centre: F64 | float = 0.0,
-        limits: tuple[Any, Any] | None = None,
-        driven: bool = True,
-    ) -> None:
-        super().__init__(env, entity, driven)
-        affine = Affine(self.names, scale, offset, clip, centre, limits)
-        self.low, self.high = affine.low, affine.high
-        self._value, self._action_for = affine.value, affine.action_for
+    def __init__(self, asset: Any, joints: NDArray[np.int64], period: float) -> None:
+        self._asset, self._joints, self._period = asset, joints, period
+        drives = asset.drives
+        stiff, damping = (v[0, joints] > 0 for v in (drives.stiffness, drives.damping))
+        lame = [asset.parsed.joint_names[j] for j in joints[~(stiff | damping)]]
+        if lame:
+            message = f"joints {lame} have neither stiffness nor damping: nothing drives them"
+            raise ConfigError([Problem("entity_cfg", message)])
+        self._stiff: NDArray[np.int64] = np.flatnonzero(stiff)
+        self._free: NDArray[np.int64] = np.flatnonzero(~stiff)
+
+    def write(self, velocity: F64) -> None:
+        """Set velocities (N, A), rad/s or m/s, within the drives' `max_velocity`."""
+        most = self._asset.drives.max_velocity[:, self._joints]
+        target = np.minimum(np.maximum(velocity.astype(np.float64), -most), most)
+        if len(self._stiff):
+            self._move(target[:, self._stiff])
+        if len(self._free):
+            joints = self._joints[self._free]
+            self._asset.drives.write_target_qvel(target[:, self._free], joints, None)
+
+    def _move(self, velocity: F64) -> None:
+        """Move the position targets of stiff drives, as far ahead as the drives can pull."""
+        joints, asset = self._joints[self._stiff], self._asset
+        drives = asset.drives
+        target = drives.read_target_qpos()[:, joints] + velocity * self._period
+        reach = drives.max_effort[:, joints] / drives.stiffness[:, joints]
+        qpos = asset.read_qpos()[:, joints]
+        target = np.minimum(np.maximum(target, qpos - reach), qpos + reach)
+        drives.target_qvel[:, joints] = velocity
+        drives.has_velocity_target = True
+        asset.write_target(target, joints)
+
+
+class Efforts:
+    """Applies efforts to joints, constant over a control step.
+
+    Args:
+        asset: The articulation.
+        joints: (A,) indices of its joints.
+    """
+
+    def __init__(self, asset: Any, joints: NDArray[np.int64]) -> None:
+        self._asset, self._joints = asset, joints
+        self._dofs = np.asarray(asset.entity.dof_adr, np.int64)[joints]
+        stiff = joints[asset.drives.stiffness[0, joints] > 0]
+        if len(stiff):
+            logger.warning(
+                "joint_effort: joints %s have a drive with stiffness that holds its own target "
+                "beside the effort; drive_pros: {stiffness: 0, damping: 0} leaves the effort alone",
+                ", ".join(asset.parsed.joint_names[j] for j in stiff),
+            )
+
+    def write(self, effort: F64) -> None:
+        """Apply (N, A) efforts, N m or N, within `max_effort`, times the drives' strength."""
+        drives = self._asset.drives
+        most = drives.max_effort[:, self._joints]
+        effort = np.minimum(np.maximum(effort, -most), most) * drives.strength[:, self._joints]
+        self._asset.engine.write("qfrc_applied", effort, None, self._dofs)

@@ -7,15 +7,14 @@ joints when a term is built. No torch here.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from pydantic import PlainValidator
 
+from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.base import F64
@@ -134,14 +133,10 @@ def _matched(
     source: dict[str, str] = {}
     for pattern, one in value.items():
         where = f"{path}.{pattern}"
-        try:
-            hits = [name for name in names if re.fullmatch(pattern, name)]
-        except re.error as error:
-            raise ConfigError([Problem(where, f"malformed regex: {error}")]) from error
-        if not hits:
-            message = f"no {what} of this term matches {pattern!r}; there are: {', '.join(names)}"
-            raise ConfigError([Problem(where, message, did_you_mean(pattern, names).strip())])
-        for name in hits:
+        hits, problems = match(pattern, names, f"{what} of this term", where)
+        if problems:
+            raise ConfigError(problems)
+        for name in (names[i] for i in hits):
             if name in source:
                 message = f"{what} {name!r} is matched by {source[name]!r} as well"
                 raise ConfigError([Problem(where, message)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,8 +13,8 @@ from embodichain.lab.gym.envs.managers.term import ActionTerm
 from embodichain.lab.gym.envs.mdp.actions._affine import Affine
 from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint
 from embodichain.lab.gym.utils.bounds import finite_limits
+from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     import torch
@@ -120,14 +119,8 @@ def _picked(patterns: Names | None, names: tuple[str, ...]) -> NDArray[np.int64]
         return np.arange(len(names))
     found: set[int] = set()
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
-        try:
-            hits = [i for i, name in enumerate(names) if re.fullmatch(pattern, name)]
-        except re.error as error:
-            message = f"malformed regex {pattern!r}: {error}"
-            raise ConfigError([Problem("actuator_names", message)]) from error
-        if not hits:
-            message = f"no actuator matches {pattern!r}; there are: {', '.join(names)}"
-            hint = did_you_mean(pattern, names).strip()
-            raise ConfigError([Problem("actuator_names", message, hint)])
+        hits, problems = match(pattern, names, "actuator", "actuator_names")
+        if problems:
+            raise ConfigError(problems)
         found.update(hits)
     return np.asarray(sorted(found), np.int64)

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from embodichain.lab.gym.envs.managers.drawing import Uniform
 from embodichain.lab.gym.envs.managers.param_types import Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import CommandTerm
-from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.lab.gym.envs.mdp._rows import norm
+from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
@@ -64,13 +63,12 @@ class UniformJointPositionCommand(CommandTerm):
         else:
             rows = _rows(position_range, self.names, np.zeros(len(ids)) if relative else home)
             rows = np.clip(rows + home[:, None] if relative else rows, limits[:, :1], limits[:, 1:])
-        self._low, self._high = constant(rows[:, 0]), constant(rows[:, 1])
+        self._qpos = Uniform("qpos", rows[:, 0], rows[:, 1])
         self.values: F64 = np.tile(home, (env.num_envs, 1))
 
     def resample(self, env_ids: EnvIndex | None) -> None:
         """Draw positions."""
-        shape = (len(self.names),)
-        drawn = self._env.command_manager.draw("qpos", shape, self._low, self._high, env_ids)
+        drawn = self._qpos(self._env.command_manager, env_ids)
         self.values[slice(None) if env_ids is None else env_ids] = drawn
 
     def metrics(self) -> Mapping[str, F64]:
@@ -88,10 +86,8 @@ def _rows(given: Range | dict[str, Range], names: tuple[str, ...], rest: F64) ->
         rows[:] = given
         return rows
     for pattern, pair in given.items():
-        found = [i for i, name in enumerate(names) if re.fullmatch(pattern, name)]
-        if not found:
-            message = f"no picked joint matches {pattern!r}; there are: {', '.join(names)}"
-            hint = did_you_mean(pattern, names).strip()
-            raise ConfigError([Problem(f"position_range.{pattern}", message, hint)])
-        rows[found] = pair
+        found, problems = match(pattern, names, "picked joint", f"position_range.{pattern}")
+        if problems:
+            raise ConfigError(problems)
+        rows[list(found)] = pair
     return rows

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from embodichain.lab.gym.envs.managers.drawing import Uniform
 from embodichain.lab.gym.envs.managers.param_types import Box3
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import CommandMarker, CommandTerm
-from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.lab.gym.envs.mdp._rows import angle_between, norm
 from embodichain.utils.math import euler_xyz_to_quat, quat_multiply, quat_rotate
 
@@ -55,8 +55,8 @@ class UniformPoseCommand(CommandTerm):
         self._root = ResolvedEntity(entity_cfg.uid, entity_cfg.asset)
         angles = [[0.0] * 3] * 2 if euler_range is None else euler_range
         self._turns = euler_range is not None
-        self._low = constant([*position_range[0], *angles[0]])
-        self._high = constant([*position_range[1], *angles[1]])
+        ends = ([*position_range[i], *angles[i]] for i in (0, 1))
+        self._pose = Uniform("pose", *ends)
         self._unique = make_quat_unique
         self.values: F64 = np.zeros((env.num_envs, 7))
         self.values[:, 3] = 1.0
@@ -64,7 +64,7 @@ class UniformPoseCommand(CommandTerm):
 
     def resample(self, env_ids: EnvIndex | None) -> None:
         """Draw poses."""
-        drawn = self._env.command_manager.draw("pose", (6,), self._low, self._high, env_ids)
+        drawn = self._pose(self._env.command_manager, env_ids)
         where: Any = slice(None) if env_ids is None else env_ids
         self.values[where, :3] = drawn[:, :3]
         if not self._turns:

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from embodichain.lab.gym.envs.managers.drawing import Uniform
 from embodichain.lab.gym.envs.managers.param_types import NonNegative, Range, UnitInterval
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import CommandMarker, CommandTerm
-from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.lab.gym.envs.mdp._rows import norm
 from embodichain.utils.configclass import configclass
 
@@ -75,8 +75,8 @@ class UniformVelocityCommand(CommandTerm):
         heading = ranges.heading
         self._turns = heading is not None and rel_heading_envs > 0
         rows = [ranges.lin_vel_x, ranges.lin_vel_y, ranges.ang_vel_z, heading or (0.0, 0.0)]
-        self._low = constant([*(row[0] for row in rows), 0.0, 0.0])
-        self._high = constant([*(row[1] for row in rows), 1.0, 1.0])
+        low, high = ([*(row[i] for row in rows), float(i), float(i)] for i in (0, 1))
+        self._drawn = Uniform("velocity", low, high)
         self._stiffness = heading_control_stiffness
         self._stands = rel_standing_envs
         self._heads = rel_heading_envs
@@ -88,7 +88,7 @@ class UniformVelocityCommand(CommandTerm):
 
     def resample(self, env_ids: EnvIndex | None) -> None:
         """Draw velocities, headings, and who stands or turns to a heading."""
-        drawn = self._env.command_manager.draw("velocity", (6,), self._low, self._high, env_ids)
+        drawn = self._drawn(self._env.command_manager, env_ids)
         where: Any = slice(None) if env_ids is None else env_ids
         standing = drawn[:, 4] < self._stands
         self.is_standing[where] = standing
@@ -102,7 +102,7 @@ class UniformVelocityCommand(CommandTerm):
             return
         where: Any = slice(None) if env_ids is None else env_ids
         error = _wrapped(self.heading_target - _yaw(self._entity.orientation()))
-        rate = np.clip(self._stiffness * error, self._low[2], self._high[2])
+        rate = np.clip(self._stiffness * error, self._drawn.low[2], self._drawn.high[2])
         turning = (self.is_heading & ~self.is_standing)[where]
         self.values[where, 2] = np.where(turning, rate[where], self.values[where, 2])
 

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from embodichain.lab.gym.envs.managers.drawing import Uniform
 from embodichain.lab.gym.envs.managers.param_types import Box3, NamedEntity, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.lab.gym.envs.mdp._rows import norm
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, quat_multiply
@@ -20,10 +20,6 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.base import F64, EnvIndex
 
 __all__ = ["RandomizeCameraFovy", "RandomizeCameraPose", "RandomizeLight"]
-
-
-def _box(box: Box3 | None) -> tuple[F64, F64] | None:
-    return None if box is None else (constant(box[0]), constant(box[1]))
 
 
 @register_term("event", name="randomize_light")
@@ -67,29 +63,28 @@ class RandomizeLight(Term):
         self._dir0: F64 = np.asarray(cfg.direction, np.float64)
         self._color0: F64 = np.asarray(cfg.color, np.float64)
         self._intensity0 = float(cfg.intensity)
-        self._move, self._turn = _box(position_range), _box(direction_range)
-        self._color = _box(color_range)
-        self._intensity: tuple[F64, F64] | None = None
-        if intensity_range is not None:
-            self._intensity = constant([intensity_range[0]]), constant([intensity_range[1]])
+        self._move = Uniform.within("position", position_range)
+        self._turn = Uniform.within("direction", direction_range)
+        self._color = Uniform.within("color", color_range)
+        self._intensity = Uniform.within("intensity", intensity_range)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the light of these environments."""
-        draw = env.event_manager.draw
+        draws = env.event_manager
         if self._move is not None:
-            moved = self._pos0 + draw("position", (3,), *self._move, env_ids)
+            moved = self._pos0 + self._move(draws, env_ids)
             self._light.write("light_pos", moved, env_ids)
         if self._turn is not None:
-            turned = self._dir0 + draw("direction", (3,), *self._turn, env_ids)
+            turned = self._dir0 + self._turn(draws, env_ids)
             self._light.write("light_dir", turned / norm(turned)[:, None], env_ids)
         if self._color is None and self._intensity is None:
             return
         color: F64 = self._color0[None, :]
         if self._color is not None:
-            color = draw("color", (3,), *self._color, env_ids)
+            color = self._color(draws, env_ids)
         strength: F64 = np.full((1, 1), self._intensity0)
         if self._intensity is not None:
-            strength = self._intensity0 + draw("intensity", (1,), *self._intensity, env_ids)
+            strength = self._intensity0 + self._intensity(draws, env_ids)
         self._light.write_emission(color, np.maximum(strength, 0.0), env_ids)
 
 
@@ -130,20 +125,17 @@ class RandomizeCameraPose(Term):
         model = self._engine.model
         self._pos0: F64 = np.array(model.cam_pos[self._id], np.float64)
         self._quat0: F64 = np.tile(model.cam_quat[self._id], (env.num_envs, 1))
-        self._move = _box(position_range)
-        self._turn: tuple[F64, F64] | None = None
-        if rotation_range is not None:
-            low, high = (np.deg2rad(np.asarray(row, np.float64)) for row in rotation_range)
-            self._turn = constant(low), constant(high)
+        self._move = Uniform.within("position", position_range)
+        self._turn = Uniform.within("rotation", rotation_range, degrees=True)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the camera's pose in these environments."""
-        draw, engine = env.event_manager.draw, self._engine
+        draws, engine = env.event_manager, self._engine
         if self._move is not None:
-            moved = self._pos0 + draw("position", (3,), *self._move, env_ids)
+            moved = self._pos0 + self._move(draws, env_ids)
             engine.write_model("cam_pos", moved, env_ids, slice(3 * self._id, 3 * self._id + 3))
         if self._turn is not None:
-            turn = euler_xyz_to_quat(draw("rotation", (3,), *self._turn, env_ids))
+            turn = euler_xyz_to_quat(self._turn(draws, env_ids))
             quat = quat_multiply(self._quat0[: len(turn)], turn)
             engine.write_model("cam_quat", quat, env_ids, slice(4 * self._id, 4 * self._id + 4))
 
@@ -165,9 +157,9 @@ class RandomizeCameraFovy(Term):
         if not 0 < low <= high < 180:
             raise ConfigError([Problem("fovy_range", f"within (0, 180), got {list(fovy_range)}")])
         self._id, self._engine = _camera(env, camera), env.sim.engine
-        self._low, self._high = constant([low]), constant([high])
+        self._fovy = Uniform("fovy", [low], [high])
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the field of view of these environments."""
-        drawn = env.event_manager.draw("fovy", (1,), self._low, self._high, env_ids)
+        drawn = self._fovy(env.event_manager, env_ids)
         self._engine.write_model("cam_fovy", drawn, env_ids, slice(self._id, self._id + 1))

@@ -1,4 +1,4 @@
-"""Events that push: sudden velocities, and forces that stay until the next firing or a reset."""
+"""Events that push: sudden velocities, forces until the next firing, forces for a while."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.gym.envs.managers.drawing import Timer, Uniform
 from embodichain.lab.gym.envs.managers.param_types import Axes6, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.lab.gym.envs.mdp._root_state import (
     need_free_root,
     read_root_velocity,
@@ -22,9 +22,65 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.base import EnvIndex
 
-__all__ = ["ApplyExternalForceTorque", "PushArticulation", "PushBySettingVelocity"]
+__all__ = ["ApplyBodyImpulse", "ApplyExternalForceTorque", "EpisodeTimer", "PushBySettingVelocity"]
+
+
+class EpisodeTimer:
+    """A timer of a term that is called in control steps, started anew in every episode.
+
+    Args:
+        env: The environment.
+    """
+
+    def __init__(self, env: TermContext) -> None:
+        self._env = env
+        self._timer = Timer(env.num_envs, env.step_dt)
+        self._seen: NDArray[np.int64] = np.zeros(env.num_envs, np.int64)
+        """Control steps of the episode that were counted."""
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Stop it where an episode begins."""
+        where: Any = slice(None) if env_ids is None else env_ids
+        self._timer.left[where] = self._seen[where] = 0
+
+    def stopped(self, env_ids: EnvIndex | None) -> EnvIndex:
+        """Those of the environments in which it was not started in this episode."""
+        stopped: EnvIndex = np.flatnonzero(self._timer.left == 0)
+        return stopped if env_ids is None else np.intersect1d(stopped, env_ids)
+
+    def advance(self, env_ids: EnvIndex | None) -> EnvIndex:
+        """Count the control steps since the last call; those in which it is due."""
+        ids = np.arange(len(self._seen)) if env_ids is None else env_ids
+        step = self._env.elapsed_steps.numpy()[ids].astype(np.int64) + 1  # it counts at its end
+        passed = step - self._seen[ids]
+        self._seen[ids] = step
+        return self._timer.advance(ids, passed)
+
+    def start(self, seconds: Uniform, env_ids: EnvIndex) -> None:
+        """Start it where it is stopped or due, for a time that is drawn."""
+        if len(env_ids):
+            self._timer.start(env_ids, seconds(self._env.event_manager, env_ids)[:, 0])
+
+    def state_dict(self) -> dict[str, Any]:
+        """Control steps left and counted (copies)."""
+        return {"left": self._timer.left.copy(), "seen": self._seen.copy()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        self._timer.left[:], self._seen[:] = state["left"], state["seen"]
+
+    @staticmethod
+    def seconds(name: str, param: str, bounds: Range) -> Uniform:
+        """The times of a parameter [low, high].
+
+        Raises:
+            ConfigError: If they are not positive.
+        """
+        if not bounds[0] > 0:
+            raise ConfigError([Problem(param, f"needs 0 < low, got {list(bounds)}")])
+        return Uniform(name, [bounds[0]], [bounds[1]])
 
 
 @register_term("event", name="push_by_setting_velocity")
@@ -45,79 +101,17 @@ class PushBySettingVelocity(Term):
     def __init__(self, env: TermContext, entity_cfg: ResolvedEntity, velocity_range: Axes6) -> None:
         need_free_root(entity_cfg)
         self._asset = entity_cfg.asset
-        bounds = six_axes(velocity_range)
-        if bounds is None:
+        push = six_axes("velocity", velocity_range)
+        if push is None:
             raise ConfigError([Problem("velocity_range", "names no axis: nothing is pushed")])
-        self._bounds = bounds
+        self._push = push
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Push these environments' entities."""
-        drawn = env.event_manager.draw("velocity", (6,), *self._bounds, env_ids)
+        drawn = self._push(env.event_manager, env_ids)
         now = read_root_velocity(self._asset)
         now = now if env_ids is None else now[env_ids]
         write_root_velocity(self._asset, now + drawn, env_ids)
-
-
-@register_term("event", name="push_articulation_by_setting_velocity")
-class PushArticulation(PushBySettingVelocity):
-    """`push_by_setting_velocity` with a schedule of its own: EmbodiChain's event of this name.
-
-    Give it `mode: interval` and `interval_step: 1`: it then looks at its clock in every control
-    step. Each environment is pushed after a time drawn from `interval_range_s`, counted from its
-    last push or from the beginning of its episode.
-
-    Args:
-        entity_cfg: A robot with a floating base, or a dynamic object.
-        interval_range_s: [low, high] seconds between pushes, positive.
-        velocity_range: See `push_by_setting_velocity`.
-
-    Example:
-        ``{func: push_articulation_by_setting_velocity, mode: interval, interval_step: 1, params: {entity_cfg: {uid: go}, interval_range_s: [5, 10], velocity_range: {x: [-0.5, 0.5], y: [-0.5, 0.5]}}}``
-    """  # noqa: E501  (an example is one line)
-
-    def __init__(
-        self,
-        env: TermContext,
-        entity_cfg: ResolvedEntity,
-        interval_range_s: Range,
-        velocity_range: Axes6,
-    ) -> None:
-        super().__init__(env, entity_cfg, velocity_range)
-        if not interval_range_s[0] > 0:
-            message = f"needs 0 < low, got {list(interval_range_s)}"
-            raise ConfigError([Problem("interval_range_s", message)])
-        self._interval = constant([interval_range_s[0]]), constant([interval_range_s[1]])
-        self._due: NDArray[np.int64] = np.zeros(env.num_envs, np.int64)
-        """Control step of the episode in which the next push comes; 0 is not drawn yet."""
-
-    def reset(self, env_ids: EnvIndex | None) -> None:
-        """Draw a new time where an episode begins."""
-        self._due[slice(None) if env_ids is None else env_ids] = 0
-
-    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
-        """Push the environments whose time has come."""
-        ids = np.arange(env.num_envs) if env_ids is None else env_ids
-        step = env.elapsed_steps.numpy().astype(np.int64) + 1  # this one is not counted yet
-        new = ids[self._due[ids] == 0]
-        if len(new):
-            self._draw_due(env, new, step * 0)
-        pushed = ids[step[ids] >= self._due[ids]]
-        if len(pushed):
-            super().__call__(env, pushed)
-            self._draw_due(env, pushed, step)
-
-    def _draw_due(self, env: TermContext, ids: EnvIndex, since: NDArray[np.int64]) -> None:
-        seconds = env.event_manager.draw("interval", (1,), *self._interval, ids)[:, 0]
-        steps = np.maximum(1, np.rint(seconds / env.step_dt)).astype(np.int64)
-        self._due[ids] = since[ids] + steps
-
-    def state_dict(self) -> dict[str, Any]:
-        """When the next pushes come."""
-        return {"due": self._due.copy()}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue where `state_dict` was taken."""
-        self._due[:] = state["due"]
 
 
 @register_term("event", name="apply_external_force_torque")
@@ -157,13 +151,74 @@ class ApplyExternalForceTorque(Term):
         self._columns: NDArray[np.int64] = np.concatenate(
             [6 * int(body) + np.arange(6, dtype=np.int64) for body in bodies]
         )
-        both = [(force_range[i], torque_range[i]) for i in (0, 1)]
-        low, high = (np.tile(np.repeat(pair, 3), len(bodies)) for pair in both)
-        self._low, self._high = constant(low), constant(high)
+        ends = [[force_range[i]] * 3 + [torque_range[i]] * 3 for i in (0, 1)]
+        self._wrench = Uniform("wrench", *(np.tile(end, len(bodies)) for end in ends))
         self._engine = asset.engine
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the forces of these environments."""
-        shape = (len(self._columns),)
-        drawn: F64 = env.event_manager.draw("wrench", shape, self._low, self._high, env_ids)
+        drawn = self._wrench(env.event_manager, env_ids)
         self._engine.write("xfrc_applied", drawn, env_ids, self._columns)
+
+
+@register_term("event", name="apply_body_impulse")
+class ApplyBodyImpulse(ApplyExternalForceTorque):
+    """Pushes bodies with a random force and torque for a random time, then rests, and so on.
+
+    Give it `mode: interval` and `interval_step: 1`: it counts control steps. An episode begins with
+    a rest; times are rounded to control steps, at least one. mjlab's event of the same name. Of two
+    terms that push the same body only one has effect.
+
+    Args:
+        entity_cfg: A dynamic object, or a robot; its link names pick links, else it is the root.
+        force_range: [low, high] in N, a component each, environment's axes, at the centre of mass.
+        torque_range: [low, high] in N m, likewise.
+        duration_s: [low, high] seconds of a push.
+        cooldown_s: [low, high] seconds of a rest.
+
+    Example:
+        ``{func: apply_body_impulse, mode: interval, interval_step: 1, params: {entity_cfg: {uid: go}, force_range: [-30, 30], torque_range: [0, 0], duration_s: [0.1, 0.2], cooldown_s: [1, 3]}}``
+    """  # noqa: E501  (an example is one line)
+
+    def __init__(
+        self,
+        env: TermContext,
+        entity_cfg: ResolvedEntity,
+        force_range: Range,
+        torque_range: Range,
+        duration_s: Range,
+        cooldown_s: Range,
+    ) -> None:
+        super().__init__(env, entity_cfg, force_range, torque_range)
+        self._duration = EpisodeTimer.seconds("duration", "duration_s", duration_s)
+        self._cooldown = EpisodeTimer.seconds("cooldown", "cooldown_s", cooldown_s)
+        self._timer = EpisodeTimer(env)
+        self._pushes: NDArray[np.bool_] = np.zeros(env.num_envs, np.bool_)
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Begin with a rest; a reset of the scene has removed the forces."""
+        self._timer.reset(env_ids)
+        self._pushes[slice(None) if env_ids is None else env_ids] = False
+
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+        """Begin and end what is due in these environments."""
+        timer = self._timer
+        timer.start(self._cooldown, timer.stopped(env_ids))
+        due = timer.advance(env_ids)
+        ends, begins = due[self._pushes[due]], due[~self._pushes[due]]
+        if len(ends):
+            self._engine.write("xfrc_applied", 0.0, ends, self._columns)
+            timer.start(self._cooldown, ends)
+        if len(begins):
+            super().__call__(env, begins)
+            timer.start(self._duration, begins)
+        self._pushes[due] = ~self._pushes[due]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Which environments are pushed, and for how long (copies)."""
+        return {**self._timer.state_dict(), "pushes": self._pushes.copy()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        self._timer.load_state_dict(state)
+        self._pushes[:] = state["pushes"]

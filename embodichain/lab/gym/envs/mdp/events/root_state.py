@@ -67,7 +67,8 @@ class ResetRootStateUniform(Term):
         pose_range: Axes6 | None = None,
         velocity_range: Axes6 | None = None,
     ) -> None:
-        self._pose, self._velocity = six_axes(pose_range), six_axes(velocity_range)
+        self._pose = six_axes("pose", pose_range)
+        self._velocity = six_axes("velocity", velocity_range)
         if self._velocity is not None:
             need_free_root(entity_cfg)
         self._asset = asset = entity_cfg.asset
@@ -81,13 +82,13 @@ class ResetRootStateUniform(Term):
         count = env.num_envs if env_ids is None else len(env_ids)
         pos, quat = self._pos0[:count], self._quat0[:count]
         if self._pose is not None:
-            drawn = env.event_manager.draw("pose", (6,), *self._pose, env_ids)
+            drawn = self._pose(env.event_manager, env_ids)
             pos = pos + drawn[:, :3]
             quat = quat_multiply(quat, rpy_to_quat(drawn[:, 3:]))
         asset = self._asset
         asset.write_pose(pos, quat, env_ids)
         if self._velocity is not None:
-            velocity = env.event_manager.draw("velocity", (6,), *self._velocity, env_ids)
+            velocity = self._velocity(env.event_manager, env_ids)
             write_root_velocity(asset, velocity, env_ids)
         elif self._floats:
             write_root_velocity(asset, np.zeros((count, 6)), env_ids)

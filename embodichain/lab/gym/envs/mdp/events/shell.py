@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from embodichain.lab.gym.envs.managers.drawing import Uniform
 from embodichain.lab.gym.envs.managers.param_types import Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -67,14 +67,14 @@ class RandomizeObjectPositionInShell(Term):
         bounds = [
             [radius_range[i] ** 3, azimuth_range[i], np.sin(elevation_range[i])] for i in (0, 1)
         ]
-        self._low, self._high = constant(bounds[0]), constant(bounds[1])
+        self._shell = Uniform("shell", *bounds)
         quat = np.asarray(self._asset.entity.quat0, np.float64)
         self._quat: F64 = np.tile(quat, (env.num_envs, 1))
         self._stop = None if self._asset.is_non_dynamic else self._asset.stop
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write the positions of these environments."""
-        drawn = env.event_manager.draw("shell", (3,), self._low, self._high, env_ids)
+        drawn = self._shell(env.event_manager, env_ids)
         # Contiguous columns: numpy may round a strided transcendental function differently.
         radius, azimuth, rise = (np.ascontiguousarray(drawn[:, i]) for i in range(3))
         radius = np.cbrt(radius)

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from embodichain.lab.gym.envs.managers.drawing import Uniform
 from embodichain.lab.gym.envs.managers.param_types import Box3, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.mdp._ranges import constant
 from embodichain.lab.sim.shapes import VisualMaterialCfg
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -139,11 +139,10 @@ class RandomizeVisualMaterial(Term):
         if base_color_range is None and not any(r is not None for r in ranges.values()):
             message = "missing: nothing is to change (or metallic_range, roughness_range)"
             raise ConfigError([Problem("base_color_range", message)])
-        self._color: tuple[F64, F64] | None = None
         if base_color_range is not None:
             _within_one("base_color_range", base_color_range)
-            self._color = constant(base_color_range[0]), constant(base_color_range[1])
-        self._finish: dict[str, tuple[F64, F64]] = {}
+        self._color = Uniform.within("base_color", base_color_range)
+        self._finish: list[Uniform] = []
         for name, bounds in ranges.items():
             if bounds is None:
                 continue
@@ -151,17 +150,13 @@ class RandomizeVisualMaterial(Term):
             if not self._surface.is_object:
                 message = "only of rigid objects: links share materials"
                 raise ConfigError([Problem(f"{name}_range", message)])
-            self._finish[name] = constant([bounds[0]]), constant([bounds[1]])
+            self._finish.append(Uniform(name, [bounds[0]], [bounds[1]]))
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Draw and write how the entity looks in these environments."""
         if self._color is not None:
-            rgb = env.event_manager.draw("base_color", (3,), *self._color, env_ids)
-            self._surface.paint(rgb, env_ids)
-        drawn = {
-            name: env.event_manager.draw(name, (1,), *bounds, env_ids)
-            for name, bounds in self._finish.items()
-        }
+            self._surface.paint(self._color(env.event_manager, env_ids), env_ids)
+        drawn = {value.name: value(env.event_manager, env_ids) for value in self._finish}
         self._surface.finish(drawn.get("metallic"), drawn.get("roughness"), env_ids)
 
 

@@ -1,0 +1,379 @@
+"""EmbodiChain's events that write attributes and poses into dictionaries on the environment."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
+
+import lazy_loader
+import numpy as np
+
+from embodichain.compat.terms._stored import asset_of, stored
+from embodichain.lab.gym.envs.cfg import SceneEntityCfg
+from embodichain.lab.gym.envs.managers.registry import import_object, register_term
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import (
+    matrix_to_pose,
+    pose_to_matrix,
+    quat_conjugate,
+    quat_multiply,
+    quat_rotate,
+)
+from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    import torch
+
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.sim.engine.base import F64, EnvIndex
+else:
+    torch = lazy_loader.load("torch")
+
+__all__ = ["PrepareExtraAttr", "RegisterEntityAttrs", "RegisterEntityPose", "RegisterInfoToEnv"]
+
+EXTRA_ATTRS = "extra_attrs"
+"""Attribute of the environment: uid -> name -> value."""
+Relative = bool | str | list[str]
+_UPDATE_STEPS = 100
+"""Physics steps of `sim_update`, as in EmbodiChain."""
+
+
+@dataclass
+class ExtraAttr:
+    """One attribute of some entities.
+
+    Attributes:
+        name: What it is called.
+        mode: `static` takes `value`; `callable` calls `func_name`.
+        value: Anything.
+        entity_cfg: The entity; or
+        entity_uids: entities, or `all_objects` or `all_robots`.
+        func_name: A method of the entity's handle, or ``package.module:function``, which gets
+            (env, env_ids, handle) first.
+        func_kwargs: Further arguments.
+    """
+
+    __pydantic_config__ = {"extra": "forbid"}
+
+    name: str
+    mode: Literal["static", "callable"] = "static"
+    value: Any = None
+    entity_cfg: SceneEntityCfg | None = None
+    entity_uids: str | list[str] | None = None
+    func_name: str | None = None
+    func_kwargs: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class PoseParams:
+    """How `register_entity_pose` registers; see there."""
+
+    __pydantic_config__ = {"extra": "forbid"}
+
+    compute_relative: Relative = "all_robots"
+    compute_pose_object_to_arena: bool = True
+    to_matrix: bool = True
+
+
+@dataclass
+class Registry:
+    """What `register_info_to_env` registers of one entity."""
+
+    __pydantic_config__ = {"extra": "forbid"}
+
+    entity_cfg: SceneEntityCfg
+    attrs: list[str] = field(default_factory=list)
+    prefix: bool = True
+    pose_register_params: PoseParams | None = None
+
+
+def _uids_of(env: TermContext, wanted: Relative, path: str) -> list[str]:
+    """Uids that `all_objects` (rigid objects and articulations), `all_robots` or names mean.
+
+    Raises:
+        ConfigError: If an entity does not exist; lists those that do.
+    """
+    sim = env.sim
+    if isinstance(wanted, bool):
+        return [*sim.articulations, *sim.rigid_objects, *sim.robots] if wanted else []
+    if wanted == "all_objects":
+        return [*sim.rigid_objects, *sim.articulations]
+    if wanted == "all_robots":
+        return [*sim.robots]
+    names = [wanted] if isinstance(wanted, str) else wanted
+    for name in names:
+        asset_of(env, name, path)
+    return names
+
+
+@register_term("event", name="prepare_extra_attr")
+class PrepareExtraAttr(Term):
+    """Attaches attributes to entities, as ``env.extra_attrs[uid][name]``: EmbodiChain's event.
+
+    Args:
+        attrs: Each a map with `name`; `entity_uids` (names, `all_objects` or `all_robots`) or
+            `entity_cfg`; and `value`, or `mode: callable` with `func_name` (a method of the
+            entity's handle, or ``package.module:function`` that gets env, env_ids and the handle)
+            and `func_kwargs`. Callables are called at every firing.
+
+    Example:
+        ``{func: prepare_extra_attr, mode: startup, params: {attrs: [{name: grasp_width, entity_uids: [cube], value: 0.04}, {name: size, mode: callable, entity_uids: all_objects, func_name: get_body_scale}]}}``
+    """  # noqa: E501
+
+    def __init__(self, env: TermContext, attrs: list[ExtraAttr]) -> None:
+        self._attrs = [(a, *_checked(env, a, f"attrs.{n}")) for n, a in enumerate(attrs)]
+        stored(env, EXTRA_ATTRS, dict, "attrs")
+
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+        """Set the attributes."""
+        table: dict[str, dict[str, Any]] = getattr(env, EXTRA_ATTRS)
+        for attr, uids, func in self._attrs:
+            for uid in uids:
+                value = attr.value
+                if attr.mode == "callable":
+                    handle = env.sim.get_asset(uid)
+                    first = (env, env_ids, handle) if func is not None else ()
+                    call = getattr(handle, str(attr.func_name)) if func is None else func
+                    value = call(*first, **attr.func_kwargs)
+                table.setdefault(uid, {})[attr.name] = value
+
+
+def _checked(env: TermContext, attr: ExtraAttr, path: str) -> tuple[list[str], Any]:
+    """The entities that an attribute belongs to, and the function that is imported for it."""
+    if (attr.entity_cfg is None) == (attr.entity_uids is None):
+        raise ConfigError([Problem(path, "give either entity_uids or entity_cfg")])
+    if attr.entity_cfg is not None:
+        uids = _uids_of(env, attr.entity_cfg.uid, f"{path}.entity_cfg.uid")
+    else:
+        uids = _uids_of(env, attr.entity_uids or [], f"{path}.entity_uids")
+    if attr.mode == "static":
+        if attr.value is None or attr.func_name is not None:
+            raise ConfigError([Problem(f"{path}.value", "a static attribute is its value")])
+        return uids, None
+    if attr.func_name is None:
+        raise ConfigError([Problem(f"{path}.func_name", "a callable attribute names a function")])
+    if ":" in attr.func_name:
+        return uids, import_object(attr.func_name)
+    for uid in uids:
+        handle = env.sim.get_asset(uid)
+        if not callable(getattr(handle, attr.func_name, None)):
+            methods = [n for n in dir(handle) if not n.startswith("_")]
+            hint = did_you_mean(attr.func_name, methods).strip()
+            message = f"{type(handle).__name__} {uid!r} has no method {attr.func_name!r}"
+            raise ConfigError([Problem(f"{path}.func_name", message, hint)])
+    return uids, None
+
+
+class _Register(Term):
+    """Writes into ``env.<registration>`` and remembers under which keys."""
+
+    def __init__(self, env: TermContext, registration: str) -> None:
+        self._env, self._table = env, registration
+        stored(env, registration, dict, "registration")
+        self._keys: dict[str, None] = {}
+
+    def _put(self, key: str, value: Any, env_ids: EnvIndex | None) -> None:
+        """Set an entry; of a tensor (N, ...) only the rows of these environments."""
+        table: dict[str, Any] = getattr(self._env, self._table)
+        self._keys[key] = None
+        old = table.get(key)
+        if env_ids is not None and isinstance(value, torch.Tensor):
+            value = _with_rows(old, value, env_ids, self._env.num_envs)
+        table[key] = value
+
+    def state_dict(self) -> dict[str, Any]:
+        """The entries written by this term (copies)."""
+        table: dict[str, Any] = getattr(self._env, self._table)
+        return {key: copy.deepcopy(table[key]) for key in self._keys if key in table}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        self._keys = dict.fromkeys(state)
+        getattr(self._env, self._table).update(copy.deepcopy(state))
+
+    def _put_attrs(
+        self, uid: str, attrs: list[str], prefix: bool, env_ids: EnvIndex | None
+    ) -> None:
+        extra = getattr(self._env, EXTRA_ATTRS, {}).get(uid, {})
+        handle = self._env.sim.get_asset(uid)
+        for attr in attrs:
+            if attr in extra:
+                value = extra[attr]
+            elif not attr.startswith("_") and hasattr(handle, attr):
+                value = getattr(handle, attr)
+                value = value() if callable(value) else value
+            else:
+                message = (
+                    f"{uid!r} has no attribute {attr!r}, and prepare_extra_attr made none; it made "
+                    f"{', '.join(extra) or 'nothing'}"
+                )
+                raise ConfigError([Problem("attrs", message)])
+            self._put(f"{uid}_{attr}" if prefix else attr, value, env_ids)
+
+    def _put_pose(self, entity: ResolvedEntity, how: PoseParams, env_ids: EnvIndex | None) -> None:
+        env, uid = self._env, entity.uid
+        name = uid if entity.link_name is None else f"{uid}_{entity.link_name}"
+        pos, quat = _pose(entity)
+        found = {f"{name}_pose": (pos, quat)}
+        back = quat_conjugate(quat)
+        for other in _uids_of(env, how.compute_relative, "compute_relative"):
+            if other != uid:
+                other_pos, other_quat = _pose(env.scene_entity({"uid": other}))
+                relative = quat_rotate(back, other_pos - pos), quat_multiply(back, other_quat)
+                found[f"{other}_pose_{name}"] = relative
+        if how.compute_pose_object_to_arena:
+            for attr, value in getattr(env, EXTRA_ATTRS, {}).get(uid, {}).items():
+                if attr.endswith("_pose_object"):
+                    part_pos, part_quat = _as_pose(value, len(pos))
+                    found[f"{uid}_{attr}"] = part_pos, part_quat
+                    arena = pos + quat_rotate(quat, part_pos), quat_multiply(quat, part_quat)
+                    found[f"{uid}_{attr.removesuffix('_object')}"] = arena
+        for key, pose in found.items():
+            values = np.concatenate(pose, axis=1)
+            values = pose_to_matrix(values) if how.to_matrix else values
+            self._put(key, torch.from_numpy(values.astype(np.float32)), env_ids)
+
+
+@register_term("event", name="register_entity_attrs")
+class RegisterEntityAttrs(_Register):
+    """Copies attributes of an entity into ``env.<registration>``: EmbodiChain's event.
+
+    Args:
+        entity_cfg: The entity.
+        registration: Attribute of the environment, a dictionary; made if there is none.
+        attrs: Names: what `prepare_extra_attr` made, else attributes of the entity's handle (a
+            method is called).
+        prefix: Whether entries are called ``{uid}_{attribute}`` instead of ``{attribute}``.
+
+    Example:
+        ``{func: register_entity_attrs, mode: reset, params: {entity_cfg: {uid: cube}, attrs: [get_body_scale]}}``
+    """  # noqa: E501
+
+    def __init__(
+        self,
+        env: TermContext,
+        entity_cfg: ResolvedEntity,
+        registration: str = "affordance_datas",
+        attrs: list[str] | None = None,
+        prefix: bool = True,
+    ) -> None:
+        super().__init__(env, registration)
+        self._args = entity_cfg.uid, attrs or [], prefix
+
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+        """Copy the attributes."""
+        self._put_attrs(*self._args, env_ids)
+
+
+@register_term("event", name="register_entity_pose")
+class RegisterEntityPose(_Register):
+    """Copies poses of an entity into ``env.<registration>``: EmbodiChain's event.
+
+    ``{uid}_pose`` is the entity's pose in the environment's frame (``{uid}_{link}_pose`` of a
+    picked link); ``{other}_pose_{uid}`` another's pose in the entity's frame. All environments have
+    a row; a partial reset renews only its own.
+
+    Args:
+        entity_cfg: The entity, or one link of it.
+        registration: Attribute of the environment, a dictionary; made if there is none.
+        compute_relative: Whose poses relative to the entity's are added: `all_robots`,
+            `all_objects`, a list of uids, true for all of these, or false for none.
+        compute_pose_object_to_arena: Whether attributes of `prepare_extra_attr` that are called
+            ``..._pose_object`` (poses in the object's frame, 4x4 or x, y, z, qw, qx, qy, qz) are
+            added as ``{uid}_..._pose_object`` and, in the environment's frame, ``{uid}_..._pose``.
+        to_matrix: (N, 4, 4) matrices, else (N, 7) x, y, z, qw, qx, qy, qz; float32, metres.
+
+    Example:
+        ``{func: register_entity_pose, mode: reset, params: {entity_cfg: {uid: cube}, compute_relative: all_robots}}``
+    """  # noqa: E501
+
+    def __init__(
+        self,
+        env: TermContext,
+        entity_cfg: ResolvedEntity,
+        registration: str = "affordance_datas",
+        compute_relative: Relative = "all_robots",
+        compute_pose_object_to_arena: bool = True,
+        to_matrix: bool = True,
+    ) -> None:
+        super().__init__(env, registration)
+        self._entity = entity_cfg
+        self._how = PoseParams(compute_relative, compute_pose_object_to_arena, to_matrix)
+        _uids_of(env, compute_relative, "compute_relative")
+
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+        """Copy the poses of these environments."""
+        self._put_pose(self._entity, self._how, env_ids)
+
+
+@register_term("event", name="register_info_to_env")
+class RegisterInfoToEnv(_Register):
+    """Does `register_entity_attrs` and `register_entity_pose` for several entities.
+
+    Args:
+        registry: Each a map with `entity_cfg`, `attrs` and `prefix` as of `register_entity_attrs`,
+            and `pose_register_params` as of `register_entity_pose` (absent: no poses).
+        registration: Attribute of the environment, a dictionary; made if there is none.
+        sim_update: Whether these environments take 100 physics steps before, so that what was
+            placed has settled.
+
+    Example:
+        ``{func: register_info_to_env, mode: reset, params: {sim_update: false, registry: [{entity_cfg: {uid: cube}, attrs: [get_body_scale], pose_register_params: {to_matrix: false}}]}}``
+    """  # noqa: E501
+
+    def __init__(
+        self,
+        env: TermContext,
+        registry: list[Registry],
+        registration: str = "affordance_datas",
+        sim_update: bool = True,
+    ) -> None:
+        super().__init__(env, registration)
+        self._registry = [(env.scene_entity(entry.entity_cfg), entry) for entry in registry]
+        self._steps = _UPDATE_STEPS if sim_update else 0
+        for number, entry in enumerate(registry):
+            if entry.pose_register_params is not None:
+                path = f"registry.{number}.pose_register_params.compute_relative"
+                _uids_of(env, entry.pose_register_params.compute_relative, path)
+
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+        """Copy everything of these environments."""
+        if self._steps:
+            env.sim.engine.step(self._steps, env_ids)
+        for entity, entry in self._registry:
+            self._put_attrs(entity.uid, entry.attrs, entry.prefix, env_ids)
+            if entry.pose_register_params is not None:
+                self._put_pose(entity, entry.pose_register_params, env_ids)
+
+
+def _with_rows(old: Any, new: torch.Tensor, ids: EnvIndex, num_envs: int) -> torch.Tensor:
+    """The old values with the new ones of some environments, where both are of all of them."""
+    if not isinstance(old, torch.Tensor) or old.shape != new.shape or len(new) != num_envs:
+        return new
+    rows, merged = torch.from_numpy(ids), old.clone()
+    merged[rows] = new[rows]
+    return merged
+
+
+def _pose(entity: ResolvedEntity) -> tuple[F64, F64]:
+    """(N, 3) and (N, 4) pose of the picked link, else of the root."""
+    asset, body = entity.asset, entity.link_body
+    if body is None:
+        found: tuple[F64, F64] = asset.read_pose()
+        return found
+    return asset.engine.derived("xpos")[:, body], asset.engine.derived("xquat")[:, body]
+
+
+def _as_pose(value: Any, count: int) -> tuple[F64, F64]:
+    """(N, 3) and (N, 4) of 4x4 matrices or 7-vectors, of one or of all environments."""
+    array = np.asarray(value, np.float64)
+    if array.shape[-2:] == (4, 4):
+        array = matrix_to_pose(array)
+    elif array.shape[-1:] != (7,):
+        message = f"a ..._pose_object is 4x4 or x, y, z, qw, qx, qy, qz; got {array.shape}"
+        raise ConfigError([Problem("attrs", message)])
+    array = np.broadcast_to(array.reshape(-1, 7), (count, 7))
+    return array[:, :3], array[:, 3:]

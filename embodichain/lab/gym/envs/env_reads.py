@@ -1,0 +1,229 @@
+"""`EnvReads`: what users, terms and observers read of an environment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+import torch
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.envs.episodes import NO_LIMIT, Episodes
+from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
+from embodichain.lab.gym.envs.observers import EventRecord, Observers, StepObserver
+from embodichain.lab.gym.utils.spaces import flat_space
+from embodichain.lab.sim.objects._arrays import as_env_ids, to_tensor
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.cfg import EnvCfg
+    from embodichain.lab.gym.envs.managers.metric_manager import MetricManager
+    from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+    from embodichain.lab.gym.envs.managers.termination_manager import TerminationManager
+    from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
+    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.sim_manager import SimulationManager
+    from embodichain.utils.random import RandomStreams
+
+__all__ = ["EnvReads"]
+
+
+class EnvReads:
+    """Size, clock, counters, random numbers and scene of N environments."""
+
+    cfg: EnvCfg
+    sim: SimulationManager
+    streams: RandomStreams
+    episodes: Episodes
+    observers: Observers
+    observation_buffer: ObservationBuffer
+    sensors: dict[str, Any]
+    sim_steps_per_control: int
+    observation_space: gym.Space[Any]
+    metric_manager: MetricManager
+    termination_manager: TerminationManager
+    overridden: frozenset[str]
+    _detached_uids: list[str]
+
+    # -- size and clock ------------------------------------------------------------------------
+
+    @property
+    def num_envs(self) -> int:
+        """N."""
+        return self.cfg.num_envs
+
+    @property
+    def device(self) -> torch.device:
+        """Device of tensors."""
+        return self.sim.device
+
+    @property
+    def physics_dt(self) -> float:
+        """Seconds a physics step."""
+        return self.cfg.sim_cfg.physics_dt
+
+    @property
+    def step_dt(self) -> float:
+        """Seconds a control step."""
+        return self.physics_dt * self.sim_steps_per_control
+
+    @property
+    def physics_frequency(self) -> float:
+        """Physics steps a second."""
+        return 1.0 / self.physics_dt
+
+    @property
+    def control_frequency(self) -> float:
+        """Control steps a second."""
+        return 1.0 / self.step_dt
+
+    # -- counters ------------------------------------------------------------------------------
+
+    @property
+    def max_episode_steps(self) -> int:
+        """Control steps after which an episode is truncated; 2**31 - 1 is never."""
+        return self.episodes.limit
+
+    @max_episode_steps.setter
+    def max_episode_steps(self, steps: int) -> None:
+        if steps < 1 and steps != -1:
+            raise ValueError(f"max_episode_steps must be at least 1, or -1 for never, got {steps}")
+        limit = NO_LIMIT if steps == -1 else min(int(steps), NO_LIMIT)
+        self.episodes.limit = self.cfg.max_episode_steps = limit
+
+    @property
+    def elapsed_steps(self) -> torch.Tensor:
+        """(N,) int32 finished control steps of the current episodes; a copy."""
+        return torch.from_numpy(self.episodes.elapsed.copy())
+
+    @property
+    def episode_ids(self) -> torch.Tensor:
+        """(N,) int64 number of the current episode, from 0; -1 before the first reset. A copy."""
+        return torch.from_numpy(self.episodes.ids.copy())
+
+    @property
+    def last_action(self) -> torch.Tensor:
+        """(N, A) float32 action as last given to `step`; zeros after a reset. A copy."""
+        return to_tensor(self.episodes.last_action)
+
+    def truncate(self, env_ids: Any) -> None:
+        """End the episodes of environments with the next step, as truncated.
+
+        Args:
+            env_ids: (n,) which of the N.
+        """
+        self.episodes.truncate(env_ids)
+
+    # -- random numbers ------------------------------------------------------------------------
+
+    @property
+    def seed_value(self) -> int:
+        """The seed in use."""
+        return self.streams.seed
+
+    def rand(
+        self,
+        name: str,
+        shape: Sequence[int] = (),
+        low: Any = 0.0,
+        high: Any = 1.0,
+        env_ids: Any = None,
+    ) -> torch.Tensor:
+        """Draw uniformly from [low, high), each environment from its own stream.
+
+        What environment *i* draws depends on the seed, *i*, the name and how often it drew, and on
+        nothing else.
+
+        Args:
+            name: The stream: one name for one purpose.
+            shape: Shape of one environment's draw.
+            low: Scalar, or an array that broadcasts to ``shape``.
+            high: Likewise.
+            env_ids: The n environments that draw (sorted unique, or a mask); None is all N.
+
+        Returns:
+            (n, *shape) float32.
+        """
+        ids = as_env_ids(env_ids, self.num_envs)
+        return to_tensor(self.streams.uniform(name, shape, low, high, ids))
+
+    def randn(self, name: str, shape: Sequence[int] = (), env_ids: Any = None) -> torch.Tensor:
+        """Draw standard normal numbers, (n, *shape) float32; see `rand`."""
+        return to_tensor(self.streams.normal(name, shape, as_env_ids(env_ids, self.num_envs)))
+
+    # -- the scene -----------------------------------------------------------------------------
+
+    def scene_entity(self, cfg: Any) -> ResolvedEntity:
+        """Look up what a `SceneEntityCfg` (or a mapping with its keys) refers to.
+
+        Raises:
+            ConfigError: If the entity, a joint or a link does not exist; lists what does.
+        """
+        return resolve_entity(self.sim, cfg)
+
+    @property
+    def has_sensors(self) -> bool:
+        """Whether there are sensors."""
+        return bool(self.sensors)
+
+    def get_sensor(self, name: str) -> Any:
+        """Return a sensor by uid.
+
+        Raises:
+            ConfigError: If there is none; lists the sensors.
+        """
+        if name not in self.sensors:
+            message = f"no sensor {name!r}; there are: {', '.join(self.sensors) or 'none'}"
+            raise ConfigError([Problem("", message, did_you_mean(name, self.sensors).strip())])
+        return self.sensors[name]
+
+    def add_detached_uids_for_reset(self, uids: Sequence[str]) -> None:
+        """Name entities that resets leave where they are.
+
+        Raises:
+            ValueError: If an entity does not exist; lists those that do.
+        """
+        unknown = [uid for uid in uids if uid not in self.sim.asset_uids]
+        if unknown:
+            raise ValueError(f"no entities {unknown}; there are: {self.sim.asset_uids}")
+        known = self._detached_uids
+        known += [uid for uid in dict.fromkeys(uids) if uid not in known]
+
+    @property
+    def observation_paths(self) -> list[tuple[str, ...]]:
+        """Paths of the floating point entries of an observation, in its order."""
+        return list(self.observation_buffer.layout.paths)
+
+    @property
+    def flattened_observation_space(self) -> gym.spaces.Box:
+        """Box of all N observations, each as one vector (N, W)."""
+        return flat_space(self.observation_space, self.num_envs)
+
+    @property
+    def judges_success(self) -> bool:
+        """Whether the task says what success is: a metric, a termination, or the class."""
+        declared = self.metric_manager.has_success or self.termination_manager.has_success
+        return declared or not self.overridden.isdisjoint(("compute_task_state", "evaluate"))
+
+    # -- observers -----------------------------------------------------------------------------
+
+    def add_observer(self, observer: StepObserver) -> None:
+        """Attach an observer."""
+        self.observers.add(observer)
+
+    def remove_observer(self, observer: StepObserver) -> None:
+        """Detach an observer; ValueError if it is not attached."""
+        self.observers.remove(observer)
+
+    def log_event(
+        self,
+        term: str,
+        mode: str,
+        env_ids: EnvIndex | None,
+        drawn: Mapping[str, NDArray[Any]] | None = None,
+    ) -> None:
+        """Tell observers that a term fired, and what it drew."""
+        if self.observers:
+            self.observers.on_event(EventRecord(term, mode, env_ids, drawn or {}))

@@ -1,0 +1,262 @@
+"""How a step is judged: success and failure, rewards, divergence, whose episode ends.
+
+`StepJudge` asks the hooks and managers of an environment; the functions are of arrays (N,).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.envs.autoreset import blanked
+from embodichain.lab.gym.envs.managers.dry_run import JudgedEnv, check_shapes
+from embodichain.lab.sim.objects._arrays import all_finite, as_env_ids
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.episodes import Episodes
+    from embodichain.lab.gym.envs.managers.command_manager import CommandManager
+    from embodichain.lab.gym.envs.managers.curriculum_manager import CurriculumManager
+    from embodichain.lab.gym.envs.observation import Observation
+    from embodichain.lab.sim.types import EnvObs
+
+__all__ = [
+    "Outcome",
+    "StepJudge",
+    "as_mask",
+    "bad_rows",
+    "ends",
+    "none_set",
+    "reset_ids",
+    "task_state",
+]
+
+Mask = NDArray[np.bool_]
+F32 = NDArray[np.float32]
+Info = dict[str, Any]
+_ID_KEYS = ("reset_ids", "env_ids", "reset_mask")
+
+
+@dataclass(slots=True)
+class Outcome:
+    """Why episodes end in a step; each is (N,) bool, None where it cannot be."""
+
+    success: Mask
+    fail: Mask
+    time_out: Mask | None = None
+    diverged: Mask | None = None
+
+    def exclude(self, diverged: Mask) -> None:
+        """Leave out what diverged environments report."""
+        self.success = self.success & ~diverged
+        self.fail = self.fail & ~diverged
+        if self.time_out is not None:
+            self.time_out = self.time_out & ~diverged
+        self.diverged = diverged
+
+
+def ends(outcome: Outcome, truncated: Mask, ignore_terminations: bool) -> tuple[Mask, Mask]:
+    """Return who is terminated and who is truncated.
+
+    Args:
+        outcome: What the task says.
+        truncated: (N,) episodes at their limit; may be changed.
+        ignore_terminations: Whether success and failure end nothing.
+    """
+    if outcome.time_out is not None:
+        truncated |= outcome.time_out
+    terminated = outcome.success | outcome.fail
+    if ignore_terminations:
+        terminated = np.zeros_like(terminated)
+    if outcome.diverged is not None:
+        terminated |= outcome.diverged
+        truncated &= ~outcome.diverged
+    return terminated, truncated
+
+
+def task_state(state: Any, num_envs: int, name: str) -> dict[str, Any]:
+    """Return entries of ``info`` from what `compute_task_state` returned.
+
+    Args:
+        state: Success (N,), failure (N,) and metrics by name.
+        num_envs: N.
+        name: The method, for messages.
+
+    Raises:
+        TypeError: If it is not three values.
+        ValueError: If a metric is not (N,).
+    """
+    if not isinstance(state, tuple) or len(state) != 3:
+        raise TypeError(f"{name} must return (success, fail, metrics), got {state!r}")
+    success, fail, metrics = state
+    copies = {name: torch.as_tensor(value).detach().clone() for name, value in metrics.items()}
+    for metric, value in copies.items():
+        if value.shape != (num_envs,):
+            raise ValueError(f"metric {metric!r} must be ({num_envs},), got {tuple(value.shape)}")
+    return {"success": success, "fail": fail, "metrics": copies}
+
+
+def checked_reward(reward: Any, num_envs: int, hook: str) -> NDArray[np.float32]:
+    """Return a copy of what a hook returned as (N,) float32.
+
+    Raises:
+        ValueError: If it is no tensor (N,); names the hook.
+    """
+    if not isinstance(reward, torch.Tensor) or reward.shape != (num_envs,):
+        found = tuple(reward.shape) if hasattr(reward, "shape") else type(reward).__name__
+        raise ValueError(f"{hook} must return a tensor of shape ({num_envs},), got {found}")
+    copy: NDArray[np.float32] = reward.numpy(force=True).astype(np.float32)
+    return copy
+
+
+def none_set(mask: Mask) -> bool:
+    """Whether no flag of a mask is set; a search costs half of a reduction on few environments."""
+    return b"\1" not in mask.tobytes()
+
+
+def as_mask(value: Any, num_envs: int, what: str) -> Mask:
+    """Return a mask (N,) of its own; None is all False.
+
+    Raises:
+        ValueError: If it is not (N,); (N, 1) is refused too, it would broadcast.
+    """
+    if value is None:
+        return np.zeros(num_envs, np.bool_)
+    array = value.numpy(force=True) if isinstance(value, torch.Tensor) else np.asarray(value)
+    if array.shape != (num_envs,):
+        raise ValueError(f"{what} must have shape ({num_envs},), got {array.shape}")
+    return array.astype(np.bool_)
+
+
+def reset_ids(options: dict[str, Any], num_envs: int) -> NDArray[np.int64]:
+    """Take the environments to reset out of `reset`'s options.
+
+    Args:
+        options: Loses ``reset_ids``, ``env_ids`` and ``reset_mask``.
+        num_envs: N.
+
+    Returns:
+        (n,) sorted unique int64; all of them if none is named.
+
+    Raises:
+        ValueError: If they are named twice or wrongly.
+    """
+    given: Mapping[str, Any] = {key: options.pop(key) for key in _ID_KEYS if key in options}
+    if len(given) > 1:
+        raise ValueError(f"give one of {', '.join(given)}, not several")
+    ids = None
+    for key, value in given.items():
+        try:
+            ids = as_env_ids(value, num_envs)
+        except ValueError as error:
+            raise ValueError(f"options[{key!r}]: {error}") from error
+    return np.arange(num_envs) if ids is None else ids
+
+
+def bad_rows(values: NDArray[np.floating[Any]]) -> Mask | None:
+    """(N,) rows of (N,) or (N, W) with a number that is not finite; None if there is none."""
+    if all_finite(values):
+        return None
+    bad: Mask = ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
+    return bad
+
+
+class _JudgedByHooks(JudgedEnv, Protocol):
+    episodes: Episodes
+
+    @property
+    def command_manager(self) -> CommandManager: ...
+
+    @property
+    def curriculum_manager(self) -> CurriculumManager: ...
+
+    def get_info(self, **kwargs: Any) -> dict[str, Any]: ...
+
+    def get_reward(self, obs: EnvObs, action: Any, info: dict[str, Any]) -> torch.Tensor: ...
+
+    def _extend_reward(
+        self, rewards: torch.Tensor, obs: EnvObs, action: Any, info: dict[str, Any]
+    ) -> torch.Tensor: ...
+
+
+class StepJudge:
+    """Evaluates a step that physics has finished.
+
+    Args:
+        env: The environment, its managers built.
+        overridden: Which optional hooks its class overrides.
+    """
+
+    def __init__(self, env: _JudgedByHooks, overridden: frozenset[str]) -> None:
+        self._env = env
+        # A class's own code may put entries into info that terms read.
+        self._checks = overridden.isdisjoint(("compute_task_state", "evaluate", "get_info"))
+        self._get_reward = env.get_reward if "get_reward" in overridden else None
+        self._extend_reward = env._extend_reward if "_extend_reward" in overridden else None
+
+    def check_terms(self, obs: EnvObs) -> None:
+        """Call every term once and check its shape, unless it may rely on the class's own info.
+
+        Raises:
+            ValueError: If a term's value is not (N,); names the term.
+        """
+        if self._checks:
+            check_shapes(self._env, obs)
+
+    def info(self, obs: EnvObs, action: Any, kwargs: dict[str, Any]) -> tuple[Info, Outcome]:
+        """Info of the step: the class's own, then terminations, then metrics."""
+        env = self._env
+        found = env.get_info(**kwargs)
+        info = found if type(found) is dict else dict(found.items())  # EmbodiChain's is no dict
+        success = as_mask(info.get("success"), env.num_envs, "success")
+        fail = as_mask(info.get("fail"), env.num_envs, "fail")
+        masks = env.termination_manager.compute(obs, action, info)
+        if "success" in masks:
+            success = success | masks["success"]
+        if "fail" in masks:
+            fail = fail | masks["fail"]
+        info["success"], info["fail"] = torch.from_numpy(success), torch.from_numpy(fail)
+        reached = env.metric_manager.compute(obs, action, info)
+        if env.command_manager.has_metrics:
+            env.command_manager.report(info["metrics"])
+        if len(env.curriculum_manager):
+            info["curriculum"] = dict(env.curriculum_manager.values)
+        env.episodes.success = success.copy() if reached is None else reached
+        return info, Outcome(success, fail, masks.get("time_out"))
+
+    def reward(self, obs: EnvObs, action: Any, info: Info) -> F32:
+        """(N,) rewards of `get_reward`, plus those of the terms, after `_extend_reward`."""
+        count, own = self._env.num_envs, None
+        if self._get_reward is not None:
+            own = checked_reward(self._get_reward(obs, action, info), count, "get_reward")
+        reward = self._env.reward_manager.compute(own, obs, action, info)
+        if self._extend_reward is not None:
+            extended = self._extend_reward(torch.from_numpy(reward), obs, action, info)
+            reward = checked_reward(extended, count, "_extend_reward")
+        return reward
+
+    def diverged(self, obs: Observation, reward: F32) -> Mask | None:
+        """(N,) environments that diverged in this step, or None; pending resets are left out."""
+        mask = self._env.sim.engine.take_diverged()
+        for bad in (bad_rows(obs.rows), bad_rows(reward)):
+            if bad is not None:
+                mask = bad if mask is None else mask | bad
+        if mask is None:
+            return None
+        if self._env.episodes.pending is not None:
+            mask = mask & ~self._env.episodes.pending
+        return None if none_set(mask) else mask
+
+    def exclude(self, mask: Mask, info: Info, outcome: Outcome) -> Info:
+        """Leave environments (N,) that diverged out of ``info``, sums and outcome."""
+        info = blanked(info, torch.from_numpy(mask))
+        rewards, episodes = self._env.reward_manager, self._env.episodes
+        rewards.take_back(mask)
+        info["episode_sums"] = rewards.episode_sums
+        outcome.exclude(mask)
+        episodes.success = episodes.success & ~mask
+        return info

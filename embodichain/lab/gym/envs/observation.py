@@ -1,0 +1,198 @@
+"""`Observation`: one (N, W) float32 array with named columns, read as a nested mapping.
+
+`ObservationLayout` says which columns belong to which entry, and which to which group. Entries that
+are not floating point (images, flags) are tensors of their own beside the array.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from embodichain.utils.tensor_mapping import TensorMapping, leaves_of
+
+__all__ = ["Columns", "Observation", "ObservationLayout", "as_array"]
+
+F32 = NDArray[np.float32]
+Path = tuple[str, ...]
+Columns = slice | NDArray[np.int64]
+
+
+def as_array(value: Any) -> NDArray[Any]:
+    """Return a tensor's or an array's numbers; shares its memory."""
+    if isinstance(value, np.ndarray):
+        return value
+    array: NDArray[Any] = value.numpy(force=True)
+    return array
+
+
+class ObservationLayout:
+    """Where the entries of an environment's observations are in its array.
+
+    Entries of a group lie side by side in declared order, so that a group is a slice of columns
+    (unless an entry is in several groups).
+
+    Args:
+        first: The first observation; later ones have its entries.
+        groups: Name -> paths of its entries, in order.
+        num_envs: N.
+
+    Attributes:
+        width: W, the columns of all floating point entries.
+        paths: Paths of the floating point entries, in the observation's order.
+        columns: Path -> columns of the entry.
+        shapes: Path -> shape of the entry of one environment.
+        widths: Path -> numbers of the entry of one environment.
+        groups: Name -> columns of the group; None if an entry is not floating point.
+    """
+
+    def __init__(
+        self, first: Mapping[str, Any], groups: Mapping[str, Iterable[Path]], num_envs: int
+    ) -> None:
+        self.num_envs = num_envs
+        leaves = dict(leaves_of(first))
+        self._order = list(leaves)
+        self.paths = [path for path, leaf in leaves.items() if leaf.is_floating_point()]
+        grouped = dict.fromkeys(path for paths in groups.values() for path in paths)
+        placed = [path for path in self.paths if path not in grouped]
+        placed += [path for path in grouped if path in self.paths]
+        self.shapes = {path: tuple(leaves[path].shape[1:]) for path in self.paths}
+        self.columns: dict[Path, slice] = {}
+        start = 0
+        for path in placed:
+            stop = start + int(np.prod(self.shapes[path], dtype=np.int64))
+            self.columns[path] = slice(start, stop)
+            start = stop
+        self.width = start
+        self.widths = {
+            path: int(np.prod(leaf.shape[1:], dtype=np.int64)) for path, leaf in leaves.items()
+        }
+        self.groups = {name: self._columns_of(list(paths)) for name, paths in groups.items()}
+
+    def _columns_of(self, paths: list[Path]) -> Columns | None:
+        if any(path not in self.columns for path in paths):
+            return None
+        found = [self.columns[path] for path in paths]
+        indices = np.concatenate([np.arange(c.start, c.stop) for c in found])
+        if len(indices) and (np.diff(indices) == 1).all():
+            return slice(int(indices[0]), int(indices[-1]) + 1)
+        return indices
+
+    def empty(self) -> F32:
+        """Return an array (N, W) to be filled."""
+        return np.empty((self.num_envs, self.width), np.float32)
+
+    def pack(self, obs: Mapping[Any, Any]) -> Observation:
+        """Return nested entries as one array.
+
+        Args:
+            obs: The entries of the first observation; others are handed on as they are.
+
+        Raises:
+            KeyError: If an entry is missing.
+            ValueError: If an entry has another shape than in the first observation.
+        """
+        if isinstance(obs, Observation) and obs.layout is self and obs.packed:
+            return obs
+        found = Observation(self, self.empty())
+        leaves = dict(leaves_of(obs))
+        for path in self.paths:
+            self.write(found, path, leaves.pop(path))
+        found.others.update(leaves)
+        return found
+
+    def write(self, obs: Observation, path: Path, value: Any) -> None:
+        """Set an entry of an observation.
+
+        Args:
+            obs: An observation of this layout.
+            path: The entry.
+            value: (N, ...) tensor or array.
+
+        Raises:
+            ValueError: If its shape is not that of the first observation.
+        """
+        columns = self.columns.get(path)
+        if columns is None:
+            obs.others[path] = value if isinstance(value, torch.Tensor) else torch.tensor(value)
+            return
+        array = as_array(value)
+        if array.shape[1:] != self.shapes[path]:
+            name, wanted = "/".join(path), (self.num_envs, *self.shapes[path])
+            raise ValueError(f"observation {name!r} was {wanted}, is now {tuple(array.shape)}")
+        obs.rows[:, columns] = array if array.ndim == 2 else array.reshape(self.num_envs, -1)
+
+    def entry(self, rows: F32, path: Path) -> NDArray[np.float32]:
+        """(N, ...) view of an entry's columns."""
+        return rows[:, self.columns[path]].reshape(self.num_envs, *self.shapes[path])
+
+    def tree(self, obs: Observation) -> dict[str, Any]:
+        """Return the nested entries of an observation: views of its array, and its others."""
+        top: dict[str, Any] = {}
+        extra = [path for path in obs.others if path not in self._order]
+        for path in (*self._order, *extra):
+            if path in self.columns:
+                leaf = torch.from_numpy(self.entry(obs.rows, path))
+            elif path in obs.others:
+                leaf = obs.others[path]
+            else:
+                continue
+            level = top
+            for name in path[:-1]:
+                level = level.setdefault(name, TensorMapping(batch_size=obs.batch_size)).entries
+            level[path[-1]] = leaf
+        return top
+
+
+class Observation(TensorMapping):
+    """An observation of N environments; see `TensorMapping` for its access.
+
+    Tensors of floating point entries are views of `rows`, made when they are first asked for.
+
+    Args:
+        layout: Where the entries are.
+        rows: (N, W) float32.
+
+    Attributes:
+        layout: That.
+        rows: That.
+        others: Path -> entry that is not in the array.
+    """
+
+    def __init__(self, layout: ObservationLayout, rows: F32) -> None:
+        self.batch_size = torch.Size((layout.num_envs,))
+        self.layout = layout
+        self.rows = rows
+        self.others: dict[Path, torch.Tensor] = {}
+        self._tree: dict[str, Any] | None = None
+        self._views: list[Any] = []
+
+    def with_rows(self, rows: F32) -> Observation:
+        """Return an observation with other numbers; entries beside the array are shared."""
+        if rows is self.rows:
+            return self
+        found = Observation(self.layout, rows)
+        found.others.update(self.others)
+        return found
+
+    @property
+    def entries(self) -> dict[str, Any]:
+        """The entries of the first level."""
+        if self._tree is None:
+            self._tree = self.layout.tree(self)
+            self._views = [leaf for _, leaf in leaves_of(self._tree)]
+        return self._tree
+
+    @property
+    def packed(self) -> bool:
+        """Whether `rows` and `others` are all there is: no entry was replaced, added or removed."""
+        if self._tree is None:
+            return True
+        leaves = [leaf for _, leaf in leaves_of(self._tree)]
+        return len(leaves) == len(self._views) and all(
+            a is b for a, b in zip(leaves, self._views, strict=True)
+        )

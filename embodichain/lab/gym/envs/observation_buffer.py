@@ -1,0 +1,156 @@
+"""`ObservationBuffer`: makes observations, and stores the last one that was returned."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.envs.judging import bad_rows
+from embodichain.lab.gym.envs.observation import Observation, ObservationLayout
+from embodichain.lab.sim.objects._arrays import to_tensor
+from embodichain.utils.tensor_mapping import TensorMapping, leaves_of
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
+    from embodichain.lab.sim.objects.robot import Robot
+
+__all__ = ["ObservationBuffer"]
+
+logger = logging.getLogger(__name__)
+
+Mask = NDArray[np.bool_]
+
+
+class ObservationBuffer:
+    """Observations of N environments as rows of one float32 array.
+
+    Each observation that is returned has an array of its own; the buffer has a copy of the last.
+
+    Args:
+        robot: The robot whose joints are observed, or None.
+        joint_ids: Its observed joints.
+        manager: The observation terms.
+        plain: Whether nothing but robot, sensors and terms is observed, so that all of it can be
+            written into the array at once. Otherwise the class's own code receives the entries
+            one by one, as nested tensors.
+
+    Attributes:
+        layout: Columns of the entries, once `build` was called.
+        last: (N, W) the last observation that was returned.
+    """
+
+    layout: ObservationLayout
+    last: NDArray[np.float32]
+
+    def __init__(
+        self,
+        robot: Robot | None,
+        joint_ids: Sequence[int],
+        manager: ObservationManager,
+        plain: bool,
+    ) -> None:
+        self._robot = robot
+        every = robot is None or list(joint_ids) == list(range(robot.dof))
+        self._joints: Any = slice(None) if every else np.asarray(joint_ids, np.int64)
+        self._manager = manager
+        self._plain = plain
+        self._built = False
+        self._has_terms = False
+
+    def build(self, obs: Mapping[str, Any]) -> Observation:
+        """Make the layout from the first observation, and return that in it."""
+        first = self._with_terms(obs)
+        manager = self._manager
+        self.layout = manager.layout = ObservationLayout(first, manager.paths, manager.num_envs)
+        self._built = True
+        return self.layout.pack(first)
+
+    def observe(
+        self, sensors: Mapping[str, Any], extend: Callable[[TensorMapping], Any] | None
+    ) -> TensorMapping:
+        """Observe the robot, sensors and terms.
+
+        Args:
+            sensors: Readings by uid.
+            extend: Adds to the entries before terms do, or None.
+
+        Raises:
+            TypeError: If `extend` does not return the observation.
+        """
+        self._has_terms = True
+        if self._built and self._plain:
+            obs = Observation(self.layout, self.layout.empty())
+            self._manager.write(obs, self._own(sensors))
+            return obs
+        entries = TensorMapping(batch_size=(self._manager.num_envs,))
+        for path, value in self._own(sensors).items():
+            entries[path] = value if isinstance(value, torch.Tensor) else to_tensor(value)
+        extended = entries if extend is None else extend(entries)
+        if extended is None:
+            raise TypeError("_extend_obs must return the observation, got None")
+        found = self._nested(extended)
+        self._manager.compute(found)
+        return found
+
+    def _own(self, sensors: Mapping[str, Any]) -> dict[tuple[str, ...], Any]:
+        own: dict[tuple[str, ...], Any] = {}
+        robot, joints = self._robot, self._joints
+        if robot is not None:
+            own["robot", "qpos"] = robot.read_qpos()[:, joints]
+            own["robot", "qvel"] = robot.read_qvel()[:, joints]
+            own["robot", "qf"] = robot.read_efforts()[:, joints]
+        if sensors:
+            own.update({("sensor", *path): leaf for path, leaf in leaves_of(sensors)})
+        return own
+
+    def _nested(self, obs: Mapping[str, Any]) -> TensorMapping:
+        if isinstance(obs, TensorMapping):
+            return obs
+        return TensorMapping(obs, (self._manager.num_envs,))
+
+    def _with_terms(self, obs: Mapping[str, Any]) -> TensorMapping:
+        """An observation with its terms, even if an override of `get_obs` left them out."""
+        found = self._nested(obs)
+        if not self._has_terms:
+            self._manager.compute(found)
+        self._has_terms = False
+        return found
+
+    def complete(self, obs: Mapping[str, Any]) -> Observation:
+        """Return what `get_obs` returned as an observation of this layout, terms included."""
+        return self.layout.pack(self._with_terms(obs))
+
+    # -- rows that are replaced ----------------------------------------------------------------
+
+    def store(self, obs: Observation) -> Observation:
+        """Store a copy of an observation that is returned."""
+        self.last = obs.rows.copy()
+        return obs
+
+    def without(self, obs: Observation, rows: Mask) -> Observation:
+        """Return an observation in which some rows (N,) are those stored last."""
+        return obs.with_rows(np.where(rows[:, None], self.last, obs.rows))
+
+    def store_first(self, obs: Observation, unchanged: Mask) -> Observation:
+        """Store the observation after a reset.
+
+        Rows that are not finite become zero: there is no earlier observation of that episode. The
+        environment is found diverged in its next step.
+
+        Args:
+            obs: The observation.
+            unchanged: (N,) environments that were not reset: their rows are those stored.
+        """
+        if unchanged.any():
+            obs = self.without(obs, unchanged)
+        bad = bad_rows(obs.rows)
+        if bad is not None:
+            found = np.flatnonzero(bad)[:8].tolist()
+            logger.error("not finite after a reset: environments %s", found)
+            obs = obs.with_rows(np.where(bad[:, None], np.float32(0.0), obs.rows))
+        return self.store(obs)

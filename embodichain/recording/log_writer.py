@@ -1,0 +1,215 @@
+"""`LogWriter`: what a log consists of, in its file: head, starts, runs, ends of episodes, parts."""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.recording.attachments import Attachment
+from embodichain.recording.block import ArrayKind, CallKind, pack_run
+from embodichain.recording.episode_ends import TOPIC as EPISODE_TOPIC
+from embodichain.recording.episode_ends import Ends, EpisodeSums, encode_ends
+from embodichain.recording.header import METADATA, METADATA_END, Header
+from embodichain.recording.log_file import LogFile
+from embodichain.recording.parts import Manifest, part_name
+from embodichain.recording.schema import START_TOPIC, STEPS_TOPIC
+
+__all__ = ["LAYOUT_FILE", "LogWriter", "PendingRun", "Queue", "Recorded"]
+
+LAYOUT_FILE = "foxglove_layout.json"
+
+Recorded = tuple[CallKind, tuple[NDArray[Any], ...]]
+"""A call, and its arrays."""
+
+
+@dataclass(slots=True)
+class PendingRun:
+    """Steps with the same calls that are not written yet.
+
+    Attributes:
+        first: Control step of the first.
+        kinds: The calls of every step.
+        begun: When the first step was added, on the monotonic clock.
+        step_bytes: Bytes of a step's arrays.
+        steps: The calls of each step.
+    """
+
+    first: int
+    kinds: list[CallKind]
+    begun: float
+    step_bytes: int
+    steps: list[list[Recorded]] = field(default_factory=list)
+
+    @property
+    def end(self) -> int:
+        """The control step after the last."""
+        return self.first + len(self.steps)
+
+
+class Queue:
+    """Messages of viewers' channels that wait for the run in which they were made.
+
+    It is the sink of `views.Views`.
+    """
+
+    def __init__(self) -> None:
+        self._waiting: deque[tuple[int, Sequence[tuple[str, bytes]]]] = deque()
+        self._channels: deque[tuple[str, str, bytes | None]] = deque()
+
+    def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
+        """Declare a channel: see `LogFile.channel`."""
+        self._channels.append((topic, schema, data))
+
+    def send(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> None:
+        """Have messages of one moment written, each with its topic."""
+        self._waiting.append((time_ns, messages))
+
+    def write(self, file: LogFile) -> None:
+        """Write everything that waits."""
+        while self._channels:
+            file.channel(*self._channels.popleft())
+        while self._waiting:
+            file.send(*self._waiting.popleft())
+
+
+class LogWriter:
+    """A log in progress. Building it creates the file.
+
+    Args:
+        path: A new file.
+        compression: As in `RecordOptions`.
+        header: Metadata of the first file.
+        attachments: Of every file.
+        layout: The viewers' layout, for a file beside the log.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        compression: str,
+        header: Header,
+        attachments: Sequence[Attachment],
+        layout: Mapping[str, Any],
+    ) -> None:
+        self.file = LogFile(path, compression)
+        self.views = Queue()
+        self._header, self._attachments = header, attachments
+        self._sums = EpisodeSums(header.num_envs)
+        self._ends: dict[int, Ends] = {}
+        self._manifest = Manifest(
+            self.file.folder, path.name, header.log_id, header.period_ns * 1e-9
+        )
+        self._head_bytes = 0
+        self._write_head(0, 0)
+        if header.state != "none":
+            self.file.channel(STEPS_TOPIC, "embodichain.Steps")
+            self.file.channel(START_TOPIC, "embodichain.Steps")
+        self.file.channel(EPISODE_TOPIC, "embodichain.Episodes")
+        self.file.put_beside(LAYOUT_FILE, json.dumps(layout, indent=1))
+
+    def _write_head(self, part: int, first_step: int) -> None:
+        for name, media_type, data in self._attachments:
+            self.file.attach(name, media_type, data, self._header.start_ns)
+        header = replace(self._header, part=part, first_step=first_step)
+        self.file.metadata(METADATA, header.to_metadata())
+
+    def _time_of(self, step: int) -> int:
+        return self._header.start_ns + step * self._header.period_ns
+
+    def start(self, step: int, row: NDArray[Any], fields: Mapping[str, NDArray[Any]]) -> int:
+        """Write what the simulation is before a control step; return the size of the message.
+
+        Args:
+            step: The control step.
+            row: (N, nstate) rows.
+            fields: Name to (N, ...) values of randomized model fields.
+        """
+        arrays = {"row": np.array(row, np.float64, order="C")}
+        for name, values in fields.items():
+            flat = np.asarray(values).reshape(len(row), -1)
+            arrays[name] = np.ascontiguousarray(flat, np.float64)
+        kinds = tuple(ArrayKind(name, "<f8", a.shape) for name, a in arrays.items())
+        data = pack_run(step, [CallKind("start", arrays=kinds)], [[list(arrays.values())]])
+        self.file.write(START_TOPIC, self._time_of(step), data)
+        return len(data)
+
+    def end_episodes(self, step: int, ends: Ends) -> None:
+        """Have the ends of episodes written with the run of their control step."""
+        self._ends[step] = ends
+
+    def skip(self, step: int, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
+        """A control step ended that is not recorded: write how episodes ended in it."""
+        self._add(step, reward, episode_ids)
+
+    def _add(self, step: int, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
+        self._sums.add(reward, episode_ids)
+        ends = self._ends.pop(step, None)
+        if ends is not None:
+            data = encode_ends(step, ends, self._sums, episode_ids)
+            self.file.write(EPISODE_TOPIC, self._time_of(step), data)
+
+    def run(self, run: PendingRun) -> None:
+        """Write a run, with the ends of episodes and what viewers show of its time."""
+        if run.kinds and self._header.state != "none":
+            steps = [[arrays for _, arrays in step] for step in run.steps]
+            data = pack_run(run.first, run.kinds, steps)
+            whole = run.kinds[-1].kind == "step"
+            last = run.end - 1 if whole else None
+            self.file.write(STEPS_TOPIC, self._time_of(run.first), data, last)
+        for number, calls in enumerate(run.steps, run.first):
+            kind, arrays = calls[-1]
+            if kind.kind == "step":
+                self._add(number, arrays[1], arrays[4])
+        self.views.write(self.file)
+
+    def flush(self) -> None:
+        """Make everything readable in the file.
+
+        Raises:
+            OSError: If it cannot be written, or was removed.
+        """
+        self.views.write(self.file)
+        self.file.flush()
+
+    def began(self) -> None:
+        """The head and the start of this file are written: make them readable."""
+        self.flush()
+        self._head_bytes = self.file.size
+
+    def is_full(self, max_bytes: float) -> bool:
+        """Whether the file in progress has this size, and twice that of its head."""
+        return self.file.size > max(max_bytes, 2 * self._head_bytes)
+
+    def roll(self, step: int) -> None:
+        """Go on in another file with this control step; a start has to follow."""
+        part = self.file.part + 1
+        name = part_name(self.file.name, part)
+        self.views.write(self.file)
+        end = {"steps": str(step), "next": name}
+        self._manifest.closed(
+            step, self.file.roll(name, lambda: self.file.metadata(METADATA_END, end))
+        )
+        self._write_head(part, step)
+        self._manifest.begun(name, step)
+        self._manifest.write(complete=False)
+
+    def finish(self, steps: int) -> None:
+        """Write the end of a log of so many control steps, and close the file.
+
+        Raises:
+            OSError: If it could not be written.
+        """
+        self.views.write(self.file)
+        self.file.metadata(METADATA_END, {"steps": str(steps)})
+        size = self.file.finish()
+        if self.file.part:
+            self._manifest.closed(steps, size)
+            self._manifest.write(complete=True)
+        self.file.close()

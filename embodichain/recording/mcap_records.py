@@ -1,0 +1,87 @@
+"""Records of an MCAP file: parsed, and unpacked, with every failure as `DamageError`."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from io import BytesIO
+from typing import Any
+
+import lz4.frame  # type: ignore[import-untyped]
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Metadata, Schema, Statistics
+
+from embodichain.recording.log_error import LARGEST_CHUNK, DamageError
+
+__all__ = ["UNREADABLE", "chunk_content", "parse", "reason_of"]
+
+UNREADABLE = (
+    *(McapError, struct.error, zlib.error, zstandard.ZstdError, UnicodeDecodeError),
+    *(IndexError, KeyError, MemoryError, OverflowError, RuntimeError, ValueError),  # lz4's
+)
+_PARSERS: dict[int, Any] = {
+    Opcode.ATTACHMENT: Attachment,
+    Opcode.CHANNEL: Channel,
+    Opcode.CHUNK: Chunk,
+    Opcode.METADATA: Metadata,
+    Opcode.SCHEMA: Schema,
+    Opcode.STATISTICS: Statistics,
+}
+
+
+def chunk_content(data: bytes) -> tuple[str, bytes]:
+    """Compression and unpacked records of a chunk's record.
+
+    Raises:
+        DamageError: If it cannot be unpacked, or is larger than any recorder makes it.
+    """
+    chunk: Chunk = parse(Opcode.CHUNK, data)
+    name, size, packed = chunk.compression, chunk.uncompressed_size, chunk.data
+    if size > LARGEST_CHUNK:
+        raise DamageError(f"a chunk announces {size} bytes; more than {LARGEST_CHUNK} are no log")
+    if len(data) != 40 + len(name.encode()) + len(packed):
+        raise DamageError("a chunk is damaged: its length is wrong")
+    try:
+        content = _unpacked(name, packed, size)
+    except UNREADABLE as error:
+        raise DamageError(f"a chunk is damaged ({reason_of(error)})") from error
+    if len(content) != size:
+        raise DamageError("a chunk is damaged: its length is wrong")
+    if chunk.uncompressed_crc and zlib.crc32(content) != chunk.uncompressed_crc:
+        raise DamageError("a chunk is damaged: its checksum is wrong")
+    return name or "none", content
+
+
+def _unpacked(name: str, packed: bytes, size: int) -> bytes:
+    """Decompress to at most `size` bytes, whatever the compressed data say of themselves."""
+    if name == "":
+        return packed
+    if name == "lz4":
+        content: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size)
+        return content
+    if name == "zstd":
+        if zstandard.frame_content_size(packed) not in (size, -1):
+            raise DamageError("a chunk is damaged: its length is wrong")
+        return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
+    raise DamageError(f"a chunk has the compression {name[:20]!r}, which is not known")
+
+
+def parse(opcode: int, data: bytes) -> Any:
+    """The record of an opcode.
+
+    Raises:
+        DamageError: If it is not what its opcode says.
+    """
+    try:
+        return _PARSERS[opcode].read(ReadDataStream(BytesIO(data)))
+    except UNREADABLE as error:
+        raise DamageError(f"a record is damaged ({reason_of(error)})") from error
+
+
+def reason_of(error: BaseException) -> str:
+    """Kind and text of an exception, shortened."""
+    text = " ".join(str(error).split())[:100]
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

@@ -1,0 +1,175 @@
+"""Schemas of the channels as protobuf descriptors: the log's own messages, and Foxglove's.
+
+The log's own messages are declared here without protoc. A file carries the descriptors of its
+channels, so any MCAP reader decodes it from itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cache
+from typing import Any
+
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf.descriptor import FileDescriptor
+
+__all__ = [
+    "MESSAGES",
+    "START_TOPIC",
+    "STEPS_TOPIC",
+    "descriptor_set",
+    "message_class",
+    "scalars_class",
+    "scalars_descriptor_set",
+]
+
+STEPS_TOPIC = "/sim/steps"
+"""Control steps, as `embodichain.Steps`."""
+START_TOPIC = "/sim/start"
+"""What the simulation is between two control steps, as `embodichain.Steps` with one call."""
+
+_F = descriptor_pb2.FieldDescriptorProto
+_KINDS = {
+    "bool": _F.TYPE_BOOL,
+    "bytes": _F.TYPE_BYTES,
+    "double": _F.TYPE_DOUBLE,
+    "int64": _F.TYPE_INT64,
+    "string": _F.TYPE_STRING,
+    "uint32": _F.TYPE_UINT32,
+    "uint64": _F.TYPE_UINT64,
+}
+_PACKAGE = "embodichain"
+_FILE = "embodichain/log.proto"
+
+MESSAGES: Mapping[str, Sequence[str]] = {
+    # `block` defines what the calls of a run are, and how their arrays lie in `data`.
+    "Array": (
+        "string name = 1",
+        "string dtype = 2",
+        "repeated uint32 shape = 3",
+        "uint64 offset = 4",
+    ),
+    "Call": (
+        "string kind = 1",
+        "string name = 2",
+        "string mode = 3",
+        "uint32 nstep = 4",
+        "bool some_columns = 5",
+        "repeated uint32 columns = 6",
+        "repeated Array arrays = 7",
+    ),
+    "Steps": (
+        "uint64 first = 1",
+        "uint32 count = 2",
+        "repeated Call calls = 3",
+        "bytes data = 4",  # last in number and in the bytes: see `block.pack_run`
+    ),
+    # Episodes that ended in a control step, one entry each. Flags are a byte each, tables are
+    # (n, names) by rows. `success` is absent where the task does not define it.
+    "Episodes": (
+        "uint64 step = 1",
+        "repeated uint32 env_ids = 2",
+        "repeated int64 episode_id = 3",
+        "repeated uint32 length = 4",
+        "repeated double total_reward = 5",
+        "bytes terminated = 6",
+        "bytes truncated = 7",
+        "bytes success = 8",
+        "repeated string reason = 9",
+        "bytes reasons = 10",
+        "repeated string reward_term = 11",
+        "repeated double reward_sums = 12",
+        "repeated string metric = 13",
+        "repeated double metrics = 14",
+    ),
+}
+
+
+def _add_field(message: descriptor_pb2.DescriptorProto, declaration: str) -> None:
+    left, number = declaration.split(" = ")
+    words = left.split()
+    repeated = words[0] == "repeated"
+    kind, name = words[-2:]
+    field = message.field.add(name=name, number=int(number), json_name=_json_name(name))
+    field.label = _F.LABEL_REPEATED if repeated else _F.LABEL_OPTIONAL
+    if kind in _KINDS:
+        field.type = _KINDS[kind]
+    else:
+        field.type = _F.TYPE_MESSAGE
+        field.type_name = f".{_PACKAGE}.{kind}"
+
+
+def _json_name(name: str) -> str:
+    head, *tail = name.split("_")
+    return head + "".join(word.capitalize() for word in tail)
+
+
+@cache
+def _own_file() -> descriptor_pb2.FileDescriptorProto:
+    file = descriptor_pb2.FileDescriptorProto(name=_FILE, package=_PACKAGE, syntax="proto3")
+    for name, declarations in MESSAGES.items():
+        message = file.message_type.add(name=name)
+        for declaration in declarations:
+            _add_field(message, declaration)
+    return file
+
+
+def _class(file: descriptor_pb2.FileDescriptorProto, name: str) -> Any:
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(f"{_PACKAGE}.{name}"))
+
+
+@cache
+def message_class(name: str) -> Any:
+    """Protobuf's class of one of the log's own messages (``Steps``, ``Episodes``)."""
+    return _class(_own_file(), name)
+
+
+def descriptor_set(name: str) -> bytes:
+    """Serialized `FileDescriptorSet` of ``embodichain.NAME`` or ``foxglove.NAME``.
+
+    Raises:
+        KeyError: If there is no such message.
+    """
+    package, _, short = name.partition(".")
+    result = descriptor_pb2.FileDescriptorSet()
+    if package == _PACKAGE:
+        if short not in MESSAGES:
+            raise KeyError(f"no message {name!r}; there are {', '.join(MESSAGES)}")
+        result.file.append(_own_file())
+    else:
+        from embodichain.recording.views import messages
+
+        _append(result, getattr(messages, short).DESCRIPTOR.file, set())
+    return result.SerializeToString(deterministic=True)
+
+
+def _append(result: descriptor_pb2.FileDescriptorSet, file: FileDescriptor, seen: set[str]) -> None:
+    if file.name in seen:
+        return
+    seen.add(file.name)
+    for dependency in file.dependencies:
+        _append(result, dependency, seen)
+    file.CopyToProto(result.file.add())
+
+
+def _scalars_file(message: str, names: Sequence[str]) -> descriptor_pb2.FileDescriptorProto:
+    file = descriptor_pb2.FileDescriptorProto(
+        name=f"{_PACKAGE}/{message.lower()}.proto", package=_PACKAGE, syntax="proto3"
+    )
+    declared = file.message_type.add(name=message)
+    for number, name in enumerate(names, start=1):
+        _add_field(declared, f"double {name} = {number}")
+    return file
+
+
+def scalars_descriptor_set(message: str, names: Sequence[str]) -> bytes:
+    """Schema of a message of this run's own scalars: one double field a name, numbered from 1."""
+    result = descriptor_pb2.FileDescriptorSet(file=[_scalars_file(message, names)])
+    return result.SerializeToString(deterministic=True)
+
+
+def scalars_class(message: str, names: Sequence[str]) -> Any:
+    """Protobuf's class of the message that `scalars_descriptor_set` declares."""
+    return _class(_scalars_file(message, names), message)

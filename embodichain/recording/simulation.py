@@ -1,0 +1,254 @@
+"""`Simulation`: a log followed on an engine, its physics simulated again and compared."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.engine.base import F64, EnvIndex
+from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS
+from embodichain.recording.block import Call, Run
+from embodichain.recording.chunks import LogReader
+from embodichain.recording.columns import column_name, take
+from embodichain.recording.hashing import row_hashes
+from embodichain.recording.log_error import LogError
+from embodichain.recording.recorded_model import check_rows
+from embodichain.recording.trajectory import Rows, columns_of
+
+__all__ = ["Active", "Difference", "DifferenceFound", "Simulation", "always", "never"]
+
+Active = Callable[[int], NDArray[np.bool_]]
+"""Control step to an (n,) mask of the chosen environments that are compared in it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """The first place where the log and the simulation part.
+
+    Attributes:
+        step: Control step, from 0.
+        env: The environment.
+        field: Component and index, ``qpos[3]``; ``hash`` where the log has only the hash of what
+            physics returned.
+        recorded: The value in the log.
+        simulated: The value that physics and the recorded writes give.
+    """
+
+    step: int
+    env: int
+    field: str
+    recorded: float | int
+    simulated: float | int
+
+    def __str__(self) -> str:
+        """Return one line."""
+        if self.field == "hash":
+            values = f"recorded {self.recorded:#018x}, simulated {self.simulated:#018x}"
+        else:
+            values = f"recorded {self.recorded!r}, simulated {self.simulated!r}"
+        return f"step {self.step}, environment {self.env}, {self.field}: {values}"
+
+
+class DifferenceFound(Exception):
+    """Ends following a log: a result, not an error."""
+
+    def __init__(self, difference: Difference) -> None:
+        super().__init__(str(difference))
+        self.difference = difference
+
+
+def always(n: int) -> Active:
+    """All of n environments, in every step."""
+    mask = np.ones(n, np.bool_)
+    return lambda step: mask
+
+
+def never(n: int) -> Active:
+    """None of n environments: what physics returned is taken from the log."""
+    mask = np.zeros(n, np.bool_)
+    return lambda step: mask
+
+
+class Simulation(Rows):
+    """Chosen environments of a log on an engine of their own.
+
+    What physics returned is simulated where that is compared, or where the log does not have it;
+    else it is taken from the log.
+
+    Args:
+        reader: The log.
+        model: The model.
+        env_ids: (n,) environments, ascending; None is all.
+        active: Which of them are compared in which step; None is all.
+        exact: Compare bits; else measure errors, and go on with what was recorded.
+        num_threads: Physics threads; 0 is all cores.
+
+    Attributes:
+        engine: Environment i is the i-th of those chosen.
+        changes: How often model fields were written.
+        largest_error: Where it is not exact: component to largest absolute difference.
+
+    Raises:
+        LogError: If the log's rows are not those of the model.
+    """
+
+    def __init__(
+        self,
+        reader: LogReader,
+        model: mujoco.MjModel,
+        env_ids: EnvIndex | None = None,
+        active: Active | None = None,
+        exact: bool = True,
+        num_threads: int = 0,
+    ) -> None:
+        super().__init__(reader, env_ids)
+        header = self.header
+        check_rows(header, model)
+        n = len(self.env_ids)
+        self.engine = CpuEngine(model, n, num_threads)
+        self.changes = 0
+        self.largest_error: dict[str, float] = {}
+        self._rows = self.engine.rows
+        self._layout = header.slices()
+        self._active = active or always(n)
+        self._exact = exact
+
+    def begin(self, run: Run) -> None:
+        """Go on from a start of the log; compare it, where what precedes leads there.
+
+        Raises:
+            DifferenceFound: If it leads elsewhere.
+            LogError: If the start does not fit the model.
+        """
+        _, take_rows = self.chosen(None)
+        fields = {name: values[0][take_rows] for name, values in run.calls[0].arrays.items()}
+        row = fields.pop("row")
+        if self.known and run.first == self.next_step:
+            self._compare(run.first, None, row, slice(None))
+            if self._exact:
+                return
+        try:
+            self._put_fields(fields)
+            self.engine.write("row", row)
+        except (KeyError, ValueError, IndexError) as error:
+            raise LogError(
+                f"{self.path}: step {run.first}: a start does not fit the model: {error}"
+            ) from error
+        self.known, self.next_step = True, run.first
+
+    def _put_fields(self, fields: dict[str, F64]) -> None:
+        for again in range(2 if DERIVED_FIELDS & fields.keys() else bool(fields)):
+            if again:
+                self.engine.set_const()
+            for name, values in fields.items():
+                self.engine.write_model(name, values)
+        self.changes += bool(fields)
+
+    def write(self, step: int, call: Call, local: EnvIndex | None, values: F64 | None) -> None:
+        """Do what a write outside physics did.
+
+        Raises:
+            DifferenceFound: If a reset leaves another row here.
+        """
+        engine, mode = self.engine, call.kind.mode
+        if mode == "set_const":
+            engine.set_const(local)
+        elif mode == "reset":
+            engine.reset(local)
+            if values is not None:
+                self._settle(step, local, values, slice(None))
+        else:
+            put = engine.write_model if mode == "model" else engine.write
+            put(call.kind.name, values, local, columns_of(call.kind.columns))
+        self.changes += mode in ("model", "set_const")
+
+    def physics(
+        self, step: int, call: Call, t: int, local: EnvIndex | None, take: EnvIndex | slice
+    ) -> None:
+        """Step physics and compare what it returns.
+
+        Raises:
+            DifferenceFound: If it is not what was recorded.
+        """
+        engine, nstep = self.engine, call.kind.nstep
+        if "hashes" in call.arrays:
+            engine.step(nstep, local)
+            if self._exact:
+                self._compare_hashes(step, local, call.arrays["hashes"][t][take])
+            return
+        recorded = call.arrays["rows"][t][take]
+        active = self._active(step)
+        active = active if local is None else active[local]
+        if active.any():
+            ids = np.arange(len(active)) if local is None else local
+            engine.step(nstep, None if local is None and active.all() else ids[active])
+        self._settle(step, local, recorded, self._moved)
+
+    def _settle(
+        self, step: int, local: EnvIndex | None, recorded: F64, columns: NDArray[np.int64] | slice
+    ) -> None:
+        """Compare rows with recorded ones, and take these over where nobody compares."""
+        self._compare(step, local, recorded, columns)
+        active = self._active(step)
+        if not self._exact or not active.all():
+            self.engine.write("row", recorded, local, columns)
+
+    def _compare(
+        self, step: int, local: EnvIndex | None, recorded: F64, columns: NDArray[np.int64] | slice
+    ) -> None:
+        active = self._active(step)
+        active = active if local is None else active[local]
+        if not active.any():
+            return
+        here = self._taken(local, columns)
+        if not self._exact:
+            self._measure(here[active], recorded[active], columns)
+            return
+        there = np.ascontiguousarray(recorded).view(np.uint64)
+        differs = here.view(np.uint64) != there
+        differs &= active[:, None]
+        if not differs.any():
+            return
+        row, at = divmod(int(np.flatnonzero(differs)[0]), differs.shape[1])
+        column = int(np.arange(self.header.nstate)[columns][at])
+        name = column_name(self._layout, column)
+        values = float(recorded[row, at]), float(here[row, at])
+        raise DifferenceFound(Difference(step, self._env(local, row), name, *values))
+
+    def _taken(self, local: EnvIndex | None, columns: NDArray[np.int64] | slice) -> F64:
+        """(n, k) columns of the rows here, side by side."""
+        rows = self.rows if local is None else self.rows[local]
+        if isinstance(columns, slice):
+            return np.ascontiguousarray(rows[:, columns])
+        return take(self.header.moved, rows)
+
+    def _compare_hashes(
+        self, step: int, local: EnvIndex | None, recorded: NDArray[np.uint64]
+    ) -> None:
+        active = self._active(step)
+        hashes = row_hashes(
+            take(self.header.moved, self.rows if local is None else self.rows[local])
+        )
+        wrong = np.flatnonzero((hashes != recorded) & (active if local is None else active[local]))
+        if len(wrong):
+            row = int(wrong[0])
+            values = int(recorded[row]), int(hashes[row])
+            raise DifferenceFound(Difference(step, self._env(local, row), "hash", *values))
+
+    def _env(self, local: EnvIndex | None, row: int) -> int:
+        return int(self.env_ids[row if local is None else local[row]])
+
+    def _measure(self, here: F64, there: F64, columns: NDArray[np.int64] | slice) -> None:
+        """Note the largest errors of positions and velocities."""
+        index = np.arange(self.header.nstate)[columns]
+        for name in ("qpos", "qvel"):
+            component = self._layout[name]
+            mine = (index >= component.start) & (index < component.stop)
+            error = np.abs(here[:, mine] - there[:, mine])
+            largest = float(error.max()) if error.size else 0.0
+            self.largest_error[name] = max(self.largest_error.get(name, 0.0), largest)

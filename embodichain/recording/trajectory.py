@@ -1,0 +1,294 @@
+"""Follows a log: its runs of control steps in order, and the rows that physics received in each.
+
+`Rows` takes every row from the log, so it needs no model. `simulation.Simulation` is the same on an
+engine, which also has the model fields, and can simulate what the log says.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.engine.base import F64, EnvIndex
+from embodichain.lab.sim.engine.layout import as_slice, entries
+from embodichain.recording.block import Call, Run, unpack_run
+from embodichain.recording.chunks import ChunkPlace, LogReader
+from embodichain.recording.header import Header
+from embodichain.recording.log_error import DamageError, LogError
+from embodichain.recording.schema import START_TOPIC, STEPS_TOPIC
+
+__all__ = ["Rows", "Span", "columns_of", "follow", "own_physics", "runs"]
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Control steps, both included; `last` None is the end of the log."""
+
+    first: int = 0
+    last: int | None = None
+
+    def __contains__(self, step: int) -> bool:
+        """Whether a step is one of them."""
+        return self.first <= step and not self.ends_before(step)
+
+    def ends_before(self, step: int) -> bool:
+        """Whether a step comes after the last."""
+        return self.last is not None and step > self.last
+
+
+_ALL = Span()
+
+
+def runs(reader: LogReader, span: Span = _ALL) -> Iterator[Run]:
+    """Yield the starts and runs that following some steps needs: from the last start before them.
+
+    Args:
+        reader: The log; it knows of damage that is met.
+        span: The control steps; None is all.
+
+    Raises:
+        LogError: If a message is damaged, or a chunk lies where it does not belong.
+    """
+    header = reader.require_header()
+    sizes = header.num_envs, header.moved_width, header.nstate
+    expected: int | None = None
+    for topic, time_ns, payload in reader.messages(_needed(reader, span)):
+        is_start = topic == START_TOPIC
+        if not is_start and (topic != STEPS_TOPIC or expected is None):
+            continue
+        try:
+            run = unpack_run(payload, *sizes)
+        except DamageError as error:
+            raise LogError(f"{reader.path}: a message is damaged: {error}") from error
+        why = _wrong(run, time_ns, is_start, header)
+        if why:
+            raise LogError(f"{reader.path}: a message is damaged: {why}")
+        gap = is_start and header.every > 1
+        if expected is not None and (run.first < expected if gap else run.first != expected):
+            why = "is missing" if run.first > expected else "was moved"
+            raise LogError(
+                f"{reader.path}: a chunk {why}: step {run.first} follows step {expected - 1}"
+            )
+        yield run
+        expected = run.first + run.steps
+        if span.ends_before(expected):
+            return
+
+
+def _wrong(run: Run, time_ns: int, is_start: bool, header: Header) -> str:
+    """What does not fit the rest of the log; empty if all does."""
+    if time_ns != header.start_ns + run.first * header.period_ns:
+        return f"step {run.first} has another's time"
+    if bool(run.of_kind("start")) != is_start:
+        return "it belongs to another channel"
+    if not header.keyframe_every and any("hashes" in call.arrays for call in run.calls):
+        return f"step {run.first} has no rows"
+    return ""
+
+
+def _needed(reader: LogReader, span: Span) -> list[ChunkPlace] | None:
+    """The chunks from the one with the last start before some steps; None for all chunks."""
+    header, chunks = reader.require_header(), reader.chunks
+    time_ns = header.start_ns + span.first * header.period_ns
+    at = max((i for i, c in enumerate(chunks) if c.start_ns <= time_ns), default=0)
+    while at > 0:
+        found = reader.messages(chunks[at : at + 1])
+        if any(topic == START_TOPIC and time <= time_ns for topic, time, _ in found):
+            return chunks[at:]
+        at -= 1
+    return None
+
+
+def own_physics(reader: LogReader, run: Run) -> int:
+    """Which call of a run is the physics of the control step itself.
+
+    It is the first of all environments with the step's number of physics steps. Before the first
+    step of a file, where a reset may let things settle for as long, it is the last.
+
+    Raises:
+        LogError: If none is.
+    """
+    header = reader.require_header()
+    found = [i for i, call in enumerate(run.calls) if _is_whole_step(call, header)]
+    if not found:
+        why = f"control step {run.first} has no physics of {header.substeps} steps"
+        raise LogError(f"{reader.path}: {why}")
+    return found[-1 if run.first == header.first_step else 0]
+
+
+def _is_whole_step(call: Call, header: Header) -> bool:
+    whole = call.kind.kind == "physics" and "env_ids" not in call.arrays
+    return whole and call.kind.nstep == header.substeps
+
+
+@lru_cache(maxsize=256)
+def columns_of(columns: tuple[int, ...] | None) -> NDArray[np.int64] | slice:
+    """Columns of a call as an index."""
+    found: NDArray[np.int64] | slice
+    found = slice(None) if columns is None else as_slice(np.array(columns, np.int64))
+    return found
+
+
+class Rows:
+    """The rows of chosen environments, as the log has them.
+
+    Args:
+        reader: The log.
+        env_ids: (n,) environments, ascending; None is all.
+
+    Attributes:
+        header: The log's metadata.
+        path: The log, for messages.
+        env_ids: (n,) those environments.
+        known: Whether `rows` are the log's: between keyframes they are not.
+        next_step: The control step that comes next.
+    """
+
+    def __init__(self, reader: LogReader, env_ids: EnvIndex | None = None) -> None:
+        self.header = header = reader.require_header()
+        self.path = reader.path
+        n = header.num_envs
+        self.env_ids = np.arange(n, dtype=np.int64) if env_ids is None else env_ids
+        self.known = False
+        self.next_step = -1
+        self._all = len(self.env_ids) == n
+        self._local = np.full(n, -1, np.int64)
+        self._local[self.env_ids] = np.arange(len(self.env_ids))
+        self._rows: F64 = np.zeros((len(self.env_ids), header.nstate))
+        self._moved = columns_of(tuple(np.concatenate([np.r_[a:b] for a, b in header.moved])))
+        self._ranges = _side_by_side(header.moved)
+
+    @property
+    def rows(self) -> F64:
+        """(n, nstate) live rows. Do not write."""
+        return self._rows
+
+    def begin(self, run: Run) -> None:
+        """Go on from a start of the log.
+
+        Raises:
+            LogError: If it does not fit.
+        """
+        _, take = self.chosen(None)
+        self._rows[:] = run.calls[0].arrays["row"][0][take]
+        self.known, self.next_step = True, run.first
+
+    def apply(self, step: int, call: Call, t: int) -> None:
+        """Do what a call did.
+
+        Args:
+            step: The control step.
+            call: The call, of every step of its run.
+            t: Number of the step within the run.
+
+        Raises:
+            LogError: If it does not fit the log's rows.
+        """
+        kind = call.kind.kind
+        if kind == "step":
+            self.next_step = step + 1
+        if kind not in ("write", "physics"):
+            return
+        arrays = call.arrays
+        local, take = self.chosen(arrays["env_ids"][t] if "env_ids" in arrays else None)
+        if local is not None and not len(local):
+            return
+        try:
+            if kind == "write":
+                values = arrays["values"][t][take] if "values" in arrays else None
+                self.write(step, call, local, values)
+            else:
+                self.physics(step, call, t, local, take)
+        except (KeyError, ValueError, IndexError) as error:
+            what = "physics" if kind == "physics" else f"a write to {call.kind.name!r}"
+            raise LogError(
+                f"{self.path}: step {step}: {what} does not fit the model: {error}"
+            ) from error
+
+    def chosen(self, ids: EnvIndex | None) -> tuple[EnvIndex | None, EnvIndex | slice]:
+        """Which rows here a call means, None for all, and which rows of the call they are."""
+        if ids is None:
+            return None, slice(None) if self._all else self.env_ids
+        local = self._local[ids]
+        if self._all:
+            return local, slice(None)
+        take = np.flatnonzero(local >= 0)
+        local = local[take]
+        return (None if len(local) == len(self.env_ids) else local), take
+
+    def write(self, step: int, call: Call, local: EnvIndex | None, values: F64 | None) -> None:
+        """Do what a write outside physics did."""
+        if values is None or call.kind.mode == "model":
+            return
+        rows: Any = slice(None) if local is None else local
+        if call.kind.mode == "reset":
+            self._rows[rows] = values
+            return
+        if call.kind.name == "row":
+            view = self._rows
+        else:
+            start, stop = self.header.layout[call.kind.name]
+            view = self._rows[:, start:stop]
+        view[entries(local, columns_of(call.kind.columns))] = values
+
+    def physics(
+        self, step: int, call: Call, t: int, local: EnvIndex | None, take: EnvIndex | slice
+    ) -> None:
+        """Take what physics returned."""
+        if "rows" not in call.arrays:
+            self.known = False
+            return
+        returned, rows = call.arrays["rows"][t], self._rows
+        whole = isinstance(take, slice)
+        for here, there in self._ranges:
+            found = returned[:, there]
+            rows[entries(local, here)] = found if whole else found[take]
+
+
+def _side_by_side(ranges: list[tuple[int, int]]) -> list[tuple[slice, slice]]:
+    """Columns of whole rows, and where they lie in rows that have only these columns."""
+    found, at = [], 0
+    for a, b in ranges:
+        found.append((slice(a, b), slice(at, at + b - a)))
+        at += b - a
+    return found
+
+
+def follow(reader: LogReader, rows: Rows, span: Span = _ALL) -> Iterator[tuple[Run, int]]:
+    """Yield each finished control step, while `rows` are those that its physics received.
+
+    Steps whose rows are not known are left out.
+
+    Args:
+        reader: The log.
+        rows: What is kept up to date.
+        span: The control steps.
+
+    Returns:
+        A run, and the number of the step within it.
+
+    Raises:
+        LogError: If a message is damaged.
+    """
+    last = sys.maxsize if span.last is None else span.last
+    for run in runs(reader, span):
+        if run.of_kind("start"):
+            rows.begin(run)
+            continue
+        own = own_physics(reader, run) if run.steps else len(run.calls)
+        for t in range(run.count):
+            step = run.first + t
+            for call in run.calls[:own]:
+                rows.apply(step, call, t)
+            if span.first <= step and run.steps and rows.known:
+                yield run, t
+            if step >= last:
+                return
+            for call in run.calls[own:]:
+                rows.apply(step, call, t)

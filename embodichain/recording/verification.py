@@ -1,0 +1,262 @@
+"""`verify` simulates a log again from the file alone, and compares every bit.
+
+No term, no task and no user's code takes part: the model is in the file, and so is everything that
+was written to the simulation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.engine.base import EnvIndex
+from embodichain.recording.chunks import LogReader
+from embodichain.recording.header import Header
+from embodichain.recording.log_error import LogError
+from embodichain.recording.provenance import what_can_be_played, what_differs
+from embodichain.recording.recorded_model import (
+    approximate_model,
+    check_rows,
+    model_to_simulate,
+)
+from embodichain.recording.simulation import (
+    Active,
+    Difference,
+    DifferenceFound,
+    Simulation,
+    always,
+)
+from embodichain.recording.trajectory import runs
+from embodichain.utils.errors import ConfigError
+
+__all__ = ["Difference", "VerifyReport", "verify"]
+
+Progress = Callable[[int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class VerifyReport:
+    """Whether a log is what physics makes of it.
+
+    Attributes:
+        path: The file.
+        ok: Every state, bit for bit, to the end of a complete log.
+        steps: Control steps simulated and compared.
+        envs: Environments simulated.
+        difference: The first difference, or None.
+        problems: Why `ok` is False otherwise, one line each.
+        largest_error: Approximate mode: component to largest absolute difference after one step.
+        notes: What is no mistake but should be known: where a recovered log ends, what is another
+            here than where the log was made.
+    """
+
+    path: Path
+    ok: bool
+    steps: int
+    envs: int
+    difference: Difference | None = None
+    problems: list[str] = field(default_factory=list)
+    largest_error: dict[str, float] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    def __str__(self) -> str:
+        """Return the verdict, and every reason on its own line."""
+        count = f"{self.steps} steps of {self.envs} environment{'s' if self.envs != 1 else ''}"
+        if self.ok:
+            return "\n".join([f"verified: {count} are identical to the bit", *self.notes])
+        lines = [f"NOT verified ({count} compared)"]
+        if self.difference is not None:
+            lines.append(f"first difference: {self.difference}")
+        lines += self.problems
+        if self.largest_error:
+            errors = ", ".join(f"{k} {v:.3g}" for k, v in self.largest_error.items())
+            lines.append(f"approximate only: largest difference after one step: {errors}")
+        lines += self.notes
+        return "\n".join(lines)
+
+
+def verify(
+    path: str | Path,
+    env: int | None = None,
+    episode: int | None = None,
+    num_threads: int = 0,
+    progress: Progress | None = None,
+) -> VerifyReport:
+    """Simulate a log again and compare every row, bit for bit.
+
+    Args:
+        path: The log: a file, the manifest of several, or a run's folder.
+        env: Only this environment; None is all.
+        episode: Only this episode of every environment looked at; None is all.
+        num_threads: Physics threads; 0 is all cores. No result depends on it.
+        progress: Called with the number of control steps done.
+
+    Raises:
+        ConfigError: If the file is missing, empty or not MCAP, or `env` or `episode` is not in it.
+        LogError: If it is not a log of embodichain's.
+    """
+    with LogReader(path) as reader:
+        header = reader.require_header()
+        selected = _select(header, env)
+        report = VerifyReport(reader.path, False, 0, len(selected))
+        if header.unverifiable:
+            return replace(report, problems=[header.unverifiable])
+        model, exact, problems = _model(reader)
+        if model is not None:
+            active = always(len(selected))
+            if episode is not None:
+                active = _episode(reader, selected, episode)
+            following = _Following(reader, model, selected, active, exact, num_threads)
+            following.run(progress)
+            report = following.report(problems)
+        else:
+            report = replace(report, problems=problems)
+        return _with_notes(report, reader)
+
+
+def _with_notes(report: VerifyReport, reader: LogReader) -> VerifyReport:
+    """Say what is another here, where physics differs, and what the log is still good for."""
+    header = reader.require_header()
+    if report.difference is None and header.mujoco_version == mujoco.__version__:
+        return report
+    try:
+        found = what_differs(header, reader.attachment("versions.json"))
+    except LogError:
+        found = what_differs(header, None)
+    if not found:
+        found = ["MuJoCo, processor and platform are the recorded ones: the file was changed"]
+    return replace(report, notes=[*report.notes, *found, what_can_be_played(header)])
+
+
+def _select(header: Header, env: int | None) -> EnvIndex:
+    if env is None:
+        return np.arange(header.num_envs, dtype=np.int64)
+    if not 0 <= env < header.num_envs:
+        raise ConfigError(f"no environment {env} in the log: there are 0 to {header.num_envs - 1}")
+    return np.array([env], np.int64)
+
+
+def _model(reader: LogReader) -> tuple[mujoco.MjModel | None, bool, list[str]]:
+    """The model to simulate, whether it is the recorded one to the bit, and what is wrong."""
+    header = reader.require_header()
+    exact = header.mujoco_version == mujoco.__version__
+    problems = []
+    if not exact:
+        problems.append(
+            f"recorded with MuJoCo {header.mujoco_version}, this is {mujoco.__version__}: "
+            f"bit-exact replay needs mujoco=={header.mujoco_version}"
+        )
+    try:
+        if exact:
+            return model_to_simulate(header, reader.attachment), True, []
+        model = approximate_model(header, reader.attachment("scene.mjz"))
+        check_rows(header, model)
+    except LogError as error:
+        return None, False, [*problems, str(error).removeprefix(f"{reader.path}: ")]
+    problems[0] += "; simulated approximately from scene.mjz (its XML has 6 digits)"
+    if header.keyframe_every:
+        problems[0] += f" between keyframes, up to {header.keyframe_every} steps at a time"
+    return model, False, problems
+
+
+def _episode(reader: LogReader, selected: EnvIndex, episode: int) -> Active:
+    """Steps that belong to an episode of the selected environments, found in a pass of its own."""
+    masks: dict[int, NDArray[np.bool_]] = {}
+    last = -1
+    try:
+        for run in runs(reader):
+            if run.steps:
+                ids = run.calls[-1].arrays["episode_ids"][:, selected]
+                masks |= zip(range(run.first, run.first + run.count), ids == episode, strict=True)
+                last = max(last, int(ids.max()))
+    except LogError:
+        pass  # following it will end there too, and say so
+    if not any(mask.any() for mask in masks.values()):
+        raise ConfigError(f"no episode {episode} in the log: there are 0 to {last}")
+    nothing = np.zeros(len(selected), np.bool_)
+    return lambda step: masks.get(step, nothing)
+
+
+class _Following:
+    """Follows a log with an engine, up to the first difference or the end."""
+
+    def __init__(
+        self,
+        reader: LogReader,
+        model: mujoco.MjModel,
+        selected: EnvIndex,
+        active: Active,
+        exact: bool,
+        num_threads: int,
+    ) -> None:
+        self._reader, self._model, self._selected = reader, model, selected
+        self._active, self._exact, self._threads = active, exact, num_threads
+        self._steps, self._last_step = 0, reader.require_header().first_step - 1
+        self._difference: Difference | None = None
+        self._error = ""
+        self._errors: dict[str, float] = {}
+
+    def run(self, progress: Progress | None) -> None:
+        """Simulate and compare."""
+        try:
+            self._follow(progress)
+        except DifferenceFound as found:
+            self._difference = found.difference
+        except LogError as error:
+            why = str(error).removeprefix(f"{self._reader.path}: ")
+            self._error = f"after {self._steps} steps: {why}"
+
+    def _follow(self, progress: Progress | None) -> None:
+        simulation = None
+        for run in runs(self._reader):
+            if simulation is None:  # a start: so many environments are really in the file
+                how = self._active, self._exact, self._threads
+                simulation = Simulation(self._reader, self._model, self._selected, *how)
+                self._errors = simulation.largest_error
+            if run.of_kind("start"):
+                simulation.begin(run)
+                continue
+            for t in range(run.count):
+                step = run.first + t
+                for call in run.calls:
+                    simulation.apply(step, call, t)
+                if run.steps:
+                    self._last_step = step
+                    self._steps += bool(self._active(step).any())
+                    if progress is not None:
+                        progress(self._steps)
+
+    def report(self, problems: list[str]) -> VerifyReport:
+        """What came of it, and why else the log is not verified."""
+        notes: list[str] = []
+        reader, difference = self._reader, self._difference
+        if self._error:
+            problems = [*problems, self._error]
+        elif difference is None:
+            problems = [*problems, *self._end()]
+            if reader.recovered and reader.complete:
+                notes.append(f"the log ends {self._where()}: {reader.recovered}")
+            said = reader.part_note, reader.require_header().every_note
+            notes += [note for note in said if note]
+        ok = difference is None and not problems
+        counts = self._steps, len(self._selected)
+        return VerifyReport(reader.path, ok, *counts, difference, problems, self._errors, notes)
+
+    def _end(self) -> list[str]:
+        """What is missing at the end of a log."""
+        reader, ends = self._reader, f"the log ends {self._where()}"
+        if not reader.complete:
+            return [f"{ends}: {reader.damage or 'its end is missing'}"]
+        if not reader.finished and not reader.recovered:
+            return [f"{ends}: the recorder did not close it"]
+        return []
+
+    def _where(self) -> str:
+        if self._last_step < 0:
+            return "before its first step was complete"
+        return f"after step {self._last_step}"

@@ -1,0 +1,1 @@
+"""Channels for viewers: Foxglove's own schemas, filled for a few environments."""

@@ -1,0 +1,94 @@
+"""`foxglove_layout.json`: a layout that shows a log at once, in Foxglove and its open forks.
+
+With a viewer's default layout only coordinate axes appear: scenes are hidden until switched on.
+What is the same in every layout is in ``layout.json``: transforms are preloaded, so that poses are
+right after a jump in time, and the grid lies above the floor, where it does not flicker.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from embodichain.recording.views.markers import Commands
+from embodichain.recording.views.motion import scalar_joints
+from embodichain.recording.views.places import places
+from embodichain.recording.views.scalars import identifier
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.observers import ObservedEnv
+
+__all__ = ["foxglove_layout"]
+
+_PALETTE = ("#4e98e2", "#f5774d", "#f7df71", "#5cd6a9", "#61cbff", "#a395e2", "#ea4d6c")
+_PLOT = {
+    "showXAxisLabels": True,
+    "showYAxisLabels": True,
+    "showLegend": True,
+    "legendDisplay": "left",
+    "showPlotValuesInLegend": False,
+    "isSynced": True,
+    "xAxisVal": "timestamp",
+    "sidebarDimension": 150,
+}
+
+
+def foxglove_layout(env: ObservedEnv, view_envs: Sequence[int]) -> dict[str, Any]:
+    """Return a layout with the scene, joint positions, the reward with its terms, and the log.
+
+    Args:
+        env: The environment.
+        view_envs: Environments that the log shows.
+    """
+    text = resources.files(__package__).joinpath("layout.json").read_text("utf-8")
+    layout: dict[str, Any] = json.loads(text)
+    panels, model = layout["configById"], env.sim.engine.model
+    drawn = ("scene", "markers") if Commands(env).drawn else ("scene",)
+    topics = [f"/env_{i}/{name}" for i in view_envs for name in drawn]
+    panels["3D!scene"]["topics"] = {topic: {"visible": True} for topic in topics}
+    where = places(env, view_envs) if view_envs else np.zeros((1, 3))
+    spread = float(np.ptp(where, axis=0).max())
+    panels["3D!scene"]["cameraState"] |= {
+        "distance": 1.8 * float(model.stat.extent) + 1.2 * spread,
+        "targetOffset": (model.stat.center + where.mean(axis=0)).tolist(),
+    }
+    first = f"/env_{view_envs[0]}" if view_envs else "/env_0"
+    joints = _short(list(scalar_joints(model)))
+    paths = {
+        k: f'{first}/joint_states.joints[:]{{name=="{v}"}}.position' for k, v in joints.items()
+    }
+    panels["Plot!joints"] = _plot("joint positions (rad, m)", paths)
+    manager = getattr(env, "reward_manager", None)  # environments of others may have none
+    terms = [] if manager is None else sorted(manager.terms)
+    paths = {name: f"{first}/metrics.reward_{identifier(name)}" for name in terms}
+    paths = {"reward": f"{first}/metrics.reward", **paths}
+    panels["Plot!reward"] = _plot("reward and its terms", paths)
+    return layout
+
+
+def _short(names: Sequence[str]) -> dict[str, str]:
+    """Names by what tells them apart: `arm/elbow` by `elbow` where only an arm has one."""
+    last = [name.rpartition("/")[2] for name in names]
+    pairs = zip(names, last, strict=True)
+    return {tail if last.count(tail) == 1 else name: name for name, tail in pairs}
+
+
+def _plot(title: str, values: Mapping[str, str]) -> dict[str, Any]:
+    """Return a plot of message paths by label."""
+    paths = [
+        {
+            "value": value,
+            "label": label,
+            "enabled": True,
+            "timestampMethod": "receiveTime",
+            "color": _PALETTE[i % len(_PALETTE)],
+        }
+        for i, (label, value) in enumerate(values.items())
+    ]
+    # Foxglove's key, and that of its open fork Lichtblick.
+    titles = {"foxglovePanelTitle": title, "lichtblickPanelTitle": title}
+    return {**_PLOT, **titles, "paths": paths}

@@ -1,0 +1,248 @@
+"""`Views`: samples viewed environments and writes what viewers show of them.
+
+It reads the engine's rows and model fields and computes kinematics on a model of its own, so
+viewing changes nothing in the simulation.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex, Write
+from embodichain.lab.sim.engine.layout import row_layout
+from embodichain.recording.options import RecordLike
+from embodichain.recording.views.log_lines import ending_text, event_text, ids_text, log_line
+from embodichain.recording.views.markers import Commands
+from embodichain.recording.views.messages import Sink
+from embodichain.recording.views.motion import Frames, Joints
+from embodichain.recording.views.places import pitch_of, places
+from embodichain.recording.views.scalars import METRICS, Scalars
+from embodichain.recording.views.scene import Props, scene_update
+from embodichain.recording.views.shapes import LOOKS, PLANE_SIZE
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.observers import EventRecord, ObservedEnv, StepRecord
+
+__all__ = ["SEEN", "Views"]
+
+SEEN = (
+    *LOOKS,
+    *("geom_sameframe", "body_pos", "body_quat", "body_sameframe", "jnt_pos", "jnt_axis", "qpos0"),
+)
+"""How the names of model fields begin that move or colour anything."""
+
+
+class Views:
+    """Writes the channels of viewed environments, and `/log`.
+
+    Args:
+        env: The environment.
+        options: Which environments, and how often they are sampled.
+        sink: Where messages go; channels are declared at once, those of metrics in the first step.
+        now: Returns the log time in ns.
+    """
+
+    def __init__(
+        self, env: ObservedEnv, options: RecordLike, sink: Sink, now: Callable[[], int]
+    ) -> None:
+        self._ids = np.array(sorted(set(options.view_envs)), np.int64)
+        self._is_viewed = np.zeros(env.num_envs, np.bool_)
+        self._is_viewed[self._ids] = True
+        self._sink, self._now = sink, now
+        self._every = max(1, math.ceil(1.0 / (options.view_hz * float(env.step_dt)) - 1e-9))
+        self._period_ns = self._every * round(float(env.step_dt) * 1e9)
+        self._shown: dict[int, bool] = dict.fromkeys(self._ids.tolist(), True)
+        """Environments whose scene is due; whether even if it looks as before."""
+        self._sampled = -1
+        self._next_line: dict[str, int] = {}  # interval term: when it may have a line again
+        self._rewards = getattr(env, "reward_manager", None)  # environments of others may have none
+        self._commands = Commands(env)
+        self._scalars: Scalars | None = None
+        engine = env.sim.engine
+        offsets = places(env, self._ids.tolist())
+        props = Props(pitch_of(env) if len(self._ids) > 1 else PLANE_SIZE)
+        changed = {name for name in engine.model_fields() if name.startswith(SEEN)}
+        self._viewed = {i: _Viewed(engine, i, props, changed) for i in self._ids.tolist()}
+        self._data = mujoco.MjData(engine.model)
+        self._frames = Frames(engine.model, list(self._viewed), offsets)
+        self._joints = Joints(engine.model)
+        layout = row_layout(engine.model)
+        inputs = {name: getattr(self._data, name) for name in ("qpos", "mocap_pos", "mocap_quat")}
+        self._inputs = [(a.reshape(-1), layout[name]) for name, a in inputs.items() if a.size]
+        sink.channel("/log", "foxglove.Log")
+        if self._viewed:
+            sink.channel("/tf", "foxglove.FrameTransforms")
+        for env_id in self._viewed:
+            sink.channel(f"/env_{env_id}/scene", "foxglove.SceneUpdate")
+            sink.channel(f"/env_{env_id}/joint_states", "foxglove.JointStates")
+            if self._commands.drawn:
+                sink.channel(f"/env_{env_id}/markers", "foxglove.SceneUpdate")
+
+    def say(self, message: str, level: str = "INFO") -> None:
+        """Write a line to `/log`."""
+        time_ns = self._now()
+        self._sink.send(time_ns, [("/log", log_line(time_ns, message, level))])
+
+    def show(self, env_ids: Iterable[int]) -> None:
+        """Show the scenes of these environments with the next sample, changed or not."""
+        self._shown.update(dict.fromkeys(self._viewed.keys() & set(env_ids), True))
+
+    def on_model_write(self, write: Write) -> None:
+        """Note that a model field of viewed environments has changed."""
+        if write.field.startswith(SEEN):
+            for env_id in self._among(write.env_ids):
+                self._viewed[env_id].changed.add(write.field)
+
+    def _among(self, env_ids: EnvIndex | None) -> list[int]:
+        """Which of these environments (None: all) are viewed."""
+        found: list[int] = (
+            self._ids if env_ids is None else env_ids[self._is_viewed[env_ids]]
+        ).tolist()
+        return found
+
+    def on_rows(self, step: int, rows: F64, last: bool = False) -> None:
+        """Sample the viewed rows if they are due, or after a reset.
+
+        Args:
+            step: Control step whose physics follows.
+            rows: (N, nstate) rows.
+            last: Nothing follows: sample in any case.
+        """
+        if not self._viewed or step == self._sampled:
+            return
+        if step % self._every and not self._shown and not last:
+            return
+        self._sampled, time_ns = step, self._now()
+        messages = [
+            (f"/env_{env_id}/scene", scene)
+            for env_id, anyway in self._shown.items()
+            if (scene := self._viewed[env_id].scene(time_ns, anyway)) is not None
+        ]
+        self._shown = {}
+        for index, (env_id, viewed) in enumerate(self._viewed.items()):
+            row = rows[env_id]
+            for target, columns in self._inputs:
+                target[:] = row[columns]
+            mujoco.mj_kinematics(viewed.model, self._data)
+            self._frames.place(index, self._data)
+            messages.append((f"/env_{env_id}/joint_states", self._joints.encode(time_ns, row)))
+            if self._commands.drawn:
+                markers = self._commands.update(time_ns, env_id, self._data)
+                messages.append((f"/env_{env_id}/markers", markers))
+        messages.append(("/tf", self._frames.encode(time_ns)))
+        self._sink.send(time_ns, messages)
+
+    def on_reset(self, env_ids: EnvIndex) -> None:
+        """Sample viewed environments that were reset, with their scene if it has changed."""
+        seen = self._among(env_ids)
+        if seen:
+            for env_id in seen:
+                self._shown.setdefault(env_id, False)
+            self.say(f"environments {ids_text(np.array(seen))} reset")
+
+    def on_event(self, event: EventRecord) -> None:
+        """Write a line for each viewed environment in which a term fired, with what it drew.
+
+        Terms that fire at intervals have lines at most as often as environments are sampled; the
+        log's events have all of them.
+        """
+        time_ns, ids = self._now(), event.env_ids
+        if event.mode == "interval":
+            if time_ns < self._next_line.get(event.term, 0):
+                return
+            self._next_line[event.term] = time_ns + self._period_ns
+        lines = []
+        for env_id in self._among(ids):
+            row = env_id if ids is None else int(np.searchsorted(ids, env_id))
+            drawn = {name: values[row] for name, values in event.drawn.items()}
+            text = event_text(env_id, event.term, event.mode, drawn)
+            lines.append(("/log", log_line(time_ns, text)))
+        if lines:
+            self._sink.send(time_ns, lines)
+
+    def on_step(self, step: int, record: StepRecord, ended: bool = True) -> None:
+        """Write the numbers of viewed environments if they are due, and lines for what ended.
+
+        Args:
+            step: Control step.
+            record: What it returned.
+            ended: Whether an episode may have ended in any environment.
+        """
+        if ended:
+            self._say_endings(step, record)
+        if self._viewed and step % self._every == 0:
+            scalars, time_ns = self.declare(record), self._now()
+            if self._rewards is not None:
+                scalars.weigh(self._rewards.weights)
+            metrics = zip(self._viewed, scalars.encode(record), strict=True)
+            self._sink.send(time_ns, [(f"/env_{i}/metrics", data) for i, data in metrics])
+
+    def _say_endings(self, step: int, record: StepRecord) -> None:
+        diverged = record.info.get("diverged")
+        if diverged is not None and record.terminated.any():  # to diverge is to terminate
+            ids = np.flatnonzero(np.asarray(diverged))
+            if len(ids):
+                self.say(f"environments {ids_text(ids)} diverged in step {step}", "WARNING")
+        over = record.terminated[self._ids] | record.truncated[self._ids]
+        for env_id in self._ids[over].tolist():
+            self.say(ending_text(record, env_id))
+
+    def declare(self, record: StepRecord) -> Scalars:
+        """Return the run's scalars; the first call finds them and declares their channels."""
+        if self._scalars is None:
+            self._scalars = Scalars(record, self._ids, self._commands)
+            for env_id in self._viewed:
+                schema = self._scalars.descriptor_set
+                self._sink.channel(f"/env_{env_id}/metrics", f"embodichain.{METRICS}", schema)
+        return self._scalars
+
+    def close(self, step: int, rows: F64) -> None:
+        """Show the last state, and say that recording ends."""
+        self.on_rows(step, rows, last=True)
+        self.say(f"recording ends after {step} steps")
+
+
+class _Viewed:
+    """What one environment looks like.
+
+    Args:
+        engine: Its engine.
+        env_id: The environment.
+        props: Encoded meshes.
+        changed: Model fields that differ between environments already.
+
+    Attributes:
+        changed: Model fields that have changed since they were read.
+    """
+
+    def __init__(self, engine: Engine, env_id: int, props: Props, changed: set[str]) -> None:
+        self._engine, self._env_id, self._props = engine, env_id, props
+        self._model, self._owned, self._stale = engine.model, False, True
+        self.changed = set(changed)
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The environment's model as it is now, as far as `SEEN` goes."""
+        if self.changed:
+            if not self._owned:
+                self._model, self._owned = copy.copy(self._model), True
+            for field in self.changed:
+                values = self._engine.model_field(field)[self._env_id]
+                getattr(self._model, field).reshape(-1)[:] = values
+            self._stale |= any(field.startswith(LOOKS) for field in self.changed)
+            self.changed = set()
+        return self._model
+
+    def scene(self, time_ns: int, anyway: bool) -> bytes | None:
+        """Return its `SceneUpdate`; None if it looks as before, unless that is wanted anyway."""
+        model = self.model
+        if not self._stale and not anyway:
+            return None
+        self._stale = False
+        return scene_update(time_ns, model, self._env_id, self._props)
