@@ -36,7 +36,7 @@ from embodichain.recording.metrics import read_metrics
 from embodichain.recording.model_columns import Column, state_columns
 from embodichain.recording.recorded_model import approximate_model, exact_model, model_to_simulate
 from embodichain.recording.simulation import Simulation
-from embodichain.recording.trajectory import Rows, Span, runs
+from embodichain.recording.trajectory import Rows, Span, outcomes, runs
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -206,7 +206,7 @@ class Log:
 
     def _action_width(self) -> int:
         """Columns of an action; 0 if no step is in the log."""
-        first = next((run for run in runs(self.reader) if run.steps), None)
+        first = next((run for run in runs(self.reader, wanted=outcomes) if run.steps), None)
         return 0 if first is None else first.calls[-1].arrays["action"].shape[-1]
 
     @property

@@ -38,8 +38,9 @@ equal bytes are stored once.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -60,7 +61,13 @@ MOST_PHYSICS_STEPS = 1_000_000
 
 _SMALLEST_SHARED = 64
 """Bytes; smaller arrays are not compared with others."""
-_DTYPES = {"<f8": 8, "<f4": 4, "<i8": 8, "<u8": 8, "|b1": 1}
+_DTYPES = {name: np.dtype(name) for name in ("<f8", "<f4", "<i8", "<u8", "|b1")}
+_IDS = frozenset({"env_ids", "failed"})
+"""Arrays that name environments."""
+_FIRST, _COUNT, _CALLS, _DATA = 0x08, 0x10, 0x1A, 0x22
+"""Keys of the fields of `embodichain.Steps`: number and wire type."""
+_LARGEST_CACHED = 4096
+"""Bytes of a call's declaration that is kept for the next message."""
 _KINDS = {"write", "physics", "event", "step", "start"}
 _WRITES = {"state": True, "model": True, "reset": True, "set_const": False}
 """Operation of a write: whether it has values."""
@@ -170,7 +177,7 @@ def pack_run(
             call.arrays.add(name=array.name, dtype=array.dtype, shape=array.shape, offset=offset)
     # Protobuf concatenates: the key of field 4 and its length, without copying the bytes again.
     head = message.SerializeToString()
-    return b"".join([head, b"\x22", _varint(end), *parts])
+    return b"".join([head, bytes([_DATA]), _varint(end), *parts])
 
 
 def _varint(value: int) -> bytes:
@@ -182,7 +189,13 @@ def _varint(value: int) -> bytes:
     return bytes(out)
 
 
-def unpack_run(data: bytes | memoryview, num_envs: int, moved: int, nstate: int) -> Run:
+def unpack_run(
+    data: bytes | memoryview,
+    num_envs: int,
+    moved: int,
+    nstate: int,
+    wanted: Callable[[CallKind], bool] | None = None,
+) -> Run:
     """Read `embodichain.Steps`; no length, index or shape in it is believed unchecked.
 
     Args:
@@ -190,6 +203,7 @@ def unpack_run(data: bytes | memoryview, num_envs: int, moved: int, nstate: int)
         num_envs: N of the log.
         moved: Columns that physics writes.
         nstate: Columns of a whole row.
+        wanted: Whether a call is read; None reads all.
 
     Returns:
         The run; its arrays share the message's bytes.
@@ -197,61 +211,97 @@ def unpack_run(data: bytes | memoryview, num_envs: int, moved: int, nstate: int)
     Raises:
         DamageError: If the message is not a run of such a log.
     """
-    message = message_class("Steps")()
-    try:
-        message.ParseFromString(bytes(data))
-    except DecodeError as error:
-        raise DamageError(f"a run of control steps is damaged: {error}") from error
-    first, count, blob = message.first, message.count, message.data
+    first, count, declared_calls, blob = _split(memoryview(data))
     if not 0 < count <= MOST_STEPS or first >= 2**62:
         raise DamageError(f"a run of {count} control steps from step {first}")
     calls = []
-    for found in message.calls:
-        arrays: dict[str, NDArray[Any]] = {}
-        for array in found.arrays:
-            arrays[array.name] = _array(array, count, blob)
-        kinds = tuple(ArrayKind(a.name, a.dtype, tuple(a.shape)) for a in found.arrays)
-        columns = tuple(found.columns) if found.some_columns else None
-        kind = CallKind(found.kind, found.name, found.mode, found.nstep, columns, kinds)
-        why = _wrong(kind, arrays, num_envs, moved, nstate)
+    for declared in declared_calls:
+        declaration = _declaration if len(declared) < _LARGEST_CACHED else _declaration.__wrapped__
+        kind, offsets, why = declaration(declared, num_envs, moved, nstate)
+        if wanted is not None and not wanted(kind):
+            continue
         if why:
             raise DamageError(f"step {first}: {why}")
+        arrays = {}
+        for array, offset in zip(kind.arrays, offsets, strict=True):
+            values = arrays[array.name] = _array(array, offset, count, blob)
+            if array.name in _IDS and not _ascending(values, num_envs):
+                raise DamageError(f"step {first}: {array.name} are no environments of this log")
         calls.append(Call(kind, arrays))
     return Run(first, count, calls)
 
 
-def _array(array: Any, count: int, blob: bytes) -> NDArray[Any]:
-    """(count, *shape) values of an `embodichain.Array`."""
-    shape = tuple(array.shape)
-    itemsize = _DTYPES.get(array.dtype)
-    if itemsize is None:
-        raise DamageError(f"array {array.name!r} has the unknown type {array.dtype!r}")
+def _split(data: memoryview) -> tuple[int, int, list[bytes], memoryview]:
+    """The fields of a serialized `embodichain.Steps`; `data` is not copied, as protobuf would."""
+    numbers = {_FIRST: 0, _COUNT: 0}
+    calls: list[bytes] = []
+    blob, at = data[:0], 0
+    while at < len(data):
+        key, at = _read_varint(data, at)
+        value, at = _read_varint(data, at)
+        if key in numbers:
+            numbers[key] = value
+            continue
+        if key not in (_CALLS, _DATA) or value > len(data) - at:
+            raise DamageError("a run of control steps is damaged: it has an unknown field")
+        found, at = data[at : at + value], at + value
+        if key == _CALLS:
+            calls.append(bytes(found))
+        else:
+            blob = found
+    return numbers[_FIRST], numbers[_COUNT], calls, blob
+
+
+def _read_varint(data: memoryview, at: int) -> tuple[int, int]:
+    value = 0
+    for index, byte in enumerate(data[at : at + 10]):
+        value |= (byte & 0x7F) << 7 * index
+        if byte < 0x80:
+            return value, at + index + 1
+    raise DamageError("a run of control steps is damaged: it is cut short")
+
+
+def _array(array: ArrayKind, offset: int, count: int, blob: memoryview) -> NDArray[Any]:
+    """(count, *shape) values."""
+    name, dtype, shape = array
     size = count * math.prod(shape)
-    if len(shape) > 8 or array.offset + size * itemsize > min(len(blob), LARGEST_CHUNK):
-        raise DamageError(f"array {array.name!r} of shape {shape} is not in the message")
-    flat = np.frombuffer(blob, array.dtype, size, array.offset)
-    if array.dtype == "|b1" and size and int(flat.view(np.uint8).max()) > 1:
-        raise DamageError(f"array {array.name!r} has flags that are neither true nor false")
+    if offset + size * _DTYPES[dtype].itemsize > min(len(blob), LARGEST_CHUNK):
+        raise DamageError(f"array {name!r} of shape {shape} is not in the message")
+    flat = np.frombuffer(blob, _DTYPES[dtype], size, offset)
+    if dtype == "|b1":
+        flat = flat.view(np.uint8) != 0  # whatever byte is there
     return flat.reshape(count, *shape)
 
 
-def _wrong(
-    kind: CallKind, arrays: Mapping[str, NDArray[Any]], num_envs: int, moved: int, nstate: int
-) -> str:
+@lru_cache(maxsize=1024)
+def _declaration(
+    data: bytes, num_envs: int, moved: int, nstate: int
+) -> tuple[CallKind, tuple[int, ...], str]:
+    """A serialized `embodichain.Call`: its kind, offsets of its arrays, and what is wrong."""
+    try:
+        call = message_class("Call").FromString(data)
+    except DecodeError as error:
+        raise DamageError(f"a run of control steps is damaged: {error}") from error
+    arrays = tuple(ArrayKind(a.name, a.dtype, tuple(a.shape)) for a in call.arrays)
+    columns = tuple(call.columns) if call.some_columns else None
+    kind = CallKind(call.kind, call.name, call.mode, call.nstep, columns, arrays)
+    return kind, tuple(a.offset for a in call.arrays), _wrong(kind, num_envs, moved, nstate)
+
+
+def _wrong(kind: CallKind, num_envs: int, moved: int, nstate: int) -> str:
     """What is wrong with a call; empty if nothing is."""
     what = f"{kind.kind} {kind.name}".rstrip()
     if kind.kind not in _KINDS:
         return f"unknown call {kind.kind!r}"
-    if len(arrays) != len(kind.arrays):
+    shapes = {array.name: array.shape for array in kind.arrays}
+    if len(shapes) != len(kind.arrays):
         return f"{what} has an array twice"
-    n = num_envs
-    for name in ("env_ids", "failed"):
-        if name in arrays:
-            ids = arrays[name]
-            if ids.ndim != 2 or ids.dtype != np.int64 or not _ascending(ids, num_envs):
-                return f"{what} has no environments of this log as {name}"
-    if "env_ids" in arrays:
-        n = arrays["env_ids"].shape[1]
+    for array in kind.arrays:
+        if array.dtype not in _DTYPES or len(array.shape) > 8:
+            return f"{what} has an array of unknown type, {array.dtype!r}"
+        if array.name in _IDS and (array.dtype != "<i8" or len(array.shape) != 1):
+            return f"{what} has no environments as {array.name}"
+    n = shapes["env_ids"][0] if "env_ids" in shapes else num_envs
     have = {array.name: (array.dtype, array.shape) for array in kind.arrays}
     have.pop("env_ids", None)
     if kind.kind == "write":
@@ -302,7 +352,8 @@ def _wrong_write(
 
 
 def _ascending(ids: NDArray[Any], num_envs: int) -> bool:
+    """Whether each of (count, n) rows names environments in ascending order."""
     if not ids.size:
         return True
-    inside = int(ids.min()) >= 0 and int(ids.max()) < num_envs
-    return inside and bool((np.diff(ids, axis=1) > 0).all())
+    inside = int(ids[:, 0].min()) >= 0 and int(ids[:, -1].max()) < num_envs
+    return inside and bool((ids[:, 1:] > ids[:, :-1]).all())

@@ -16,6 +16,7 @@ from embodichain.recording.episode_ends import EndedEpisode, decode_ends
 from embodichain.recording.header import Header
 from embodichain.recording.log_error import DamageError, LogError
 from embodichain.recording.schema import STEPS_TOPIC
+from embodichain.recording.trajectory import outcomes
 
 __all__ = ["ChannelInfo", "Episode", "LogSummary", "inspect"]
 
@@ -124,7 +125,7 @@ def inspect(path: str | Path) -> LogSummary:
             for topic, _, data in reader.messages():
                 counts[topic] += 1
                 if topic == STEPS_TOPIC:
-                    run = unpack_run(data, *sizes)
+                    run = unpack_run(data, *sizes, outcomes)
                     if run.steps:
                         steps, last_step = steps + run.steps, run.first + run.count - 1
                 elif topic == EPISODE_TOPIC:

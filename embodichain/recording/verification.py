@@ -31,7 +31,7 @@ from embodichain.recording.simulation import (
     Simulation,
     always,
 )
-from embodichain.recording.trajectory import runs
+from embodichain.recording.trajectory import outcomes, runs
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["Difference", "VerifyReport", "verify"]
@@ -169,7 +169,7 @@ def _episode(reader: LogReader, selected: EnvIndex, episode: int) -> Active:
     masks: dict[int, NDArray[np.bool_]] = {}
     last = -1
     try:
-        for run in runs(reader):
+        for run in runs(reader, wanted=outcomes):
             if run.steps:
                 ids = run.calls[-1].arrays["episode_ids"][:, selected]
                 masks |= zip(range(run.first, run.first + run.count), ids == episode, strict=True)

@@ -269,3 +269,12 @@ class EnvCfg:
     extensions: dict[str, Any] = dataclasses.field(default_factory=dict, kw_only=True)
     """Become attributes of the environment."""
     suggested: SuggestedCfg = dataclasses.field(default_factory=SuggestedCfg, kw_only=True)
+
+    def complete(self) -> None:
+        """Set fields that follow from others, in place, before an environment is built.
+
+        The default does nothing; configs in another form, such as EmbodiChain's, convert it here.
+
+        Raises:
+            ConfigError: If the config cannot be completed.
+        """

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from embodichain.lab.gym.gym_config.draft import Draft, Path
-from embodichain.lab.gym.gym_config.rigid_objects import convert_attrs
-from embodichain.lab.gym.gym_config.vocabulary import (
+from embodichain.compat.gym_config.draft import Draft, Path
+from embodichain.compat.gym_config.rigid_objects import convert_attrs
+from embodichain.compat.gym_config.vocabulary import (
     ARTICULATION,
     DRIVE,
     ROBOT,

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from embodichain.compat.gym_config.conversion import convert
 from embodichain.lab.gym.envs.managers.registry import TERMS
-from embodichain.lab.gym.gym_config.conversion import convert
 
 FUNCTORS = yaml.safe_load(Path(__file__).with_name("functors.yaml").read_text())
 

@@ -11,7 +11,7 @@ from embodichain.lab.gym.utils.gym_utils import add_env_launcher_args_to_parser
 from embodichain.lab.sim import SimulationManagerCfg
 from embodichain.lab.sim.cfg import RigidObjectCfg
 
-from embodichain.compat.visualization import (  # isort: skip
+from embodichain.recording.viewers.visualization import (  # isort: skip
     ViserServerCfg,
     VisualizationCfg,
     add_viser_args_to_parser,

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from embodichain.lab.gym.gym_config.conversion import Conversion, convert
-from embodichain.lab.gym.gym_config.file import is_gym_config, read_gym_config
+from embodichain.compat.gym_config.conversion import Conversion, convert
+from embodichain.compat.gym_config.file import is_gym_config, read_gym_config
 from embodichain.utils.errors import ConfigError
 
-CONFIGS = Path(__file__).parents[3] / "helpers" / "gym_configs"
+CONFIGS = Path(__file__).parents[2] / "helpers" / "gym_configs"
 
 
 def read(name: str) -> dict[str, Any]:

@@ -1,7 +1,7 @@
 """`EmbodiedEnvCfg`: a task declared in Python in EmbodiChain's form, with lists of entities.
 
-`fill_in` converts it as a gym config is converted (`lab.gym.gym_config`): what means something else
-or nothing here is said in the same words.
+`EmbodiedEnvCfg.complete` converts it as a gym config is converted (`compat.gym_config`): notes on
+what means something else or nothing here are the same.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ import logging
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+from embodichain.compat.gym_config.conversion import Conversion, convert
 from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
 from embodichain.lab.gym.envs.managers.registry import TERMS, Kind
-from embodichain.lab.gym.gym_config.conversion import Conversion, convert
 from embodichain.lab.sim.cfg import ArticulationCfg, LightCfg, RigidObjectCfg, name_of
 from embodichain.lab.sim.sensors.cfg import CameraCfg, no_camera
 from embodichain.utils.configclass import configclass, is_configclass
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.from_dict import from_dict
 
-__all__ = ["EmbodiedEnvCfg", "fill_in"]
+__all__ = ["EmbodiedEnvCfg"]
 
 _log = logging.getLogger(__name__)
 _SECTIONS: Mapping[str, Kind] = {
@@ -79,28 +79,27 @@ class EmbodiedEnvCfg(EnvCfg):
     init_rollout_buffer: bool = dataclasses.field(default=False, kw_only=True)
     """No effect: a learner keeps its own buffer."""
 
+    def complete(self) -> None:
+        """Set the fields of `EnvCfg` from those in EmbodiChain's form; log what is left out.
 
-def fill_in(cfg: EmbodiedEnvCfg) -> None:
-    """Set the fields of `EnvCfg` from those in EmbodiChain's form; log what is left out.
-
-    Raises:
-        ConfigError: A value cannot be converted; holds every mistake.
-        NotImplementedError: A camera is declared.
-    """
-    cameras = [sensor for sensor in cfg.sensor if isinstance(sensor, CameraCfg)]
-    if cameras:
-        raise no_camera(cameras[0])
-    conversion = convert(_gym_config(cfg), ours=True)
-    if conversion.problems:
-        raise ConfigError([_here(p, p.path) for p in conversion.problems])
-    declared = _checked(conversion)
-    for name in ("robot", "extensions", *_SECTIONS):
-        setattr(cfg, name, getattr(declared, name))
-    for name in _MAPS:
-        setattr(cfg, name, {**getattr(declared, name), **getattr(cfg, name)})
-    cfg.sensors = {**{name_of(sensor): sensor for sensor in cfg.sensor}, **cfg.sensors}
-    for note in conversion.notes:
-        _log.warning("%s", _here(note, note.path))
+        Raises:
+            ConfigError: A value cannot be converted; contains every mistake.
+            NotImplementedError: A camera is declared.
+        """
+        cameras = [sensor for sensor in self.sensor if isinstance(sensor, CameraCfg)]
+        if cameras:
+            raise no_camera(cameras[0])
+        conversion = convert(_gym_config(self), ours=True)
+        if conversion.problems:
+            raise ConfigError([_here(p, p.path) for p in conversion.problems])
+        declared = _checked(conversion)
+        for name in ("robot", "extensions", *_SECTIONS):
+            setattr(self, name, getattr(declared, name))
+        for name in _MAPS:
+            setattr(self, name, {**getattr(declared, name), **getattr(self, name)})
+        self.sensors = {**{name_of(sensor): sensor for sensor in self.sensor}, **self.sensors}
+        for note in conversion.notes:
+            _log.warning("%s", _here(note, note.path))
 
 
 def _gym_config(cfg: EmbodiedEnvCfg) -> dict[str, Any]:

@@ -6,15 +6,15 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from embodichain.lab.gym.gym_config.draft import Draft, Path
-from embodichain.lab.gym.gym_config.rigid_objects import (
+from embodichain.compat.gym_config.draft import Draft, Path
+from embodichain.compat.gym_config.rigid_objects import (
     convert_lights,
     convert_objects,
     convert_sensors,
 )
-from embodichain.lab.gym.gym_config.robots import convert_articulations, convert_robot
-from embodichain.lab.gym.gym_config.terms import convert_actions, convert_terms
-from embodichain.lab.gym.gym_config.vocabulary import ENV, PHYSICS, TOP
+from embodichain.compat.gym_config.robots import convert_articulations, convert_robot
+from embodichain.compat.gym_config.terms import convert_actions, convert_terms
+from embodichain.compat.gym_config.vocabulary import ENV, PHYSICS, TOP
 from embodichain.utils.errors import Problem
 
 __all__ = ["CLASSES", "Conversion", "convert"]

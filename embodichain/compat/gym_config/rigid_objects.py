@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from embodichain.lab.gym.gym_config.draft import Draft, Path
-from embodichain.lab.gym.gym_config.vocabulary import (
+from embodichain.compat.gym_config.draft import Draft, Path
+from embodichain.compat.gym_config.vocabulary import (
     ATTR_GROUPS,
     ATTRS,
     LIGHT,

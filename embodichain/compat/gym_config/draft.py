@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import PurePosixPath
 from typing import Any
 
-from embodichain.lab.gym.gym_config.vocabulary import HANDLED, As, Vocabulary
+from embodichain.compat.gym_config.vocabulary import HANDLED, As, Vocabulary
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean
 

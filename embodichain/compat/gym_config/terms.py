@@ -8,22 +8,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-from embodichain.lab.gym.envs.managers.registry import TERMS, TermSpec
-from embodichain.lab.gym.gym_config.draft import Draft, Path
-from embodichain.lab.gym.gym_config.functors import (
+from embodichain.compat.gym_config.draft import Draft, Path
+from embodichain.compat.gym_config.functors import (
     ACTIONS,
     LEFT_OUT,
     NEEDS_ANY,
     PARAMS_LEFT_OUT,
     VISUAL,
 )
-from embodichain.lab.gym.gym_config.vocabulary import (
+from embodichain.compat.gym_config.vocabulary import (
     ACTION,
     EVENT,
     OBSERVATION,
     REWARD,
     Vocabulary,
 )
+from embodichain.lab.gym.envs.managers.registry import TERMS, TermSpec
 
 __all__ = ["convert_actions", "convert_terms"]
 

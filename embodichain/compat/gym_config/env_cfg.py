@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import Any
 
+from embodichain.compat.gym_config.conversion import Conversion, convert
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.registry import TERMS, Kind
-from embodichain.lab.gym.gym_config.conversion import Conversion, convert
 from embodichain.lab.gym.utils.registration import REGISTERED_ENVS
 from embodichain.lab.sim.cfg import RenderCfg, SimulationManagerCfg
 from embodichain.utils.errors import ConfigError, Problem

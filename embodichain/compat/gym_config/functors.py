@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Final
 
-from embodichain.lab.gym.gym_config.vocabulary import Left
+from embodichain.compat.gym_config.vocabulary import Left
 
 __all__ = ["ACTIONS", "LEFT_OUT", "NEEDS_ANY", "PARAMS_LEFT_OUT", "VISUAL", "left_out_functors"]
 

@@ -6,9 +6,12 @@ The command `embodichain` has its own (`embodichain.cli`).
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
-from types import ModuleType
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
+
+from embodichain.compat.gym_config.env_cfg import config_to_cfg
+from embodichain.compat.gym_config.file import read_gym_config
+from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
@@ -95,10 +98,6 @@ def build_env_cfg_from_args(
     Raises:
         ConfigError: No gym config is named, a file cannot be read, or holds mistakes.
     """
-    from embodichain.lab.gym.gym_config.env_cfg import config_to_cfg
-    from embodichain.lab.gym.gym_config.file import read_gym_config
-    from embodichain.utils.errors import ConfigError
-
     if not args.gym_config:
         raise ConfigError("no gym config is named: --gym_config FILE")
     config = read_gym_config(args.gym_config)
@@ -111,12 +110,3 @@ def build_env_cfg_from_args(
     cfg = config_to_cfg({**config, **flags})
     action = read_gym_config(args.action_config) if args.action_config else {}
     return cfg, config, action
-
-
-def config_to_cfg(
-    config: dict[str, Any], manager_modules: Sequence[str | ModuleType] | None = None
-) -> EnvCfg:
-    """Convert the content of EmbodiChain's gym config; see `gym_config.env_cfg.config_to_cfg`."""
-    from embodichain.lab.gym.gym_config import env_cfg
-
-    return env_cfg.config_to_cfg(config, manager_modules)

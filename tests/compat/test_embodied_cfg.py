@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 
+from embodichain.compat.gym_config.env_cfg import config_to_cfg
 from embodichain.lab.gym.envs import EmbodiedEnv, EmbodiedEnvCfg
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
-from embodichain.lab.gym.gym_config.env_cfg import config_to_cfg
 from embodichain.lab.gym.utils.registration import register_env
 from embodichain.lab.sim.cfg import LightCfg, RigidBodyAttributesCfg, RigidObjectCfg, RobotCfg
 from embodichain.lab.sim.sensors import CameraCfg, ContactSensorCfg, LinksCfg, StereoCameraCfg
@@ -28,7 +28,7 @@ from embodichain.compat.functor_cfgs import (  # isort: skip  (where `managers` 
     RewardCfg,
 )
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "scripts" / "tutorials" / "gym" / "modular_env.py"
 HOME = [0.0, -1.57, 1.57, -1.57, -1.57, 0.0]
 
