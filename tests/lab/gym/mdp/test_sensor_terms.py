@@ -79,7 +79,7 @@ def seen(env: BaseEnv, func: str, **params: Any) -> np.ndarray[Any, Any]:
     from embodichain.lab.gym.envs.managers import ObservationManager
 
     manager = ObservationManager(env, {"it": ObservationCfg(func=func, params=params)})
-    obs: dict[Any, torch.Tensor] = {}
+    obs: dict[Any, Any] = {}
     manager.compute(obs)
     found: np.ndarray[Any, Any] = obs["it",].numpy()
     assert found.dtype == np.float32
