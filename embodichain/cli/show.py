@@ -79,7 +79,7 @@ def _show_term(name: str, *, json: bool) -> None:
         print_json({"terms": [entry.facts() for entry in entries]})
         return
     for entry in entries:
-        sections = ", ".join(SECTION_OF[kind] for kind in entry.kinds)
+        sections = ", ".join(SECTION_OF[kind] for kind in entry.kinds) or "`shape` of a term"
         blocks = [entry.name, f"for: {sections}", entry.signature, entry.doc.text]
         sys.stdout.write("\n".join(wrapped(block) + "\n" for block in blocks if block))
         sys.stdout.write("\n")
@@ -88,4 +88,4 @@ def _show_term(name: str, *, json: bool) -> None:
             print_table("parameters", [{**r, "default": r["default"] or "(needed)"} for r in rows])
         if entry.doc.example:
             sys.stdout.write(wrapped(f"example:\n\n  {entry.doc.example}") + "\n\n")
-        sys.stdout.write(f"defined in {entry.defined}\n")
+        sys.stdout.write(f"defined in {entry.spec.place}\n")

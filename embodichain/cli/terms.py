@@ -12,13 +12,21 @@ import types
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin
 
+import yaml
+
+from embodichain.lab.gym.envs.managers.aliases import AliasSpec
+from embodichain.lab.gym.envs.managers.registry import (
+    SECTIONS,
+    SHAPES,
+    TERMS,
+    VALUE_KINDS,
+    Kind,
+    TermSpec,
+)
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
-
-if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.managers.registry import TermSpec
 
 __all__ = [
     "SECTION_OF",
@@ -28,22 +36,12 @@ __all__ = [
     "catalogue",
     "find_entries",
     "parse_doc",
+    "shape_entries",
     "type_words",
 ]
 
-SECTION_OF = {
-    "action": "actions",
-    "event": "events",
-    "command": "commands",
-    "observation": "observations",
-    "reward": "rewards",
-    "termination": "terminations",
-    "metric": "metrics",
-    "curriculum": "curriculum",
-}
+SECTION_OF: dict[Kind, str] = {kind: section for section, kind in SECTIONS.items()}
 """Kind of term -> section of a task, in the order of pages and tables."""
-
-
 _SECTION = re.compile(r"^(Args|Attributes|Returns|Raises|Example|Examples|Note|Yields):\s*$")
 _ENTRY = re.compile(r"^\*{0,2}(\w+)(?: \([^)]*\))?: (.*)$")
 
@@ -56,7 +54,7 @@ class TermDoc:
         summary: Its first paragraph, on one line.
         text: The paragraphs before the first section, the summary among them.
         params: What each argument is, on one line.
-        example: The line of YAML that declares the term; empty if there is none.
+        example: YAML on one line that declares the term; empty if there is none.
     """
 
     summary: str = ""
@@ -71,20 +69,25 @@ class TermEntry:
 
     Attributes:
         name: How configs call it.
-        kinds: The managers that run it.
+        kinds: The managers that run it; none for a shape.
         spec: As it is registered under the first of them.
-        doc: Its docstring.
+        doc: Its docstring; of an alias what it stands for.
     """
 
     name: str
-    kinds: tuple[str, ...]
+    kinds: tuple[Kind, ...]
     spec: TermSpec
     doc: TermDoc
 
     @property
+    def is_alias(self) -> bool:
+        """Whether it stands for a quantity with a shape."""
+        return isinstance(self.spec, AliasSpec)
+
+    @property
     def signature(self) -> str:
         """``name(a, b=1)``, as configs see it."""
-        return f"{self.name}({', '.join(map(_short, self.spec.params.values()))})"
+        return f"{self.name}({', '.join(_short(*item) for item in self.spec.params.items())})"
 
     def parameters(self) -> list[dict[str, str]]:
         """One row a parameter: name, type with its range, default, what it is."""
@@ -99,11 +102,6 @@ class TermEntry:
             for name, parameter in self.spec.params.items()
         ]
 
-    @property
-    def defined(self) -> str:
-        """``module:name`` of the function or class."""
-        return f"{self.spec.func.__module__}:{self.spec.func.__qualname__}"
-
     def facts(self) -> dict[str, Any]:
         """Everything about it, for JSON."""
         return {
@@ -113,31 +111,71 @@ class TermEntry:
             "parameters": self.parameters(),
             "doc": self.doc.text,
             "example": self.doc.example,
-            "defined": self.defined,
+            "defined": self.spec.place,
         }
 
 
 def all_entries() -> list[TermEntry]:
     """Every registered term, by section, then by name; one registered twice stands once."""
-    from embodichain.lab.gym.envs.managers.registry import TERMS
-
     found: dict[tuple[str, Any], list[TermSpec]] = {}
     for kind in SECTION_OF:
-        for name, spec in sorted(TERMS[kind].items()):  # type: ignore[index]
+        for name, spec in sorted(TERMS[kind].items()):
             found.setdefault((name, spec.func), []).append(spec)
     return [
-        TermEntry(name, tuple(s.kind for s in specs), specs[0], parse_doc(specs[0].doc))
+        TermEntry(name, tuple(cast("Kind", s.kind) for s in specs), specs[0], _doc_of(specs[0]))
         for (name, _), specs in found.items()
     ]
 
 
+def shape_entries() -> list[TermEntry]:
+    """Every shape that a quantity may be given, in the order of their module."""
+    TERMS["reward"]  # shapes are registered with the terms
+    return [TermEntry(name, (), spec, parse_doc(spec.doc)) for name, spec in SHAPES.items()]
+
+
+def _doc_of(spec: TermSpec) -> TermDoc:
+    return _doc_of_alias(spec) if isinstance(spec, AliasSpec) else parse_doc(spec.doc)
+
+
+def _doc_of_alias(spec: AliasSpec) -> TermDoc:
+    """What an alias stands for, in the words of its quantity and its shapes."""
+    docs = [parse_doc(part.doc) for part in (spec.target, *spec.steps)]
+    examples: list[dict[str, Any]] = [yaml.safe_load(doc.example) for doc in docs]
+    example: dict[str, Any] = {"func": spec.name}
+    params: dict[str, Any] = {}
+    for name, (part, key) in spec.exposed.items():
+        given = examples[0].get("params", {})
+        if part:
+            given = _parameters_of(examples[part]["shape"], spec.steps[part - 1])
+        if key in given:
+            params[name] = given[key]
+    if params:
+        example["params"] = params
+    text = yaml.safe_dump(example, default_flow_style=True, sort_keys=False, width=10_000)
+    return TermDoc(
+        summary=f"{spec.doc} {docs[0].summary}",
+        text="\n\n".join([spec.doc, *(doc.summary for doc in docs)]),
+        params={name: docs[part].params.get(key, "") for name, (part, key) in spec.exposed.items()},
+        example=text.strip(),
+    )
+
+
+def _parameters_of(written: Any, shape: TermSpec) -> dict[str, Any]:
+    """Parameters of one shape in an example's `shape`."""
+    for step in written if isinstance(written, list) else [written]:
+        given = step.get(shape.name) if isinstance(step, dict) else None
+        if given is not None:
+            return given if isinstance(given, dict) else {next(iter(shape.params)): given}
+    return {}
+
+
 def find_entries(name: str) -> list[TermEntry]:
-    """Return what is registered under a name: several where kinds have one each.
+    """Return the terms and shapes of a name: several where kinds have one each.
 
     Raises:
         ConfigError: If nothing is; names the closest.
     """
-    entries = all_entries()
+    entries = [*all_entries(), *shape_entries()]
     found = [entry for entry in entries if entry.name == name]
     if not found:
         hint = did_you_mean(name, [entry.name for entry in entries])
@@ -145,10 +183,10 @@ def find_entries(name: str) -> list[TermEntry]:
     return found
 
 
-def _short(parameter: inspect.Parameter) -> str:
+def _short(name: str, parameter: inspect.Parameter) -> str:
     """``name`` where a value must be given, else ``name=default``."""
     required = parameter.default is inspect.Parameter.empty
-    return parameter.name if required else f"{parameter.name}={parameter.default}"
+    return name if required else f"{name}={parameter.default}"
 
 
 def _default(parameter: inspect.Parameter) -> str:
@@ -203,7 +241,7 @@ def _entries(lines: list[str]) -> dict[str, str]:
     for line in lines:
         entry = _ENTRY.match(line[indent:])
         if entry is not None:
-            name = entry[1]
+            name = entry[1].removesuffix("_")  # `from_` is written `from`
             found[name] = entry[2].strip()
         elif name and line.strip():
             found[name] = f"{found[name]} {line.strip()}"
@@ -319,40 +357,69 @@ def _listed(arguments: tuple[Any, ...]) -> str:
 _HEAD = """\
 # Terms
 
-Made by `embodichain list terms --markdown`: every function that a task can name, by the section it
-stands in, with its parameters and an example that a test builds. `embodichain show term NAME` says
-the same on the terminal. Units are SI and radians unless a line says otherwise; an *entity* is a
-reference such as `{uid: ur10, link_names: [ee_link]}`; `[low, high]` bounds are ordered.
+Made by `embodichain list terms --markdown`: every function that a task can name, with its
+parameters and an example that a test builds. `embodichain show term NAME` prints the same on the
+terminal. Units are SI and radians unless a line says otherwise; an *entity* is a reference such as
+`{uid: ur10, link_names: [ee_link]}`; `[low, high]` bounds are ordered. N is the number of
+environments.
+
+A reward, a metric or a termination is one number of each environment: a [quantity](#quantities),
+with a [shape](#shapes) where it has several columns or is to become a kernel or a truth. The
+section of the task says which of them it is; an observation takes the columns as they are.
+
+```yaml
+rewards:
+  reach: {func: distance, shape: {tanh: 0.1}, params: {from: {uid: cube}, to: {uid: goal}}}
+  effort: {func: joint_effort, shape: l2, weight: -1.0e-5, params: {of: {uid: ur10}}}
+metrics:
+  success: {func: distance, shape: {below: 0.05}, params: {from: {uid: cube}, to: {uid: goal}}}
+observations:
+  qvel: {func: joint_velocity, scale: 0.1, params: {of: {uid: ur10}}}
+```
+
+`of`, `from` and `to` may be written `entity_cfg`, `source_entity_cfg` and `target_entity_cfg`, and
+the other way round. [Other names](#other-names), which EmbodiChain, Isaac Lab, mjlab and dm_control
+use, stand for a quantity with a shape.
 """
 _BUILTIN = "embodichain."
+_QUANTITIES = (
+    "Serve observations, rewards, terminations and metrics, except where a line says otherwise."
+)
+_OTHERS = "Each has the parameters of what it stands for; words in capitals are its own."
 
 
 def catalogue() -> str:
     """Return the page. Terms of other packages are not on it."""
     entries = [e for e in all_entries() if e.spec.func.__module__.startswith(_BUILTIN)]
-    lines = [_HEAD, *_contents(entries)]
+    aliases = [e for e in entries if e.is_alias]
+    values = [e for e in entries if set(e.kinds) & set(VALUE_KINDS) and not e.is_alias]
+    lines = [_HEAD]
+    parts: dict[str, list[TermEntry]] = {"quantities": values, "shapes": shape_entries()}
     for kind, section in SECTION_OF.items():
-        lines += ["", f"## {section}", ""]
-        lines += _section([e for e in entries if kind in e.kinds], kind)
+        if kind not in VALUE_KINDS:
+            parts[section] = [e for e in entries if kind in e.kinds]
+    lines += [f"* [{title}](#{title}): {len(found)}" for title, found in parts.items()]
+    lines.append(f"* [other names](#other-names): {len(aliases)}")
+    for title, found in parts.items():
+        lines += ["", f"## {title}", ""]
+        if title == "quantities":
+            lines += [_QUANTITIES, ""]
+        for entry in found:
+            lines += _term(entry)
+    lines += [
+        "",
+        "## other names",
+        "",
+        _OTHERS,
+        "",
+        "| name | for | stands for |",
+        "| --- | --- | --- |",
+    ]
+    for entry in aliases:
+        sections = ", ".join(SECTION_OF[kind] for kind in entry.kinds)
+        meaning = entry.spec.doc.removeprefix("Stands for ").replace("``", "`").rstrip(".")
+        lines.append(f"| `{entry.name}` | {sections} | {meaning} |")
     return "\n".join(lines).rstrip("\n") + "\n"
-
-
-def _contents(entries: list[TermEntry]) -> Iterator[str]:
-    for kind, section in SECTION_OF.items():
-        count = sum(kind in entry.kinds for entry in entries)
-        yield f"* [{section}](#{section}): {count}"
-
-
-def _section(entries: list[TermEntry], kind: str) -> Iterator[str]:
-    """The terms whose first kind this is in full, the others by name."""
-    for entry in entries:
-        if entry.kinds[0] == kind:
-            yield from _term(entry)
-    others = [f"[`{e.name}`](#{e.name})" for e in entries if e.kinds[0] != kind]
-    if others:
-        yield f"Above, and of use here too: {', '.join(others)}."
-    if not entries:
-        yield "None yet."
 
 
 def _term(entry: TermEntry) -> Iterator[str]:
@@ -360,6 +427,9 @@ def _term(entry: TermEntry) -> Iterator[str]:
     yield ""
     yield entry.doc.text
     yield ""
+    if entry.kinds and set(entry.kinds) <= set(VALUE_KINDS) and len(entry.kinds) < len(VALUE_KINDS):
+        yield f"For {', '.join(SECTION_OF[kind] for kind in entry.kinds)}."
+        yield ""
     rows = entry.parameters()
     if rows:
         yield "| parameter | type | default | what |"

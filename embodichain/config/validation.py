@@ -23,7 +23,8 @@ from embodichain.config.locate import COMMAND_LINE, LocatedProblem
 from embodichain.config.newest import CHECKPOINT, named_checkpoint, newest_run
 from embodichain.config.schema import LARGEST_TRAINING_SEED, SUGGESTED_KEYS, RootCfg
 from embodichain.lab.gym.envs.cfg import EnvCfg
-from embodichain.lab.gym.envs.managers.check import SECTIONS, check_terms
+from embodichain.lab.gym.envs.managers.check import check_terms
+from embodichain.lab.gym.envs.managers.registry import SECTIONS
 from embodichain.lab.gym.policies import resolve_policy
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.utils.errors import ConfigError, Problem

@@ -9,64 +9,58 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any
 
-import lazy_loader
 import numpy as np
 from pydantic import AfterValidator, Field
 
-from embodichain.lab.gym.envs.cfg import TermCfg
+from embodichain.lab.gym.envs.cfg import ValueCfg
 from embodichain.lab.gym.envs.managers.base import Manager
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    import torch
+    from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.base import EnvIndex
-else:
-    torch = lazy_loader.load("torch")
 
 __all__ = ["AllOf", "AnyOf", "HeldFor", "ProductOf"]
 
 
-def _registered(term: TermCfg) -> TermCfg:
+def _registered(term: ValueCfg) -> ValueCfg:
     """Check an inner term as one of a manager's is checked, before anything is built."""
     from embodichain.lab.gym.envs.managers.check import check_term
 
     if isinstance(term.func, str) and ":" in term.func:
         raise ValueError("a term within a term must be a registered one, not an import path")
-    problems = check_term("metric", term, "")[2]
+    problems = check_term("metric", term, "")[1]
     if problems:
         raise ValueError("; ".join(str(problem).lstrip(".") for problem in problems))
     return term
 
 
-Inner = Annotated[TermCfg, AfterValidator(_registered)]
+Inner = Annotated[ValueCfg, AfterValidator(_registered)]
 Terms = Annotated[dict[str, Inner], Field(min_length=1)]
 Info = dict[str, Any]
 
 
 class _Joined(Term):
-    """Builds the inner terms, and passes on what happens to the outer one."""
+    """Builds the inner terms, joins their values, and passes on what happens to the outer one."""
 
-    def __init__(self, env: TermContext, terms: Mapping[str, TermCfg]) -> None:
-        self._inner: Manager[TermCfg] = Manager(env, "terms", "metric", terms)
+    def __init__(
+        self, env: TermContext, terms: Mapping[str, ValueCfg], join: np.ufunc, dtype: type
+    ) -> None:
+        self._inner: Manager[ValueCfg] = Manager(env, "terms", "metric", terms)
         self._calls = [term.call for term in self._inner.terms.values()]
+        self._join_two, self._dtype = join, dtype
 
-    def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> torch.Tensor:
+    def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> NDArray[Any]:
         """(N,)."""
-        found = [call(env, obs, action, info) for call in self._calls]
-        value = self._first(found[0])
+        found = [np.asarray(call(env, obs, action, info)) for call in self._calls]
+        value: NDArray[Any] = found[0].astype(self._dtype)
         for other in found[1:]:
-            value = self._join(value, other)
+            value = self._join_two(value, other.astype(self._dtype))
         return value
-
-    def _first(self, value: torch.Tensor) -> torch.Tensor:
-        return value != 0
-
-    def _join(self, value: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
-        raise NotImplementedError
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Reset the inner terms."""
@@ -89,14 +83,13 @@ class AllOf(_Joined):
         terms: Name -> metric term.
 
     Example:
-        ``{func: all_of, params: {terms: {near: {func: within_distance, params: {source_entity_cfg: {uid: cube}, target_entity_cfg: {uid: goal}, threshold: 0.05}}, still: {func: at_rest, params: {entity_cfg: {uid: cube}, linear_threshold: 0.01}}}}}``
-    """  # noqa: E501  (an example is one line)
+        ``{func: all_of, params: {terms: {near: {func: distance, shape: {below: 0.05}, params:
+        {from: {uid: cube}, to: {uid: goal}}}, still: {func: at_rest, params: {of: {uid: cube},
+        linear_threshold: 0.01}}}}}``
+    """
 
     def __init__(self, env: TermContext, terms: Terms) -> None:
-        super().__init__(env, terms)
-
-    def _join(self, value: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
-        return value & (other != 0)
+        super().__init__(env, terms, np.logical_and, np.bool_)
 
 
 @register_term("reward", "metric", "termination", name="any_of")
@@ -107,35 +100,29 @@ class AnyOf(_Joined):
         terms: Name -> metric term.
 
     Example:
-        ``{func: any_of, params: {terms: {low: {func: height_below, params: {entity_cfg: {uid: cube}, threshold: 0}}, high: {func: height_above, params: {entity_cfg: {uid: cube}, threshold: 1}}}}}``
-    """  # noqa: E501  (an example is one line)
+        ``{func: any_of, params: {terms: {low: {func: height, shape: {below: 0}, params: {of: {uid:
+        cube}}}, high: {func: height, shape: {above: 1}, params: {of: {uid: cube}}}}}}``
+    """
 
     def __init__(self, env: TermContext, terms: Terms) -> None:
-        super().__init__(env, terms)
-
-    def _join(self, value: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
-        return value | (other != 0)
+        super().__init__(env, terms, np.logical_or, np.bool_)
 
 
 @register_term("reward", "metric", name="product_of")
 class ProductOf(_Joined):
-    """The product of several terms: good only where all are. dm_control's rewards are such products.
+    """The product of several terms: large only where all are. dm_control's rewards are such.
 
     Args:
         terms: Name -> metric term.
 
     Example:
-        ``{func: product_of, weight: 1.0, params: {terms: {lifted: {func: height_above, params: {entity_cfg: {uid: cube}, threshold: 0.1}}, near: {func: distance_tanh, params: {source_entity_cfg: {uid: cube}, target_entity_cfg: {uid: goal}, std: 0.2}}}}}``
-    """  # noqa: E501  (an example is one line)
+        ``{func: product_of, weight: 1.0, params: {terms: {lifted: {func: height, shape: {above:
+        0.1}, params: {of: {uid: cube}}}, near: {func: distance, shape: {tanh: 0.2}, params: {from:
+        {uid: cube}, to: {uid: goal}}}}}}``
+    """
 
     def __init__(self, env: TermContext, terms: Terms) -> None:
-        super().__init__(env, terms)
-
-    def _first(self, value: torch.Tensor) -> torch.Tensor:
-        return value.to(torch.float32)
-
-    def _join(self, value: torch.Tensor, other: torch.Tensor) -> torch.Tensor:
-        return value * other.to(torch.float32)
+        super().__init__(env, terms, np.multiply, np.float32)
 
 
 @register_term("reward", "metric", "termination", name="held_for")
@@ -148,8 +135,9 @@ class HeldFor(_Joined):
         time_s: Seconds of simulated time, rounded to control steps.
 
     Example:
-        ``{func: held_for, params: {steps: 10, term: {func: within_distance, params: {source_entity_cfg: {uid: cube}, target_entity_cfg: {uid: goal}, threshold: 0.05}}}}``
-    """  # noqa: E501  (an example is one line)
+        ``{func: held_for, params: {steps: 10, term: {func: distance, shape: {below: 0.05}, params:
+        {from: {uid: cube}, to: {uid: goal}}}}}``
+    """
 
     def __init__(
         self,
@@ -160,15 +148,15 @@ class HeldFor(_Joined):
     ) -> None:
         if (steps is None) == (time_s is None):
             raise ConfigError([Problem("steps", "give either steps or time_s")])
-        super().__init__(env, {"term": term})
+        super().__init__(env, {"term": term}, np.logical_and, np.bool_)
         self._steps = steps or max(1, round((time_s or 0.0) / env.step_dt))
         self._held = np.zeros(env.num_envs, np.int64)
 
-    def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> torch.Tensor:
+    def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> NDArray[Any]:
         """(N,) bool."""
-        true = super().__call__(env, obs, action, info).numpy()
+        true = super().__call__(env, obs, action, info)
         self._held = np.where(true, self._held + 1, 0)
-        return torch.from_numpy(self._held >= self._steps)
+        return self._held >= self._steps
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Start counting anew in these environments."""
