@@ -13,7 +13,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from embodichain.lab.gym.envs.managers.term_rows import TermRows
 from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.engine.layout import as_slice
 from embodichain.recording.schema import scalars_class, scalars_descriptor_set
 
 if TYPE_CHECKING:
@@ -38,7 +40,7 @@ class Scalars:
     """
 
     def __init__(self, step: StepRecord, env_ids: NDArray[np.int64], commands: Commands) -> None:
-        self._which = env_ids
+        self._which = as_slice(env_ids)
         found = commands.scalars()
         self._commands = [values for _, values in found]
         self._facts = [key for key in _FACTS if key in step.info]
@@ -50,6 +52,7 @@ class Scalars:
             self.names.append(f"{name}__{taken + 1}" if taken else name)
         self._shape = len(self.names), len(env_ids)
         self._factors = np.ones((len(self.names), 1))
+        self._weighted = False
         self._weights: object = None  # those in `_factors`
         self._message = scalars_class(METRICS, self.names)
 
@@ -71,6 +74,7 @@ class Scalars:
             first = 3 + len(self._facts)
             for at, name in enumerate(self._terms["rewards"], first):
                 self._factors[at] = weights.get(name, 1.0)
+            self._weighted = bool((self._factors != 1.0).any())
 
     def take(self, step: StepRecord) -> F64:
         """Return the scalars, (S, n), copied.
@@ -91,6 +95,10 @@ class Scalars:
                 group: Mapping[str, Any] = info.get(key, {})
                 if len(group) != len(names):
                     raise KeyError(names)
+                if isinstance(group, TermRows) and list(group) == names:  # all at once
+                    taken[at : at + len(names)] = group.rows[:, which]
+                    at += len(names)
+                    continue
                 for name in names:
                     taken[at] = _array(group[name])[which]
                     at += 1
@@ -102,7 +110,8 @@ class Scalars:
             end = at + command.shape[1]
             taken[at:end] = command[which].T
             at = end
-        taken *= self._factors
+        if self._weighted:
+            taken *= self._factors
         return taken
 
     def encode(self, step: StepRecord) -> list[bytes]:
