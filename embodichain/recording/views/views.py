@@ -196,7 +196,7 @@ class Views:
     def declare(self, record: StepRecord) -> Scalars:
         """Return the run's scalars; the first call finds them and declares their channels."""
         if self._scalars is None:
-            self._scalars = Scalars(record, self._ids, self._commands)
+            self._scalars = Scalars(record, list(self._viewed), self._commands)
             schema = self._scalars.descriptor_set
             for viewed in self._viewed.values():
                 self._sink.channel(viewed.metrics, f"embodichain.{METRICS}", schema)
