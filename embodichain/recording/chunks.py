@@ -109,7 +109,7 @@ class LogReader:
         self._announced = 0  # messages, by the files' own statistics
         self._next = ""  # the file that continues the last one
         self._introduced = -1  # the last file that has said what it is
-        self._unpacked: tuple[ChunkPlace, list[Found]] | None = None  # the last one
+        self._unpacked: tuple[ChunkPlace, list[Found] | None] | None = None  # the last
         self._streams: list[BinaryIO] = []
         self._begins: list[int] = []  # bytes of the files before each
         try:
@@ -333,11 +333,9 @@ class LogReader:
             self._damaged(0, f"{read} messages where the file announces {self._announced}")
 
     def _unpack(self, chunk: ChunkPlace) -> list[Found] | None:
-        if self._unpacked is not None and self._unpacked[0] is chunk:
-            return self._unpacked[1]
-        found = self._read(chunk)
-        self._unpacked = None if found is None else (chunk, found)
-        return found
+        if self._unpacked is None or self._unpacked[0] is not chunk:
+            self._unpacked = chunk, self._read(chunk)
+        return self._unpacked[1]
 
     def _read(self, chunk: ChunkPlace) -> list[Found] | None:
         stream = self._streams[chunk.part]

@@ -163,9 +163,10 @@ def _history(log: Log, env: int, step: int) -> tuple[tuple[Drawn, ...], bool]:
 
 def _drawn(call: Call, t: int, ids: EnvIndex | None, env: int) -> Drawn:
     row = env if ids is None else int(np.searchsorted(ids, env))
-    values = {
-        name.removeprefix(DRAWN): np.array(drawn[t][row])
-        for name, drawn in call.arrays.items()
-        if name.startswith(DRAWN)
-    }
+    values = {}
+    for name, drawn in call.arrays.items():
+        if name.startswith(DRAWN):
+            if drawn.ndim < 2 or row >= drawn.shape[1]:
+                raise LogError(f"{call.kind.name}: what it drew is not of every environment")
+            values[name.removeprefix(DRAWN)] = np.array(drawn[t, row])
     return Drawn(call.kind.name, call.kind.mode, values)
