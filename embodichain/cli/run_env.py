@@ -71,9 +71,9 @@ def _overrides(options: argparse.Namespace) -> Iterator[str]:
 
 def _visual_events(path: str) -> list[str]:
     """The events of a gym config that only change how things look."""
-    from embodichain.lab.gym.gym_config.conversion import convert
-    from embodichain.lab.gym.gym_config.file import read_gym_config
-    from embodichain.lab.gym.gym_config.functors import VISUAL
+    from embodichain.compat.gym_config.conversion import convert
+    from embodichain.compat.gym_config.file import read_gym_config
+    from embodichain.compat.gym_config.functors import VISUAL
 
     events = convert(read_gym_config(path)).task.get("events", {})
     return [name for name, event in events.items() if event["func"] in VISUAL]
@@ -81,8 +81,8 @@ def _visual_events(path: str) -> list[str]:
 
 def _parser() -> VerbParser:
     """EmbodiChain's flags in both spellings, all unset: only what was typed counts."""
-    from embodichain.compat.visualization import add_viser_args_to_parser
-    from embodichain.lab.gym.utils.gym_utils import add_env_launcher_args_to_parser
+    from embodichain.compat.gym_utils import add_env_launcher_args_to_parser
+    from embodichain.recording.viewers.visualization import add_viser_args_to_parser
 
     parser = VerbParser(VERBS["run-env"])
     parser.add_argument("overrides", nargs="*", metavar="key=value", help="any key of the config")

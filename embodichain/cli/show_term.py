@@ -32,7 +32,6 @@ def show_term(name: str, *, json: bool) -> None:
 
 
 def _facts(entry: TermEntry) -> dict[str, Any]:
-    func = entry.spec.func
     return {
         "name": entry.name,
         "kinds": list(entry.kinds),
@@ -40,13 +39,13 @@ def _facts(entry: TermEntry) -> dict[str, Any]:
         "parameters": entry.parameters(),
         "doc": entry.doc.text,
         "example": entry.doc.example,
-        "defined": f"{func.__module__}:{func.__qualname__}",
+        "defined": entry.spec.place,
     }
 
 
 def _print(entry: TermEntry) -> None:
     facts = _facts(entry)
-    sections = ", ".join(SECTION_OF[kind] for kind in entry.kinds)
+    sections = ", ".join(SECTION_OF[kind] for kind in entry.kinds) or "`shape` of a term"
     blocks = [entry.name, f"for: {sections}", facts["signature"], entry.doc.text]
     sys.stdout.write("\n".join(_wrapped(block) + "\n" for block in blocks if block))
     sys.stdout.write("\n")

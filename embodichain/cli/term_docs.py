@@ -20,7 +20,7 @@ class TermDoc:
         summary: Its first paragraph, on one line.
         text: The paragraphs before the first section, the summary among them.
         params: What each argument is, on one line.
-        example: The line of YAML that declares the term; empty if there is none.
+        example: YAML on one line that declares the term; empty if there is none.
     """
 
     summary: str = ""
@@ -68,7 +68,7 @@ def _entries(lines: list[str]) -> dict[str, str]:
     for line in lines:
         entry = _ENTRY.match(line[indent:])
         if entry is not None:
-            name = entry[1]
+            name = entry[1].removesuffix("_")  # `from_` is written `from`
             found[name] = entry[2].strip()
         elif name and line.strip():
             found[name] = f"{found[name]} {line.strip()}"

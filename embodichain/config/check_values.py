@@ -14,7 +14,7 @@ from embodichain.config.check_types import check_types, show_value
 from embodichain.config.newest import CHECKPOINT, named_checkpoint, newest_run
 from embodichain.config.schema import SUGGESTED_KEYS, RootCfg
 from embodichain.lab.gym.envs.cfg import EnvCfg
-from embodichain.lab.gym.envs.managers.check import SECTIONS
+from embodichain.lab.gym.envs.managers.registry import SECTIONS
 from embodichain.lab.gym.policies import resolve_policy
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import yaml
 
+from embodichain.compat.gym_config.file import is_gym_config, read_gym_config
 from embodichain.config.composed import Composed, compose
 from embodichain.config.derive import Verb
 from embodichain.config.gym_config import load_gym_config, override_of
@@ -14,7 +15,6 @@ from embodichain.config.hydra_errors import explain_yaml
 from embodichain.config.locate import ConfigFile, Locator, display_path
 from embodichain.config.problems import LocatedProblem
 from embodichain.config.resolved import Resolved, resolve, resolve_tree
-from embodichain.lab.gym.gym_config.file import is_gym_config, read_gym_config
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["notes_on_file", "resolve_file", "validate_file"]

@@ -1,6 +1,6 @@
 """EmbodiChain's gym config as a task: converted, every key with the file and line it came from.
 
-What keys mean is `lab.gym.gym_config`'s; here the result takes the place of an option of `task`.
+What keys mean is `compat.gym_config`'s; here the result takes the place of an option of `task`.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from typing import Any
 
 import yaml
 
+from embodichain.compat.gym_config.conversion import CLASSES, Conversion, convert
+from embodichain.compat.gym_config.file import read_gym_config
 from embodichain.config.locate import ConfigFile, Locator, display_path
 from embodichain.config.problems import LocatedProblem
-from embodichain.lab.gym.gym_config.conversion import CLASSES, Conversion, convert
-from embodichain.lab.gym.gym_config.file import read_gym_config
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["GymConfig", "load_gym_config", "override_of"]
