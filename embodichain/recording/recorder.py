@@ -43,7 +43,7 @@ RUN_STEPS, RUN_BYTES, RUN_SECONDS = 256, 2**20, 0.25
 FLUSH_SECONDS = 0.5
 """What is written is readable in the file after so long; with `RUN_SECONDS`, and the time between
 two calls of the timer, at most a second is lost when the process is killed."""
-START_SHARE = 32
+START_SHARE = 128
 """A start is written after so many times its bytes of other data."""
 
 
