@@ -134,8 +134,7 @@ class Log:
     def warnings(self) -> list[str]:
         """What is missing or damaged, as far as it was met; empty for a complete log."""
         if not self.reader.complete:
-            why = self.reader.damage or "its end is missing"
-            return [f"incomplete: {why}; only what precedes can be read"]
+            return [f"incomplete: {self.reader.cut}; only what precedes can be read"]
         if self.reader.recovered:
             return [f"recovered from a broken file: {self.reader.recovered}"]
         if not self.reader.finished:

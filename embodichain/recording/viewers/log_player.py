@@ -27,9 +27,9 @@ def play_log(
     speed: float = 1.0,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Play a log until the screen is closed, or somebody says to stop; begins anew at the end.
+    """Play a log until the screen is closed or `stopped` says so; starts again at the end.
 
-    Nothing is played while nobody looks. When people choose another environment, it goes on with
+    It waits while the screen is not watched. When another environment is chosen, it continues with
     that one, at the same step.
 
     Args:
@@ -102,7 +102,7 @@ class _Player:
 
 
 def _sampled(log: Log, env: int, prefix: str) -> dict[int, dict[str, float]]:
-    """Numbers of each reward term in the steps where they were sampled; none if nobody viewed."""
+    """Numbers of each reward term in the sampled steps; none if it was not viewed."""
     if env not in log.header.view_envs:
         return {}
     steps, values = log.metrics(env)
@@ -112,7 +112,7 @@ def _sampled(log: Log, env: int, prefix: str) -> dict[int, dict[str, float]]:
 
 
 def _wait(seconds: float | None, screen: Screen, stopped: Callable[[], bool]) -> None:
-    """Wait for a while, or with None until somebody looks."""
+    """Wait for a while, or with None until the screen is watched."""
     end = None if seconds is None else time.monotonic() + seconds
     while screen.is_open and not stopped():
         if screen.watched if end is None else time.monotonic() >= end:

@@ -24,7 +24,7 @@ class Screen(Protocol):
 
     @property
     def env_id(self) -> int:
-        """The environment that people want to see."""
+        """The chosen environment."""
 
     @property
     def is_open(self) -> bool:
@@ -32,7 +32,7 @@ class Screen(Protocol):
 
     @property
     def watched(self) -> bool:
-        """Whether somebody looks now."""
+        """Whether it is looked at now."""
 
     def begin(self, engine: CpuEngine) -> None:
         """Show this engine's environment from now on, as its model looks now."""
@@ -41,7 +41,7 @@ class Screen(Protocol):
         """Show the engine's state, (nstate,)."""
 
     def pace(self, seconds: float) -> None:
-        """Wait for the next step, or as long as people pause."""
+        """Wait for the next step, and while paused."""
 
     def close(self) -> None:
         """Show nothing any more."""
