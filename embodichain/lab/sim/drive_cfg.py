@@ -23,7 +23,7 @@ class FileFirst(float):
 
 
 def _kept(value: Any, validate: ValidatorFunctionWrapHandler) -> Any:
-    """What stands for "not given" still does in a config that was read back from a dict."""
+    """Keep the mark of a value that was not given when a config is read back from a dict."""
     return value if isinstance(value, FileFirst) else validate(value)
 
 

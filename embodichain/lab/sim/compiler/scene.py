@@ -21,8 +21,8 @@ from embodichain.lab.sim.compiler.scene_sensors import (
     SensorIndex,
     SensorPlan,
     add_sensors,
-    deaf_sensors,
     index_sensors,
+    silent_sensors,
 )
 from embodichain.lab.sim.compiler.visuals import (
     GROUND,
@@ -197,7 +197,7 @@ def compile_scene(
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
         raise ConfigError(f"MuJoCo cannot compile the scene: {as_line(error)[0]}") from error
-    notes += deaf_sensors(model, sensors)
+    notes += silent_sensors(model, sensors)
     entities = {p.uid: _index_articulation(model, p) for p in articulations}
     for uid, cfg in objects.items():
         index = entities[uid] = _index_object(model, uid, cfg)

@@ -258,7 +258,7 @@ class Drives:
             self.put(name, array, ids, joints)
 
     def put(self, name: str, values: F64, ids: EnvIndex | None, joints: NDArray[np.int64]) -> None:
-        """Set one property (n, k) from checked arrays: the door for terms.
+        """Set one property (n, k) from checked arrays.
 
         Args:
             name: An attribute of this class: ``stiffness``, ``friction``...
