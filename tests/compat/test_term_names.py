@@ -1,5 +1,6 @@
 """Names of other projects mean a quantity with a shape, to the byte."""
 
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,11 @@ def spelled_out(spec: AliasSpec, params: dict[str, Any]) -> Term:
     (target, values), *steps = spec.meaning(params)
     shape = [{step.name: given} if given else step.name for step, given in steps]
     return {"func": target.name, "params": values, **({"shape": shape} if shape else {})}
+
+
+def built(wrong: Term, folder: Path) -> AbstractContextManager[Any]:
+    """An environment with one reward."""
+    return environment("rewards", {"wrong": wrong}, folder / "task")
 
 
 @pytest.mark.parametrize("section", ["rewards", "observations"])
