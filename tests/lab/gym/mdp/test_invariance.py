@@ -45,7 +45,7 @@ EVENTS = {
 OBSERVATIONS = {**acting_terms.OBSERVATIONS, **sensor_terms.OBSERVATIONS}
 REWARDS = {**judge_terms.REWARDS, **sensor_terms.REWARDS}
 TERMINATIONS = {**judge_terms.TERMINATIONS, **sensor_terms.TERMINATIONS}
-METRICS = {**REWARDS, **TERMINATIONS}
+METRICS = TERMINATIONS  # rewards are evaluated as such: managers call both in the same way
 
 
 def sections() -> dict:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import typing
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -32,6 +32,7 @@ from embodichain.lab.gym.envs.managers.registry import (
 from embodichain.lab.gym.envs.managers.term import ActionTerm, CommandTerm
 from embodichain.lab.sim.sensors.cfg import readings
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.pydantic_problems import problems_of
 from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = [
@@ -259,7 +260,7 @@ def check_params(
             try:
                 values[key] = _convert(_meant(key, hint, value), value)
             except ValidationError as error:
-                problems += [_problem(f"{path}.{name}", e, hint) for e in error.errors()]
+                problems += problems_of(error, f"{path}.{name}", _keys_of(hint), FORMS)
     for name, parameter in spec.params.items():
         if parameter.default is inspect.Parameter.empty and name not in meant.values():
             message = f"missing; {spec.label} needs it"
@@ -292,18 +293,8 @@ def _adapter(hint: Any) -> TypeAdapter[Any] | None:
         return None
 
 
-def _problem(path: str, error: Any, hint: Any) -> Problem:
-    """One of pydantic's errors as a line with what was found."""
-    tail = "".join(f".{part}" for part in error["loc"] if part not in FORMS)
-    message = error["msg"].removeprefix("Value error, ")
-    message = message[:1].lower() + message[1:]
-    if error["type"] == "unexpected_keyword_argument":
-        fields = _fields(hint)
-        hint = did_you_mean(str(error["loc"][-1]), fields).strip()
-        return Problem(path + tail, f"unknown key; allowed: {', '.join(fields)}", hint)
-    if error["type"] != "missing":
-        message += f", got {error['input']!r}"
-    return Problem(path + tail, message)
+def _keys_of(hint: Any) -> Callable[[Any], list[str]]:
+    return lambda loc: _fields(hint)
 
 
 def _fields(hint: Any) -> list[str]:

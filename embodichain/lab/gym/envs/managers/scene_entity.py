@@ -18,6 +18,7 @@ from pydantic import GetCoreSchemaHandler, TypeAdapter, ValidationError
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import cross, quat_conjugate, quat_multiply, quat_rotate
+from embodichain.utils.pydantic_problems import problems_of
 
 if TYPE_CHECKING:
     import torch
@@ -413,6 +414,5 @@ def _from_mapping(cfg: Mapping[str, Any]) -> SceneEntityCfg:
     try:
         return TypeAdapter(SceneEntityCfg).validate_python(dict(cfg))
     except ValidationError as error:
-        raise ConfigError(
-            [Problem(".".join(map(str, e["loc"])), e["msg"]) for e in error.errors()]
-        ) from error
+        known = SceneEntityCfg.__dataclass_fields__
+        raise ConfigError(problems_of(error, allowed=lambda loc: known)) from error
