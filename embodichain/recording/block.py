@@ -31,23 +31,21 @@ alone in a message of its own on `START_TOPIC`, and says what the simulation is 
 
 Steps with equal calls (names, columns, dtypes, shapes) make one message on `STEPS_TOPIC`: steps
 `first` to `first + count - 1`. The array `name` of a call lies in `data` at `offset`, as `count`
-arrays of `shape` one after another, little-endian, by rows. Two arrays may have the same offset:
-equal bytes are stored once.
+arrays of `shape` one after another, little-endian, by rows; `packing` may store it in less.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import numpy as np
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
-from embodichain.recording.log_error import LARGEST_CHUNK, DamageError
+from embodichain.recording.log_error import DamageError
+from embodichain.recording.packing import DTYPES, Place, load, store
 from embodichain.recording.schema import message_class
 
 __all__ = ["DRAWN", "ArrayKind", "Call", "CallKind", "Run", "pack_run", "unpack_run"]
@@ -59,9 +57,6 @@ MOST_STEPS = 2**12
 MOST_PHYSICS_STEPS = 1_000_000
 """Larger counts in a file are not believed."""
 
-_SMALLEST_SHARED = 64
-"""Bytes; smaller arrays are not compared with others."""
-_DTYPES = {name: np.dtype(name) for name in ("<f8", "<f4", "<i8", "<u8", "|b1")}
 _IDS = frozenset({"env_ids", "failed"})
 """Arrays that name environments."""
 _FIRST, _COUNT, _CALLS, _DATA = 0x08, 0x10, 0x1A, 0x22
@@ -156,28 +151,24 @@ def pack_run(
             the kind's dtype and shape.
     """
     message = message_class("Steps")(first=first, count=len(steps))
-    parts: list[bytes] = []
-    offsets: list[int] = []
-    end = 0
+    contents: list[tuple[str, bytes]] = []
+    described: list[Any] = []
     for i, kind in enumerate(kinds):
         call = message.calls.add(kind=kind.kind, name=kind.name, mode=kind.mode, nstep=kind.nstep)
         if kind.columns is not None:
             call.some_columns = True
             call.columns.extend(kind.columns)
         for j, array in enumerate(kind.arrays):
-            data = b"".join([step[i][j].data for step in steps])
-            offset = end
-            if len(data) >= _SMALLEST_SHARED:
-                same = (o for o, p in zip(offsets, parts, strict=True) if p == data)
-                offset = next(same, end)
-            if offset == end:
-                parts.append(data)
-                offsets.append(end)
-                end += len(data)
-            call.arrays.add(name=array.name, dtype=array.dtype, shape=array.shape, offset=offset)
+            contents.append((array.dtype, b"".join([step[i][j].data for step in steps])))
+            described.append(call.arrays.add(name=array.name, dtype=array.dtype, shape=array.shape))
+    places, parts = store(contents)
+    for array, place in zip(described, places, strict=True):
+        array.offset, array.single = place.offset, place.single
+        if place.base is not None:
+            array.differs, array.base, array.base_single = True, place.base, place.base_single
     # Protobuf concatenates: the key of field 4 and its length, without copying the bytes again.
     head = message.SerializeToString()
-    return b"".join([head, bytes([_DATA]), _varint(end), *parts])
+    return b"".join([head, b"\x22", _varint(sum(map(len, parts))), *parts])
 
 
 def _varint(value: int) -> bytes:
@@ -206,7 +197,7 @@ def unpack_run(
         wanted: Whether a call is read; None reads all.
 
     Returns:
-        The run; its arrays share the message's bytes.
+        The run; most of its arrays share the message's bytes.
 
     Raises:
         DamageError: If the message is not a run of such a log.
@@ -217,16 +208,17 @@ def unpack_run(
     calls = []
     for declared in declared_calls:
         declaration = _declaration if len(declared) < _LARGEST_CACHED else _declaration.__wrapped__
-        kind, offsets, why = declaration(declared, num_envs, moved, nstate)
+        kind, places, why = declaration(declared, num_envs, moved, nstate)
         if wanted is not None and not wanted(kind):
             continue
         if why:
             raise DamageError(f"step {first}: {why}")
         arrays = {}
-        for array, offset in zip(kind.arrays, offsets, strict=True):
-            values = arrays[array.name] = _array(array, offset, count, blob)
-            if array.name in _IDS and not _ascending(values, num_envs):
-                raise DamageError(f"step {first}: {array.name} are no environments of this log")
+        for array, place in zip(kind.arrays, places, strict=True):
+            name, dtype, shape = array
+            values = arrays[name] = load(name, dtype, (count, *shape), place, blob)
+            if name in _IDS and not _ascending(values, num_envs):
+                raise DamageError(f"step {first}: {name} are no environments of this log")
         calls.append(Call(kind, arrays))
     return Run(first, count, calls)
 
@@ -261,23 +253,11 @@ def _read_varint(data: memoryview, at: int) -> tuple[int, int]:
     raise DamageError("a run of control steps is damaged: it is cut short")
 
 
-def _array(array: ArrayKind, offset: int, count: int, blob: memoryview) -> NDArray[Any]:
-    """(count, *shape) values."""
-    name, dtype, shape = array
-    size = count * math.prod(shape)
-    if offset + size * _DTYPES[dtype].itemsize > min(len(blob), LARGEST_CHUNK):
-        raise DamageError(f"array {name!r} of shape {shape} is not in the message")
-    flat = np.frombuffer(blob, _DTYPES[dtype], size, offset)
-    if dtype == "|b1":
-        flat = flat.view(np.uint8) != 0  # whatever byte is there
-    return flat.reshape(count, *shape)
-
-
 @lru_cache(maxsize=1024)
 def _declaration(
     data: bytes, num_envs: int, moved: int, nstate: int
-) -> tuple[CallKind, tuple[int, ...], str]:
-    """A serialized `embodichain.Call`: its kind, offsets of its arrays, and what is wrong."""
+) -> tuple[CallKind, tuple[Place, ...], str]:
+    """A serialized `embodichain.Call`: its kind, where its arrays are, and what is wrong."""
     try:
         call = message_class("Call").FromString(data)
     except DecodeError as error:
@@ -285,7 +265,10 @@ def _declaration(
     arrays = tuple(ArrayKind(a.name, a.dtype, tuple(a.shape)) for a in call.arrays)
     columns = tuple(call.columns) if call.some_columns else None
     kind = CallKind(call.kind, call.name, call.mode, call.nstep, columns, arrays)
-    return kind, tuple(a.offset for a in call.arrays), _wrong(kind, num_envs, moved, nstate)
+    places = tuple(
+        Place(a.offset, a.single, a.base if a.differs else None, a.base_single) for a in call.arrays
+    )
+    return kind, places, _wrong(kind, num_envs, moved, nstate)
 
 
 def _wrong(kind: CallKind, num_envs: int, moved: int, nstate: int) -> str:
@@ -297,7 +280,7 @@ def _wrong(kind: CallKind, num_envs: int, moved: int, nstate: int) -> str:
     if len(shapes) != len(kind.arrays):
         return f"{what} has an array twice"
     for array in kind.arrays:
-        if array.dtype not in _DTYPES or len(array.shape) > 8:
+        if array.dtype not in DTYPES or len(array.shape) > 8:
             return f"{what} has an array of unknown type, {array.dtype!r}"
         if array.name in _IDS and (array.dtype != "<i8" or len(array.shape) != 1):
             return f"{what} has no environments as {array.name}"

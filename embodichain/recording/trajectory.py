@@ -234,6 +234,8 @@ class Rows:
                 self.write(step, call, local, values)
             else:
                 self.physics(step, call, t, local, take)
+        except LogError:
+            raise  # it is a ValueError
         except (KeyError, ValueError, IndexError) as error:
             what = "physics" if kind == "physics" else f"a write to {call.kind.name!r}"
             raise LogError(

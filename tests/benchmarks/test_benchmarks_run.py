@@ -129,7 +129,7 @@ def test_memory(tmp_path):
 @pytest.mark.slow
 def test_startup(tmp_path):
     _, facts = run("startup", "--rounds=1", out=tmp_path / "s.json")
-    assert len(facts["seconds"]["first step, beyond torch"]) == 1
+    assert len(facts["cpu_seconds"]["embodichain run, to its first step"]) == 1
 
 
 def test_turns_are_whole_episodes_in_changing_order():

@@ -9,7 +9,7 @@ import pytest
 
 import embodichain
 import embodichain.recording as recording
-from embodichain.cli import replay
+from embodichain.cli.app import call
 from embodichain.recording import McapRecorder
 from embodichain.recording.viewers import log_screens
 from embodichain.recording.viewers.log_player import play_log
@@ -168,7 +168,7 @@ def test_the_window_pauses_at_the_space_bar(path, monkeypatch):
 )
 def test_options_of_the_command(path, options, message):
     with pytest.raises(ConfigError, match=message):
-        replay.main([str(path), *options])
+        call(["replay", str(path), *options])
 
 
 @pytest.mark.slow

@@ -55,7 +55,7 @@ def add_attachments(spec: mujoco.MjSpec, attachments: Mapping[str, AttachmentCfg
 
 
 WHOLE = "default"
-"""The part that stands for the whole robot; EmbodiChain's name for it."""
+"""EmbodiChain's name of the part that is the whole robot."""
 
 
 class Tool:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import re
 import warnings
-import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from xml.parsers import expat
 
 import mujoco
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from embodichain.data import DataNotFoundError, get_data_path
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.robot_bodies import collides
-from embodichain.lab.sim.compiler.urdf_files import PreparedUrdf, prepare_urdf
+from embodichain.lab.sim.compiler.urdf_files import PreparedUrdf, parse_xml, prepare_urdf
 from embodichain.lab.sim.engine.mujoco_process import install_log_handler
 from embodichain.lab.sim.meshes.mesh_conversion import convert_collision, reads
 from embodichain.lab.sim.meshes.mesh_part import MeshError
@@ -137,6 +137,7 @@ class ModelFile:
         spec: Parsed, not edited; it compiles.
         model: Compiled as it is in the file.
         velocity_limits: Joint name -> limit; URDF only.
+        last_link: The last link in the order of a URDF, which is not that of the tree.
         notes: What a user should be told, one line each.
     """
 
@@ -145,6 +146,7 @@ class ModelFile:
     spec: mujoco.MjSpec
     model: mujoco.MjModel
     velocity_limits: dict[str, float] = field(default_factory=dict)
+    last_link: str = ""
     notes: list[str] = field(default_factory=list)
 
 
@@ -180,14 +182,18 @@ def read_model(path: Path, convex_parts: bool = False) -> ModelFile:
         source = path.read_bytes()
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    root = _parse_xml(path, source)
+    try:
+        root, line_of = parse_xml(source)
+    except expat.ExpatError as error:
+        message = str(error).split(":")[0]
+        raise ConfigError(f"{path}:{error.lineno}: not well-formed XML: {message}") from error
     if root.tag == "mujoco":
         return _read_mjcf(path)
     if root.tag != "robot":
         raise ConfigError(
             f"{path}: neither URDF nor MJCF: its root is <{root.tag}>, not <robot> or <mujoco>"
         )
-    return _read_urdf(path, root, source, convex_parts)
+    return _read_urdf(path, prepare_urdf(path, root, line_of, convex_parts))
 
 
 def compile_quietly(spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -195,16 +201,6 @@ def compile_quietly(spec: mujoco.MjSpec) -> mujoco.MjModel:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return spec.compile()
-
-
-def _parse_xml(path: Path, source: bytes) -> ET.Element:
-    try:
-        return ET.fromstring(source)
-    except ET.ParseError as error:
-        line = error.position[0]
-        raise ConfigError(
-            f"{path}:{line}: not well-formed XML: {str(error).split(':')[0]}"
-        ) from error
 
 
 def _fail(path: Path, error: Exception, urdf: PreparedUrdf | None = None) -> ConfigError:
@@ -267,8 +263,7 @@ def _name_elements(spec: mujoco.MjSpec) -> None:
                 taken.add(name)
 
 
-def _read_urdf(path: Path, root: ET.Element, source: bytes, convex_parts: bool) -> ModelFile:
-    urdf = prepare_urdf(path, root, source, convex_parts)
+def _read_urdf(path: Path, urdf: PreparedUrdf) -> ModelFile:
     try:
         spec = mujoco.MjSpec.from_string(urdf.text)
     except MUJOCO_ERRORS as error:
@@ -286,7 +281,7 @@ def _read_urdf(path: Path, root: ET.Element, source: bytes, convex_parts: bool) 
         for geom in body.geoms if body is not None else ():
             geom.mass, geom.density = 0.0, 0.0
     model = _compile_repaired(urdf, path, spec, notes)
-    return ModelFile(path, True, spec, model, urdf.velocity_limits, notes)
+    return ModelFile(path, True, spec, model, urdf.velocity_limits, urdf.last_link, notes)
 
 
 def _compile_repaired(

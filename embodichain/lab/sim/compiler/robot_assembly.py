@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from collections.abc import Iterable
 from typing import Any
 
@@ -115,17 +114,12 @@ def _assemble(cfg: URDFCfg, convex_parts: bool) -> ModelFile:
         links |= {f"{kind}{_SEPARATOR}{old}": new for old, new in new_links.items()}
         joints |= {f"{kind}{_SEPARATOR}{old}": new for old, new in new_joints.items()}
         velocity |= {new_joints[old]: v for old, v in file.velocity_limits.items()}
-        last = own_links[0] if kind in _ON_FIRST else _last_link(file)
+        last = own_links[0] if kind in _ON_FIRST else file.last_link
         carrying[kind] = f"{kind}{_SEPARATOR}{last}"
     _rename(spec, links, joints)
     path = next(iter(files.values())).path
     notes = [note for file in files.values() for note in file.notes]
-    return ModelFile(path, True, spec, compile_quietly(spec), velocity, notes)
-
-
-def _last_link(file: ModelFile) -> str:
-    """The last link in the order of the file, which is not that of the tree."""
-    return str(ET.parse(file.path).getroot().findall("link")[-1].get("name"))
+    return ModelFile(path, True, spec, compile_quietly(spec), velocity, notes=notes)
 
 
 def _read(cfg: URDFCfg, convex_parts: bool) -> tuple[dict[str, ModelFile], list[Problem]]:

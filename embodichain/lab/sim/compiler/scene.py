@@ -21,8 +21,8 @@ from embodichain.lab.sim.compiler.scene_sensors import (
     SensorIndex,
     SensorPlan,
     add_sensors,
-    deaf_sensors,
     index_sensors,
+    silent_sensors,
 )
 from embodichain.lab.sim.compiler.visuals import (
     GROUND,
@@ -125,6 +125,9 @@ def _one_bit(value: int) -> bool:
     return value > 0 and value & (value - 1) == 0
 
 
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+
+
 @dataclass(frozen=True, eq=False)
 class CompiledScene:
     """One model of everything declared.
@@ -134,6 +137,9 @@ class CompiledScene:
             after compiling; MJCF cannot say the former (one number for all six axes).
         spec: What it was compiled from, for export as XML or archive.
         entities: Where each entity is in the model.
+        initial_row: (nstate,) `mjSTATE_INTEGRATION` of the start: MuJoCo's reset state with every
+            entity at its configured place, targets of drives at the configured joint positions,
+            and what else a file's keyframe says.
         sensors: Where each sensor is.
         notes: What a user should be told, one line each: options of the robots' files that the
             scene's replace, sensors that can report nothing.
@@ -142,6 +148,7 @@ class CompiledScene:
     model: mujoco.MjModel
     spec: mujoco.MjSpec
     entities: dict[str, EntityIndex]
+    initial_row: F64
     sensors: dict[str, SensorIndex] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
@@ -190,15 +197,20 @@ def compile_scene(
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
         raise ConfigError(f"MuJoCo cannot compile the scene: {as_line(error)[0]}") from error
-    notes += deaf_sensors(model, sensors)
+    notes += silent_sensors(model, sensors)
     entities = {p.uid: _index_articulation(model, p) for p in articulations}
     for uid, cfg in objects.items():
         index = entities[uid] = _index_object(model, uid, cfg)
         if index.free_qvel_adr >= 0:
             dofs = slice(index.free_qvel_adr, index.free_qvel_adr + 6)
             model.dof_damping[dofs] = damping_of(model, index.root_body_id, cfg)
-    aim_camera(spec, model, _start(model, articulations, entities))
-    return CompiledScene(model, spec, entities, index_sensors(model, sensors), tuple(notes))
+    data = _start(model, articulations, entities)
+    row = np.zeros(mujoco.mj_stateSize(model, _STATE))
+    mujoco.mj_getState(model, data, row, _STATE)
+    mujoco.mj_kinematics(model, data)
+    aim_camera(spec, model, data)
+    sensor_index = index_sensors(model, sensors)
+    return CompiledScene(model, spec, entities, row, sensor_index, tuple(notes))
 
 
 def _check(
@@ -305,7 +317,7 @@ def _start(
     articulations: Sequence[ParsedArticulation],
     entities: Mapping[str, EntityIndex],
 ) -> mujoco.MjData:
-    """Return the scene as it starts, positions computed."""
+    """Return the scene's initial state."""
     data = mujoco.MjData(model)
     for index in entities.values():
         pose: F64 = np.concatenate([index.pos0, index.quat0])
@@ -314,9 +326,21 @@ def _start(
         elif index.free_qpos_adr >= 0:
             data.qpos[index.free_qpos_adr : index.free_qpos_adr + 7] = pose
     for parsed in articulations:
-        data.qpos[entities[parsed.uid].qpos_adr] = parsed.init_qpos
-        for name, (quat, _) in (parsed.keyframe.balls if parsed.keyframe else {}).items():
-            start = int(model.joint(f"{parsed.uid}/{name}").qposadr[0])
-            data.qpos[start : start + 4] = quat
-    mujoco.mj_kinematics(model, data)
+        index = entities[parsed.uid]
+        data.qpos[index.qpos_adr], data.qvel[index.dof_adr] = parsed.init_qpos, parsed.init_qvel
+        data.ctrl[index.own_ctrl_ids], data.act[index.own_act_ids] = (
+            parsed.init_ctrl,
+            parsed.init_act,
+        )
+        if parsed.keyframe is None:
+            continue
+        start = index.free_qvel_adr
+        if start >= 0:
+            velocity = parsed.keyframe.root_qvel
+            data.qvel[start : start + 3] = quat_rotate(initial_pose(parsed.cfg)[1], velocity[:3])
+            data.qvel[start + 3 : start + 6] = velocity[3:]
+        for name, (quat, speed) in parsed.keyframe.balls.items():
+            joint = model.joint(f"{parsed.uid}/{name}")
+            data.qpos[joint.qposadr[0] : joint.qposadr[0] + 4] = quat
+            data.qvel[joint.dofadr[0] : joint.dofadr[0] + 3] = speed
     return data

@@ -25,10 +25,10 @@ __all__ = [
     "SensorIndex",
     "SensorPlan",
     "add_sensors",
-    "deaf_sensors",
     "index_sensors",
     "plan_sensor",
     "plan_sensors",
+    "silent_sensors",
 ]
 
 _OBJECT = mujoco.mjtObj
@@ -42,7 +42,7 @@ class SensorPlan:
     Attributes:
         uid: Its name.
         cfg: Its config.
-        links: (n,) the links it sits on, as users call them.
+        links: (n,) the links it is fixed on, as users call them.
         bodies: (n,) the same as bodies of the model.
         others: What a contact sensor's links touch: MuJoCo's object type and name of each; empty is
             anything.
@@ -139,7 +139,7 @@ def _links(
 def _one(
     cfg: LinksCfg, links: tuple[str, ...], known: Known
 ) -> tuple[tuple[str, ...], list[Problem]]:
-    """The one link that an IMU sits on: the picked one, else the root."""
+    """The one link that an IMU is fixed on: the picked one, else the root."""
     entity = known.get(cfg.uid)
     if cfg.link_names is None and links and not isinstance(entity, str) and entity is not None:
         return (entity.root_link_name,), []
@@ -150,7 +150,7 @@ def _one(
 
 
 def _check_mount(cfg: ImuSensorCfg) -> list[Problem]:
-    """Check how an IMU sits on its link."""
+    """Check the pose of an IMU on its link."""
     problems = []
     for key, size in (("pos", 3), ("quat", 4)):
         value: Any = getattr(cfg, key)
@@ -251,7 +251,7 @@ def index_sensors(model: mujoco.MjModel, plans: Mapping[str, SensorPlan]) -> dic
     return {uid: _index(model, plan) for uid, plan in plans.items()}
 
 
-def deaf_sensors(model: mujoco.MjModel, plans: Mapping[str, SensorPlan]) -> list[str]:
+def silent_sensors(model: mujoco.MjModel, plans: Mapping[str, SensorPlan]) -> list[str]:
     """Return one line for every contact sensor that can never report anything."""
     collides = (model.geom_contype | model.geom_conaffinity) != 0
     collides[np.concatenate([model.pair_geom1, model.pair_geom2])] = True  # a file's own pairs

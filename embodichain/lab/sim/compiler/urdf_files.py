@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
@@ -24,7 +24,7 @@ from embodichain.lab.sim.meshes.mesh_decomposition import decompose
 from embodichain.lab.sim.meshes.mesh_part import MeshError
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["PreparedUrdf", "UrdfMeshes", "color_geom", "element_lines", "prepare_urdf"]
+__all__ = ["PreparedUrdf", "UrdfMeshes", "color_geom", "parse_xml", "prepare_urdf"]
 
 _INERTIA = mujoco.mjtMeshInertia
 
@@ -176,6 +176,7 @@ class PreparedUrdf:
         text: XML for MuJoCo.
         lines: For each element of `text`, in order, its line in the user's file; None: ours.
         velocity_limits: Joint name -> rad/s or m/s, where the file has one.
+        last_link: The last link in the order of the file.
         massless: Links without an inertial that no joint moves (fixed joint, or root): by URDF's
             rule they have no mass.
         estimated: Links without an inertial that move: their mass comes from their shapes.
@@ -185,36 +186,36 @@ class PreparedUrdf:
     text: str
     lines: list[int | None]
     velocity_limits: dict[str, float]
+    last_link: str
     massless: frozenset[str]
     estimated: tuple[str, ...]
     meshes: UrdfMeshes
 
     def source_line(self, line: int) -> int | None:
         """Return the line of the user's file that a line of `text` came from."""
-        for (_, written), original in zip(element_lines(self.text), self.lines, strict=True):
+        _, lines = parse_xml(self.text.encode())
+        for written, original in zip(lines.values(), self.lines, strict=True):
             if written >= line:
                 return original
         return None
 
 
 def prepare_urdf(
-    path: Path, root: ET.Element, source: bytes, convex_parts: bool = False
+    path: Path, root: ET.Element, line_of: Mapping[ET.Element, int], convex_parts: bool = False
 ) -> PreparedUrdf:
     """Return the text MuJoCo should read instead of a URDF file.
 
     Args:
         path: The file, for messages and relative mesh names.
         root: Its parsed ``<robot>`` element; it is changed in place.
-        source: Its bytes.
+        line_of: The line of each element.
         convex_parts: Split collision meshes into convex parts.
 
     Raises:
         ConfigError: If the file has no links, needs xacro, names meshes that do not exist, or
             collision meshes that cannot be read.
     """
-    written = element_lines(source)
-    line_of = {element: line for element, (_, line) in zip(root.iter(), written, strict=True)}
-    if any("xacro" in tag for tag, _ in written):
+    if any("xacro" in element.tag for element in line_of):
         raise ConfigError(
             [Problem("", f"{path}: xacro has to be expanded to URDF first: `xacro {path.name}`")]
         )
@@ -234,16 +235,29 @@ def prepare_urdf(
     _set_flags(root)
     text = ET.tostring(root, encoding="unicode")
     lines = [line_of.get(element) for element in root.iter()]
-    return PreparedUrdf(text, lines, velocity, massless, estimated, meshes)
+    last = root.findall("link")[-1].get("name", "")
+    return PreparedUrdf(text, lines, velocity, last, massless, estimated, meshes)
 
 
-def element_lines(source: bytes | str) -> list[tuple[str, int]]:
-    """Return (tag, line) of every element of an XML text, in document order."""
-    found: list[tuple[str, int]] = []
+def parse_xml(source: bytes) -> tuple[ET.Element, dict[ET.Element, int]]:
+    """Return the root of an XML text, and the line of every element, in document order.
+
+    Prefixes of namespaces stay in tags and attributes.
+
+    Raises:
+        xml.parsers.expat.ExpatError: If it is not well-formed.
+    """
+    builder, lines = ET.TreeBuilder(), dict[ET.Element, int]()
     parser = expat.ParserCreate()
-    parser.StartElementHandler = lambda tag, _: found.append((tag, parser.CurrentLineNumber))
-    parser.Parse(source.encode() if isinstance(source, str) else source, True)
-    return found
+
+    def begin(tag: str, attributes: dict[str, str]) -> None:
+        lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
+
+    parser.StartElementHandler = begin
+    parser.EndElementHandler = builder.end
+    parser.CharacterDataHandler = builder.data
+    parser.Parse(source, True)
+    return builder.close(), lines
 
 
 def _set_flags(root: ET.Element) -> None:

@@ -48,8 +48,8 @@ class CpuEngine(Engine):
         num_envs: N.
         num_threads: Physics threads; 0 is every core this process may run on.
         persistent: One MjData per environment (True) or per thread (False). A thread's stays in
-            its cache, which makes steps up to 15 % faster, and a look at poses computes those
-            alone; an environment's own continues from the stages that a look has computed. None is
+            its cache, which makes steps up to 15 % faster, and reads of poses compute poses alone;
+            with its own an environment continues from the stages that a read has computed. None is
             False, unless the model needs the former. No byte of a step depends on it.
     """
 

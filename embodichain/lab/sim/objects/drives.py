@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.drive_cfg import NO_LIMIT
 from embodichain.lab.sim.objects._arrays import as_rows, columns_of
-from embodichain.lab.sim.objects.drive_units import NO_LIMIT, ModelGains, Transmission
+from embodichain.lab.sim.objects.drive_units import ModelGains, Transmission
 from embodichain.lab.sim.objects.joint_state import JointLimits, JointState
 
 if TYPE_CHECKING:
@@ -257,7 +258,7 @@ class Drives:
             self.put(name, array, ids, joints)
 
     def put(self, name: str, values: F64, ids: EnvIndex | None, joints: NDArray[np.int64]) -> None:
-        """Set one property (n, k) from checked arrays: the door for terms.
+        """Set one property (n, k) from checked arrays.
 
         Args:
             name: An attribute of this class: ``stiffness``, ``friction``...

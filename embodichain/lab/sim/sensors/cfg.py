@@ -48,7 +48,7 @@ class SensorCfg:
     uid: str | None = None
     """Its key in a task."""
     entity_cfg: LinksCfg = LinksCfg()
-    """Where it sits."""
+    """The links it is fixed on."""
     observe: bool = False
     """Whether ``obs["sensor"][uid]`` holds its data; terms can read it in either case."""
 
@@ -83,7 +83,7 @@ class ImuSensorCfg(SensorCfg):
 
     sensor_type: Literal["imu"] = "imu"
     pos: Vec3 = (0.0, 0.0, 0.0)
-    """Where it sits, metres in the link's frame."""
+    """Its position, metres in the link's frame."""
     quat: Quat = (1.0, 0.0, 0.0, 0.0)
     """How it is turned, wxyz in the link's frame."""
 

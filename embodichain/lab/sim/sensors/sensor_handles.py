@@ -52,7 +52,7 @@ class BaseSensor(Handle["SensorIndex"]):
 
     @property
     def body_ids(self) -> NDArray[np.int64]:
-        """(n,) MuJoCo's bodies of the links it sits on."""
+        """(n,) MuJoCo's bodies of the links it is fixed on."""
         model = self.engine.model
         return np.array([model.body(name).id for name in self.plan.bodies], np.int64)
 

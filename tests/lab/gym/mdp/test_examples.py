@@ -11,7 +11,7 @@ import pytest
 import torch
 import yaml
 
-from embodichain.cli.term_entries import SECTION_OF, TermEntry, all_entries
+from embodichain.cli.terms import SECTION_OF, TermEntry, all_entries
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from tests.helpers.example_scene import environment
 

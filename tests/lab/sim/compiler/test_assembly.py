@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from embodichain.cli.dispatch import main
+from embodichain.cli import main
 from embodichain.compat.gym_config.env_cfg import config_to_cfg
 from embodichain.lab.gym.envs import EmbodiedEnv, EnvCfg
 from embodichain.lab.sim import SimulationManager, SimulationManagerCfg

@@ -88,7 +88,7 @@ _LEAD_OF_QUANTITIES = ("obs", "action", "info")
 
 _EEF_LATER = (
     "end-effector actions come with the IK solvers, in a later version; until then act on joints: "
-    "default_offset_joint_position, relative_joint_position or joint_position_to_limits"
+    "joint_action"
 )
 logger = logging.getLogger(__name__)
 

@@ -18,7 +18,7 @@ ARRIVES_IN = {
 def test_a_signal_whose_exception_python_ignores_is_delivered_again(setup: str) -> None:
     script = textwrap.dedent(f"""
         import os, time, weakref
-        from embodichain.cli.stopping import signals_raise
+        from embodichain.cli.process import signals_raise
 
         class Target:
             pass
