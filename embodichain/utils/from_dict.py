@@ -10,13 +10,8 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-<<<<<<< HEAD
-from embodichain.utils.errors import ConfigError
-from embodichain.utils.pydantic_problems import problems_of
-=======
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.type_errors import unknown_key, what_is_wrong
->>>>>>> main
 
 __all__ = ["from_dict"]
 
@@ -35,9 +30,6 @@ def from_dict(cls: type[Any], init_dict: dict[str, Any]) -> Any:
         return TypeAdapter(cls).validate_python(init_dict)
     except ValidationError as error:
         names = [f.name for f in dataclasses.fields(cls)]
-<<<<<<< HEAD
-        raise ConfigError(problems_of(error, allowed=lambda loc: () if loc else names)) from error
-=======
         problems = []
         for found in error.errors():
             path = [str(part) for part in found["loc"]]
@@ -49,4 +41,3 @@ def from_dict(cls: type[Any], init_dict: dict[str, Any]) -> Any:
                 message, hint = "unknown key", ""
             problems.append(Problem(".".join(path), message, hint))
         raise ConfigError(problems) from error
->>>>>>> main

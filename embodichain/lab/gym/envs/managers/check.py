@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import typing
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -32,8 +32,8 @@ from embodichain.lab.gym.envs.managers.registry import (
 from embodichain.lab.gym.envs.managers.term import ActionTerm, CommandTerm
 from embodichain.lab.sim.sensors.cfg import readings
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.pydantic_problems import problems_of
 from embodichain.utils.suggest import did_you_mean, listing
+from embodichain.utils.type_errors import unknown_key, what_is_wrong
 
 __all__ = [
     "CheckedTerm",
@@ -260,7 +260,7 @@ def check_params(
             try:
                 values[key] = _convert(_meant(key, hint, value), value)
             except ValidationError as error:
-                problems += problems_of(error, f"{path}.{name}", _keys_of(hint), FORMS)
+                problems += _problems_of(error, f"{path}.{name}", hint)
     for name, parameter in spec.params.items():
         if parameter.default is inspect.Parameter.empty and name not in meant.values():
             message = f"missing; {spec.label} needs it"
@@ -293,8 +293,20 @@ def _adapter(hint: Any) -> TypeAdapter[Any] | None:
         return None
 
 
-def _keys_of(hint: Any) -> Callable[[Any], list[str]]:
-    return lambda loc: _fields(hint)
+def _problems_of(error: ValidationError, path: str, hint: Any) -> list[Problem]:
+    """Pydantic's errors as problems, one for each place; a union's members each report."""
+    places: dict[str, list[Any]] = {}
+    for details in error.errors(include_url=False):
+        tail = "".join(f".{part}" for part in details["loc"] if part not in FORMS)
+        places.setdefault(path + tail, []).append(details)
+    problems: list[Problem] = []
+    for place, found in places.items():
+        if found[0]["type"] == "unexpected_keyword_argument":
+            message, advice = unknown_key(str(found[0]["loc"][-1]), _fields(hint))
+        else:
+            message, advice = what_is_wrong(found)
+        problems.append(Problem(place, message, advice))
+    return problems
 
 
 def _fields(hint: Any) -> list[str]:

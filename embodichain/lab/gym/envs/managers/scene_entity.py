@@ -13,12 +13,12 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from pydantic import GetCoreSchemaHandler, TypeAdapter, ValidationError
+from pydantic import GetCoreSchemaHandler
 
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.from_dict import from_dict
 from embodichain.utils.math import cross, quat_conjugate, quat_multiply, quat_rotate
-from embodichain.utils.pydantic_problems import problems_of
 
 if TYPE_CHECKING:
     import torch
@@ -411,8 +411,5 @@ def resolve_entity(
 
 
 def _from_mapping(cfg: Mapping[str, Any]) -> SceneEntityCfg:
-    try:
-        return TypeAdapter(SceneEntityCfg).validate_python(dict(cfg))
-    except ValidationError as error:
-        known = SceneEntityCfg.__dataclass_fields__
-        raise ConfigError(problems_of(error, allowed=lambda loc: known)) from error
+    found: SceneEntityCfg = from_dict(SceneEntityCfg, dict(cfg))
+    return found
