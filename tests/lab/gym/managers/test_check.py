@@ -231,7 +231,7 @@ def test_a_key_of_a_nested_parameter_has_its_closest_match() -> None:
     found = problems(commands={"v": CommandCfg(func="uniform_velocity", params=params)})
     assert found == [
         "commands.v.params.ranges.lin_vel: unknown key; allowed: lin_vel_x, lin_vel_y, ang_vel_z, "
-        "heading Did you mean 'lin_vel_x'?"
+        "heading. Did you mean 'lin_vel_x'?"
     ]
 
 
@@ -272,7 +272,7 @@ PARAM = {
         (
             "modify_term_param",
             {**PARAM, "value": -1.0},
-            "value: threshold: must be greater than 0, got -1.0",
+            "value: threshold: must be greater than 0.0, got -1.0",
         ),
         (
             "modify_term_param",
