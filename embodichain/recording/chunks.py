@@ -271,6 +271,13 @@ class LogReader:
         return self.header
 
     @property
+    def cut(self) -> str:
+        """Why the log may go on beyond what can be read; empty if it does not."""
+        if not self.complete:
+            return self.damage or "its end is missing"
+        return "" if self.finished or self.recovered else "the recorder did not close it"
+
+    @property
     def part_note(self) -> str:
         """Which part of a log this is, if it is not all of it and nothing is lost."""
         return self.require_header().part_note(self.alone)

@@ -32,7 +32,7 @@ class LogDifference:
     """Where two logs part.
 
     Attributes:
-        step: Control step; None for what holds for the whole log.
+        step: Control step; None for what is of the whole log.
         env: Environment; None where it is not one's.
         field: What differs: ``qpos``, ``reward``, ``event move_cube``, ``write body_mass``, ...
         column: Its column: a joint, a body's coordinate, an index; empty where there is none.
@@ -271,7 +271,7 @@ class _Comparison:
         )
 
     def _name(self, kind: CallKind, array: str, column: int) -> tuple[str, str]:
-        """What an array holds, and what its column is called."""
+        """What an array contains, and what its column is called."""
         if array == "hashes":
             return "result of physics", "hash"
         if array in ("rows", "row") or kind.mode == "reset" and kind.kind == "write":

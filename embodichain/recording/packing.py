@@ -1,6 +1,6 @@
 """How the arrays of a run are stored one after another, without what can be told from others.
 
-* Arrays with equal bytes are stored once.
+* Arrays of one type with equal bytes are stored once.
 * float64 arrays whose values are all float32 ones (actions of a policy) are stored as float32.
 * A float64 array that differs from such a one, or from any other, in a few numbers only (controls
   from the actions they follow) is stored as the exclusive or of both: zeros, mostly.
@@ -60,7 +60,7 @@ def store(arrays: Sequence[tuple[str, bytes]]) -> tuple[list[Place], list[bytes]
     for number in sorted(range(len(arrays)), key=lambda k: singles[k] is None):
         dtype, data = arrays[number]
         alike = stored.setdefault(len(data), []) if len(data) >= _SMALLEST else []
-        same = next((place for other, place in alike if arrays[other][1] == data), None)
+        same = next((place for other, place in alike if arrays[other] == arrays[number]), None)
         if same is not None:
             places[number] = same
             continue

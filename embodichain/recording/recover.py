@@ -114,11 +114,9 @@ class _Copy:
                     self.steps += unpack_run(data, *sizes, outcomes).steps
                 writer.add_message(self._channel(topic), time_ns, bytes(data), time_ns)
                 self.messages += 1
-            self.why = reader.damage or ("" if reader.complete else "its end is missing")
+            self.why = reader.cut
         except DamageError as error:
             self.why = f"a message is damaged: {error}"
-        if not self.why and not reader.finished and not reader.recovered:
-            self.why = "the recorder did not close it"
         if not self.why and damaged:
             self.why = f"the attachment {damaged[0]} is damaged"
         if reader.recovered:

@@ -199,7 +199,7 @@ class Simulation(Rows):
     def _settle(
         self, step: int, local: EnvIndex | None, recorded: F64, columns: NDArray[np.int64] | slice
     ) -> None:
-        """Compare rows with recorded ones, and take these over where nobody compares."""
+        """Compare rows with recorded ones, and take these over where they are not compared."""
         self._compare(step, local, recorded, columns)
         active = self._active(step)
         if not self._exact or not active.all():

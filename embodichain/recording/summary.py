@@ -180,9 +180,9 @@ def _end(reader: LogReader, last_step: int) -> list[str]:
     """Where a log ends, if that is not as it should be."""
     warnings = []
     if not reader.complete:
-        why = reader.damage or "its end is missing"
         missing = f"what followed step {last_step} is missing"
-        warnings.append(f"incomplete: {why}; {missing if last_step >= 0 else 'no step is in it'}")
+        missing = missing if last_step >= 0 else "no step is in it"
+        warnings.append(f"incomplete: {reader.cut}; {missing}")
     elif reader.recovered:
         where = f"after step {last_step}" if last_step >= 0 else "before its first step is complete"
         warnings.append(f"recovered from a broken file; it ends {where}: {reader.recovered}")

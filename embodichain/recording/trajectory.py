@@ -70,7 +70,7 @@ def runs(reader: LogReader, span: Span = _ALL, wanted: Wanted | None = None) -> 
     """Yield the starts and runs that following some steps needs: from the last start before them.
 
     Args:
-        reader: The log; it knows of damage that is met.
+        reader: The log; its `damage` tells of what is met.
         span: The control steps; None is all.
         wanted: Whether a call is read; ``start`` and ``step`` are always; None reads all.
 

@@ -223,12 +223,7 @@ def _at_the_end(reader: LogReader, report: VerifyReport, last_step: int) -> Veri
     ends = f"the log ends after step {last_step}"
     if last_step < 0:
         ends = "the log ends before its first step was complete"
-    problems, notes = list(report.problems), []
-    if not reader.complete:
-        problems.append(f"{ends}: {reader.damage or 'its end is missing'}")
-    elif reader.recovered:
-        notes.append(f"{ends}: {reader.recovered}")
-    elif not reader.finished:
-        problems.append(f"{ends}: the recorder did not close it")
+    problems = [*report.problems, *([f"{ends}: {reader.cut}"] if reader.cut else [])]
+    notes = [f"{ends}: {reader.recovered}"] if reader.recovered and reader.complete else []
     notes += [note for note in (reader.part_note, reader.require_header().every_note) if note]
     return replace(report, ok=not problems, problems=problems, notes=notes)

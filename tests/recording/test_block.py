@@ -7,6 +7,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from embodichain.recording.block import ArrayKind, CallKind, pack_run, unpack_run
 from embodichain.recording.log_error import DamageError
+from embodichain.recording.packing import load, store
 from embodichain.recording.schema import descriptor_set, scalars_class, scalars_descriptor_set
 
 N, MOVED, NSTATE = 3, 5, 9
@@ -96,6 +97,16 @@ def test_an_array_that_differs_in_few_numbers_from_another_is_read_as_it_was_wri
     written = run.calls[0].arrays["values"]
     assert written.tobytes() == np.stack([step[0][0] for step in made]).tobytes()
     assert len(zstandard.compress(data)) < len(data) - 50 * N * 2 * 6
+
+
+def test_equal_bytes_of_another_type_are_another_array():
+    types = [("<f8", (12,)), ("|b1", (96,)), ("<i8", (12,)), ("<f8", (12,))]
+    places, parts = store([(dtype, bytes(96)) for dtype, _ in types])
+    stored = memoryview(b"".join(parts))
+    for (dtype, shape), place in zip(types, places, strict=True):
+        found = load("a", dtype, shape, place, stored)
+        assert found.dtype == dtype and not found.any()
+    assert places[0] == places[3]
 
 
 @pytest.mark.parametrize("special", [0.0, -0.0, np.inf, np.nan, 1e-40, 1e300, 0.1])

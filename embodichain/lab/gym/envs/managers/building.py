@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -72,7 +72,7 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
     values = _resolved_values(env, checked, where)
     parts = spec.meaning(values) if isinstance(spec, AliasSpec) else [(spec, values)]
     (source, values), steps = parts[0], parts[1:]
-    with _under(where):
+    with _under(where, checked.names):
         instance = source.func(env, **source.arguments(values)) if source.is_class else None
         shapes = [step.func(env, **step.arguments(given)) for step, given in steps]
     for step, given in checked.shapes:
@@ -202,16 +202,25 @@ def _resolved(env: TermContext, value: Any, path: str) -> Any:
 
 
 @contextmanager
-def _under(path: str) -> Iterator[None]:
-    """Put a path before those of a ConfigError that do not begin with it."""
+def _under(path: str, names: Mapping[str, str] | None = None) -> Iterator[None]:
+    """Put a path before those of a ConfigError that do not begin with it.
+
+    Args:
+        path: The path.
+        names: Parameter -> the name that the config gives it.
+    """
     try:
         yield
     except ConfigError as error:
-        raise _moved(error, path) from error
+        raise _moved(error, path, names) from error
 
 
-def _moved(error: ConfigError, path: str) -> ConfigError:
-    return ConfigError(
-        p if p.path.startswith(path) else Problem(f"{path}.{p.path}".rstrip("."), p.message, p.hint)
-        for p in error.problems
-    )
+def _moved(error: ConfigError, path: str, names: Mapping[str, str] | None = None) -> ConfigError:
+    def moved(problem: Problem) -> Problem:
+        if problem.path.startswith(path):
+            return problem
+        head, dot, rest = problem.path.partition(".")
+        head = (names or {}).get(head, head)
+        return Problem(f"{path}.{head}{dot}{rest}".rstrip("."), problem.message, problem.hint)
+
+    return ConfigError(map(moved, error.problems))
