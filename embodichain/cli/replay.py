@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from embodichain.recording.header import Header
     from embodichain.recording.summary import Episode, LogSummary
     from embodichain.recording.verification import VerifyReport
-    from embodichain.recording.viewers.log_screens import Screen
+    from embodichain.recording.viewers.log_player import Screen
 
 __all__ = ["command"]
 
@@ -271,7 +271,7 @@ def _view(path: Path, options: SimpleNamespace) -> int:
 
 def _screen(log: Log, options: SimpleNamespace, stop: StopFlag) -> Screen:
     from embodichain.lab.sim.viewer import has_display
-    from embodichain.recording.viewers.log_screens import NativeScreen
+    from embodichain.recording.viewers.log_player import NativeScreen
 
     name, env = options.view or ("native" if has_display() else "web"), options.env or 0
     if name == "foxglove":

@@ -11,8 +11,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from embodichain.lab.sim.engine.cpu import CpuEngine
-from embodichain.recording.api import Log
 from embodichain.recording.episodes import episode_of
+from embodichain.recording.recorded_log import RecordedLog
 from embodichain.recording.simulation import Simulation, always, never
 from embodichain.recording.trajectory import Span, follow
 from embodichain.utils.errors import ConfigError
@@ -21,7 +21,7 @@ __all__ = ["Playback", "Span", "follower_of", "span_of"]
 
 
 def span_of(
-    log: Log,
+    log: RecordedLog,
     env: int,
     episode: int | None = None,
     first: int | None = None,
@@ -52,7 +52,7 @@ def span_of(
     return Span(start, end)
 
 
-def follower_of(log: Log, env: int) -> Simulation:
+def follower_of(log: RecordedLog, env: int) -> Simulation:
     """One environment of a log on an engine, which simulates only what lies between keyframes.
 
     Raises:
@@ -84,7 +84,7 @@ class Playback:
         LogError: If the log has no states, or its model cannot be loaded.
     """
 
-    def __init__(self, log: Log, env: int) -> None:
+    def __init__(self, log: RecordedLog, env: int) -> None:
         self.log = log
         self.env = env
         self._simulation = follower_of(log, env)

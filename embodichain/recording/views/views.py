@@ -17,11 +17,11 @@ import numpy as np
 from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex, Write
 from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.recording.options import RecordLike
+from embodichain.recording.views.layout import pitch_of, places
 from embodichain.recording.views.log_lines import ending_text, event_text, ids_text, log_line
 from embodichain.recording.views.markers import Commands
 from embodichain.recording.views.messages import Sink
 from embodichain.recording.views.motion import Frames, Joints
-from embodichain.recording.views.places import pitch_of, places
 from embodichain.recording.views.scalars import METRICS, Scalars
 from embodichain.recording.views.scene import Props, scene_update
 from embodichain.recording.views.shapes import LOOKS, PLANE_SIZE
