@@ -205,8 +205,8 @@ def walk_event() -> Walk:
     """A term that randomizes a mass: checked, built, fired."""
     import embodichain
 
-    params = "{entity_cfg: {uid: cube}, mass_range: [1, 2]}"
-    event = f"{{func: randomize_rigid_object_mass, mode: reset, params: {params}}}"
+    params = "{of: {uid: cube}, mass: [1, 2]}"
+    event = f"{{func: randomize, mode: reset, params: {params}}}"
     env = embodichain.make("push_cube", num_envs=4, overrides=[f"++task.events={{mass: {event}}}"])
     env.reset(seed=0)
     events = env.event_manager
