@@ -1,148 +1,174 @@
 """What a log costs: `python -m benchmarks.log_cost`.
 
 Two equal environments in one process, one with a log, take turns next to each other, in random
-order: a machine whose speed wanders wanders less from one turn to the next. Each case has some
-processes of its own: of two environments that are the same the one or the other is faster by up to
-1 %, as memory lies, for as long as they live. A turn is whole episodes, and ends when everything is
-in the file: that wait of 12 to 40 ms, once a run, has to be little beside a turn.
+order: a machine whose speed wanders wanders less from one turn to the next. A turn is whole
+episodes, and ends when everything is in the file. With *lockstep* resets all environments are
+reset in the same step; with *staggered* ones their episodes begin one after the other, as in every
+task with terminations.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import random
-import subprocess
-import sys
 import tempfile
 import time
-from itertools import chain
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from benchmarks import arms
 from benchmarks.machine import table, write_json
 from benchmarks.medians import sure
-from benchmarks.rounds import EPISODE, timed
+from benchmarks.rounds import EPISODE
+from embodichain.lab.sim.engine.mujoco_process import stop_timers
 
-LIMITS: dict[tuple[int, int], float | None] = {
-    (4, 4): None,
-    (64, 4): 0.15,
-    (1024, 4): 0.10,
-    (1024, 1): 0.10,
-    (1024, 10): 0.03,
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+
+RESETS = ("lockstep", "staggered")
+
+
+class Limit(NamedTuple):
+    """The most that a log may cost; None is no limit.
+
+    Attributes:
+        share: Of a control step's time.
+        us: Microseconds of CPU time a control step.
+        nbytes: Bytes an environment and control step.
+    """
+
+    share: float | None = None
+    us: float | None = None
+    nbytes: float | None = None
+
+
+LIMITS = {
+    (4, 4): Limit(us=30, nbytes=280),
+    (64, 4): Limit(0.20, nbytes=200),
+    (1024, 4): Limit(0.08, nbytes=225),
+    (1024, 1): Limit(0.20),
+    (1024, 10): Limit(0.04),
 }
-"""Environments and physics steps a control step, and the share that a log may cost at most."""
+"""Environments and physics steps a control step, and what a log may cost."""
 
 
 def main() -> None:
     """Measure, print the table, write the raw figures."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--processes", type=int, default=6, help="one after another, of each case")
-    parser.add_argument("--pairs", type=int, default=10, help="of one, at most; at least 2")
-    parser.add_argument("--limit", type=float, default=50.0, help="seconds that one may take")
-    parser.add_argument("--seconds", type=float, default=4.0, help="about how long a turn is")
+    parser.add_argument("--pairs", type=int, default=20, help="of turns, at most; at least 2")
+    parser.add_argument("--limit", type=float, default=120.0, help="seconds a case may take")
+    parser.add_argument("--seconds", type=float, default=1.5, help="about how long a turn is")
     parser.add_argument("--episode", type=int, default=EPISODE, help="turns are multiples of it")
+    parser.add_argument("--resets", choices=RESETS, action="append", help="default: both")
     parser.add_argument(
         "--case", type=int, nargs=2, action="append", metavar=("N", "STEPS"),
         help="environments and physics steps; default: all of them",
     )  # fmt: skip
-    parser.add_argument("--here", action="store_true", help="the one case, in this process")
-    parser.add_argument("--seed", type=int, default=0, help="of the order; odd: logged made first")
     parser.add_argument("--out", type=Path, help="JSON file for the raw figures")
     options = parser.parse_args()
     cases = [(n, steps) for n, steps in options.case] if options.case else list(LIMITS)
-    if options.here:
-        results = [measured(num_envs, steps, options) for num_envs, steps in cases]
-    else:
-        results = [pooled(num_envs, steps, options) for num_envs, steps in cases]
+    results = [
+        measured(num_envs, steps, resets, options)
+        for num_envs, steps in cases
+        for resets in options.resets or RESETS
+    ]
     facts = {"results": results}
     print(report(facts))
     if options.out:
         write_json(options.out, facts)
 
 
-def pooled(num_envs: int, steps: int, options: argparse.Namespace) -> dict[str, Any]:
-    """A case, measured in several processes; the environment with a log is made first in half."""
-    found = [measured_apart(num_envs, steps, options, k) for k in range(options.processes)]
-    print(f"N={num_envs}, {steps} physics steps measured", flush=True)
-    turns = [turn for one in found for turn in one["steps_a_turn"]]
-    seconds = {
-        name: [times for one in found for times in one["seconds"][name]]
-        for name in ("plain", "logged")
-    }
-    return {"num_envs": num_envs, "physics_steps": steps, "steps_a_turn": turns, "seconds": seconds}
-
-
-def measured_apart(
-    num_envs: int, steps: int, options: argparse.Namespace, number: int
-) -> dict[str, Any]:
-    """A case, measured in a process of its own."""
-    with tempfile.TemporaryDirectory(prefix="log_cost-") as folder:
-        out = Path(folder) / "case.json"
-        command = [sys.executable, "-m", "benchmarks.log_cost", "--here", "--out", str(out)]
-        command += ["--case", str(num_envs), str(steps), "--pairs", str(options.pairs)]
-        command += ["--seconds", str(options.seconds), "--episode", str(options.episode)]
-        command += ["--limit", str(options.limit), "--seed", str(number)]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-        (result,) = json.loads(out.read_text())["results"]
-    found: dict[str, Any] = result
-    return found
-
-
-def measured(num_envs: int, steps: int, options: argparse.Namespace) -> dict[str, Any]:
-    """Seconds a control step of both environments, one of each a pair: a list for this process."""
-    order, override = random.Random(options.seed), f"task.sim_steps_per_control={steps}"
+def measured(num_envs: int, steps: int, resets: str, options: argparse.Namespace) -> dict[str, Any]:
+    """Wall and CPU seconds a control step of both environments in each pair, and bytes of it."""
+    order = random.Random(num_envs + steps)
+    override = f"task.sim_steps_per_control={steps}"
     made = [arms.make("random_reach", num_envs, override) for _ in range(2)]
-    without, with_log = made[:: -1 if options.seed % 2 else 1]
     with tempfile.TemporaryDirectory(prefix="log_cost-") as folder:
         both = [
-            arms.environment(without, "plain", "plain"),
-            arms.recorded(with_log, "logged", "plain", Path(folder)),
+            arms.environment(made[0], "plain", "plain"),
+            arms.recorded(made[1], "logged", "plain", Path(folder)),
         ]
-        episode: int = options.episode
-        plain, _ = (min(timed(arm, episode) for _ in range(2)) for arm in both)
-        count = episode * max(1, round(options.seconds / plain))
-        found: dict[str, list[float]] = {arm.name: [] for arm in both}
+        if resets == "staggered":
+            for env, arm in zip(made, both, strict=True):
+                _stagger(env, arm, options.episode)
+        (log,) = Path(folder).glob("*.mcap")
+        one = max(timed(arm, options.episode)[0] for arm in both)
+        count = options.episode * max(1, round(options.seconds / one / options.episode))
+        wall: dict[str, list[float]] = {"plain": [], "logged": []}
+        cpu: dict[str, list[float]] = {"plain": [], "logged": []}
+        nbytes = []
         end = time.monotonic() + options.limit
         for number in range(options.pairs):
             if time.monotonic() > end and number >= 2:
                 break
+            before = log.stat().st_size
             for arm in order.sample(both, 2):
-                found[arm.name].append(timed(arm, count) / count)
+                seconds, busy = timed(arm, count)
+                wall[arm.name].append(seconds)
+                cpu[arm.name].append(busy)
+            nbytes.append((log.stat().st_size - before) / (count * num_envs))
         for arm in both:
             arm.close()
-    seconds = {name: [times] for name, times in found.items()}
     return {
-        "num_envs": num_envs, "physics_steps": steps, "steps_a_turn": [count], "seconds": seconds
+        "num_envs": num_envs, "physics_steps": steps, "resets": resets, "steps_a_turn": count,
+        "seconds": wall, "cpu_seconds": cpu, "bytes": nbytes,
     }  # fmt: skip
 
 
+def _stagger(env: BaseEnv, arm: arms.Arm, episode: int) -> None:
+    """Step for an episode, and reset each environment at another moment of it."""
+    moments = np.arange(env.num_envs) * episode // env.num_envs
+    for step in range(episode):
+        ids = np.flatnonzero(moments == step)
+        if len(ids):
+            env.reset(options={"reset_ids": ids.tolist()})
+        arm.step(step)
+
+
+def timed(arm: arms.Arm, steps: int) -> tuple[float, float]:
+    """Seconds a control step by the clock, and of CPU time in all threads."""
+    stop_timers()
+    wall, cpu = time.perf_counter(), time.process_time()
+    for step in range(steps):
+        arm.step(step)
+    arm.finish()
+    return (time.perf_counter() - wall) / steps, (time.process_time() - cpu) / steps
+
+
 def report(facts: dict[str, Any]) -> str:
-    """A Markdown table: medians over the pairs, how sure they are, and those of each process."""
+    """A Markdown table: medians over the pairs, and where they lie with 90 %."""
     rows = []
     for found in facts["results"]:
-        plain, logged = found["seconds"]["plain"], found["seconds"]["logged"]
-        apart = [
-            [b / a - 1 for a, b in zip(*one, strict=True)]
-            for one in zip(plain, logged, strict=True)
-        ]
-        costs = sorted(chain.from_iterable(apart))
+        costs = _shares(found["seconds"])
         cost, (low, high) = median(costs), sure(costs)
-        medians = [median(one) for one in apart]
-        limit = LIMITS.get((found["num_envs"], found["physics_steps"]))
-        verdict = "" if limit is None else f"{limit:.0%}, {'met' if cost <= limit else 'missed'}"
+        cpu, nbytes = found["cpu_seconds"], median(found["bytes"])
+        us = 1e6 * median(b - a for a, b in zip(cpu["plain"], cpu["logged"], strict=True))
+        limit = LIMITS.get((found["num_envs"], found["physics_steps"]), Limit())
         rows.append([
             found["num_envs"],
             found["physics_steps"],
-            f"{1e6 * median(chain.from_iterable(plain)):.0f} us",
-            f"**{cost:.1%}** [{low:.1%} to {high:.1%}]",
-            f"{min(medians):.1%} to {max(medians):.1%}",
-            verdict,
+            found["resets"],
+            f"{1e6 * median(found['seconds']['plain']):.0f} us",
+            f"**{cost:.1%}** [{low:.1%} to {high:.1%}]{_verdict(cost, limit.share, '.0%')}",
+            f"{median(_shares(cpu)):.1%}",
+            f"{us:.0f} us{_verdict(us, limit.us, '.0f')}",
+            f"{nbytes:.0f}{_verdict(nbytes, limit.nbytes, '.0f')}",
         ])  # fmt: skip
-    heads = ["N", "physics steps", "a step without", "cost", "single processes", "at most"]
-    return table(heads, rows)
+    heads = ["N", "physics steps", "resets", "a step without", "cost by the clock", "in CPU time"]
+    return table([*heads, "CPU a step", "bytes an environment and step"], rows)
+
+
+def _shares(seconds: dict[str, list[float]]) -> list[float]:
+    return sorted(b / a - 1 for a, b in zip(seconds["plain"], seconds["logged"], strict=True))
+
+
+def _verdict(value: float, most: float | None, form: str) -> str:
+    if most is None:
+        return ""
+    return f", at most {most:{form}}: {'met' if value <= most else 'missed'}"
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 ROOT = Path(__file__).parents[1]
 SECONDS = 30
-"""A file that takes longer counts as a hang."""
+"""A file that takes more CPU time counts as a hang."""
 MEMORY = 2**30
 OUTCOMES = ("data", "data, warned", "refused", "traceback", "hang", "crash")
 GOOD = OUTCOMES[:3]
@@ -129,7 +129,7 @@ def run(base: Path, seed: int, count: int, every: int) -> dict[str, Any]:
 def work(base: Path, seed: int, count: int, every: int) -> None:
     """Read files one after the other; one line of JSON for each."""
     data = base.read_bytes()
-    signal.signal(signal.SIGALRM, _hang)
+    signal.signal(signal.SIGPROF, _hang)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "mutated.mcap"
         mutate(data, list(KINDS).index("compression bomb"))  # packed once, before memory counts
@@ -152,7 +152,7 @@ def outcome_of(
     path: Path, everything: bool, base: Path | None = None, turn: int = 0
 ) -> tuple[str, str]:
     """What reading a file gives, and why if that is bad; arguments are those of `check`."""
-    signal.alarm(SECONDS)
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)
     try:
         return ("data" if check(path, everything, base, turn) else "data, warned"), ""
     except ConfigError as error:
@@ -166,7 +166,7 @@ def outcome_of(
         where = f"{Path(at.tb_frame.f_code.co_filename).name}:{at.tb_lineno}" if at else ""
         return "traceback", f"{where} {error!r}"[:300]
     finally:
-        signal.alarm(0)
+        signal.setitimer(signal.ITIMER_PROF, 0)
 
 
 def check(path: Path, everything: bool, base: Path | None = None, turn: int = 0) -> bool:

@@ -1,14 +1,14 @@
 """Writes into docs/compatibility.md what of EmbodiChain's own configs is left out, and why.
 
-`python scripts/gym_config_table.py`: the tables of `lab.gym.gym_config`, between two marks.
+`python scripts/gym_config_table.py`: the tables of `compat.gym_config`, between two marks.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from embodichain.lab.gym.gym_config.functors import left_out_functors
-from embodichain.lab.gym.gym_config.vocabulary import left_out
+from embodichain.compat.gym_config.functors import left_out_functors
+from embodichain.compat.gym_config.vocabulary import left_out
 
 PAGE = Path(__file__).parents[1] / "docs" / "compatibility.md"
 BEGIN, END = "<!-- left out: begin -->\n", "<!-- left out: end -->\n"

@@ -13,16 +13,16 @@ from dataclasses import asdict, dataclass
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
-from embodichain.cli import exits
-from embodichain.cli.arguments import VerbParser, add_common, print_json, split_overrides
-from embodichain.cli.tables import print_table
-from embodichain.cli.verbs import VERBS
+import click
+
+from embodichain.cli.app import common, overrides, split_overrides, verb
+from embodichain.cli.output import print_json, print_table
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
-__all__ = ["main"]
+__all__ = ["command"]
 
 _ACTIONS = 16  # drawn before the clock starts: the policy's cost is not the environment's
 _ROUND_SECONDS = 0.3
@@ -49,24 +49,29 @@ class Result:
     ratio: float
 
 
-def main(arguments: list[str]) -> int:
+@verb(
+    "bench",
+    ("bench task=random_reach num_envs=1,64,1024", "three sizes"),
+    ("bench task=push_cube num_envs=64 --rounds 3 --json", "quicker, for scripts"),
+    keys=True,
+)
+@overrides("task=NAME [num_envs=1,64,1024] [KEY=VALUE]...")
+@click.option("--rounds", type=int, default=7, help="Rounds of each arm; else 7.")
+@common(config_dir=True)
+def command(
+    words: tuple[str, ...], rounds: int, config_dir: str | None, json: bool, traceback: bool
+) -> None:
     """Measure every size that was asked for."""
-    parser = VerbParser(VERBS["bench"])
-    parser.add_argument("overrides", nargs="*", metavar="key=value")
-    parser.add_argument("--rounds", type=int, default=7, help="rounds of each arm (7)")
-    add_common(parser, config_dir=True)
-    options = parser.parse(arguments)
-    if options.rounds < 1:
-        raise ConfigError(f"--rounds must be at least 1, got {options.rounds}")
-    sizes, overrides = _sizes(split_overrides(options.overrides))
-    configs = [_resolved(overrides, size, options.config_dir) for size in sizes]
-    results = [_measure(config, options.rounds) for config in configs]
-    if options.json:
-        facts = {"task": configs[0].task_name, "rounds": options.rounds}
-        print_json({**facts, "results": [asdict(result) for result in results]})
+    if rounds < 1:
+        raise ConfigError(f"--rounds must be at least 1, got {rounds}")
+    sizes, lines = _sizes(split_overrides(words))
+    configs = [_resolved(lines, size, config_dir) for size in sizes]
+    results = [asdict(_measure(config, rounds)) for config in configs]
+    task = configs[0].task_name
+    if json:
+        print_json({"task": task, "rounds": rounds, "results": results})
     else:
-        print_table(f"{configs[0].task_name}, control steps/s", [asdict(r) for r in results])
-    return exits.OK
+        print_table(f"{task}, control steps/s", results)
 
 
 def _sizes(overrides: list[str]) -> tuple[list[int | None], list[str]]:
@@ -114,7 +119,7 @@ def _arms(env: BaseEnv, config: Any) -> tuple[Callable[[int], None], Callable[[i
     """The environment under actions drawn beforehand, and the bare batch under their controls."""
     from mujoco import batch as mjbatch
 
-    from embodichain.cli.policies import policy_of
+    from embodichain.cli.attach import policy_of
 
     policy = policy_of(config.root, env)
     obs, _ = env.reset()

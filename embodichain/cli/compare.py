@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from embodichain.cli import exits
-from embodichain.cli.arguments import VerbParser, add_common, print_json
-from embodichain.cli.verbs import VERBS
+import click
+
+from embodichain.cli.app import common, complete_last, verb
+from embodichain.cli.output import number, print_json, print_table
 from embodichain.config.newest import CHECKPOINT, newest_run
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.learning.comparison import Group
 
-__all__ = ["main"]
+__all__ = ["command"]
 
 _COLUMNS = {
     "success": "success_rate",
@@ -30,34 +32,34 @@ _COLUMNS = {
 _SHARES = ("success", "eval success")
 
 
-def main(arguments: list[str]) -> int:
-    """Print a table of trainings, runs that differ by their seed in one line; draw their curves."""
-    parser = VerbParser(VERBS["compare"])
-    parser.add_argument(
-        "runs", nargs="+", metavar="RUN", help="folders of trainings or of sweeps, or `last`"
-    )
-    parser.add_argument("--output", "-o", metavar="OUT", help="a new picture: .png, .svg, .pdf")
-    add_common(parser)
-    options = parser.parse(arguments)
+@verb(
+    "compare",
+    ("compare outputs/2026-11-21/*_reach", "runs that differ by their seed are one line"),
+    ("compare last outputs/older -o curves.png", "with learning curves"),
+)
+@click.argument("runs", nargs=-1, required=True, metavar="RUN...", shell_complete=complete_last)
+@click.option("--output", "-o", metavar="OUT", help="A new picture: .png, .svg, .pdf.")
+@common()
+def command(runs: tuple[str, ...], output: str | None, json: bool, traceback: bool) -> None:
+    """Print a table of trainings, runs that differ by their seed in one line; draw their curves.
+
+    RUN is a folder of a training or of a sweep, or `last`.
+    """
     from embodichain.learning.comparison import group_runs, read_run
 
-    groups = group_runs(map(read_run, _trainings(options.runs)))
-    if options.output is not None:
+    groups = group_runs(map(read_run, _trainings(runs)))
+    if output is not None:
         from embodichain.learning.plots import plot_curves
 
-        plot_curves(groups, Path(options.output))
-    if options.json:
-        listed = [_data(group) for group in groups]
-        print_json({"groups": listed, "picture": options.output})
-        return exits.OK
-    from embodichain.cli.tables import print_table
-
+        plot_curves(groups, Path(output))
+    if json:
+        print_json({"groups": [_data(group) for group in groups], "picture": output})
+        return
     known = [title for title, name in _COLUMNS.items() if any(g.number(name) for g in groups)]
     rows = [_row(group, known) for group in groups]
-    print_table("trainings: mean over seeds [95 % interval]", rows, "runs")
-    if options.output is not None:
-        sys.stdout.write(f"{options.output}\n")
-    return exits.OK
+    print_table("trainings: mean over seeds [95 % interval]", rows)
+    if output is not None:
+        sys.stdout.write(f"{output}\n")
 
 
 def _trainings(names: Sequence[str]) -> list[Path]:
@@ -95,22 +97,14 @@ def _row(group: Group, titles: list[str]) -> dict[str, Any]:
         found = group.number(_COLUMNS[title])
         if found is None:
             continue
-        form = (lambda v: f"{v:.1%}") if title in _SHARES else _number
+        form: Callable[[float], str] = (lambda v: f"{v:.1%}") if title in _SHARES else number
         ends = found.mean_interval
         row[title] = form(found.mean)
         row[title] += f" [{form(ends[0])}, {form(ends[1])}]" if ends is not None else ""
     return row
 
 
-def _number(value: float) -> str:
-    from embodichain.cli.tables import number
-
-    return number(value)
-
-
 def _data(group: Group) -> dict[str, Any]:
-    from dataclasses import asdict
-
     numbers = {name: group.number(name) for name in _COLUMNS.values()}
     return {
         "label": group.label,

@@ -11,50 +11,51 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from embodichain.cli import exits
-from embodichain.cli.arguments import VerbParser, add_common, print_json
-from embodichain.cli.verbs import VERBS
+import click
+
+from embodichain.cli.app import common, verb
+from embodichain.cli.output import print_json
+from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.config.gym_config import GymConfig
-    from embodichain.config.problems import LocatedProblem
+    from embodichain.config.locate import LocatedProblem
 
-__all__ = ["main"]
+__all__ = ["command"]
 
 
-def main(arguments: list[str]) -> int:
+@verb(
+    "convert",
+    ("convert gym_config.yaml", "print the task, and what cannot come along"),
+    ("convert gym_config.json -o conf/task/push.yaml", "write it; then: run task=push"),
+)
+@click.argument("file", metavar="FILE")
+@click.option("--output", "-o", metavar="OUT", help="A new file; else the terminal.")
+@common()
+def command(file: str, output: str | None, json: bool, traceback: bool) -> None:
     """Print the task, or write it to a new file; say on stderr what could not come along."""
-    parser = VerbParser(VERBS["convert"])
-    parser.add_argument("file", metavar="FILE", help="EmbodiChain's config: YAML or JSON")
-    parser.add_argument("--output", "-o", metavar="OUT", help="a new file; else the terminal")
-    add_common(parser)
-    options = parser.parse(arguments)
     from embodichain.config.composed import compose
     from embodichain.config.gym_config import load_gym_config, override_of
     from embodichain.config.validation import validate
 
-    if options.output is not None and os.path.lexists(options.output):
-        raise ConfigError(f"{options.output} exists; it is never replaced")
-    gym = load_gym_config(options.file)
+    if output is not None and os.path.lexists(output):
+        raise ConfigError(f"{output} exists; it is never replaced")
+    gym = load_gym_config(file)
     if gym.problems:
         raise ConfigError(gym.problems)
-    text = _task_file(gym, options.file)
-    if options.output is not None:
-        _write_new(Path(options.output), text)
-    left = validate(compose([override_of(options.file)]))
-    lists = {"notes": gym.notes, "mistakes": left}
-    if options.json:
+    text = _task_file(gym, file)
+    if output is not None:
+        _write_new(Path(output), text)
+    left = validate(compose([override_of(file)]))
+    if json:
+        lists = {"notes": gym.notes, "mistakes": left}
         listed = {name: [p.as_dict() for p in found] for name, found in lists.items()}
-        print_json({"name": gym.name, "task": gym.task, "written": options.output, **listed})
-        return exits.OK
-    if options.output is None:
-        sys.stdout.write(text)
-    else:
-        sys.stdout.write(f"{options.output}: {gym.name}, from {options.file}\n")
+        print_json({"name": gym.name, "task": gym.task, "written": output, **listed})
+        return
+    sys.stdout.write(text if output is None else f"{output}: {gym.name}, from {file}\n")
     sys.stderr.write(_list("left out, or read otherwise", gym.notes))
     sys.stderr.write(_list("still wrong in the task", left))
-    return exits.OK
 
 
 def _task_file(gym: GymConfig, source: str) -> str:
@@ -70,16 +71,9 @@ def _task_file(gym: GymConfig, source: str) -> str:
 
 def _write_new(path: Path, text: str) -> None:
     """Write a file that was not there, whole or not at all."""
-    from embodichain.config.run_folder import write_atomically
-
-    whole = path.with_name(f".{path.name}.{os.getpid()}.new")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_atomically(whole, text)
-        try:
-            os.link(whole, path)  # unlike a rename, it refuses a name that is taken
-        finally:
-            whole.unlink()
+        write_text(path, text, new=True)
     except FileExistsError as error:
         raise ConfigError(f"{path} exists; it is never replaced") from error
     except OSError as error:

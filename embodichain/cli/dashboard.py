@@ -11,8 +11,8 @@ import time
 from types import TracebackType
 from typing import IO, TYPE_CHECKING
 
+from embodichain.cli.output import console
 from embodichain.cli.progress import ProgressDisplay
-from embodichain.cli.tables import console
 
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType

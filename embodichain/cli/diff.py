@@ -1,4 +1,4 @@
-"""`embodichain diff A B`: the first step and field where two logs part."""
+"""`embodichain diff A B`: the first step and field where two logs differ."""
 
 from __future__ import annotations
 
@@ -6,24 +6,26 @@ import sys
 from dataclasses import asdict
 
 from embodichain.cli import exits
-from embodichain.cli.arguments import VerbParser, add_common, print_json
-from embodichain.cli.log_files import log_of
-from embodichain.cli.verbs import VERBS
+from embodichain.cli.app import common, log_argument, log_of, verb
+from embodichain.cli.output import print_json
 
-__all__ = ["main"]
+__all__ = ["command"]
 
 
-def main(arguments: list[str]) -> int:
+@verb(
+    "diff",
+    ("diff outputs/A outputs/B", "two runs; exits 0 if they are the same, 1 if not"),
+    ("diff old.mcap new.mcap --json", "for scripts"),
+)
+@log_argument("A", "a")
+@log_argument("B", "b")
+@common()
+def command(a: str, b: str, json: bool, traceback: bool) -> int:
     """Compare two logs; 1 if they differ."""
-    parser = VerbParser(VERBS["diff"])
-    parser.add_argument("a", metavar="A", help="a log, a run's folder, or `last`")
-    parser.add_argument("b", metavar="B", help="another one")
-    add_common(parser)
-    options = parser.parse(arguments)
     from embodichain.recording.log_diff import diff
 
-    report = diff(log_of(options.a), log_of(options.b))
-    if options.json:
+    report = diff(log_of(a), log_of(b))
+    if json:
         print_json({**asdict(report), "same": report.same})
     else:
         for note in report.notes:

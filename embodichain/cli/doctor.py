@@ -18,12 +18,11 @@ from pathlib import Path
 from typing import Literal
 
 from embodichain.cli import exits
-from embodichain.cli.arguments import VerbParser, add_common, print_json
+from embodichain.cli.app import common, verb
 from embodichain.cli.extras import EXTRAS
-from embodichain.cli.tables import print_table
-from embodichain.cli.verbs import VERBS
+from embodichain.cli.output import print_json, print_table
 
-__all__ = ["Check", "main"]
+__all__ = ["Check", "command"]
 
 _CORE = (
     *("mujoco", "numpy", "torch", "tensordict", "gymnasium", "stable-baselines3", "hydra-core"),
@@ -52,13 +51,16 @@ class Check:
     advice: str = ""
 
 
-def main(arguments: list[str]) -> int:
+@verb(
+    "doctor",
+    ("doctor", "a table, with what to do where something is missing"),
+    ("doctor --json", ""),
+)
+@common()
+def command(json: bool, traceback: bool) -> int:
     """Check everything and print it."""
-    parser = VerbParser(VERBS["doctor"])
-    add_common(parser)
-    options = parser.parse(arguments)
     checks = [check for section in _SECTIONS for check in section()]
-    if options.json:
+    if json:
         print_json({"checks": [asdict(check) for check in checks]})
     else:
         print_table("this machine", [asdict(check) for check in checks])
@@ -155,8 +157,7 @@ def _optional() -> Iterator[Check]:
 
 def _randomness() -> Iterator[Check]:
     """Classes and terms whose results depend on num_envs: they draw from a global generator."""
-    from embodichain.cli.global_random import global_draws
-    from embodichain.cli.registered import registered_code
+    from embodichain.cli.global_random import global_draws, registered_code
 
     found = False
     for name, thing in registered_code():

@@ -1,78 +1,107 @@
-"""`embodichain export`: a policy as one ONNX or TorchScript file; what a log holds, in other forms.
-
-``export policy ...`` is here, everything else about files of logs in `export_log`.
-"""
+"""`embodichain export`: a log in another program's format; a policy as ONNX or TorchScript."""
 
 from __future__ import annotations
 
-import importlib
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from embodichain.cli import exits
-from embodichain.cli.arguments import VerbParser, add_common, print_json
-from embodichain.cli.trained import Target, find_target, split_words
-from embodichain.cli.verbs import VERBS
+import click
+
+from embodichain.cli.app import common, log_of, verb
+from embodichain.cli.attach import ended_early, show_pictures
+from embodichain.cli.exits import Interrupted
+from embodichain.cli.logs import warnings_on_stderr
+from embodichain.cli.output import print_json, say_warnings
+from embodichain.cli.process import StopFlag
+from embodichain.cli.progress import ProgressDisplay
+from embodichain.cli.trained import Target, one_target
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.learning.exporting import Format
+    from embodichain.recording.api import Log
+    from embodichain.recording.export.formats import Part
 
-__all__ = ["main"]
+__all__ = ["command"]
 
-_LOGS = "embodichain.cli.export_log"
-_LOG_OPTIONS = "Below: `export policy`; for logs, `embodichain export last --help`."
-_FORMATS: dict[Format, str] = {"onnx": ".onnx", "torchscript": ".pt"}
+_POLICIES: dict[Format, str] = {"onnx": ".onnx", "torchscript": ".pt"}
 
 
-def main(arguments: list[str]) -> int:
-    """Export a policy, or hand on to the export of logs."""
-    first = next((word for word in arguments if not word.startswith("-")), None)
-    if first is None and not {"-h", "--help"} & set(arguments):
+def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    return [word for word in ("policy", "last") if word.startswith(incomplete)]
+
+
+@verb(
+    "export",
+    ("export last --format csv", "the newest log as a table, beside it"),
+    ("export FILE --format hdf5 -o demos.hdf5", "episodes in robomimic's layout"),
+    ("export last --format ros2 --env 2 --from 0 --to 100", "a ROS 2 bag of a part"),
+    ("export policy last", "policy.onnx in the run's folder"),
+    ("export policy last --format torchscript -o reach.pt", "for C++ and PyTorch"),
+    ("export policy my_model.zip task=reach", "a zip of your own"),
+)
+@click.argument(
+    "words",
+    nargs=-1,
+    metavar="FILE|last | policy RUN|last|PATH [task=NAME]",
+    shell_complete=_complete,
+)
+@click.option(
+    "--format",
+    "form",
+    metavar="F",
+    help="Of a log: csv, npz, parquet, hdf5, lerobot, rrd, ros2 or mp4; of a policy: onnx "
+    "(else) or torchscript.",
+)
+@click.option("--output", "-o", metavar="OUT", help="A new file (lerobot: folder).")
+@click.option("--env", type=int, metavar="I", help="Of a log: only this environment.")
+@click.option("--episode", type=int, metavar="K", help="Only this episode of --env.")
+@click.option("--from", "start", type=int, default=0, metavar="T", help="First step.")
+@click.option("--to", "stop", type=int, metavar="T", help="Step that ends it.")
+@common(config_dir=True)
+def command(**kwargs: Any) -> None:
+    """Write a log, or a part of it, or a policy, to a new file."""
+    options = SimpleNamespace(**kwargs)
+    if not options.words:
         raise ConfigError("export what? One of: policy RUN, FILE (a log), last")
-    if first == "policy" or first is None:
-        return _policy(arguments)
-    code: int = importlib.import_module(_LOGS).main(arguments)
-    return code
+    if options.words[0] == "policy":
+        _export_policy(options)
+    elif len(options.words) > 1:
+        raise ConfigError(f"one log at a time: {', '.join(options.words)}")
+    else:
+        _export_log(options)
 
 
-def _policy(arguments: list[str]) -> int:
-    parser = VerbParser(VERBS["export"])
-    parser.description = f"{parser.description}\n{_LOG_OPTIONS}"
-    parser.add_argument("what", choices=["policy"], help="what is exported")
-    parser.add_argument("words", nargs="*", metavar="RUN|last|PATH|key=value", help="the policy")
-    parser.add_argument("--format", choices=list(_FORMATS), default="onnx", help="else onnx")
-    parser.add_argument("--output", "-o", metavar="OUT", help="a new file; else beside the policy")
-    add_common(parser, config_dir=True)
-    options = parser.parse(arguments)
-    names, overrides = split_words(options.words)
-    if len(names) != 1:
-        raise ConfigError("export what? One of: RUN (a training's folder), last, PATH (a policy)")
-    target = find_target(names[0])
-    if target.file is None or target.file.suffix in _FORMATS.values():
-        raise ConfigError(f"policy: only zips of Stable-Baselines3 are exported, not {names[0]}")
-    out = Path(options.output) if options.output is not None else _beside(target, options.format)
+def _export_policy(options: SimpleNamespace) -> None:
     from embodichain.config.search_path import user_configs
 
+    form = options.form or "onnx"
+    if form not in _POLICIES:
+        raise ConfigError(f"--format of a policy is one of {', '.join(_POLICIES)}, not {form}")
+    target, lines = one_target("export", options.words[1:])
+    if target.file is None or target.file.suffix in _POLICIES.values():
+        name = target.policy
+        raise ConfigError(f"policy: only zips of Stable-Baselines3 are exported, not {name}")
+    out = Path(options.output) if options.output is not None else _beside(target, form)
     with user_configs(options.config_dir):
-        facts = _export(target, overrides, out, options.format)
+        facts = _write_policy(target, lines, out, form)
     if options.json:
         print_json(facts)
     else:
         worst = f"at most {facts['largest_difference']:.2g} from Stable-Baselines3's actions"
         sys.stdout.write(f"{out}: {facts['task']}, {facts['algo']}, {worst}\n")
-    return exits.OK
 
 
 def _beside(target: Target, form: Format) -> Path:
     """``policy.onnx`` in the run's folder, ``NAME.onnx`` beside a file that belongs to none."""
     if target.run is not None:
-        return target.run / f"policy{_FORMATS[form]}"
-    return Path(target.policy).with_suffix(_FORMATS[form])
+        return target.run / f"policy{_POLICIES[form]}"
+    return Path(target.policy).with_suffix(_POLICIES[form])
 
 
-def _export(target: Target, overrides: list[str], out: Path, form: Format) -> dict[str, Any]:
+def _write_policy(target: Target, overrides: list[str], out: Path, form: Format) -> dict[str, Any]:
     from embodichain.config.factory import make_env
     from embodichain.learning.exporting import export_policy
     from embodichain.learning.policy import load_model
@@ -95,3 +124,65 @@ def _export(target: Target, overrides: list[str], out: Path, form: Format) -> di
         "policy": target.policy,
         "largest_difference": worst,
     }
+
+
+def _export_log(options: SimpleNamespace) -> None:
+    from embodichain.recording.api import Log
+    from embodichain.recording.export.formats import Part
+
+    if options.form is None:
+        raise ConfigError("--format is needed: csv, npz, parquet, hdf5, lerobot, rrd, ros2 or mp4")
+    if options.episode is not None and options.env is None:
+        raise ConfigError("--episode needs --env: episodes are counted in each environment")
+    part = Part(options.env, options.episode, options.start, options.stop)
+    with warnings_on_stderr(), Log(log_of(options.words[0]), simulate=True) as log:
+        export = _film if options.form == "mp4" else _write
+        path, ended = export(log, options, part)
+        say_warnings(log.path, log.warnings)
+        if options.json:
+            print_json({"file": str(path), "bytes": _size(path), "complete": log.complete})
+        else:
+            sys.stdout.write(f"{path}: {_size(path) / 1e6:.2f} MB\n")
+    if ended:
+        raise Interrupted(ended)
+
+
+def _write(log: Log, options: SimpleNamespace, part: Part) -> tuple[Path, str]:
+    """Everything but films: a signal leaves no file."""
+    from embodichain.recording.export.formats import export
+
+    try:
+        return export(log, options.form, options.output, part), ""
+    except Interrupted as error:
+        raise Interrupted(
+            f"{error}; nothing was written, an export is whole or not there"
+        ) from None
+
+
+def _film(log: Log, options: SimpleNamespace, part: Part) -> tuple[Path, str]:
+    """A film: a signal ends it. Returns what to say of that, too."""
+    from embodichain.recording.export.formats import export
+    from embodichain.recording.film import Filmed
+
+    filmed = Filmed(0, -1, whole=False)
+    with StopFlag() as stop, ProgressDisplay("film", None, "pictures", quiet=options.json) as bar:
+        show = show_pictures(bar)
+
+        def progress(now: Filmed) -> None:
+            nonlocal filmed
+            filmed = now
+            show(now)
+
+        def stopped() -> bool:
+            return stop.stopped is not None
+
+        path = export(log, options.form, options.output, part, progress=progress, stop=stopped)
+        if not filmed.pictures:
+            raise Interrupted(ended_early(stop, filmed, path))
+        return path, ended_early(stop, filmed, path) if stop.stopped is not None else ""
+
+
+def _size(path: Path) -> int:
+    """Bytes of a file, or of all files in a folder."""
+    files = [path] if path.is_file() else [p for p in path.rglob("*") if p.is_file()]
+    return sum(file.stat().st_size for file in files)

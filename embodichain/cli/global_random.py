@@ -9,9 +9,9 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
-__all__ = ["global_draws"]
+__all__ = ["global_draws", "registered_code"]
 
 _TORCH = {
     *("rand", "rand_like", "randn", "randn_like", "randint", "randint_like", "randperm"),
@@ -58,3 +58,24 @@ def _is_global(call: ast.Call) -> bool:
     if owner in ("np.random", "numpy.random", "random"):
         return name not in _OWN_GENERATOR
     return False
+
+
+def registered_code() -> Iterator[tuple[str, Callable[..., object]]]:
+    """Yield environment classes of ours and of plug-ins, with their bases, and every term."""
+    from embodichain.config.plugins import load_task_packages
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.envs.managers.registry import KINDS, TERMS
+    from embodichain.lab.gym.utils.registration import REGISTERED_ENVS
+
+    load_task_packages()
+    seen: set[object] = set(BaseEnv.__mro__)
+    for name, spec in REGISTERED_ENVS.items():
+        for cls in inspect.getmro(spec.cls) if inspect.isclass(spec.cls) else (spec.cls,):
+            if cls not in seen:
+                seen.add(cls)
+                yield name, cls
+    for kind in KINDS:
+        for name, term in TERMS[kind].items():
+            if term.func not in seen:
+                seen.add(term.func)
+                yield f"{kind} term {name}", term.func

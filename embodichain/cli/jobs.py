@@ -1,35 +1,38 @@
-"""What one job of `run` or `train` starts with: its checked config, its folder, its log file.
+"""Jobs: one run or training with its checked config, its folder and its log file.
 
-A job is called once, or by Hydra once for each point of a sweep, perhaps in another process.
+`start` turns what was typed for `run` and `train` into jobs: one, called here with a config from
+Hydra's compose, or what Hydra's own `main` is asked for: a sweep, `--cfg`, `--info`.
 """
 
 from __future__ import annotations
 
-import os
 import shlex
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal
 
-from embodichain.cli.labels import told_apart
-from embodichain.cli.logs import log_to
-from embodichain.cli.stopping import StopFlag
+from embodichain.cli.app import job_options, split_overrides
+from embodichain.cli.logs import label_lines, log_to
+from embodichain.cli.process import StopFlag
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
-    from embodichain.config.resolved import Resolved, Verb
+    from embodichain.config.composed import Composed
+    from embodichain.config.resolved import Resolved
     from embodichain.config.schema import RootCfg
 
-__all__ = ["COMMAND_VARIABLE", "LOG_FILE", "Job", "execute", "given"]
+__all__ = ["FRESH", "LOG_FILE", "Body", "Job", "Verb", "execute", "resolved_job", "start"]
 
 LOG_FILE = "run.log"
-COMMAND_VARIABLE = "EMBODICHAIN_COMMAND"
-"""Environment variable with the command line as typed, for the workers of a sweep."""
-
-_given: ContextVar[Resolved | None] = ContextVar("given", default=None)
+FRESH: dict[str, Any] = {
+    **{"quiet": False, "json": False, "traceback": False, "resume": None, "allow_changed": False},
+    **{"max_steps": None, "video": None, "total_timesteps": None, "algo": None},
+    **{"output_dir": "outputs"},
+}
+"""Root keys of a run's config that do not carry over to another run of it."""
+Verb = Literal["run", "train"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,78 +40,126 @@ class Job:
     """One run.
 
     Attributes:
-        resolved: Its config, as written to files.
-        root: The same as data classes.
+        resolved: Its config.
         folder: Its own folder.
     """
 
     resolved: Resolved
-    root: RootCfg
     folder: Path
 
+    @property
+    def root(self) -> RootCfg:
+        """The config as data classes."""
+        return self.resolved.root
 
-@contextmanager
-def given(resolved: Resolved) -> Iterator[None]:
-    """Let a job that is called here, without Hydra, have this config."""
-    token = _given.set(resolved)
-    try:
-        yield
-    finally:
-        _given.reset(token)
+    @property
+    def quiet(self) -> bool:
+        """Whether nothing is shown besides the result."""
+        return self.root.quiet or self.root.json
 
 
-def execute(verb: Verb, body: Callable[[Job, StopFlag], float | None]) -> float | None:
-    """Do what a job is for: give it its config and its folder, and log what happens.
+Body = Callable[[Job, StopFlag], float | None]
+"""What a job does; returns what a sweeper may optimise."""
 
-    Args:
-        verb: Whose job it is.
-        body: Gets the job and a flag that says when to stop; returns what a sweeper may optimise.
+
+def resolved_job(composed: Composed, verb: Verb) -> Resolved:
+    """Check a job's config as a whole; for a training, the arguments of its algorithm too.
 
     Raises:
-        ConfigError: The config is wrong, or no folder can be made.
+        ConfigError: Every mistake, with its place.
+    """
+    from embodichain.config.resolved import resolve
+
+    resolved = resolve(composed, verb)
+    if verb == "train":
+        from embodichain.learning.train import check_training
+
+        with resolved.locating():
+            check_training(resolved)
+    return resolved
+
+
+def start(verb: Verb, body: Body, options: Any, typed: Sequence[str]) -> None:
+    """Do one job, or give Hydra's `main` what is its.
+
+    The config of every job is checked before the first starts.
+
+    Args:
+        verb: Whose jobs they are.
+        body: What a job does.
+        options: Of the command line.
+        typed: The command line, for `command.txt`.
+
+    Raises:
+        ConfigError: Wrong flags, or mistakes in the config of any job: nothing has started.
+    """
+    from embodichain.config.composed import compose
+    from embodichain.config.search_path import user_configs
+
+    overrides = [*split_overrides(options.words), *job_options(options)]
+    if options.gym_config is not None:
+        from embodichain.config.gym_config import override_of
+
+        overrides.append(override_of(options.gym_config))
+    prints = options.cfg is not None or options.info is not None
+    hydras = any(line.lstrip("+~").startswith(("hydra.", "hydra/")) for line in overrides)
+    resumes = any(line.lstrip("+").startswith("resume=") for line in overrides)
+    with user_configs(options.config_dir):
+        if verb == "train" and resumes:
+            from embodichain.cli.resuming import resolve_resumed
+
+            if options.multirun or prints or hydras:
+                raise ConfigError(
+                    "resume goes on with one training: no --multirun, no key of Hydra's"
+                )
+            execute(resolve_resumed(overrides), body, typed)
+        elif prints or options.multirun or hydras:
+            from embodichain.cli.sweeping import call_hydra
+
+            call_hydra(verb, body, options, overrides, typed)
+        else:
+            execute(resolved_job(compose(overrides, verb), verb), body, typed)
+
+
+def execute(
+    resolved: Resolved,
+    body: Body,
+    command: Sequence[str],
+    folder: Path | None = None,
+    label: str | None = None,
+) -> float | None:
+    """Do a job: give it its folder, and log what happens.
+
+    Args:
+        resolved: Its config.
+        body: What it does.
+        command: The command line, as typed.
+        folder: Its folder; None claims a new one.
+        label: Begins the lines that it prints, where other jobs print at the same time.
+
+    Raises:
+        ConfigError: No folder can be made.
         Exception: Whatever `body` raises.
     """
-    from embodichain.config.run_folder import write_record
+    from embodichain.config.run_folder import claim, write_record
 
-    resolved, folder = _claim(verb)
-    command = os.environ.get(COMMAND_VARIABLE, f"embodichain {verb}")
-    write_record(folder, resolved, shlex.split(command))
-    with (
-        told_apart(json=resolved.tree["json"]),
-        log_to(folder / LOG_FILE) as log,
-        StopFlag() as stop,
-    ):
-        log.info("command: %s", command)
+    resolved = _pinned(resolved)
+    if folder is None:
+        folder = claim(resolved.root.output_dir, resolved.task_name)
+    write_record(folder, resolved, command)
+    labelled = nullcontext() if label is None else label_lines(label, json=resolved.root.json)
+    with labelled, log_to(folder / LOG_FILE) as log, StopFlag() as stop:
+        log.info("command: %s", shlex.join(command))
         for note in resolved.notes:
             log.warning("%s", note)
         with resolved.locating():
-            value = body(Job(resolved, resolved.root, folder), stop)
+            value = body(Job(resolved, folder), stop)
         log.info("done")
         return value
 
 
-def _claim(verb: Verb) -> tuple[Resolved, Path]:
-    """The job's config, and the folder that is its own: a sweep's jobs have fixed ones."""
-    from embodichain.config.run_folder import adopt, claim
-
-    resolved = _given.get()
-    if resolved is None:
-        from hydra.core.hydra_config import HydraConfig
-        from hydra.types import RunMode
-
-        from embodichain.config.composed import from_hydra
-        from embodichain.config.resolved import resolve
-
-        resolved = resolve(from_hydra(), verb)
-        if HydraConfig.get().mode == RunMode.MULTIRUN:
-            return _pinned(resolved), adopt(HydraConfig.get().runtime.output_dir)
-    resolved = _pinned(resolved)
-    return resolved, claim(resolved.tree["output_dir"], resolved.task_name)
-
-
 def _pinned(resolved: Resolved) -> Resolved:
-    """Replace `last` and links by the folder they mean now: the next run changes that."""
-    from embodichain.config.frozen import freeze
+    """Replace `last` and links by the folder that they mean now: the next run changes that."""
     from embodichain.config.newest import CHECKPOINT, named_checkpoint, newest_run
 
     policy = resolved.tree["policy"]
@@ -118,4 +169,4 @@ def _pinned(resolved: Resolved) -> Resolved:
     path = newest_run(resolved.tree["output_dir"], CHECKPOINT) if last else named_checkpoint(policy)
     if path is None:
         raise ConfigError("policy: the training that 'last' meant is gone")
-    return replace(resolved, tree=freeze({**resolved.tree, "policy": str(path.resolve())}))
+    return resolved.changed(policy=str(path.resolve()))

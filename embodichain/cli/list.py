@@ -2,80 +2,80 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
-import textwrap
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from embodichain.cli import exits
-from embodichain.cli.arguments import VerbParser, add_common, print_json
-from embodichain.cli.tables import print_table, width
-from embodichain.cli.verbs import VERBS
+import click
+
+from embodichain.cli.app import common, verb
+from embodichain.cli.output import print_json, print_table, wrapped
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from hydra.plugins.config_source import ConfigSource
 
-__all__ = ["main"]
+__all__ = ["command"]
 
 Rows = list[dict[str, Any]]
+_FAULT = "cannot load"
+_WHAT = ("tasks", "robots", "terms")
 
 
-def main(arguments: list[str]) -> int:
+def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    return [word for word in _WHAT if word.startswith(incomplete)]
+
+
+@verb(
+    "list",
+    ("list tasks", "every task that task=NAME finds"),
+    ("list robots", "robot files that a task can name"),
+    ("list terms", "functions for events, observations, rewards, ..."),
+    ("list terms --markdown", "the same as a page, with parameters and examples"),
+)
+@click.argument("what", required=False, metavar="tasks|robots|terms", shell_complete=_complete)
+@click.option("--markdown", is_flag=True, help="Terms as the page docs/terms.md.")
+@common(config_dir=True)
+def command(
+    what: str | None, markdown: bool, config_dir: str | None, json: bool, traceback: bool
+) -> None:
     """List what is asked for, as a table or as JSON."""
-    parser = VerbParser(VERBS["list"])
-    parser.add_argument("what", nargs="?", metavar="tasks|robots|terms")
-    parser.add_argument("--markdown", action="store_true", help="terms as the page docs/terms.md")
-    add_common(parser, config_dir=True)
-    options = parser.parse(arguments)
-    lister = _LISTERS.get(options.what)
-    if lister is None:
-        if options.what is None:
+    lister = _LISTERS.get(what or "")
+    if lister is None or what is None:
+        if what is None:
             raise ConfigError(f"list what? One of: {', '.join(_LISTERS)}")
-        hint = did_you_mean(options.what, _LISTERS)
-        raise ConfigError(f"nothing called '{options.what}' to list.{hint} {', '.join(_LISTERS)}")
-    if options.markdown:
-        return _page(options)
-    rows = lister(options)
-    if options.json:
-        print_json({options.what: rows})
-    else:
-        print_table(options.what, rows, detail="cannot load")
-        if options.what == "robots" and (absent := _absent_robots(rows)):
-            sys.stdout.write("not here:\n")
-            for line in absent:
-                sys.stdout.write(
-                    textwrap.fill(
-                        line,
-                        width(),
-                        initial_indent="  ",
-                        subsequent_indent="    ",
-                        break_long_words=False,
-                        break_on_hyphens=False,
-                    )
-                    + "\n"
-                )
-            sys.stdout.write("\n")
-    return exits.OK
+        hint = did_you_mean(what, _LISTERS)
+        raise ConfigError(f"nothing called '{what}' to list.{hint} {', '.join(_LISTERS)}")
+    if markdown:
+        if what != "terms" or json:
+            raise ConfigError("--markdown goes with `list terms`, without --json")
+        from embodichain.cli.terms import catalogue
+
+        sys.stdout.write(catalogue())
+        return
+    rows = lister(config_dir)
+    if json:
+        print_json({what: rows})
+        return
+    faults = [f"{row['name']}: {text}" for row in rows if (text := row.get(_FAULT))]
+    print_table(what, [{k: v for k, v in row.items() if k != _FAULT} for row in rows])
+    _print_list(_FAULT, faults)
+    if what == "robots":
+        _print_list("not here", _absent_robots(rows))
 
 
-def _page(options: argparse.Namespace) -> int:
-    """The catalogue of terms, for people."""
-    if options.what != "terms" or options.json:
-        raise ConfigError("--markdown goes with `list terms`, without --json")
-    from embodichain.cli.catalogue import catalogue
-
-    sys.stdout.write(catalogue())
-    return exits.OK
+def _print_list(title: str, lines: list[str]) -> None:
+    if lines:
+        folded = [f"{wrapped(line, '  ', '    ')}\n" for line in lines]
+        sys.stdout.write("".join([f"{title}:\n", *folded, "\n"]))
 
 
-def _tasks(options: argparse.Namespace) -> Rows:
+def _tasks(config_dir: str | None) -> Rows:
     """Every option of the group `task`, wherever it is searched; a broken file is listed too."""
-    from embodichain.config.hydra_state import config_loader
+    from embodichain.config.search_path import config_loader
 
-    with config_loader(options.config_dir) as loader:
+    with config_loader(config_dir) as loader:
         sources = loader.get_sources()
         names = loader.get_group_options("task")
         places = {n: next(s for s in sources if s.is_config(f"task/{n}")) for n in names}
@@ -100,7 +100,7 @@ def _description(source: ConfigSource, path: str) -> str:
     return str(config.get("description", "")) if isinstance(config, DictConfig) else ""
 
 
-def _robots(options: argparse.Namespace) -> Rows:
+def _robots(config_dir: str | None) -> Rows:
     from embodichain.data import fault_of, list_robots
 
     return [
@@ -108,7 +108,7 @@ def _robots(options: argparse.Namespace) -> Rows:
             "name": asset.name,
             "format": asset.format,
             "from": asset.source,
-            "cannot load": fault_of(asset.path),
+            _FAULT: fault_of(asset.path),
         }
         for asset in list_robots()
     ]
@@ -128,8 +128,8 @@ def _absent_robots(rows: Rows) -> list[str]:
     return [way for place, way in ways.items() if place not in found]
 
 
-def _terms(options: argparse.Namespace) -> Rows:
-    from embodichain.cli.term_entries import SECTION_OF, all_entries
+def _terms(config_dir: str | None) -> Rows:
+    from embodichain.cli.terms import SECTION_OF, all_entries
 
     entries = all_entries()
     return [
@@ -145,7 +145,7 @@ def _terms(options: argparse.Namespace) -> Rows:
     ]
 
 
-_LISTERS: dict[str, Callable[[argparse.Namespace], Rows]] = {
+_LISTERS: dict[str, Callable[[str | None], Rows]] = {
     "tasks": _tasks,
     "robots": _robots,
     "terms": _terms,

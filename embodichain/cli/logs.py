@@ -1,4 +1,4 @@
-"""The log file of a run, and warnings on stderr. Everything else on the terminal is not a log."""
+"""The log file of a run, warnings on stderr, and labels for the lines of jobs that run at once."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any, TextIO
 
-__all__ = ["log_to", "warnings_on_stderr"]
+__all__ = ["label_lines", "log_to", "warnings_on_stderr"]
 
 _FORMAT = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
 
@@ -100,3 +101,55 @@ class _OneLine(logging.Formatter):
         if record.name == "py.warnings":  # FILE:LINE: CATEGORY: MESSAGE, then the source line
             text = text.split("Warning: ", 1)[-1].splitlines()[0]
         return f"{record.levelname.lower()}: {text}"
+
+
+@contextmanager
+def label_lines(label: str, *, json: bool) -> Iterator[None]:
+    """Begin each line that is printed within with a label: ``[3 seed=1]``.
+
+    Args:
+        label: The label and a blank.
+        json: Whether stdout is for programs: its lines then stay as they are.
+    """
+    before = sys.stdout, sys.stderr
+    sys.stderr = _Labelled(sys.stderr, label)
+    if not json:
+        sys.stdout = _Labelled(sys.stdout, label)
+    try:
+        yield
+    finally:
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        sys.stdout, sys.stderr = before
+
+
+class _Labelled:
+    """A text stream whose lines begin with a label; each is written as a whole.
+
+    It is no terminal, whatever is below: bars of several jobs would overwrite each other.
+    """
+
+    def __init__(self, stream: TextIO, label: str) -> None:
+        self._stream, self._label, self._rest = stream, label, ""
+
+    def write(self, text: str) -> int:
+        """Write the lines that are complete."""
+        *lines, self._rest = (self._rest + text).split("\n")
+        if lines:
+            self._stream.write(
+                "".join(f"{self._label}{line}\n" if line else "\n" for line in lines)
+            )
+            self._stream.flush()
+        return len(text)
+
+    def flush(self) -> None:
+        """Write what is left, as a line."""
+        if self._rest:
+            self.write("\n")
+
+    def isatty(self) -> bool:
+        """Return False."""
+        return False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)

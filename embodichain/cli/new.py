@@ -13,15 +13,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from embodichain.cli import exits
-from embodichain.cli.arguments import VerbParser, add_common, print_json
+import click
+
+from embodichain.cli.app import common, verb
 from embodichain.cli.new_files import Names, task_files
 from embodichain.cli.new_robot import UR10, describe_robot
-from embodichain.cli.verbs import VERBS
+from embodichain.cli.output import print_json
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["main"]
+__all__ = ["command"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,43 +41,55 @@ class Place:
     needed: str = ""
 
 
-def main(arguments: list[str]) -> int:
+def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    return ["task"] if "task".startswith(incomplete) else []
+
+
+@verb(
+    "new",
+    ("new task my_reach", "YAML: conf/task/my_reach.yaml and tests/test_my_reach.py"),
+    ("new task my_reach --python", "a class, and the YAML that names it"),
+    (
+        "new task my_pick --robot panda_description/urdf/panda.urdf",
+        "for a robot of yours: its joints, its links",
+    ),
+)
+@click.argument("what", metavar="task", shell_complete=_complete)
+@click.argument("name", metavar="NAME")
+@click.option("--python", is_flag=True, help="A class instead of YAML alone.")
+@click.option("--robot", metavar="FILE", help="Its URDF or MJCF: embodichain list robots.")
+@common()
+def command(
+    what: str, name: str, python: bool, robot: str | None, json: bool, traceback: bool
+) -> None:
     """Write the files and say what to do next.
 
     Raises:
         ConfigError: If the name cannot be used, or a file exists; nothing is written.
     """
-    parser = VerbParser(VERBS["new"])
-    parser.add_argument("what", metavar="task")
-    parser.add_argument("name", metavar="NAME")
-    parser.add_argument("--python", action="store_true", help="a class instead of YAML alone")
-    parser.add_argument("--robot", metavar="FILE", help="its URDF or MJCF: embodichain list robots")
-    add_common(parser)
-    options = parser.parse(arguments)
-    if options.what != "task":
-        hint = did_you_mean(options.what, ["task"])
-        raise ConfigError(f"nothing called '{options.what}' can be made.{hint} One of: task")
-    name = _checked(options.name)
-    place = _place(name, python=options.python)
+    if what != "task":
+        hint = did_you_mean(what, ["task"])
+        raise ConfigError(f"nothing called '{what}' can be made.{hint} One of: task")
+    name = _checked(name)
+    place = _place(name, python=python)
     module = f"{place.package}.tasks.{name}" if place.package else name
     names = Names(name, module, place.source, place.package)
-    if options.python and not place.package:
+    if python and not place.package:
         _check_module(name)
-    robot = UR10 if options.robot is None else describe_robot(options.robot)
-    files = task_files(names, robot, python=options.python)
+    facts = UR10 if robot is None else describe_robot(robot)
+    files = task_files(names, facts, python=python)
     _write(files)
     made = {path.as_posix(): None for path in files}
     commands = _next(names)
-    if options.json:
+    if json:
         print_json({"wrote": list(made), "next": commands, "pyproject": place.needed})
-        return exits.OK
+        return
     lines = [f"wrote {path}" for path in made]
     lines += ["", "next:", *(f"  {command}" for command in commands)]
     if place.needed:
         lines += ["", "to find it where the package is installed, pyproject.toml needs:"]
         lines += [f"  {line}".rstrip() for line in place.needed.splitlines()]
     sys.stdout.write("\n".join(lines) + "\n")
-    return exits.OK
 
 
 def _checked(name: str) -> str:

@@ -2,49 +2,44 @@
 
 from __future__ import annotations
 
-import os
-import shlex
+from types import SimpleNamespace
 from typing import Any
 
-from embodichain.cli import exits
-from embodichain.cli.arguments import VerbParser, add_common
-from embodichain.cli.jobs import COMMAND_VARIABLE, given
-from embodichain.cli.trained import find_target, split_words, take
-from embodichain.cli.verbs import VERBS
+import click
+
+from embodichain.cli.app import common, job_options, overrides, typed, verb
+from embodichain.cli.jobs import FRESH, execute
+from embodichain.cli.run import run_job
+from embodichain.cli.trained import one_target, take
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["main"]
+__all__ = ["command"]
 
 _EPISODES = 5
 
 
-def main(arguments: list[str]) -> int:
+@verb(
+    "play",
+    ("play last", "the newest training, five episodes"),
+    ("play last --episodes 20 seed=3", "more of them"),
+    ("play policy.onnx task=reach", "a file, in a task"),
+    ("play last viewer=none record=mcap", "without a window, into a log"),
+    keys=True,
+)
+@overrides("RUN|last|PATH [KEY=VALUE]...", "last")
+@click.option("--episodes", type=int, metavar="N", help=f"How many; else {_EPISODES}.")
+@common(config_dir=True, quiet=True)
+def command(**kwargs: Any) -> None:
     """Show episodes of one policy."""
-    parser = VerbParser(VERBS["play"])
-    parser.add_argument("words", nargs="*", metavar="RUN|last|PATH|key=value", help="what to play")
-    parser.add_argument("--episodes", type=int, metavar="N", help=f"how many; else {_EPISODES}")
-    parser.add_argument("--quiet", "-q", action="store_true", help="no progress, no table")
-    add_common(parser, config_dir=True)
-    options = parser.parse(arguments)
-    names, overrides = split_words(options.words)
-    if len(names) != 1:
-        raise ConfigError("play what? One of: RUN (a training's folder), last, PATH (a policy)")
-    roots = [line.partition("=")[2] for line in overrides if line.startswith("output_dir=")]
-    target = find_target(names[0], roots[-1] if roots else "outputs")
-    given_episodes = options.episodes or take(overrides, "episodes") or _EPISODES
-    flags = [f"{name}=true" for name in ("quiet", "json", "traceback") if getattr(options, name)]
-    lines = [*_defaults(overrides), f"episodes={given_episodes}", *flags]
-    _need_display(names[0], lines)
-    os.environ[COMMAND_VARIABLE] = shlex.join(["embodichain", "play", *arguments])
-    fresh: dict[str, Any] = {"quiet": False, "json": False, "traceback": False, "resume": None}
-    fresh |= {"max_steps": None, "video": None, "total_timesteps": None, "algo": None}
-    fresh |= {"output_dir": "outputs", "allow_changed": False}
-    from embodichain.cli.run import job
     from embodichain.config.search_path import user_configs
 
-    with user_configs(options.config_dir), given(target.resolve(lines, fresh)):
-        job({})
-    return exits.OK
+    options = SimpleNamespace(**kwargs)
+    with user_configs(options.config_dir):
+        target, lines = one_target("play", options.words)
+        episodes = options.episodes or take(lines, "episodes") or _EPISODES
+        lines = [*_defaults(lines), f"episodes={episodes}", *job_options(options)]
+        _need_display(target.policy, lines)
+        execute(target.resolve(lines, FRESH), run_job, typed())
 
 
 def _defaults(overrides: list[str]) -> list[str]:

@@ -11,7 +11,7 @@ import time
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from embodichain.cli.tables import console
+from embodichain.cli.output import console
 
 if TYPE_CHECKING:
     from rich.progress import Progress

@@ -7,33 +7,34 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from embodichain.cli import exits
-from embodichain.cli.arguments import VerbParser, add_common, print_json
-from embodichain.cli.log_files import log_of
-from embodichain.cli.verbs import VERBS
+import click
+
+from embodichain.cli.app import common, log_argument, log_of, verb
+from embodichain.cli.output import print_json
 
 if TYPE_CHECKING:
     from embodichain.recording.recover import Recovery
 
-__all__ = ["main"]
+__all__ = ["command"]
 
 
-def main(arguments: list[str]) -> int:
+@verb(
+    "recover",
+    ("recover last saved.mcap", "the newest run's log; it is only read"),
+    ("recover broken.mcap saved.mcap --json", "what was saved, for scripts"),
+)
+@log_argument("IN")
+@click.argument("target", metavar="OUT")
+@common(quiet=True)
+def command(file: str, target: str, quiet: bool, json: bool, traceback: bool) -> None:
     """Write what can be read of IN to OUT, and say where it ends."""
-    parser = VerbParser(VERBS["recover"])
-    parser.add_argument("source", metavar="IN", help="a log, a run's folder, or `last`")
-    parser.add_argument("target", metavar="OUT", help="a new file")
-    parser.add_argument("--quiet", "-q", action="store_true", help="no report")
-    add_common(parser)
-    options = parser.parse(arguments)
     from embodichain.recording.recover import recover
 
-    saved = recover(log_of(options.source), Path(options.target))
-    if options.json:
+    saved = recover(log_of(file), Path(target))
+    if json:
         print_json(asdict(saved))
-    elif not options.quiet:
+    elif not quiet:
         sys.stdout.write(_told(saved))
-    return exits.OK
 
 
 def _told(saved: Recovery) -> str:

@@ -1,29 +1,39 @@
-"""`embodichain replay`: what a log holds; with --verify, whether physics agrees with every bit."""
+"""`embodichain replay`: what a log contains; verified, filmed, viewed, or played with a policy."""
 
 from __future__ import annotations
 
-import argparse
+import math
+import re
 import sys
 from dataclasses import asdict
 from datetime import datetime
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from embodichain.cli import exits, replay_video, replay_view
-from embodichain.cli.arguments import VerbParser, add_common, print_json
-from embodichain.cli.log_files import log_of
-from embodichain.cli.tables import print_facts, print_table
-from embodichain.cli.verbs import VERBS
+import click
+
+from embodichain.cli import exits
+from embodichain.cli.app import common, log_argument, log_of, verb
+from embodichain.cli.attach import ended_early, show_pictures, warn_if_public
+from embodichain.cli.exits import Interrupted
+from embodichain.cli.output import print_facts, print_json, print_table, say_warnings
+from embodichain.cli.process import StopFlag
+from embodichain.cli.progress import ProgressDisplay
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
+    from embodichain.recording.api import Log
     from embodichain.recording.header import Header
     from embodichain.recording.summary import Episode, LogSummary
     from embodichain.recording.verification import VerifyReport
+    from embodichain.recording.viewers.log_player import Screen
 
-__all__ = ["main"]
+__all__ = ["command"]
 
 _MOST_EPISODES = 20
+_SIZE = re.compile(r"(\d{1,5})x(\d{1,5})\Z")
+_VIEWERS = ("native", "web")
 _ACTIONS = ("verify", "video", "policy", "view")
 _ONLY_WITH = {
     "speed": ("video", "view"),
@@ -35,36 +45,53 @@ _ONLY_WITH = {
 }
 
 
-def main(arguments: list[str]) -> int:
+@verb(
+    "replay",
+    ("replay last", "the newest run's log"),
+    ("replay last --verify", "simulate it again from the file alone"),
+    ("replay last --verify --env 2 --episode 0", "only that environment and episode"),
+    ("replay last --env 2 --from 100 --to 200", "list its episodes between these steps"),
+    ("replay last --view web", "play it in a browser; --view alone: in a window"),
+    ("replay last --policy zero", "the same episodes with another policy, side by side"),
+    ("replay last --video film.mp4 --env 2 --speed 0.5", "film it, at half the speed"),
+    ("replay outputs/latest/rollout.mcap --json", "what it contains, for scripts"),
+)
+@log_argument()
+@click.option("--verify", is_flag=True, help="Simulate again and compare.")
+@click.option("--env", type=int, metavar="I", help="Only this environment.")
+@click.option("--episode", type=int, metavar="K", help="Only this episode, from 0.")
+@click.option("--from", "start", type=int, metavar="T", help="First control step.")
+@click.option("--to", "stop", type=int, metavar="T", help="Step that ends it.")
+@click.option("--speed", type=float, metavar="X", help="Of --view and --video; 1 is real time.")
+@click.option("--policy", metavar="P", help="Play its episodes with this policy instead.")
+@click.option(
+    "--allow-changed",
+    is_flag=True,
+    default=None,
+    help="Of --policy: also one trained in a task that is another than the log's.",
+)
+@click.option(
+    "--view",
+    is_flag=False,
+    flag_value="",
+    metavar="[WHERE]",
+    help="Play it in a window (native) or a browser (web); else native where a display is.",
+)
+@click.option("--host", metavar="H", help="What --view web listens on; else 127.0.0.1.")
+@click.option("--port", type=int, metavar="P", help="Its port; else a free one from 8080.")
+@click.option("--video", metavar="OUT", help="Write an MP4 of --env, which is else 0.")
+@click.option("--camera", metavar="NAME", help="Film with this camera of the scene.")
+@click.option("--size", metavar="WxH", help="Pixels of the film; else 640x480.")
+@common(quiet=True)
+def command(**kwargs: Any) -> int:
     """Print what is in a log, or verify it."""
-    parser = VerbParser(VERBS["replay"])
-    parser.add_argument("file", metavar="FILE", help="a log, a run's folder, or `last`")
-    parser.add_argument("--verify", action="store_true", help="simulate again and compare")
-    parser.add_argument("--env", type=int, metavar="I", help="only this environment")
-    parser.add_argument("--episode", type=int, metavar="K", help="only this episode, from 0")
-    parser.add_argument("--from", dest="start", type=int, metavar="T", help="first control step")
-    parser.add_argument("--to", dest="stop", type=int, metavar="T", help="step that ends it")
-    parser.add_argument(
-        "--speed", type=float, metavar="X", help="of --view and --video; 1 is real time"
-    )
-    parser.add_argument("--policy", metavar="P", help="play its episodes with this policy instead")
-    parser.add_argument(
-        "--allow-changed",
-        action="store_true",
-        default=None,
-        help="of --policy: also one trained in a task that is another than the log's",
-    )
-    replay_view.add_arguments(parser)
-    replay_video.add_arguments(parser)
-    parser.add_argument("--quiet", "-q", action="store_true", help="no progress, no report")
-    add_common(parser)
-    options = parser.parse(arguments)
+    options = SimpleNamespace(**kwargs)
     _check_together(options)
     path = log_of(options.file)
     if options.video is not None:
-        return replay_video.film(path, options)
+        return _film(path, options)
     if options.view is not None:
-        return replay_view.view(path, options)
+        return _view(path, options)
     if options.policy is not None:
         from embodichain.cli.replay_policy import rerun
 
@@ -74,7 +101,7 @@ def main(arguments: list[str]) -> int:
     return _verify(path, options) if options.verify else _inspect(path, options)
 
 
-def _check_together(options: argparse.Namespace) -> None:
+def _check_together(options: SimpleNamespace) -> None:
     """Refuse options that would do nothing."""
     what = [name for name in _ACTIONS if getattr(options, name) not in (None, False)]
     if len(what) > 1:
@@ -84,13 +111,12 @@ def _check_together(options: argparse.Namespace) -> None:
             raise ConfigError(f"--{name} needs {' or '.join(f'--{a}' for a in actions)}")
 
 
-def _inspect(path: Path, options: argparse.Namespace) -> int:
+def _inspect(path: Path, options: SimpleNamespace) -> int:
     from embodichain.recording import inspect
 
     summary = inspect(path)
     episodes = [e for e in summary.episodes if _is_wanted(e, options)]
-    for warning in summary.warnings:
-        sys.stderr.write(f"warning: {path}: {warning}\n")
+    say_warnings(path, summary.warnings)
     if options.json:
         print_json(_summary_data(summary, episodes))
     elif not options.quiet:
@@ -98,7 +124,7 @@ def _inspect(path: Path, options: argparse.Namespace) -> int:
     return exits.OK
 
 
-def _is_wanted(episode: Episode, options: argparse.Namespace) -> bool:
+def _is_wanted(episode: Episode, options: SimpleNamespace) -> bool:
     """Whether it is the environment's, the episode, and has a step in [--from, --to)."""
     right_env = options.env is None or episode.env == options.env
     right_episode = options.episode is None or episode.episode == options.episode
@@ -149,8 +175,7 @@ def _verifiable(header: Header) -> str:
     return "yes"
 
 
-def _verify(path: Path, options: argparse.Namespace) -> int:
-    from embodichain.cli.progress import ProgressDisplay
+def _verify(path: Path, options: SimpleNamespace) -> int:
     from embodichain.recording import verify
 
     quiet = options.quiet or options.json
@@ -173,8 +198,7 @@ def _print_report(report: VerifyReport) -> None:
     what = f"{report.steps} control steps of {report.envs} environments"
     if report.ok:
         sys.stdout.write(f"verified: {what}, every bit as recorded\n")
-        for note in report.notes:
-            sys.stderr.write(f"warning: {report.path}: {note}\n")
+        say_warnings(report.path, report.notes)
         return
     sys.stderr.write(f"NOT verified: {report.path}, {what} compared\n")
     if report.difference is not None:
@@ -185,3 +209,94 @@ def _print_report(report: VerifyReport) -> None:
         sys.stderr.write(f"  largest error of {name}: {error:.3g}\n")
     for note in report.notes:
         sys.stderr.write(f"  {note}\n")
+
+
+def _film(path: Path, options: SimpleNamespace) -> int:
+    """Write the film, and say where it is."""
+    from embodichain.recording.api import Log
+    from embodichain.recording.film import film_log
+
+    quiet = options.quiet or options.json
+    out = Path(options.video)
+    last = None if options.stop is None else options.stop - 1
+    speed = 1.0 if options.speed is None else options.speed
+    size = _size(options.size) if options.size is not None else (640, 480)
+    display = ProgressDisplay("film", None, "pictures", quiet=quiet)
+    with Log(path) as log, StopFlag() as stop, display:
+        part = options.env or 0, options.episode, options.start, last
+        how = speed, size, options.camera
+        filmed = film_log(log, out, *part, *how, show_pictures(display), stop.is_stopped)
+        say_warnings(log.path, log.warnings)
+    if not filmed.pictures:
+        raise Interrupted(ended_early(stop, filmed, out))
+    nbytes = out.stat().st_size
+    if options.json:
+        facts = {"pictures": filmed.pictures, "bytes": nbytes, "complete": filmed.whole}
+        print_json({"file": str(out), **facts})
+    elif not options.quiet:
+        sys.stdout.write(f"{out}: {filmed.pictures} pictures, {nbytes / 1e6:.2f} MB\n")
+    if not filmed.whole:
+        raise Interrupted(ended_early(stop, filmed, out))
+    return exits.OK
+
+
+def _size(text: str) -> tuple[int, int]:
+    found = _SIZE.match(text)
+    if found is None:
+        raise ConfigError(f"--size is WIDTHxHEIGHT in pixels, such as 640x480, not {text!r}")
+    return int(found[1]), int(found[2])
+
+
+def _view(path: Path, options: SimpleNamespace) -> int:
+    """Play until the window is closed or somebody presses Ctrl-C."""
+    from embodichain.recording.api import Log
+    from embodichain.recording.playback import span_of
+    from embodichain.recording.viewers.log_player import play_log
+
+    speed = 1.0 if options.speed is None else options.speed
+    if not (math.isfinite(speed) and speed > 0):
+        raise ConfigError(f"--speed must be positive, got {speed}")
+    last = None if options.stop is None else options.stop - 1
+    with StopFlag() as stop, Log(path) as log:
+        span_of(log, options.env or 0, options.episode, options.start, last)  # complains early
+        say_warnings(log.path, log.warnings)
+        screen = _screen(log, options, stop)
+        try:
+            part = options.episode, options.start, last
+            play_log(log, screen, *part, speed, stop.is_stopped)
+        finally:
+            screen.close()
+    return exits.OK
+
+
+def _screen(log: Log, options: SimpleNamespace, stop: StopFlag) -> Screen:
+    from embodichain.lab.sim.viewer import has_display
+    from embodichain.recording.viewers.log_player import NativeScreen
+
+    name, env = options.view or ("native" if has_display() else "web"), options.env or 0
+    if name == "foxglove":
+        raise ConfigError("Foxglove and Lichtblick play the file itself: embodichain view FILE")
+    if name not in _VIEWERS:
+        raise ConfigError(f"--view {name}: there are {', '.join(_VIEWERS)}")
+    if name == "native":
+        if options.host is not None or options.port is not None:
+            raise ConfigError("--host and --port are for --view web")
+        return NativeScreen(env, stop.is_stopped)
+    from embodichain.recording.viewers.web_page import WebPage
+
+    host = options.host or "127.0.0.1"
+    page = WebPage(
+        log.model,
+        host,
+        options.port,
+        title=f"{log.task}: {log.path.name}",
+        num_envs=log.num_envs,
+        env_id=env,
+        resets=False,
+        stopped=stop.is_stopped,
+    )
+    if not options.quiet:
+        sys.stderr.write(f"viewer: {page.url} (Ctrl-C ends)\n")
+        sys.stderr.flush()
+    warn_if_public(host)
+    return page

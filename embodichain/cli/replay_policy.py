@@ -6,18 +6,20 @@ same, so every episode begins as the recorded one did.
 
 from __future__ import annotations
 
-import argparse
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.cli import exits
-from embodichain.cli.arguments import print_json
-from embodichain.cli.tables import print_facts, print_table
+from embodichain.cli.attach import policy_of
+from embodichain.cli.output import print_facts, print_json, print_table, say_warnings
+from embodichain.cli.progress import ProgressDisplay
+from embodichain.cli.trained import find_target
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -47,9 +49,8 @@ class _Pair:
     cut: bool  # the log ends before the episode: both are over its first steps
 
 
-def rerun(path: Path, options: argparse.Namespace) -> int:
+def rerun(path: Path, options: SimpleNamespace) -> int:
     """Play what was recorded with another policy, and put returns side by side."""
-    from embodichain.cli.trained import find_target
     from embodichain.recording.api import Log
 
     target = find_target(options.policy)
@@ -67,8 +68,7 @@ def rerun(path: Path, options: argparse.Namespace) -> int:
         env.close()
     if not same:
         warnings.append("the first states differ from the recorded ones: other code, or MuJoCo")
-    for warning in warnings:
-        sys.stderr.write(f"warning: {path}: {warning}\n")
+    say_warnings(path, warnings)
     facts = {
         "task": resolved.task_name,
         "policy": target.policy,
@@ -87,7 +87,7 @@ def rerun(path: Path, options: argparse.Namespace) -> int:
     return exits.OK
 
 
-def _wanted(log: Log, options: argparse.Namespace) -> dict[tuple[int, int], LogEpisode]:
+def _wanted(log: Log, options: SimpleNamespace) -> dict[tuple[int, int], LogEpisode]:
     """The log's episodes, as far as they are asked for."""
     if any(e.episode for e in log.episodes if e.first_step == log.header.first_step):
         raise ConfigError(f"{log.path} does not begin with first episodes: seeds lead elsewhere")
@@ -124,15 +124,11 @@ def _play(
     resolved: Resolved,
     wanted: dict[tuple[int, int], LogEpisode],
     starts: dict[str, NDArray[np.float64]],
-    options: argparse.Namespace,
+    options: SimpleNamespace,
 ) -> tuple[list[_Pair], bool]:
     """The episodes, and whether all environments began as recorded."""
-    from embodichain.cli.policies import policy_of
-    from embodichain.cli.progress import ProgressDisplay
-
-    root = resolved.root
-    root.policy, root.allow_changed = policy_name, bool(options.allow_changed)
-    policy = policy_of(root, env)
+    allowed = resolved.changed(allow_changed=bool(options.allow_changed))
+    policy = policy_of(allowed.root, env, policy_name)
     obs, _ = env.reset()
     same = all(
         np.array_equal(env.sim.engine.state(name), values[0]) for name, values in starts.items()

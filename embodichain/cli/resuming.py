@@ -15,19 +15,13 @@ from embodichain.utils.errors import ConfigError, Problem
 if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
 
-__all__ = ["asks_to_resume", "resolve_resumed"]
+__all__ = ["resolve_resumed"]
 
-CONFIG = "config.yaml"
 MAY_CHANGE = (
     *("total_timesteps", "checkpoint", "eval", "record", "video", "sim", "output_dir"),
     *("wandb", "allow_changed", "quiet", "json", "traceback"),
 )
 """Keys (and what is below them) that may differ from the run's own."""
-
-
-def asks_to_resume(overrides: Sequence[str]) -> bool:
-    """Whether overrides say that a training goes on."""
-    return any(line.lstrip("+").startswith("resume=") for line in overrides)
 
 
 def resolve_resumed(overrides: Sequence[str]) -> Resolved:
@@ -42,7 +36,9 @@ def resolve_resumed(overrides: Sequence[str]) -> Resolved:
     """
     import dataclasses
 
+    from embodichain.config.rerun import CONFIG, read_config
     from embodichain.config.resolved import resolve_tree
+    from embodichain.learning.checkpoint import read_note
     from embodichain.learning.keeper import find_resumable
     from embodichain.learning.train import check_training
 
@@ -56,14 +52,18 @@ def resolve_resumed(overrides: Sequence[str]) -> Resolved:
     if problems:
         raise ConfigError(problems)
     checkpoint, state = find_resumable(folder)
-    fresh = {"quiet": False, "json": False, "traceback": False, "resume": str(folder)}
-    fresh |= {"allow_changed": False}
-    tree = {**_tree(folder / CONFIG), **fresh}
+    fresh: dict[str, Any] = {"quiet": False, "json": False, "traceback": False}
+    fresh |= {"allow_changed": False, "resume": str(folder)}
+    tree = {**read_config(folder / CONFIG), **fresh}
     for key, value in changes.items():
         # An option of the group `record` is its format: the rest of the run's own stays.
         _put(tree, "record.format" if key == "record" and isinstance(value, str) else key, value)
     found = resolve_tree(
-        tree, str(folder / CONFIG), "train", task_name=_task(checkpoint), allow_import=True
+        tree,
+        str(folder / CONFIG),
+        "train",
+        task_name=str(read_note(checkpoint).get("task", "task")),
+        allow_import=True,
     )
     check_training(found)
     done, wanted = state["env_steps"], found.root.total_timesteps or 0
@@ -91,6 +91,7 @@ def _parsed(overrides: Sequence[str]) -> dict[str, Any]:
 def _folder(name: Any, output_dir: Any) -> Path:
     """The run's folder; ``last`` is the newest training that has a checkpoint."""
     from embodichain.config.newest import newest_run
+    from embodichain.config.rerun import CONFIG
 
     if name == "last":
         found = newest_run(str(output_dir), "checkpoints/*.zip")
@@ -105,26 +106,8 @@ def _folder(name: Any, output_dir: Any) -> Path:
     return folder.resolve()
 
 
-def _tree(path: Path) -> dict[str, Any]:
-    import yaml
-
-    try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError([Problem("resume", f"cannot read {path}: {error}")]) from error
-    if not isinstance(tree, dict):
-        raise ConfigError([Problem("resume", f"{path} holds no config")])
-    return tree
-
-
 def _put(tree: dict[str, Any], key: str, value: Any) -> None:
     *parents, last = key.split(".")
     for parent in parents:
         tree = tree.setdefault(parent, {})
     tree[last] = value
-
-
-def _task(checkpoint: Path) -> str:
-    from embodichain.learning.checkpoint import read_note
-
-    return str(read_note(checkpoint).get("task", "task"))

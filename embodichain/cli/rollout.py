@@ -1,7 +1,4 @@
-"""The loop of `run`: act, step, count, show; ends when every environment has had its episodes.
-
-Building the environment, logs and folders happen elsewhere: this only plays.
-"""
+"""The loop of `run`: act, step, count, show; and what came out of it, for `summary.json`."""
 
 from __future__ import annotations
 
@@ -9,21 +6,16 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from embodichain.cli.output import number, print_facts
+from embodichain.cli.process import StopFlag
 from embodichain.cli.progress import ProgressDisplay
-from embodichain.cli.stopping import StopFlag
-from embodichain.learning.episode_statistics import (
-    EpisodeStatistics,
-    ended_values,
-)
+from embodichain.learning.episode_statistics import EpisodeStatistics, play
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.policies import Policy
 
-__all__ = ["Outcome", "play"]
+__all__ = ["Outcome", "print_summary", "roll_out", "summarize"]
 
 Status = Literal["finished", "max_steps", "interrupted"]
 
@@ -52,11 +44,10 @@ class Outcome:
         return steps / self.seconds if self.seconds > 0 else 0.0
 
 
-def play(
+def roll_out(
     env: BaseEnv,
     policy: Policy,
     obs: Any,
-    *,
     episodes: int,
     max_steps: int | None,
     display: ProgressDisplay,
@@ -74,34 +65,20 @@ def play(
         stop: Its flag ends the loop after a whole step.
     """
     statistics = EpisodeStatistics(env.num_envs, episodes)
-    has_success = env.judges_success
     limit = float("inf") if max_steps is None else max_steps
     start = time.perf_counter()
-    status: Status = "finished"
-    while not statistics.complete:
-        if stop.stopped is not None or statistics.steps >= limit:
-            status = "interrupted" if stop.stopped is not None else "max_steps"
-            break
-        obs, reward, terminated, truncated, info = env.step(policy(obs, env))
-        done = _array(terminated) | _array(truncated)
-        ended = bool(done.any())
-        kept = ended_values(info, _array(terminated), has_success) if ended else {}
-        statistics.add(_array(reward), done, kept)
-        if ended:
-            policy.reset(np.flatnonzero(done))
+    status: Status = "finished" if stop.stopped is None else "interrupted"
+    for _ in play(env, policy, obs, statistics) if stop.stopped is None else ():
         if env.sim.is_window_open:  # for people who look on
             time.sleep(max(0.0, start + statistics.steps * env.step_dt - time.perf_counter()))
         if display.due:
             display.show(*_progress(statistics, max_steps, time.perf_counter() - start))
+        if not statistics.complete and (stop.stopped is not None or statistics.steps >= limit):
+            status = "interrupted" if stop.stopped is not None else "max_steps"
+            break
     seconds = time.perf_counter() - start
     display.show(*_progress(statistics, max_steps, seconds))
     return Outcome(status, statistics, seconds, stop.stopped)
-
-
-def _array(value: Any) -> NDArray[Any]:
-    """A tensor of the environment as numpy."""
-    array: NDArray[Any] = value.numpy(force=True)
-    return array
 
 
 def _progress(
@@ -117,3 +94,93 @@ def _progress(
     if success is not None:
         facts["success"] = f"{success:.0%}"
     return statistics.episodes, facts
+
+
+def summarize(outcome: Outcome, facts: dict[str, Any]) -> dict[str, Any]:
+    """Return everything worth keeping about a rollout.
+
+    Args:
+        outcome: How it ended.
+        facts: What the caller knows: task, seed, folder, log, ...; stands first.
+    """
+    counted = outcome.statistics
+    return {
+        **facts,
+        "status": outcome.status,
+        "signal": outcome.signal,
+        "num_envs": counted.num_envs,
+        "control_steps": counted.steps,
+        "env_steps": counted.steps * counted.num_envs,
+        "seconds": round(outcome.seconds, 6),
+        "fps": round(outcome.fps, 3),
+        "episodes": counted.episodes,
+        "episodes_wanted": counted.wanted,
+        "return": _spread(counted, "return"),
+        "length": _spread(counted, "length"),
+        "success_rate": counted.mean("success"),
+        "terminated": _count(counted, "terminated"),
+        "diverged": _count(counted, "diverged"),
+        "metrics": _means(counted, "metrics/"),
+        "rewards": _means(counted, "rewards/"),
+    }
+
+
+def print_summary(summary: dict[str, Any]) -> None:
+    """Print the closing table."""
+    episodes = f"{summary['episodes']:,} of {summary['episodes_wanted']:,}"
+    rows: list[tuple[str, Any]] = [
+        ("ended", _ended(summary)),
+        ("episodes", f"{episodes} ({summary['num_envs']} environments)"),
+        ("control steps", f"{summary['control_steps']:,} in {summary['seconds']:.2f} s"),
+        ("FPS", f"{summary['fps']:,.0f} environment steps/s"),
+        *([("return", _mean_spread(summary["return"]))] if _pays(summary) else []),
+        ("length", _mean_spread(summary["length"])),
+    ]
+    if summary["success_rate"] is not None:
+        rows.append(("success", f"{summary['success_rate']:.1%}"))
+    rows += [(f"metric {name}", value) for name, value in summary["metrics"].items()]
+    rows += [(f"reward {name}", value) for name, value in summary["rewards"].items()]
+    if summary["diverged"]:
+        rows.append(("diverged", f"{summary['diverged']} episodes"))
+    names = ("seed", "log", "video", "folder")
+    rows += [(name, summary[name]) for name in names if summary.get(name) is not None]
+    print_facts(str(summary["task"]), rows)
+
+
+def _ended(summary: dict[str, Any]) -> str:
+    texts = {
+        "finished": "every environment had its episodes",
+        "max_steps": "max_steps reached",
+        "interrupted": f"interrupted ({summary['signal']})",
+    }
+    return texts[summary["status"]]
+
+
+def _pays(summary: dict[str, Any]) -> bool:
+    """Whether there is a return to speak of: a task without rewards always returns 0."""
+    spread = summary["return"]
+    return bool(summary["rewards"]) or spread is None or spread["min"] < 0 or spread["max"] > 0
+
+
+def _spread(counted: EpisodeStatistics, name: str) -> dict[str, float] | None:
+    column = counted.column(name)
+    if not column.size:
+        return None
+    names = ("mean", "std", "min", "max")
+    return {name: float(getattr(column, name)()) for name in names}
+
+
+def _mean_spread(spread: dict[str, float] | None) -> str:
+    if spread is None:
+        return "-"
+    low, high = number(spread["min"]), number(spread["max"])
+    return f"{number(spread['mean'])} ± {number(spread['std'])} ({low} to {high})"
+
+
+def _count(counted: EpisodeStatistics, name: str) -> int:
+    return int(counted.column(name).sum())
+
+
+def _means(counted: EpisodeStatistics, prefix: str) -> dict[str, float | None]:
+    names = [name for name in counted.names() if name.startswith(prefix)]
+    return {name.removeprefix(prefix): counted.mean(name) for name in names}

@@ -1,8 +1,4 @@
-"""`embodichain run`: build a task, play a policy in it, keep what happened in a run folder.
-
-The loop is `rollout`, what Hydra does around it `hydra_verb`; this is the story from one config to
-one summary.
-"""
+"""`embodichain run`: build a task, play a policy in it, keep what happened in a run folder."""
 
 from __future__ import annotations
 
@@ -10,41 +6,51 @@ import json
 import logging
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import SimpleNamespace
+from typing import Any
 
-import hydra
-from omegaconf import DictConfig
-
+from embodichain.cli.app import jobs, typed, verb
+from embodichain.cli.attach import (
+    StartPicture,
+    attach_log,
+    attach_viewer,
+    check_attachments,
+    film_job,
+    policy_of,
+)
 from embodichain.cli.exits import Interrupted
-from embodichain.cli.filming import check_film, film_job
-from embodichain.cli.hydra_verb import call_verb
-from embodichain.cli.jobs import Job, execute
-from embodichain.cli.stopping import StopFlag
+from embodichain.cli.jobs import Job, start
+from embodichain.cli.output import print_json, to_json
+from embodichain.cli.process import StopFlag, started
+from embodichain.cli.progress import ProgressDisplay
+from embodichain.cli.rollout import Outcome, print_summary, roll_out, summarize
+from embodichain.utils.atomic import write_text
 
-if TYPE_CHECKING:
-    from embodichain.cli.rollout import Outcome
-
-__all__ = ["job", "main"]
+__all__ = ["SUMMARY_FILE", "command", "run_job"]
 
 SUMMARY_FILE = "summary.json"
 _log = logging.getLogger(__name__)
 
 
-def main(arguments: list[str]) -> int:
+@verb(
+    "run",
+    ("run task=random_reach num_envs=4", "as the task suggests, four environments"),
+    ("run task=random_reach episodes=2 seed=1 record=none", "two episodes each, no log"),
+    ("run task=random_reach task.physics.physics_dt=0.005", "change any value of the task"),
+    ("run task=reach policy=outputs/latest", "play what was trained there"),
+    ("run -m task=random_reach seed=0,1", "a sweep: one run for each seed"),
+    ("run --gym-config gym_config.yaml", "a task in EmbodiChain's own form"),
+    ("run task=random_reach --cfg job", "print the config, run nothing"),
+    keys=True,
+)
+@jobs("run")
+def command(**options: Any) -> None:
     """Run once, or once for each point of a sweep."""
-    return call_verb("run", job, arguments)
+    start("run", run_job, SimpleNamespace(**options), typed())
 
 
-@hydra.main(version_base="1.3", config_path="pkg://embodichain.conf", config_name="run")
-def job(composed: DictConfig) -> float | None:
-    """One run, called here or by Hydra. Returns the mean return, which a sweeper may optimise."""
-    return execute("run", _run)
-
-
-def _run(run: Job, stop: StopFlag) -> float | None:
+def run_job(run: Job, stop: StopFlag) -> float | None:
     """Build, play, close, sum up; a failure is kept in `summary.json` too."""
-    from embodichain.cli.summary import print_summary, summarize
-
     root = run.root
     facts: dict[str, Any] = {
         "task": run.resolved.task_name,
@@ -52,9 +58,9 @@ def _run(run: Job, stop: StopFlag) -> float | None:
         "seed": root.seed,
         "policy": root.policy if isinstance(root.policy, (str, type(None))) else root.policy.func,
     }
-    if not root.quiet and not root.json:
+    if not run.quiet:
         sys.stderr.write(f"{facts['task']}: {run.folder}\n")
-    check_film(run)
+    check_attachments(root)
     try:
         outcome, log = _simulate(run, stop)
     except Exception as error:
@@ -70,8 +76,6 @@ def _run(run: Job, stop: StopFlag) -> float | None:
     _log.info("summary: %s", json.dumps(summary, default=str))
     summary |= film_job(run, stop, log)
     if root.json:
-        from embodichain.cli.arguments import print_json
-
         print_json(summary)
     elif not root.quiet:
         print_summary(summary)
@@ -82,13 +86,6 @@ def _run(run: Job, stop: StopFlag) -> float | None:
 
 def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
     """The rollout from build to close, and where its log is."""
-    from embodichain.cli.attach import attach_log
-    from embodichain.cli.picture import StartPicture
-    from embodichain.cli.policies import policy_of
-    from embodichain.cli.progress import ProgressDisplay
-    from embodichain.cli.rollout import play
-    from embodichain.cli.starting import started
-    from embodichain.cli.viewing import attach_viewer
     from embodichain.config.factory import make_env
 
     root = run.root
@@ -103,16 +100,8 @@ def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
         start = StartPicture(env) if root.scene_png else None
         started()
         label, total = run.resolved.task_name, env.num_envs * episodes
-        with ProgressDisplay(label, total, "episodes", quiet=root.quiet or root.json) as display:
-            outcome = play(
-                env,
-                policy,
-                obs,
-                episodes=episodes,
-                max_steps=root.max_steps,
-                display=display,
-                stop=stop,
-            )
+        with ProgressDisplay(label, total, "episodes", quiet=run.quiet) as display:
+            outcome = roll_out(env, policy, obs, episodes, root.max_steps, display, stop)
     finally:
         env.close()  # finishes the log too
         if start is not None:
@@ -121,7 +110,4 @@ def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
 
 
 def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
-    from embodichain.cli.arguments import to_json
-    from embodichain.config.run_folder import write_atomically
-
-    write_atomically(folder / SUMMARY_FILE, to_json(summary, indent=2) + "\n")
+    write_text(folder / SUMMARY_FILE, to_json(summary, indent=2) + "\n")

@@ -1,19 +1,24 @@
 """`embodichain run-env`: EmbodiChain's command, as `embodichain run --gym-config` with its flags.
 
-Flags that mean nothing here are accepted, and said so; everything else is `run`'s.
+Flags without an effect are accepted, with a note; everything else is `run`'s.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
 
-from embodichain.cli.arguments import VerbParser
-from embodichain.cli.verbs import VERBS
+import click
+
+from embodichain.cli.app import common, overrides, typed, verb
+from embodichain.cli.jobs import start
+from embodichain.cli.run import run_job
+from embodichain.compat.gym_utils import RENDERERS
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["main"]
+__all__ = ["command"]
 
 _KEYS = {
     "num_envs": "num_envs",
@@ -36,77 +41,83 @@ _NO_EFFECT = {
     "viser_image_fps": "there are no camera images on the page",
     "viser_soft_body_fps": "there are no soft bodies",
 }
+_FLAGS: tuple[tuple[str, Any, str], ...] = (
+    ("gym_config", str, "EmbodiChain's config of a task: YAML or JSON."),
+    ("num_envs", int, "Environments that run in parallel."),
+    ("max_episodes", int, "Episodes of each environment."),
+    ("seed", int, "Seed of every random stream."),
+    ("device", str, "Where physics runs: cpu."),
+    ("headless", bool, "Open no window."),
+    ("renderer", click.Choice(RENDERERS), "No effect."),
+    ("arena_space", float, "No effect."),
+    ("gpu_id", int, "No effect."),
+    ("action_config", str, "No effect."),
+    ("preview", bool, "No effect."),
+    ("filter_visual_rand", bool, "Leave out visual randomization."),
+    ("filter_dataset_saving", bool, "No effect."),
+    ("viser", bool, "Show an environment in a browser."),
+    ("viser_host", str, "The address to listen on."),
+    ("viser_port", int, "The port."),
+    ("viser_env_ids", str, "No effect."),
+    ("viser_fps", float, "No effect."),
+    ("viser_image_fps", float, "No effect."),
+    ("viser_soft_body_fps", float, "No effect."),
+)
 
 
-def main(arguments: list[str]) -> int:
+def _flags(function: Any) -> Any:
+    """Add EmbodiChain's flags in both spellings, all unset: only what was typed counts."""
+    for name, kind, text in reversed(_FLAGS):
+        spellings = {f"--{name}", f"--{name.replace('_', '-')}"}
+        how: dict[str, Any] = {"is_flag": True} if kind is bool else {"type": kind}
+        function = click.option(*sorted(spellings), name, help=text, **how)(function)
+    return function
+
+
+@verb(
+    "run-env",
+    ("run-env --gym_config gym_config.json --num_envs 4 --headless", "four environments"),
+    ("run-env --gym_config gym_config.json record=none max_steps=100", "with keys of `run`"),
+)
+@overrides()
+@_flags
+@common(quiet=True)
+def command(**options: Any) -> None:
     """Translate the flags, then run.
 
     Raises:
         ConfigError: No gym config is named, a flag is unknown, or what `run` finds wrong.
     """
-    options = _parser().parse(arguments)
-    if not options.gym_config:
+    flags = SimpleNamespace(**options)
+    if not flags.gym_config:
         raise ConfigError("no gym config is named: embodichain run-env --gym_config FILE")
     for flag, why in _NO_EFFECT.items():
-        value = getattr(options, flag)
-        if value is not None and value is not False:  # 0 is a value that was typed
+        if options[flag] is not None and options[flag] is not False:  # 0 is a value that was typed
             sys.stderr.write(f"note: --{flag} has no effect: {why}\n")
-    from embodichain.cli.run import main as run
+    flags.words = tuple(_overrides(flags))
+    flags.cfg = flags.info = flags.config_dir = None
+    flags.multirun = False
+    start("run", run_job, flags, typed())
 
-    flags = [f"--{name}" for name in ("quiet", "json", "traceback") if getattr(options, name)]
-    return run([*_overrides(options), "--gym-config", options.gym_config, *flags])
 
-
-def _overrides(options: argparse.Namespace) -> Iterator[str]:
+def _overrides(flags: Any) -> Iterator[str]:
     for flag, key in _KEYS.items():
-        value = getattr(options, flag)
+        value = getattr(flags, flag)
         if value is not None:
             yield f"{key}={value}"
-    if options.viser:
+    if flags.viser:
         yield "viewer=web"
-    if options.filter_visual_rand:
-        yield from (f"~task.events.{name}" for name in _visual_events(options.gym_config))
-    yield from options.overrides
+    if flags.filter_visual_rand:
+        yield from (f"~task.events.{name}" for name in _visual_events(flags.gym_config))
+    several = flags.viser_env_ids is not None  # --viser-env-ids 0 1 2
+    yield from (word for word in flags.words if not (several and (word.isdigit() or word == "all")))
 
 
 def _visual_events(path: str) -> list[str]:
     """The events of a gym config that only change how things look."""
-    from embodichain.lab.gym.gym_config.conversion import convert
-    from embodichain.lab.gym.gym_config.file import read_gym_config
-    from embodichain.lab.gym.gym_config.functors import VISUAL
+    from embodichain.compat.gym_config.conversion import convert
+    from embodichain.compat.gym_config.file import read_gym_config
+    from embodichain.compat.gym_config.functors import VISUAL
 
     events = convert(read_gym_config(path)).task.get("events", {})
     return [name for name, event in events.items() if event["func"] in VISUAL]
-
-
-def _parser() -> VerbParser:
-    """EmbodiChain's flags in both spellings, all unset: only what was typed counts."""
-    from embodichain.compat.visualization import add_viser_args_to_parser
-    from embodichain.lab.gym.utils.gym_utils import add_env_launcher_args_to_parser
-
-    parser = VerbParser(VERBS["run-env"])
-    parser.add_argument("overrides", nargs="*", metavar="key=value", help="any key of the config")
-    add_env_launcher_args_to_parser(parser)
-    add_viser_args_to_parser(parser)
-    parser.add_argument("--max_episodes", type=int, help="episodes of each environment")
-    parser.add_argument("--seed", type=int, help="seed of every random stream")
-    for action in list(parser._actions):
-        if action.option_strings and action.dest != "help":
-            action.default = None
-            _allow_dashes(parser, action)
-    for name, text in (
-        ("quiet", "no progress, no table"),
-        ("json", "one JSON object on stdout, nothing else"),
-        ("traceback", "show where an error happened"),
-    ):
-        parser.add_argument(f"--{name}", action="store_true", help=text)
-    return parser
-
-
-def _allow_dashes(parser: VerbParser, action: argparse.Action) -> None:
-    """Release 0.3 spells the same flags with dashes."""
-    for flag in list(action.option_strings):
-        dashed = flag.replace("_", "-")
-        if dashed != flag:
-            action.option_strings = [*action.option_strings, dashed]
-            parser._option_string_actions[dashed] = action

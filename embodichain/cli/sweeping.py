@@ -1,25 +1,88 @@
-"""Sweeps: what is checked before one starts, and what is said when one ends.
+"""Hydra's own `main`: sweeps, `--cfg` and `--info`.
 
 Points, workers and searches are Hydra's: its basic sweeper and launcher, and the plug-ins of the
-extra `sweep`, which bring `hydra/launcher=joblib` and `hydra/sweeper=optuna`.
+extra `sweep`, which bring `hydra/launcher=joblib` and `hydra/sweeper=optuna`. Here is what is
+checked before a sweep starts, and what is said when one ends.
 """
 
 from __future__ import annotations
 
+import logging
+import os
 import sys
+import threading
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import hydra
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import IntervalSweep, Override
 from hydra.experimental.callback import Callback
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-__all__ = ["BestPoint", "points", "swept", "towards_scores"]
+from embodichain.cli.jobs import Body, Verb, execute, resolved_job
+from embodichain.config.composed import WITHOUT_TASK, compose, from_hydra
+from embodichain.config.overrides import relax
+from embodichain.config.resolved import resolve
+from embodichain.config.run_folder import adopt
+from embodichain.config.search_path import VERSION_BASE, config_loader
+from embodichain.utils.errors import ConfigError
+
+__all__ = ["BestPoint", "call_hydra", "points", "towards_scores"]
 
 RESULTS_FILE = "optimization_results.yaml"
 _DIRECTION = "hydra.sweeper.direction"
+_MOST_CHECKED_JOBS = 64
+_ONE_BY_ONE = "BasicLauncher"
+
+
+def call_hydra(
+    verb: Verb, body: Body, options: Any, overrides: Sequence[str], typed: Sequence[str]
+) -> None:
+    """Call Hydra's `main` for a verb; its exceptions come out as they are.
+
+    Args:
+        verb: Whose jobs they are.
+        body: What a job does.
+        options: `cfg`, `info`, `multirun`, `package`, `resolve`.
+        overrides: As typed.
+        typed: The command line.
+
+    Raises:
+        ConfigError: Mistakes in the config of any job: nothing has started.
+    """
+    keys: list[str] = []
+    gym = any(line.lstrip("+").startswith("gym_config=") for line in overrides)
+    if options.cfg is not None or options.info is not None:
+        if options.cfg is not None and gym:
+            raise ConfigError("--cfg prints YAML only: embodichain convert prints a gym config")
+        composed = compose(overrides, verb)
+        if composed.problems:
+            raise ConfigError(composed.problems)
+    elif options.multirun:
+        keys = _swept(overrides)
+        for point in points(overrides, _MOST_CHECKED_JOBS):
+            resolved_job(compose(point, verb), verb)
+        overrides = towards_scores(overrides)
+    else:
+        resolved_job(compose(overrides, verb), verb)
+
+    # Pickled by value for the workers of a sweep, with what it refers to.
+    @hydra.main(version_base=VERSION_BASE, config_path="pkg://embodichain.conf", config_name=verb)
+    def job(composed: DictConfig) -> float | None:
+        resolved, folder = resolve(from_hydra(), verb), None
+        if HydraConfig.get().mode == RunMode.MULTIRUN:
+            folder = adopt(HydraConfig.get().runtime.output_dir)
+        return execute(resolved, body, typed, folder, _label(keys))
+
+    with config_loader() as loader:
+        relaxed = relax(overrides, loader)
+    with _process(f"embodichain {verb}", [*_flags(options), *relaxed, *([WITHOUT_TASK] * gym)]):
+        job()
 
 
 def points(overrides: Sequence[str], most: int) -> Iterator[list[str]]:
@@ -44,25 +107,35 @@ def points(overrides: Sequence[str], most: int) -> Iterator[list[str]]:
         yield from (list(job) for job in batch)
 
 
-def swept(overrides: Sequence[str]) -> list[str]:
-    """Return the keys that a sweep gives several values, as they are typed.
-
-    Args:
-        overrides: As typed, with sweeps.
-    """
-    parsed = OverridesParser.create().parse_overrides(list(overrides))
-    return [override.key_or_group for override in parsed if override.is_sweep_override()]
-
-
 def towards_scores(overrides: Sequence[str]) -> list[str]:
     """Let a search look for the highest objective, unless a direction is typed: Optuna minimizes.
 
     Args:
         overrides: As typed.
     """
-    given = any(o.lstrip("+").startswith(f"{_DIRECTION}=") for o in overrides)
-    added = [f"{_DIRECTION}=maximize"] if _searches(overrides) and not given else []
+    typed = any(o.lstrip("+").startswith(f"{_DIRECTION}=") for o in overrides)
+    added = [f"{_DIRECTION}=maximize"] if _searches(overrides) and not typed else []
     return [*overrides, *added]
+
+
+class BestPoint(Callback):
+    """Says which point a search found best; Hydra calls it, see `conf/common.yaml`."""
+
+    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
+        """Read what the search has left in the sweep's folder; other sweeps leave nothing there."""
+        path = Path(config.hydra.sweep.dir) / RESULTS_FILE
+        if config.quiet or config.json or not path.is_file():
+            return
+        found: Any = OmegaConf.to_container(OmegaConf.load(path))
+        point = " ".join(f"{k.lstrip('+')}={v}" for k, v in found.get("best_params", {}).items())
+        if point:
+            sys.stderr.write(f"best objective {found['best_value']:.4g}: {point}\n{path}\n")
+
+
+def _swept(overrides: Sequence[str]) -> list[str]:
+    """The keys that a sweep gives several values."""
+    parsed = OverridesParser.create().parse_overrides(list(overrides))
+    return [override.key_or_group for override in parsed if override.is_sweep_override()]
 
 
 def _searches(overrides: Sequence[str]) -> bool:
@@ -80,15 +153,50 @@ def _first(override: Override) -> str:
     return f"{override.get_key_element()}={next(iter(override.sweep_string_iterator()))}"
 
 
-class BestPoint(Callback):
-    """Says which point a search found best; Hydra calls it, see `conf/common.yaml`."""
+def _label(keys: Sequence[str]) -> str | None:
+    """``[NUMBER KEY=VALUE ...]`` of a job among several at once, else None."""
+    config = HydraConfig.get()
+    alone = str(config.launcher.get("_target_", "")).endswith(_ONE_BY_ONE)
+    if (
+        config.mode != RunMode.MULTIRUN
+        or alone
+        or threading.current_thread() is not threading.main_thread()
+    ):
+        return None
+    lines = [line.lstrip("+") for line in config.overrides.task]
+    point = [line for line in lines if line.partition("=")[0] in keys]
+    return f"[{' '.join([str(config.job.num), *point])}] "
 
-    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Read what the search has left in the sweep's folder; other sweeps leave nothing there."""
-        path = Path(config.hydra.sweep.dir) / RESULTS_FILE
-        if config.quiet or config.json or not path.is_file():
-            return
-        found: Any = OmegaConf.to_container(OmegaConf.load(path))
-        point = " ".join(f"{k.lstrip('+')}={v}" for k, v in found.get("best_params", {}).items())
-        if point:
-            sys.stderr.write(f"best objective {found['best_value']:.4g}: {point}\n{path}\n")
+
+def _flags(options: Any) -> list[str]:
+    """Hydra's flags; its parser takes them before the overrides only."""
+    flags = ["--multirun"] if options.multirun else []
+    flags += ["--resolve"] if options.resolve else []
+    for name in ("cfg", "package", "info"):
+        value = getattr(options, name)
+        if value is not None:
+            flags += [f"--{name}", value]
+    return flags
+
+
+@contextmanager
+def _process(program: str, arguments: list[str]) -> Iterator[None]:
+    """Put arguments where Hydra reads them, in `sys.argv`, and let its exceptions through.
+
+    What Hydra changes in `logging` is undone afterwards.
+    """
+    argv, full = sys.argv, os.environ.get("HYDRA_FULL_ERROR")
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    sys.argv = [program, *arguments]
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    try:
+        yield
+    finally:
+        sys.argv = argv
+        root.handlers[:] = handlers
+        root.setLevel(level)
+        if full is None:
+            del os.environ["HYDRA_FULL_ERROR"]
+        else:
+            os.environ["HYDRA_FULL_ERROR"] = full

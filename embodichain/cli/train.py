@@ -1,49 +1,48 @@
-"""`embodichain train`: learn a policy with Stable-Baselines3, keep it in a run folder.
-
-Learning itself is `embodichain.learning`; this starts it, shows it and sums it up.
-"""
+"""`embodichain train`: learn a policy with Stable-Baselines3, keep it in a run folder."""
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import sys
 from contextlib import suppress
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-import hydra
-from omegaconf import DictConfig
-
-from embodichain.cli.evaluated import brief_rows
-from embodichain.cli.evaluating import Asked, evaluate_job, evaluation_config
+from embodichain.cli.app import jobs, typed, verb
+from embodichain.cli.attach import attach_viewer, check_attachments, film_job
+from embodichain.cli.evaluating import Asked, brief_rows, evaluate_job, evaluation_config
 from embodichain.cli.exits import Interrupted
-from embodichain.cli.filming import check_film, film_job
-from embodichain.cli.hydra_verb import call_verb
-from embodichain.cli.jobs import Job, execute
-from embodichain.cli.stopping import StopFlag
+from embodichain.cli.jobs import Job, start
+from embodichain.cli.output import print_facts, print_json
+from embodichain.cli.process import StopFlag, started
 
 if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.learning.episodes import TrainStatistics
 
-__all__ = ["job", "main"]
+__all__ = ["command", "train_job"]
 
 
-def main(arguments: list[str]) -> int:
+@verb(
+    "train",
+    ("train task=reach", "as the task suggests"),
+    ("train task=reach total_timesteps=8192", "shorter"),
+    ("train task=reach algo.learning_rate=3e-4 seed=1", "another learning rate and seed"),
+    ("train task=reach algo=sac algo.normalize=obs", "another algorithm; normalized"),
+    ("train resume=last total_timesteps=400_000", "go on from the newest checkpoint"),
+    ("train -m task=reach seed=0,1,2", "a sweep: one training for each seed"),
+    keys=True,
+)
+@jobs("train")
+def command(**options: Any) -> None:
     """Train once, or once for each point of a sweep."""
-    return call_verb("train", job, arguments)
+    start("train", train_job, SimpleNamespace(**options), typed())
 
 
-@hydra.main(version_base="1.3", config_path="pkg://embodichain.conf", config_name="train")
-def job(composed: DictConfig) -> float | None:
-    """One training, called here or by Hydra. Returns what a sweeper optimises: `objective`."""
-    return execute("train", _train)
-
-
-def _train(run: Job, stop: StopFlag) -> float | None:
+def train_job(run: Job, stop: StopFlag) -> float | None:
     """Learn, evaluate what was learned, show both."""
-    check_film(run)
+    check_attachments(run.root)
     asked = _asked(run)
     evaluated = None if asked is None else evaluation_config(run.resolved, asked)
     summary = _learn(run, stop)
@@ -64,13 +63,11 @@ def _asked(run: Job) -> Asked | None:
 
 def _evaluate(run: Job, evaluated: Resolved, stop: StopFlag, asked: Asked) -> dict[str, Any]:
     """Play the final checkpoint; returns the summary with what was found."""
-    from embodichain.config.frozen import freeze
     from embodichain.config.newest import CHECKPOINT
     from embodichain.learning.train import add_evaluation
 
     policy = str((run.folder / CHECKPOINT).resolve())
-    resolved = dataclasses.replace(evaluated, tree=freeze({**evaluated.tree, "policy": policy}))
-    found = evaluate_job(Job(resolved, resolved.root, run.folder), stop, asked)
+    found = evaluate_job(Job(evaluated.changed(policy=policy), run.folder), stop, asked)
     summary = add_evaluation(run.folder, found)
     return summary | film_job(run, stop, found["log"])
 
@@ -78,19 +75,16 @@ def _evaluate(run: Job, evaluated: Resolved, stop: StopFlag, asked: Asked) -> di
 def _learn(run: Job, stop: StopFlag) -> dict[str, Any]:
     """Learn until it ends or somebody stops it; returns what `summary.json` holds."""
     from embodichain.cli.dashboard import Dashboard
-    from embodichain.cli.starting import started
-    from embodichain.cli.viewing import attach_viewer
     from embodichain.config.algorithms import DEFAULT_ALGORITHM
     from embodichain.learning.train import SUMMARY_FILE, train
 
     started()
     root = run.root
-    quiet = root.quiet or root.json
-    if not quiet:
+    if not run.quiet:
         sys.stderr.write(f"{run.resolved.task_name}: {run.folder}\n")
     algo = root.algo.name if root.algo is not None else DEFAULT_ALGORITHM
     about = run.resolved.task_name, algo, root.total_timesteps
-    with Dashboard(*about, quiet=quiet) as display:
+    with Dashboard(*about, quiet=run.quiet) as display:
 
         def progress(statistics: TrainStatistics) -> None:
             if stop.stopped is not None:
@@ -111,12 +105,8 @@ def _learn(run: Job, stop: StopFlag) -> dict[str, Any]:
 def _show(run: Job, summary: dict[str, Any]) -> None:
     """The closing table, or JSON."""
     if run.root.json:
-        from embodichain.cli.arguments import print_json
-
         print_json(summary)
     elif not run.root.quiet:
-        from embodichain.cli.tables import print_facts
-
         task = str(summary["task"])
         apart = ("task", "eval", "folder")
         rows = [(k.replace("_", " "), v) for k, v in summary.items() if k not in apart]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from embodichain.utils.errors import ConfigError
 if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
 
-__all__ = ["Target", "find_target", "split_words", "take"]
+__all__ = ["Target", "find_target", "one_target", "split_words", "take"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,8 +40,6 @@ class Target:
         Raises:
             ConfigError: There is neither, or the config is wrong.
         """
-        from embodichain.config.frozen import freeze
-
         if any(line.startswith(("task=", "gym_config=")) for line in overrides):
             from embodichain.config.resolved import resolve
 
@@ -54,7 +51,7 @@ class Target:
             resolved = resolve_again(self.run, overrides, {**values, "policy": None})
         else:
             raise ConfigError(f"{self.policy} lies in no run's folder: say which task, task=NAME")
-        return dataclasses.replace(resolved, tree=freeze({**resolved.tree, "policy": self.policy}))
+        return resolved.changed(policy=self.policy)
 
 
 def find_target(name: str, output_root: str = "outputs") -> Target:
@@ -77,6 +74,25 @@ def find_target(name: str, output_root: str = "outputs") -> Target:
 
     file = find_checkpoint(path).resolve()
     return Target(str(file), file, _run_of(file))
+
+
+def one_target(action: str, words: Sequence[str]) -> tuple[Target, list[str]]:
+    """Return the one policy that words name, and the overrides among them.
+
+    Args:
+        action: What the verb does with it, for messages.
+        words: As typed.
+
+    Raises:
+        ConfigError: They name none or several, or it is not there.
+    """
+    names, lines = split_words(words)
+    if len(names) != 1:
+        raise ConfigError(
+            f"{action} what? One of: RUN (a training's folder), last, PATH (a policy)"
+        )
+    roots = [line.partition("=")[2] for line in lines if line.startswith("output_dir=")]
+    return find_target(names[0], roots[-1] if roots else "outputs"), lines
 
 
 def split_words(words: Sequence[str]) -> tuple[list[str], list[str]]:

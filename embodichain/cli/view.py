@@ -9,51 +9,61 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from embodichain.cli import exits
-from embodichain.cli.arguments import VerbParser, add_common, print_json
-from embodichain.cli.log_files import log_of
-from embodichain.cli.verbs import VERBS
+import click
+
+from embodichain.cli.app import common, log_argument, log_of, verb
+from embodichain.cli.output import print_json, say_warnings
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.recording.summary import LogSummary
 
-__all__ = ["main"]
+__all__ = ["command"]
 
 _LAYOUT = "foxglove_layout.json"
 _MAGIC = b"\x89MCAP0\r\n"
 """The first and last bytes of a complete MCAP file."""
 
 
-def main(arguments: list[str]) -> int:
+@verb(
+    "view",
+    ("view last", "the newest run's log, and the layout beside it"),
+    ("view outputs/latest --open", "with the program that the desktop has for it"),
+    ("view last --serve", "play it at ws://127.0.0.1:8765, also a broken one"),
+)
+@log_argument()
+@click.option("--open", "opens", is_flag=True, help="Open it with the desktop's program.")
+@click.option("--serve", is_flag=True, help="Play it over a WebSocket.")
+@click.option("--host", default="127.0.0.1", help="Of --serve.")
+@click.option("--port", type=int, metavar="N", help="Of --serve; 8765.")
+@click.option("--speed", type=float, default=1.0, metavar="X", help="Of --serve; 1.")
+@common()
+def command(
+    file: str,
+    opens: bool,
+    serve: bool,
+    host: str,
+    port: int | None,
+    speed: float,
+    json: bool,
+    traceback: bool,
+) -> None:
     """Say how a log is opened; open or play it if asked to."""
-    parser = VerbParser(VERBS["view"])
-    parser.add_argument("file", metavar="FILE", help="a log, a run's folder, or `last`")
-    parser.add_argument("--open", action="store_true", help="open it with the desktop's program")
-    parser.add_argument("--serve", action="store_true", help="play it over a WebSocket")
-    parser.add_argument("--host", default="127.0.0.1", help="of --serve")
-    parser.add_argument("--port", type=int, metavar="N", help="of --serve; 8765")
-    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="of --serve; 1")
-    add_common(parser)
-    options = parser.parse(arguments)
-    if not options.speed > 0:
+    if not speed > 0:
         raise ConfigError("--speed must be above 0")
-    path = log_of(options.file)
     from embodichain.recording import inspect
 
-    log = inspect(path)
-    for warning in log.warnings:
-        sys.stderr.write(f"warning: {log.path}: {warning}\n")
+    log = inspect(log_of(file))
+    say_warnings(log.path, log.warnings)
     layout = _layout(log)
-    if options.json:
+    if json:
         print_json({"file": str(log.path), "layout": str(layout), "complete": log.complete})
     else:
         sys.stdout.write(_told(log, layout))
-    if options.serve:
-        _serve(log.path, options.host, options.port, options.speed)
-    elif options.open:
+    if serve:
+        _serve(log.path, host, port, speed)
+    elif opens:
         _open(log)
-    return exits.OK
 
 
 def _told(log: LogSummary, layout: Path) -> str:
@@ -98,7 +108,7 @@ def _open(log: LogSummary) -> None:
 
 def _serve(path: Path, host: str, port: int | None, speed: float) -> None:
     """Play until Ctrl-C."""
-    from embodichain.cli.stopping import StopFlag
+    from embodichain.cli.process import StopFlag
     from embodichain.recording.viewers.foxglove_playback import declare_channels, play_log
     from embodichain.recording.viewers.foxglove_server import DEFAULT_PORT, FoxgloveServer
     from embodichain.utils.addresses import is_loopback
@@ -111,6 +121,6 @@ def _serve(path: Path, host: str, port: int | None, speed: float) -> None:
         if not is_loopback(host):
             sys.stderr.write(f"warning: everybody who reaches {host} can look at it\n")
         with StopFlag() as stop:
-            play_log(path, server, lambda: stop.stopped is not None, speed=speed)
+            play_log(path, server, stop.is_stopped, speed=speed)
     finally:
         server.close()

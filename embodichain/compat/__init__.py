@@ -1,5 +1,5 @@
-"""EmbodiChain's import paths: every public name of its release 0.2.1 is ours, or says what to use.
+"""What exists for EmbodiChain alone: its import paths, gym configs, config classes and terms.
 
-`names` is the one table, `upstream_names.json` the names there are, `finder` what makes them
-importable. `embodichain` installs the finder; nothing else imports this package.
+`names` is the table of its public names, `upstream_names.json` their list, `finder` makes them
+importable; `embodichain` installs it. `gym_config` converts its configs, `terms` has its terms.
 """

@@ -1,7 +1,7 @@
 """The table of EmbodiChain's public names: which of ours each is, or what to use instead.
 
 Functors (events, observations, rewards, actions) are not in it: they are looked up among our terms,
-and `lab.gym.gym_config.functors` says why some are missing. Importing this module imports nothing
+and `compat.gym_config.functors` says why some are missing. Importing this module imports nothing
 of ours; docs/compatibility.md has a table that `scripts/names_table.py` makes of it.
 """
 
@@ -25,12 +25,16 @@ _UTILS = "embodichain.utils"
 _PLACES: Final[Mapping[str, tuple[str, ...]]] = {
     f"{_ENVS}.base_env": ("BaseEnv", "EmbodiedEnv"),
     f"{_ENVS}.cfg": ("EnvCfg", "SceneEntityCfg"),
-    f"{_ENVS}.embodied_cfg": ("EmbodiedEnvCfg",),
+    "embodichain.compat.embodied_cfg": ("EmbodiedEnvCfg",),
+    "embodichain.compat.gym_utils": (
+        *("DEFAULT_MANAGER_MODULES", "add_env_launcher_args_to_parser"),
+        *("build_env_cfg_from_args", "config_to_cfg"),
+    ),
     "embodichain.compat.functor_cfgs": (
         *("ActionTermCfg", "DatasetFunctorCfg", "EventCfg", "FunctorCfg"),
         *("ObservationCfg", "RewardCfg"),
     ),
-    "embodichain.compat.visualization": (
+    "embodichain.recording.viewers.visualization": (
         *("ViserServerCfg", "VisualizationCfg"),
         *("add_viser_args_to_parser", "visualization_cfg_from_args"),
     ),
@@ -153,7 +157,7 @@ REASONS: Final[Mapping[str, str]] = {
 """Module, or one name of it -> what to use instead of what is not here; the closest one counts."""
 
 _LATER: Final[Mapping[str, tuple[str, ...]]] = {
-    "embodichain.lab.visualization": _PLACES["embodichain.compat.visualization"],
+    "embodichain.lab.visualization": _PLACES["embodichain.recording.viewers.visualization"],
     "embodichain.lab.visualization.cfg": ("ViserServerCfg", "VisualizationCfg"),
     "embodichain.lab.visualization.cli": (
         *("add_viser_args_to_parser", "visualization_cfg_from_args"),
@@ -209,7 +213,7 @@ def find(module: str, name: str) -> Any:
 def reason(module: str, name: str) -> str:
     """What to use instead of a name that is not available; never empty."""
     if module.startswith(_MANAGERS):
-        from embodichain.lab.gym.gym_config.functors import LEFT_OUT
+        from embodichain.compat.gym_config.functors import LEFT_OUT
 
         for kind in _KINDS:
             if name in LEFT_OUT[kind]:
@@ -237,8 +241,8 @@ def _term(module: str, name: str) -> Any:
     """The term of ours that a functor of EmbodiChain's is, or None."""
     if not module.startswith(_MANAGERS):
         return None
+    from embodichain.compat.gym_config.functors import ACTIONS
     from embodichain.lab.gym.envs.managers.registry import TERMS
-    from embodichain.lab.gym.gym_config.functors import ACTIONS
 
     for kind in _KINDS:
         spec = TERMS[kind].get(ACTIONS.get(name, name))

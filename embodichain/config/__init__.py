@@ -13,8 +13,8 @@ if TYPE_CHECKING:
     from embodichain.config.factory import make, make_env
     from embodichain.config.file_validation import validate_file
     from embodichain.config.frozen import dump_yaml, freeze, thaw
+    from embodichain.config.locate import LocatedProblem
     from embodichain.config.overrides import relax
-    from embodichain.config.problems import LocatedProblem
     from embodichain.config.resolved import Resolved, resolve, resolve_tree
     from embodichain.config.run_folder import adopt, claim, find_run, write_record
     from embodichain.config.search_path import user_configs
@@ -27,7 +27,7 @@ __getattr__, __dir__, _ = lazy_loader.attach(
         "frozen": ["dump_yaml", "freeze", "thaw"],
         "factory": ["make", "make_env"],
         "overrides": ["relax"],
-        "problems": ["LocatedProblem"],
+        "locate": ["LocatedProblem"],
         "resolved": ["Resolved", "resolve", "resolve_tree"],
         "run_folder": ["adopt", "claim", "find_run", "write_record"],
         "search_path": ["user_configs"],

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import copy
 import json
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -22,29 +21,11 @@ from embodichain.config.schema import ROOT_INSTEAD, RootCfg
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.type_errors import ErrorDetails, show_value, unknown_key, what_is_wrong
 
-__all__ = ["TypeCheck", "check_types", "show_value"]
+__all__ = ["TypeCheck", "check_types"]
 
 Loc = tuple[str | int, ...]
-ErrorDetails = Mapping[str, Any]
-"""One entry of `ValidationError.errors()`."""
-
-_KINDS = {
-    "int": "an integer",
-    "float": "a number",
-    "string": "text",
-    "bool": "true or false",
-    "dict": "a map",
-    "dataclass": "a map",
-    "list": "a list",
-}
-_LIMITS = {
-    "greater_than": ("gt", "greater than"),
-    "greater_than_equal": ("ge", "at least"),
-    "less_than": ("lt", "less than"),
-    "less_than_equal": ("le", "at most"),
-}
-_LONGEST = 60
 
 
 @dataclass(frozen=True)
@@ -94,14 +75,6 @@ def check_types(tree: Mapping[str, Any]) -> TypeCheck:
             pruned.add(".".join(map(str, removed)))
             if removed in ((), ("task",)):
                 return TypeCheck(None, data, list(problems.values()), tuple(sorted(pruned)))
-
-
-def show_value(value: Any) -> str:
-    """Return a value as YAML's reader would know it, shortened to one line."""
-    if value is None or isinstance(value, bool):
-        return {None: "null", True: "true", False: "false"}[value]
-    text = repr(value)
-    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
 
 
 @cache
@@ -172,25 +145,15 @@ def _prune(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> Loc:
 def _problem(path: str, loc: Loc, errors: Sequence[ErrorDetails], data: Any) -> Problem:
     """The line that people read."""
     error = errors[0]
-    kind, value, context = error["type"], error["input"], error.get("ctx", {})
+    kind, value = error["type"], error["input"]
     if kind == "unexpected_keyword_argument":
         return _unknown_key(path, loc, value, data)
-    if kind == "missing":
-        return Problem(path, "missing value: it must be set")
     if kind.startswith("union_tag"):
         return _wrong_tag(path, value, _tag_key(error))
-    if kind in _LIMITS:
-        key, words = _LIMITS[kind]
-        return Problem(path, f"must be {words} {context[key]}, got {show_value(value)}")
     if kind in ("too_short", "too_long"):
         wanted = length_at(RootCfg, loc, data)
         return Problem(path, f"expected {wanted} values, got {len(value)}: {show_value(value)}")
-    expected = [_expected(e) for e in errors if e["type"] != "callable_type"]
-    choices = [c for e in errors for c in _choices(e)]
-    hint = did_you_mean(value, choices).strip() if isinstance(value, str) else ""
-    wanted = " or ".join(dict.fromkeys(expected))
-    end = "." if hint else ""
-    return Problem(path, f"expected {wanted}, got {show_value(value)}{end}", hint)
+    return Problem(path, *what_is_wrong(errors, PATTERNS))
 
 
 def _unknown_key(path: str, loc: Loc, value: Any, data: Any) -> Problem:
@@ -200,10 +163,10 @@ def _unknown_key(path: str, loc: Loc, value: Any, data: Any) -> Problem:
     name = str(loc[-1])
     if loc[:-1] == ("algo",) and name in ALGO_INSTEAD:
         return Problem(path, f"not a key of an algorithm; {ALGO_INSTEAD[name]}")
-    hint = did_you_mean(name, allowed).strip()
+    message, hint = unknown_key(name, allowed)
     if len(loc) == 1 and name in field_names(EnvCfg):
         hint = f"Did you mean 'task.{name}'?"
-    return Problem(path, f"unknown key; allowed: {', '.join(allowed)}.", hint)
+    return Problem(path, message, hint)
 
 
 def _tag_key(error: ErrorDetails) -> str:
@@ -219,18 +182,3 @@ def _wrong_tag(path: str, value: Any, key: str) -> Problem:
         return Problem(path, f"missing value; one of: {', '.join(names)}")
     hint = did_you_mean(str(tag), names).strip()
     return Problem(path, f"unknown {what} {show_value(tag)}; one of: {', '.join(names)}.", hint)
-
-
-def _expected(error: ErrorDetails) -> str:
-    if error["type"] == "literal_error":
-        choices = [repr(choice) for choice in _choices(error)]
-        return choices[0] if len(choices) == 1 else f"one of {', '.join(choices)}"
-    if error["type"] == "string_pattern_mismatch":
-        pattern = error["ctx"]["pattern"]
-        return PATTERNS.get(pattern, f"text like {pattern}")
-    kind: str = error["type"].rsplit("_", 1)[0]
-    return _KINDS.get(kind, str(error["msg"]))
-
-
-def _choices(error: ErrorDetails) -> list[str]:
-    return re.findall(r"'([^']*)'", error.get("ctx", {}).get("expected", ""))

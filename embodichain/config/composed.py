@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,16 +16,14 @@ from hydra.core.config_loader import ConfigLoader
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.types import Override
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
-from embodichain.config import plain
 from embodichain.config.algorithms import DEFAULT_ALGORITHM
 from embodichain.config.hydra_errors import COMPOSING, explain
-from embodichain.config.hydra_state import config_loader
-from embodichain.config.locate import ConfigFile, Locator
+from embodichain.config.locate import COMMAND_LINE, ConfigFile, LocatedProblem, Locator
 from embodichain.config.overrides import ParsedOverrides, apply_values, parse
-from embodichain.config.problems import COMMAND_LINE, LocatedProblem
-from embodichain.config.search_path import folder_of_source
+from embodichain.config.search_path import config_loader, folder_of_source
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -89,25 +88,28 @@ def compose(
             tree, locator = _partial(loader, config_name, parsed)
             return Composed(config_name, lines, tree, {}, locator, parsed.problems, usable=False)
         try:
-            config, files = _load(loader, config_name, parsed.for_hydra)
+            lines_of_groups = list(parsed.for_hydra)
+            config = loader.load_configuration(config_name, lines_of_groups, RunMode.RUN)
             chosen = _algorithm(config, parsed.values, loader.get_group_options("algo"))
             if chosen is not None:  # the group was left at null: load what it means
-                config, files = _load(loader, config_name, (*parsed.for_hydra, f"algo={chosen}"))
+                lines_of_groups.append(f"algo={chosen}")
+                config = loader.load_configuration(config_name, lines_of_groups, RunMode.RUN)
         except COMPOSING as error:
             found = [] if _follows(error, parsed) else explain(error, loader)
             problems = (*parsed.problems, *found)
             tree, locator = _partial(loader, config_name, parsed)
             return Composed(config_name, lines, tree, {}, locator, problems, usable=False)
     choices = dict(config.hydra.runtime.choices)
+    folders = [folder_of_source(s.schema, s.path) for s in config.hydra.runtime.config_sources]
+    files = partial(_files, loader, config_name, lines_of_groups, folders, gym)
     OmegaConf.set_struct(config, False)
     del config["hydra"]
     if gym is not None:
         choices["task"] = gym.name
         config["task"] = OmegaConf.merge(gym.task, config.get("task", {}))
-        files.insert(0, gym.file)
     problems = (*parsed.problems, *apply_values(config, parsed.values))
     locator = Locator(files, parsed.values)
-    tree, unresolved = plain.resolve(config, locator)
+    tree, unresolved = _plain(config, locator)
     problems = (*problems, *unresolved)
     notes = gym.notes if gym is not None else ()
     return Composed(config_name, lines, tree, choices, locator, problems, notes=notes)
@@ -154,15 +156,16 @@ def _gym_config(parsed: ParsedOverrides) -> tuple[GymConfig | None, ParsedOverri
     return gym, replace(parsed, for_hydra=for_hydra, problems=tuple(problems))
 
 
-def _load(
-    loader: ConfigLoader, config_name: str, for_hydra: Sequence[str]
-) -> tuple[DictConfig, list[ConfigFile]]:
-    """The merged config, and the files behind it in the order of merging, without Hydra's."""
-    config = loader.load_configuration(config_name, list(for_hydra), RunMode.RUN)
-    folders = [folder_of_source(s.schema, s.path) for s in config.hydra.runtime.config_sources]
-    defaults = loader.compute_defaults_list(config_name, list(for_hydra), RunMode.RUN)
-    files: list[ConfigFile] = []
-    for default in defaults.defaults:
+def _files(
+    loader: ConfigLoader,
+    config_name: str,
+    for_hydra: list[str],
+    folders: Sequence[Path | None],
+    gym: GymConfig | None,
+) -> list[ConfigFile]:
+    """The files behind a config in the order of merging, without Hydra's own."""
+    files = [] if gym is None else [gym.file]
+    for default in loader.compute_defaults_list(config_name, for_hydra, RunMode.RUN).defaults:
         name = default.config_path
         if name is None or name.startswith("hydra/"):
             continue
@@ -170,7 +173,7 @@ def _load(
         path = next((p for p in paths if p.is_file()), None)
         if path is not None:
             files.append(ConfigFile.read(path, default.package or ""))
-    return config, files
+    return files
 
 
 def _partial(
@@ -178,15 +181,15 @@ def _partial(
 ) -> tuple[dict[str, Any], Locator]:
     """The root's own values with overrides of them, where task and groups cannot be composed."""
     values = [o for o in parsed.values if o.key_or_group.split(".")[0] != "task"]
-    locator = Locator([], values)
+    locator = Locator(list, values)
     try:
-        config, _ = _load(loader, config_name, ["~task"])
+        config = loader.load_configuration(config_name, ["~task"], RunMode.RUN)
     except COMPOSING:
         return {}, locator
     OmegaConf.set_struct(config, False)
     del config["hydra"]
     apply_values(config, values)
-    return plain.resolve(config, locator)[0], locator
+    return _plain(config, locator)[0], locator
 
 
 def _algorithm(
@@ -207,3 +210,65 @@ def _algorithm(
 def _follows(error: Exception, parsed: ParsedOverrides) -> bool:
     """Whether an error only says that a group has no option, after its wrong one was left out."""
     return any(f"You must specify '{group}'" in str(error) for group in parsed.broken)
+
+
+_INSTANTIATE = ("_target_", "_recursive_", "_convert_", "_partial_", "_args_")
+
+
+def _plain(config: DictConfig, locator: Locator) -> tuple[dict[str, Any], list[LocatedProblem]]:
+    """Resolve interpolations everywhere.
+
+    Args:
+        config: The composed config.
+        locator: Finds the source of what fails.
+
+    Returns:
+        The plain tree without the keys that failed, and one problem for each of these.
+    """
+    walk = _Walk(locator)
+    return walk.mapping(config, ""), walk.problems
+
+
+class _Walk:
+    def __init__(self, locator: Locator) -> None:
+        self.problems: list[LocatedProblem] = []
+        self._locator = locator
+
+    def mapping(self, config: DictConfig, path: str) -> dict[str, Any]:
+        result: dict[str, Any] = {}
+        for key in config:
+            where = f"{path}.{key!s}" if path else str(key)
+            if key in _INSTANTIATE:
+                self._report(where, f"{key} is not used here: name a function with func: NAME")
+            elif self._readable(config, key, where):
+                result[str(key)] = self._value(config[key], where)
+        return result
+
+    def _value(self, value: Any, path: str) -> Any:
+        if isinstance(value, DictConfig):
+            return self.mapping(value, path)
+        if isinstance(value, ListConfig):
+            indices = [i for i in range(len(value)) if self._readable(value, i, f"{path}.{i}")]
+            return [self._value(value[i], f"{path}.{i}") for i in indices]
+        return value
+
+    def _readable(self, node: DictConfig | ListConfig, key: Any, path: str) -> bool:
+        """Whether a value is there and resolves; reports it otherwise."""
+        if OmegaConf.is_missing(node, key):
+            self._report(path, "missing value (???): it must be set")
+            return False
+        try:
+            node[key]
+        except OmegaConfBaseException as error:
+            reason = str(error).splitlines()[0]
+            self._report(path, f"cannot resolve {_raw(node, key)!r}: {reason}")
+            return False
+        return True
+
+    def _report(self, path: str, message: str) -> None:
+        self.problems.append(LocatedProblem(path, message, source=self._locator.source(path)))
+
+
+def _raw(node: DictConfig | ListConfig, key: Any) -> Any:
+    child = node._get_node(key)  # the interpolation as written; OmegaConf has no public name for it
+    return child._value() if child is not None and not isinstance(child, list) else None

@@ -11,11 +11,14 @@ import secrets
 from collections.abc import Callable, Mapping
 from typing import Any, Literal
 
+from embodichain.config.locate import LocatedProblem
 from embodichain.config.schema import SUGGESTED_KEYS, RootCfg
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.sim.cfg import SimulationManagerCfg
+from embodichain.lab.sim.compiler.names import exact_pattern
+from embodichain.lab.sim.prepared_scene import PreparedScene
 
-__all__ = ["Chosen", "Verb", "env_cfg", "fill", "settle"]
+__all__ = ["Chosen", "Verb", "env_cfg", "fill", "settle", "with_armature"]
 
 Verb = Literal["run", "train"]
 Chosen = Callable[[str, str], bool]
@@ -101,3 +104,31 @@ def _merged(algo: dict[str, Any], suggested: dict[str, Any], path: str, chosen: 
         elif not chosen(where, "algo"):
             merged[key] = value
     return merged
+
+
+def with_armature(
+    tree: Mapping[str, Any], prepared: PreparedScene
+) -> tuple[dict[str, Any], tuple[LocatedProblem, ...]]:
+    """Return a copy of a checked, settled tree with the armature that its joints lack.
+
+    Only joints whose armature the task does not give are changed.
+
+    Args:
+        tree: A settled tree without mistakes.
+        prepared: Its scene, as checked; its articulations' configs are changed likewise.
+
+    Returns:
+        The tree, and a note for every articulation that was changed.
+    """
+    changed, notes = copy.deepcopy(dict(tree)), []
+    for path, raised in prepared.settle_armature().items():
+        entity = changed["task"]
+        for key in path.split("."):
+            entity = entity[key]
+        drives = entity["drive_pros"] = dict(entity.get("drive_pros") or {})
+        names = {exact_pattern(name): value for name, value in raised.items()}
+        drives["armature"] = {**(drives.get("armature") or {}), **names}
+        listed = ", ".join(f"{name}: {value:.4g}" for name, value in raised.items())
+        message = f"raised to {{{listed}}}, because limited drives would chatter at the time step"
+        notes.append(LocatedProblem(f"task.{path}.drive_pros.armature", message))
+    return changed, tuple(notes)

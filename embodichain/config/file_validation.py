@@ -7,14 +7,13 @@ from pathlib import Path
 
 import yaml
 
+from embodichain.compat.gym_config.file import is_gym_config, read_gym_config
 from embodichain.config.composed import Composed, compose
 from embodichain.config.derive import Verb
 from embodichain.config.gym_config import load_gym_config, override_of
 from embodichain.config.hydra_errors import explain_yaml
-from embodichain.config.locate import ConfigFile, Locator, display_path
-from embodichain.config.problems import LocatedProblem
+from embodichain.config.locate import ConfigFile, LocatedProblem, Locator, display_path
 from embodichain.config.resolved import Resolved, resolve, resolve_tree
-from embodichain.lab.gym.gym_config.file import is_gym_config, read_gym_config
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["notes_on_file", "resolve_file", "validate_file"]
@@ -67,7 +66,7 @@ def resolve_file(path: str | Path, verb: Verb = "run") -> Resolved:
     if is_gym_config(tree):
         return resolve(compose([override_of(str(file))], verb), verb)
     if isinstance(tree, dict) and isinstance(tree.get("task"), dict):
-        return resolve_tree(tree, Locator([parsed]).source, verb, allow_import=True)
+        return resolve_tree(tree, Locator(lambda: [parsed]).source, verb, allow_import=True)
     return resolve(_composed_option(file.resolve(), verb), _verb_of(file.resolve(), verb))
 
 
@@ -93,7 +92,9 @@ def _composed_option(file: Path, verb: Verb) -> Composed:
         link = Path(folder, "task", file.name).with_suffix(".yaml")
         link.parent.mkdir()
         link.symlink_to(file)
-        return compose([f"task={file.stem}"], verb, folder)
+        composed = compose([f"task={file.stem}"], verb, folder)
+        _ = composed.locator.files  # read while the folder is there
+        return composed
 
 
 def _verb_of(file: Path, verb: Verb) -> Verb:

@@ -1,6 +1,6 @@
 """EmbodiChain's gym config as a task: converted, every key with the file and line it came from.
 
-What keys mean is `lab.gym.gym_config`'s; here the result takes the place of an option of `task`.
+What keys mean is `compat.gym_config`'s; here the result takes the place of an option of `task`.
 """
 
 from __future__ import annotations
@@ -11,10 +11,9 @@ from typing import Any
 
 import yaml
 
-from embodichain.config.locate import ConfigFile, Locator, display_path
-from embodichain.config.problems import LocatedProblem
-from embodichain.lab.gym.gym_config.conversion import CLASSES, Conversion, convert
-from embodichain.lab.gym.gym_config.file import read_gym_config
+from embodichain.compat.gym_config.conversion import CLASSES, Conversion, convert
+from embodichain.compat.gym_config.file import read_gym_config
+from embodichain.config.locate import ConfigFile, LocatedProblem, Locator, display_path
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["GymConfig", "load_gym_config", "override_of"]
@@ -52,7 +51,7 @@ def load_gym_config(path: str | Path) -> GymConfig:
     content = read_gym_config(file)
     converted = convert(content, _registered(content.get("id")))
     root = _nodes(file)
-    source = Locator([ConfigFile(file, "", root)]).source if root is not None else None
+    source = Locator(lambda: [ConfigFile(file, "", root)]).source if root is not None else None
 
     def located(problem: Any) -> LocatedProblem:
         place = source(problem.path) if source is not None else display_path(file)

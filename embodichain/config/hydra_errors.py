@@ -9,8 +9,7 @@ import yaml
 from hydra.core.config_loader import ConfigLoader
 from hydra.errors import HydraException, MissingConfigException
 
-from embodichain.config.locate import display_path
-from embodichain.config.problems import COMMAND_LINE, LocatedProblem
+from embodichain.config.locate import COMMAND_LINE, LocatedProblem, display_path
 from embodichain.config.search_path import folder_of_source
 from embodichain.utils.suggest import did_you_mean, listing
 

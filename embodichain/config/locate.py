@@ -1,13 +1,13 @@
-"""Who set a key: which line of which YAML file, or the command line.
+"""Who set a key, and mistakes with that place: a line of a YAML file, or the command line.
 
-Works on the marks that YAML's parser leaves, over the files that were composed, in their order; it
-knows nothing of what keys mean.
+Works on the marks that YAML's parser leaves, over the files that were composed, in their order.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from os.path import commonprefix
 from pathlib import Path
 from typing import Any, TextIO
@@ -15,9 +15,9 @@ from typing import Any, TextIO
 import yaml
 from hydra.core.override_parser.types import Override
 
-from embodichain.config.problems import COMMAND_LINE
+from embodichain.utils.errors import Problem
 
-__all__ = ["ConfigFile", "Locator", "display_path"]
+__all__ = ["COMMAND_LINE", "ConfigFile", "LocatedProblem", "Locator", "display_path"]
 
 _MERGE = "tag:yaml.org,2002:merge"
 
@@ -72,13 +72,21 @@ class Locator:
     """Finds the source of dotted key paths.
 
     Args:
-        files: The composed files; of two that set a key, the later wins.
+        files: Reads the composed files when a place is first asked for; of two that set a key,
+            the later wins.
         overrides: Value overrides, applied after all files.
     """
 
-    def __init__(self, files: Sequence[ConfigFile], overrides: Sequence[Override] = ()) -> None:
-        self.files = tuple(files)
+    def __init__(
+        self, files: Callable[[], Sequence[ConfigFile]], overrides: Sequence[Override] = ()
+    ) -> None:
+        self._read = files
         self.overrides = tuple(overrides)
+
+    @cached_property
+    def files(self) -> tuple[ConfigFile, ...]:
+        """The composed files."""
+        return tuple(self._read())
 
     def source(self, path: str) -> str:
         """Return ``FILE:LINE`` or ``command line`` of a key, or of its nearest ancestor.
@@ -196,3 +204,40 @@ def _depth_of_override(override: Override, parts: Sequence[str]) -> float:
             break
         depth += 1
     return depth
+
+
+COMMAND_LINE = "command line"
+"""The source of what no file says."""
+
+
+@dataclass(frozen=True, slots=True)
+class LocatedProblem(Problem):
+    """A mistake whose place is known.
+
+    Attributes:
+        source: ``FILE:LINE``, ``FILE``, or ``command line``; empty where nobody wrote it.
+    """
+
+    source: str = ""
+
+    @classmethod
+    def of(cls, problem: Problem, source: str) -> LocatedProblem:
+        """Give a problem its place; a hint begins a sentence of its own."""
+        message = problem.message.rstrip()
+        if problem.hint and not message.endswith((".", "?", "!")):
+            message += "."
+        return cls(problem.path, message, problem.hint.strip(), source)
+
+    def as_dict(self) -> dict[str, str]:
+        """Return the four texts by name, for JSON."""
+        return {
+            "path": self.path,
+            "message": self.message,
+            "hint": self.hint,
+            "source": self.source,
+        }
+
+    def __str__(self) -> str:
+        """Return ``source: path: message hint``."""
+        text = Problem.__str__(self)
+        return f"{self.source}: {text}" if self.source else text

@@ -17,7 +17,7 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from embodichain.config.problems import COMMAND_LINE, LocatedProblem
+from embodichain.config.locate import COMMAND_LINE, LocatedProblem
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["ParsedOverrides", "apply_values", "parse", "relax"]

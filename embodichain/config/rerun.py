@@ -16,13 +16,13 @@ import yaml
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 
-from embodichain.config.hydra_state import config_loader
+from embodichain.config.locate import COMMAND_LINE, LocatedProblem
 from embodichain.config.overrides import ParsedOverrides, apply_values, parse
-from embodichain.config.problems import COMMAND_LINE, LocatedProblem
 from embodichain.config.resolved import Resolved, resolve_tree
+from embodichain.config.search_path import config_loader
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["CONFIG", "resolve_again", "task_of"]
+__all__ = ["CONFIG", "read_config", "resolve_again", "task_of"]
 
 CONFIG = "config.yaml"
 _FOLDER = re.compile(r"\d\d-\d\d-\d\d_(.+?)(_\d+)?")  # see `run_folder.claim`
@@ -43,7 +43,7 @@ def resolve_again(
         ConfigError: The folder has no config, or overrides or the config are wrong.
     """
     source = folder / CONFIG
-    tree = {**_read(source), **(values or {})}
+    tree = {**read_config(source), **(values or {})}
     with config_loader() as loader:
         parsed = parse(overrides, loader)
         problems = [*parsed.problems, *_unfit(parsed)]
@@ -80,7 +80,12 @@ def task_of(folder: Path) -> str:
     return match[1] if match is not None else "task"
 
 
-def _read(path: Path) -> dict[str, Any]:
+def read_config(path: Path) -> dict[str, Any]:
+    """Read a run's `config.yaml`.
+
+    Raises:
+        ConfigError: It cannot be read, or contains no map.
+    """
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
 from embodichain.config import derive
-from embodichain.config.armature import with_armature
 from embodichain.config.check_types import check_types
 from embodichain.config.composed import Composed, compose
 from embodichain.config.derive import Verb
 from embodichain.config.frozen import freeze, thaw
-from embodichain.config.problems import LocatedProblem
+from embodichain.config.locate import LocatedProblem
 from embodichain.config.schema import RootCfg
-from embodichain.config.validation import check_tree, source_of, validate
+from embodichain.config.validation import check, check_tree, source_of
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.utils.errors import ConfigError, Problem
@@ -46,9 +45,9 @@ class Resolved:
     source: Callable[[str], str] = field(default=lambda path: "", repr=False, compare=False)
     prepared: PreparedScene = field(default_factory=PreparedScene, repr=False, compare=False)
 
-    @property
+    @cached_property
     def root(self) -> RootCfg:
-        """A fresh `RootCfg` with everything filled in; changing it changes nothing here."""
+        """The config as data classes, everything filled in; not to be changed, see `changed`."""
         checked = check_types(thaw(self.tree))
         if checked.root is None or checked.problems:
             raise ConfigError(checked.problems)
@@ -60,6 +59,10 @@ class Resolved:
         cfg = derive.env_cfg(self.root)
         cfg.sim_cfg.prepared_scene = self.prepared
         return cfg
+
+    def changed(self, **values: Any) -> Resolved:
+        """Return the config with other values of keys of the root."""
+        return replace(self, tree=freeze({**self.tree, **values}))
 
     @contextmanager
     def locating(self, section: str = "") -> Iterator[None]:
@@ -97,17 +100,15 @@ def resolve(
         ConfigError: Holds every mistake as a `LocatedProblem`.
     """
     composed = config if isinstance(config, Composed) else compose(config, verb, config_dir)
-    prepared = PreparedScene()
-    problems = validate(composed, verb, prepared)
-    if problems:
-        raise ConfigError(problems)
-    filled = derive.fill(composed.tree, verb, composed.locator.chosen)
-    tree, raised = with_armature(derive.settle(check_types(filled).tree, verb), prepared)
+    found = check(composed, verb)
+    if found.problems:
+        raise ConfigError(found.problems)
+    tree, raised = derive.with_armature(derive.settle(found.types.tree, verb), found.scene)
     name = composed.choices.get("task") or "task"
     name = name.rpartition("/")[2]
     source = partial(source_of, composed=composed)
     notes = (*composed.notes, *raised)
-    return Resolved(freeze(tree), composed.overrides, name, notes, source, prepared)
+    return Resolved(freeze(tree), composed.overrides, name, notes, source, found.scene)
 
 
 def resolve_tree(
@@ -130,11 +131,9 @@ def resolve_tree(
     Raises:
         ConfigError: Holds every mistake as a `LocatedProblem`.
     """
-    prepared = PreparedScene()
-    problems = check_tree(tree, verb, allow_import=allow_import, prepared=prepared)
+    found = check_tree(tree, verb, allow_import=allow_import)
     located = source if callable(source) else lambda path: source
-    if problems:
-        raise ConfigError([LocatedProblem.of(p, located(p.path)) for p in problems])
-    settled = derive.settle(check_types(derive.fill(tree, verb)).tree, verb)
-    settled, raised = with_armature(settled, prepared)
-    return Resolved(freeze(settled), (), task_name, raised, located, prepared)
+    if found.problems:
+        raise ConfigError([LocatedProblem.of(p, located(p.path)) for p in found.problems])
+    settled, raised = derive.with_armature(derive.settle(found.types.tree, verb), found.scene)
+    return Resolved(freeze(settled), (), task_name, raised, located, found.scene)

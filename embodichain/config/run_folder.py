@@ -14,7 +14,6 @@ import platform
 import re
 import shlex
 import sys
-import threading
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
@@ -22,9 +21,10 @@ from pathlib import Path
 from embodichain import __version__
 from embodichain.config.frozen import dump_yaml
 from embodichain.config.resolved import Resolved
+from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["adopt", "claim", "find_run", "versions", "write_atomically", "write_record"]
+__all__ = ["adopt", "claim", "find_run", "versions", "write_record"]
 
 LATEST = "latest"
 _MOST_SUFFIXES = 10_000
@@ -108,7 +108,7 @@ def write_record(folder: Path, resolved: Resolved, argv: Sequence[str] | None = 
     }
     for name, text in files.items():
         try:
-            write_atomically(folder / name, text)
+            write_text(folder / name, text)
         except OSError as error:
             raise ConfigError(f"cannot write {folder / name}: {error}") from error
 
@@ -138,24 +138,6 @@ def versions() -> dict[str, str | None]:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             found[package] = importlib.metadata.version(package)
     return found | {"platform": platform.platform(), "machine": platform.machine()}
-
-
-def write_atomically(path: Path, text: str) -> None:
-    """Write a file so that readers see the old content or the new one, never a part.
-
-    Raises:
-        OSError: It cannot be written; nothing is left behind.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.{threading.get_ident()}")
-    try:
-        with temporary.open("x", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
 
 
 def _make_new(day: Path, name: str) -> Path:

@@ -14,14 +14,19 @@ from contextvars import ContextVar
 from importlib import resources
 from pathlib import Path
 
+from hydra import version
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra._internal.utils import create_config_search_path
+from hydra.core.config_loader import ConfigLoader
 from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.object_type import ObjectType
 from hydra.core.plugins import Plugins
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 
 from embodichain.config.task_files import CONFIG_MODULE, ENTRY_POINTS, LOCAL
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["CONFIG_MODULE", "folder_of_source", "user_configs"]
+__all__ = ["CONFIG_MODULE", "VERSION_BASE", "config_loader", "folder_of_source", "user_configs"]
 
 _config_dir: ContextVar[Path | None] = ContextVar("config_dir", default=None)
 
@@ -75,3 +80,38 @@ class EmbodichainSearchPath(SearchPathPlugin):
 
 
 Plugins.instance().register(EmbodichainSearchPath)
+
+
+VERSION_BASE = "1.3"
+
+
+class _Loader(ConfigLoaderImpl):
+    """Asks its sources for the options of a group; Hydra's copies them all each time, 10 ms."""
+
+    def get_group_options(
+        self,
+        group_name: str,
+        results_filter: ObjectType | None = ObjectType.CONFIG,
+        config_name: str | None = None,
+        overrides: list[str] | None = None,
+    ) -> list[str]:
+        return self.repository.get_group_options(group_name, results_filter)
+
+
+@contextmanager
+def config_loader(config_dir: str | Path | None = None) -> Iterator[ConfigLoader]:
+    """Give a loader of `embodichain.conf`.
+
+    `hydra.initialize` would replace the loader of an application that is running; this one is
+    separate from it.
+
+    Args:
+        config_dir: Searched first; None keeps the enclosing `user_configs`.
+
+    Raises:
+        ConfigError: `config_dir` does not exist.
+    """
+    if not hasattr(version.getbase(), "major"):
+        version.setbase(VERSION_BASE)  # what Hydra leaves unset until an application starts
+    with user_configs(config_dir):
+        yield _Loader(create_config_search_path(f"pkg://{CONFIG_MODULE}"))

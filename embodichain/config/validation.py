@@ -9,23 +9,29 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from hydra.core.override_parser.types import OverrideType
 
-from embodichain.config.check_types import check_types
-from embodichain.config.check_values import check_root, check_suggested, check_task
+from embodichain.config.check_types import TypeCheck, check_types
 from embodichain.config.composed import Composed
 from embodichain.config.derive import Chosen, Verb, fill
 from embodichain.config.introspect import is_named_map, type_at
-from embodichain.config.problems import COMMAND_LINE, LocatedProblem
-from embodichain.config.schema import LARGEST_TRAINING_SEED, RootCfg
+from embodichain.config.locate import COMMAND_LINE, LocatedProblem
+from embodichain.config.newest import CHECKPOINT, named_checkpoint, newest_run
+from embodichain.config.schema import LARGEST_TRAINING_SEED, SUGGESTED_KEYS, RootCfg
+from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.check import check_terms
+from embodichain.lab.gym.envs.managers.registry import SECTIONS
+from embodichain.lab.gym.policies import resolve_policy
 from embodichain.lab.sim.prepared_scene import PreparedScene
-from embodichain.utils.errors import Problem
+from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.type_errors import show_value, unknown_key
 
-__all__ = ["check_tree", "source_of", "validate"]
+__all__ = ["Check", "check", "check_tree", "source_of", "validate"]
 
 _SAME = {"episode_length_s": "max_episode_steps", "decimation": "sim_steps_per_control"}
 """Task keys that win over another one when given, see `EnvCfg`."""
@@ -33,27 +39,52 @@ _ENTITY = re.compile(r"task(\.(robot|(robots|objects|articulations)(\.[^.]+)?)(\
 """Paths whose loss makes references to entities fail that are not wrong."""
 
 
-def validate(
-    composed: Composed, verb: Verb = "run", prepared: PreparedScene | None = None
-) -> list[LocatedProblem]:
+@dataclass(frozen=True, slots=True)
+class Check:
+    """A config that was checked as a whole.
+
+    Attributes:
+        problems: Every mistake; empty is good.
+        types: The config with the task's suggestions, as plain values and as data classes.
+        scene: The scene as it was read and compiled for the check.
+    """
+
+    problems: list[Problem]
+    types: TypeCheck
+    scene: PreparedScene
+
+
+def validate(composed: Composed, verb: Verb = "run") -> list[LocatedProblem]:
     """Return every mistake of a composed config, with those found while composing; empty is good.
 
     Args:
         composed: What `compose` returned.
         verb: Whose suggested values count.
-        prepared: Receives the scene that was read and compiled.
+    """
+    problems = check(composed, verb).problems
+    return [p if isinstance(p, LocatedProblem) else LocatedProblem.of(p, "") for p in problems]
+
+
+def check(composed: Composed, verb: Verb) -> Check:
+    """Check a composed config as a whole; its problems are `LocatedProblem`s.
+
+    Args:
+        composed: What `compose` returned.
+        verb: Whose suggested values count.
     """
     problems = list(composed.problems)
-    if not composed.usable:
-        found = check_types({**composed.tree, "task": {}}).problems
-        return problems + [LocatedProblem.of(p, source_of(p.path, composed)) for p in found]
-    unknown = _unknown_entries(composed)
-    lost = [p.path for p in (*problems, *unknown)]
-    chosen = composed.locator.chosen
-    unknown += _said_twice(composed)
-    in_tree = check_tree(composed.tree, verb, chosen=chosen, lost=lost, prepared=prepared)
-    found = [*unknown, *in_tree]
-    return problems + [LocatedProblem.of(p, source_of(p.path, composed)) for p in found]
+    if composed.usable:
+        unknown = _unknown_entries(composed)
+        lost = [p.path for p in (*problems, *unknown)]
+        unknown += _said_twice(composed)
+        chosen = composed.locator.chosen
+        found = check_tree(composed.tree, verb, chosen=chosen, lost=lost)
+    else:
+        unknown, types = [], check_types({**composed.tree, "task": {}})
+        found = Check(types.problems, types, PreparedScene())
+    all_found = [*unknown, *found.problems]
+    located = [LocatedProblem.of(p, source_of(p.path, composed)) for p in all_found]
+    return replace(found, problems=[*problems, *located])
 
 
 def source_of(path: str, composed: Composed) -> str:
@@ -70,9 +101,8 @@ def check_tree(
     chosen: Chosen | None = None,
     lost: Sequence[str] = (),
     allow_import: bool = True,
-    prepared: PreparedScene | None = None,
-) -> list[Problem]:
-    """Return the mistakes of a plain tree, by key path.
+) -> Check:
+    """Check a plain tree; mistakes are found by key path.
 
     Args:
         tree: A composed config, or one that was dumped.
@@ -80,21 +110,20 @@ def check_tree(
         chosen: See `derive.fill`.
         lost: Paths that are known to be wrong; nothing more is said of them.
         allow_import: Whether ``package.module:function`` may be imported.
-        prepared: Receives the scene that was read and compiled.
     """
     rest = copy.deepcopy(dict(tree))
     for path in lost:
         _remove(rest, path)
-    problems = check_suggested(rest)
+    problems = _check_suggested(rest)
     for problem in problems:
         _remove(rest, ".".join(problem.path.split(".")[:4]))  # task.suggested.VERB.KEY
     types = check_types(fill(rest, verb, chosen))
     problems += types.problems
-    missing = [*lost, *types.pruned]
+    missing, scene = [*lost, *types.pruned], PreparedScene()
     if types.root is not None:
-        further = _check_meaning(types.root, verb, missing, allow_import, prepared)
+        further = _check_meaning(types.root, verb, missing, allow_import, scene)
         problems += [p for p in further if not _below(p.path, missing)]
-    return list({p.path + p.message: p for p in problems}.values())
+    return Check(list({p.path + p.message: p for p in problems}.values()), types, scene)
 
 
 def _check_meaning(
@@ -102,11 +131,11 @@ def _check_meaning(
     verb: Verb,
     missing: Sequence[str],
     allow_import: bool,
-    prepared: PreparedScene | None,
+    scene: PreparedScene,
 ) -> list[Problem]:
     """Values, terms and scene, of what has the right types."""
-    problems = check_root(root, allow_import=allow_import)
-    problems += check_task(root.task, allow_import=allow_import)
+    problems = _check_root(root, allow_import=allow_import)
+    problems += _check_task(root.task, allow_import=allow_import)
     if verb == "train" and root.total_timesteps is None:
         message = "missing value: set it, or task.suggested.train.total_timesteps"
         problems.append(Problem("total_timesteps", message))
@@ -118,7 +147,7 @@ def _check_meaning(
     if not any(_ENTITY.fullmatch(path) for path in missing):
         from embodichain.lab.gym.envs.scene_check import describe  # imports MuJoCo
 
-        in_task += describe(root.task, prepared)
+        in_task += describe(root.task, scene)
     found = [Problem(_in_task(p.path), p.message, p.hint) for p in in_task]
     return problems + [p for p in found if p.path not in known]
 
@@ -177,3 +206,106 @@ def _remove(tree: dict[str, Any], path: str) -> None:
         node = node.get(part) if isinstance(node, dict) else None
     if isinstance(node, dict):
         node.pop(name, None)
+
+
+def _check_root(root: RootCfg, *, allow_import: bool = True) -> list[Problem]:
+    """Check the everyday keys.
+
+    Args:
+        root: What passed the check of types.
+        allow_import: Whether a policy may be imported to read its signature.
+    """
+    problems = _check_device(root.device) + _check_policy(root, allow_import)
+    count = root.num_envs or 1
+    beyond = [i for i in root.record.view_envs if i >= count]
+    if beyond and root.record.format != "none":
+        message = f"no such environments: {beyond}; num_envs is {count}"
+        problems.append(Problem("record.view_envs", message))
+    if root.viewer.name != "none" and root.viewer.env >= count:
+        message = f"no such environment: {root.viewer.env}; num_envs is {count}"
+        problems.append(Problem("viewer.env", message))
+    if root.video and (root.record.format == "none" or root.record.state == "none"):
+        message = "films are made from the log: they need record=mcap with record.state=all"
+        problems.append(Problem("video", message))
+    return problems
+
+
+def _check_task(task: EnvCfg, *, allow_import: bool = True) -> list[Problem]:
+    """Check values of a task that belong to no term and no entity.
+
+    Args:
+        task: What passed the check of types.
+        allow_import: Whether the module of an id ``package.module:id`` may be imported.
+    """
+    problems = []
+    steps = task.max_episode_steps
+    if steps < 1 and steps != -1:
+        message = f"must be at least 1, or -1 for no limit, got {steps}"
+        problems.append(Problem("task.max_episode_steps", message))
+    if task.id is not None:
+        from embodichain.config.plugins import require_registered  # Gymnasium: only when needed
+
+        reason = require_registered(task.id, allow_import=allow_import)
+        problems += [Problem("task.id", reason)] if reason else []
+    for section in SECTIONS:
+        for name, term in getattr(task, section).items():
+            if term.func == "":
+                path = f"task.{section}.{name}.func"
+                problems.append(Problem(path, "missing value: the name of a function"))
+    return problems
+
+
+def _check_suggested(tree: Mapping[str, Any]) -> list[Problem]:
+    """Check `task.suggested.run` and `.train` as what they become: values of root keys."""
+    task = tree.get("task")
+    suggested = task.get("suggested") if isinstance(task, Mapping) else None
+    problems: list[Problem] = []
+    for verb in ("run", "train"):
+        values = suggested.get(verb) if isinstance(suggested, Mapping) else None
+        if not isinstance(values, Mapping):
+            continue
+        allowed = [*SUGGESTED_KEYS, *(["algo"] if verb == "train" else [])]
+        path = f"task.suggested.{verb}"
+        for name in values:
+            if name not in allowed:
+                problems.append(Problem(f"{path}.{name}", *unknown_key(name, allowed)))
+        known = {k: v for k, v in values.items() if k in allowed}
+        found = check_types({"task": {}, **known})
+        problems += [Problem(f"{path}.{p.path}", p.message, p.hint) for p in found.problems]
+    return problems
+
+
+def _check_device(device: str | None) -> list[Problem]:
+    if device is None or device == "cpu":
+        return []
+    if re.fullmatch(r"cuda(:\d+)?", device):
+        message = f"{device!r} is not available: the CUDA engine comes later; allowed: cpu"
+        return [Problem("device", message)]
+    hint = did_you_mean(device, ["cpu", "cuda"]).strip()
+    return [Problem("device", f"unknown device {show_value(device)}; allowed: cpu.", hint)]
+
+
+def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
+    """Check that a policy exists and takes its parameters; a trained one, that its path exists."""
+    policy = root.policy
+    if policy is None:
+        return []
+    name = policy if isinstance(policy, str) else policy.func
+    if ":" in name and not allow_import:
+        return [Problem("policy", f"{name!r} would be imported, which this config may not ask for")]
+    try:
+        params = {} if isinstance(policy, str) else {"params": policy.params}
+        resolve_policy({"func": name, **params}, load_file=lambda path: _existing(root, path))
+    except ConfigError as error:
+        return list(error.problems)
+    return []
+
+
+def _existing(root: RootCfg, path: Path) -> Any:
+    if str(path) == "last":
+        if newest_run(root.output_dir, CHECKPOINT) is None:
+            message = f"there is no finished training in {root.output_dir} (train first)"
+            raise ConfigError([Problem("policy", message)])
+    elif not named_checkpoint(path).exists():
+        raise ConfigError([Problem("policy", f"no such file or folder: {path}")])
+    return lambda obs, env: None

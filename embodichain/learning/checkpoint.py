@@ -6,15 +6,14 @@ How a checkpoint acts is in `policy.py`. Finding one and reading its note runs n
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from embodichain.config.newest import named_checkpoint
-from embodichain.learning.made_by import made_by
 from embodichain.learning.task_digest import TaskDigest
+from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -25,6 +24,7 @@ __all__ = [
     "DIGEST",
     "FINAL",
     "find_checkpoint",
+    "made_by",
     "read_digest",
     "read_note",
     "save_checkpoint",
@@ -54,16 +54,8 @@ def save_checkpoint(model: BaseAlgorithm, path: Path, note: Mapping[str, Any]) -
     """
     setattr(model, NOTE, dict(note))
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("wb") as stream:
-            model.save(stream)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    with atomic_file(path) as temporary, temporary.open("wb") as stream:
+        model.save(stream)
 
 
 def find_checkpoint(path: str | Path) -> Path:
@@ -129,3 +121,29 @@ def read_digest(note: Mapping[str, Any], path: Path) -> TaskDigest | None:
 def _wrong(path: Path, why: str) -> ConfigError:
     message = f"{path} is no policy of Stable-Baselines3: {why}"
     return ConfigError([Problem("policy", message)])
+
+
+# Names of attributes that only this algorithm's models have, among those further down. DDPG is
+# TD3 with other values: as policies they are the same.
+_MARKS: tuple[tuple[str, frozenset[str]], ...] = (
+    ("tqc", frozenset({"top_quantiles_to_drop_per_net"})),
+    ("crossq", frozenset({"target_entropy", "policy_delay"})),
+    ("sac", frozenset({"target_entropy"})),
+    ("td3", frozenset({"target_policy_noise"})),
+    ("dqn", frozenset({"exploration_fraction"})),
+    ("trpo", frozenset({"cg_max_steps"})),
+    ("ppo", frozenset({"clip_range", "n_epochs"})),
+    ("a2c", frozenset({"gae_lambda"})),
+)
+
+
+def made_by(data: Mapping[str, Any]) -> str | None:
+    """Return the algorithm's name, as in ``algo.name``; None if it is none that is known.
+
+    Args:
+        data: The JSON of a zip of Stable-Baselines3: attributes of the model.
+    """
+    policy = data.get("policy_class")
+    if isinstance(policy, Mapping) and "recurrent" in str(policy.get("__module__")):
+        return "recurrent_ppo"
+    return next((name for name, marks in _MARKS if marks <= data.keys()), None)

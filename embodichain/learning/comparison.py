@@ -17,7 +17,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from embodichain.learning.statistics import RESAMPLES, Estimate, estimate
+from embodichain.learning.statistics import Estimate, bootstrap, estimate
 from embodichain.utils.errors import ConfigError
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "band",
     "group_runs",
     "is_training",
+    "read_curves",
     "read_run",
     "trainings_in",
 ]
@@ -34,6 +35,7 @@ __all__ = [
 PROGRESS = "progress.csv"
 SUMMARY = "summary.json"
 STEPS, RETURN, SUCCESS = "time/total_timesteps", "rollout/ep_rew_mean", "rollout/success_rate"
+LENGTH = "rollout/ep_len_mean"
 """Columns of Stable-Baselines3's logger."""
 # What runs of one group may differ in: the seed, and what changes no number. `hydra` is how a sweep
 # was done: launcher, sweeper, folders.
@@ -141,7 +143,7 @@ def read_run(folder: Path) -> TrainedRun:
         label=" ".join([task, algo, *_overrides(folder)]),
         seed=summary.get("seed"),
         numbers=numbers,
-        curves=_curves(folder / PROGRESS),
+        curves=read_curves(folder / PROGRESS),
     )
 
 
@@ -185,11 +187,9 @@ def band(curves: Sequence[Curve], points: int = 200) -> tuple[F64, F64, F64, F64
         raise ValueError(f"the curves have no steps in common: {first:g} to {last:g}")
     steps = np.linspace(first, last, points)
     rows = np.stack([np.interp(steps, curve.steps, curve.values) for curve in curves])
-    generator = np.random.default_rng(0)
-    drawn = generator.integers(0, len(rows), (RESAMPLES, len(rows)))
-    weights = np.apply_along_axis(np.bincount, 1, drawn, minlength=len(rows)) / len(rows)
-    low, high = np.quantile(weights @ rows, (0.025, 0.975), axis=0)
-    return steps, rows.mean(axis=0), low, high
+    mean: F64 = rows.mean(axis=0)
+    low, high = bootstrap(rows, np.mean) or (mean, mean)
+    return steps, mean, low, high
 
 
 def _overrides(folder: Path) -> list[str]:
@@ -222,15 +222,22 @@ def _evaluated(folder: Path) -> dict[str, Any] | None:
     return found[1] if found is not None else None
 
 
-def _curves(path: Path) -> dict[str, Curve]:
-    """Return and success by steps; a row counts where both cells are filled."""
+def read_curves(path: Path) -> dict[str, Curve]:
+    """Read return, success and length of episodes over steps from a `progress.csv`.
+
+    Returns:
+        By column; a row counts where both of its cells are filled. Empty without the file.
+
+    Raises:
+        ConfigError: The file is damaged.
+    """
     if not path.is_file():
         return {}
     try:
         with path.open(newline="", encoding="utf-8") as stream:
             rows = list(csv.DictReader(stream))
         found: dict[str, Curve] = {}
-        for name in (RETURN, SUCCESS):
+        for name in (RETURN, SUCCESS, LENGTH):
             cells = [(row.get(STEPS), row.get(name)) for row in rows]
             pairs = [(float(steps), float(value)) for steps, value in cells if steps and value]
             if pairs:

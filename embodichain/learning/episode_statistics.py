@@ -1,21 +1,21 @@
 """Episodes counted over a batch: returns, lengths, successes of the first few of each environment.
 
-Imports neither torch nor Stable-Baselines3, and knows no terminals: `run` and `evaluate` count with
-it.
+`play` is the loop of `run` and `evaluate`. Imports neither torch nor Stable-Baselines3.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 if TYPE_CHECKING:
-    pass
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.policies import Policy
 
-__all__ = ["EpisodeStatistics", "ended_values"]
+__all__ = ["EpisodeStatistics", "as_array", "play"]
 
 Flags = NDArray[np.bool_]
 
@@ -95,7 +95,29 @@ class EpisodeStatistics:
         return float(column.mean()) if column.size else None
 
 
-def ended_values(
+def play(env: BaseEnv, policy: Policy, obs: Any, counted: EpisodeStatistics) -> Iterator[None]:
+    """Step an environment until every one has finished its quota; yields after each control step.
+
+    Args:
+        env: A batched environment that was just reset and resets its environments itself.
+        policy: Acts; told when environments begin a new episode.
+        obs: What the reset returned.
+        counted: What is counted.
+    """
+    has_success = env.judges_success
+    while not counted.complete:
+        obs, reward, terminated, truncated, info = env.step(policy(obs, env))
+        ended = as_array(terminated)
+        done = ended | as_array(truncated)
+        finished = bool(done.any())
+        kept = _ended_values(info, ended, has_success) if finished else {}
+        counted.add(as_array(reward), done, kept)
+        if finished:
+            policy.reset(np.flatnonzero(done))
+        yield
+
+
+def _ended_values(
     info: Mapping[str, Any], terminated: Flags, has_success: bool
 ) -> dict[str, NDArray[Any]]:
     """Return what is kept of episodes that end in a step, by name, each (N,).
@@ -105,16 +127,16 @@ def ended_values(
         terminated: (N,) which ended by themselves.
         has_success: `BaseEnv.judges_success` of the task.
     """
-    metrics = {name: _array(value) for name, value in info["metrics"].items()}
-    kept = {"terminated": terminated, "diverged": _array(info["diverged"])}
+    metrics = {name: as_array(value) for name, value in info["metrics"].items()}
+    kept = {"terminated": terminated, "diverged": as_array(info["diverged"])}
     if has_success:
-        kept["success"] = metrics["success"] if "success" in metrics else _array(info["success"])
+        kept["success"] = metrics["success"] if "success" in metrics else as_array(info["success"])
     kept |= {f"metrics/{name}": value for name, value in metrics.items()}
-    kept |= {f"rewards/{name}": _array(v) for name, v in info["episode_sums"].items()}
+    kept |= {f"rewards/{name}": as_array(v) for name, v in info["episode_sums"].items()}
     return kept
 
 
-def _array(value: Any) -> NDArray[Any]:
-    """A tensor of the environment as numpy."""
+def as_array(value: Any) -> NDArray[Any]:
+    """Return a tensor of an environment as a numpy array."""
     array: NDArray[Any] = value.numpy(force=True)
     return array

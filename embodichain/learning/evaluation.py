@@ -17,10 +17,7 @@ from numpy.typing import NDArray
 
 from embodichain.config.schema import LARGEST_TRAINING_SEED
 from embodichain.lab.gym.policies import Policy, resolve_policy
-from embodichain.learning.episode_statistics import (
-    EpisodeStatistics,
-    ended_values,
-)
+from embodichain.learning.episode_statistics import EpisodeStatistics, play
 from embodichain.learning.spaces import require_torch_batch
 from embodichain.learning.statistics import CONFIDENCE, Estimate, Rate, estimate, rate
 
@@ -142,23 +139,13 @@ def _play(
     watch: Callable[[EpisodeStatistics], bool | None] | None,
 ) -> float:
     """Step until the quota is met; returns the seconds it took."""
-    has_success = env.judges_success
     obs, _ = env.reset(seed=seed)
     policy.reset(None)
     start = time.perf_counter()
-    while not counted.complete:
-        with torch.no_grad():
-            action = policy(obs, env)
-        obs, reward, terminated, truncated, info = env.step(action)
-        ended = terminated.numpy(force=True)
-        done = ended | truncated.numpy(force=True)
-        finished = bool(done.any())
-        kept = ended_values(info, ended, has_success) if finished else {}
-        counted.add(reward.numpy(force=True), done, kept)
-        if finished:
-            policy.reset(np.flatnonzero(done))
-        if watch is not None and watch(counted):
-            break
+    with torch.no_grad():
+        for _ in play(env, policy, obs, counted):
+            if watch is not None and watch(counted):
+                break
     return time.perf_counter() - start
 
 

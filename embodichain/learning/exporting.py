@@ -29,6 +29,7 @@ from embodichain.learning.exported import (
 )
 from embodichain.learning.normalization import NormalizeStatistics
 from embodichain.learning.policy import LearnedPolicy
+from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -86,19 +87,15 @@ def export_policy(
     )
     observations = _observations(policy)
     wanted = scale(policy.predict(observations))
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{FORMATS[form]}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        _WRITERS[form](network, observations[:2], temporary, metadata)
-        written = load_exported(temporary)
-        worst = _compare(written, observations, wanted, network)
-        os.link(temporary, path)  # unlike a rename, it refuses a name that is taken
+        with atomic_file(path, new=True) as temporary:
+            _WRITERS[form](network, observations[:2], temporary, metadata)
+            worst = _compare(load_exported(temporary), observations, wanted, network)
     except FileExistsError as error:
         raise _taken(path) from error
     except OSError as error:
         raise ConfigError([Problem("output", f"cannot write {path}: {error}")]) from error
-    finally:
-        temporary.unlink(missing_ok=True)
     return worst
 
 

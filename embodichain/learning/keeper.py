@@ -6,7 +6,8 @@ How one is written is in `checkpoint.py`, `normalization.py` and `plain_state.py
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,16 @@ from embodichain.learning.plain_state import read_tree, write_tree
 from embodichain.learning.replay_buffer import buffer_of, buffer_path, full_size, save_buffer
 from embodichain.learning.session import Session
 from embodichain.learning.training_state import capture
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
-__all__ = ["BEST", "CheckpointKeeper", "find_resumable", "state_path"]
+__all__ = [
+    "BEST",
+    "CheckpointKeeper",
+    "WriteError",
+    "find_resumable",
+    "state_path",
+    "telling_where",
+]
 
 BEST = "best.zip"
 _STEP = "step_{:012d}.zip"
@@ -155,3 +163,33 @@ def _remove(checkpoint: Path) -> None:
     beside = (state_path(checkpoint), statistics_path(checkpoint), buffer_path(checkpoint))
     for path in (checkpoint, *beside):
         path.unlink(missing_ok=True)
+
+
+class WriteError(EmbodichainError):
+    """A training's folder cannot be written; says what is in it and how to go on."""
+
+
+@contextmanager
+def telling_where(run_dir: Path) -> Iterator[None]:
+    """Turn the system's errors into one that names the folder and its newest checkpoint.
+
+    Args:
+        run_dir: The training's folder.
+
+    Raises:
+        WriteError: Something could not be written.
+    """
+    try:
+        yield
+    except OSError as error:
+        why = f"{run_dir} could not be written: {error.strerror or error}"
+        raise WriteError(f"{why}; {_what_remains(run_dir)}") from error
+
+
+def _what_remains(run_dir: Path) -> str:
+    try:
+        checkpoint, _ = find_resumable(run_dir)
+    except (ConfigError, OSError):
+        return "it holds no checkpoint to go on from yet"
+    command = f"embodichain train resume={run_dir}"
+    return f"with room again, `{command}` goes on from its {checkpoint.name}"

@@ -7,7 +7,6 @@ for playing, exporting and resuming.
 from __future__ import annotations
 
 import dataclasses
-import os
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from stable_baselines3.common.running_mean_std import RunningMeanStd
 from stable_baselines3.common.vec_env import VecNormalize
 
+from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["NormalizeStatistics", "load_statistics", "save_statistics", "statistics_path"]
@@ -121,16 +121,8 @@ def save_statistics(path: str | Path, statistics: VecNormalize | NormalizeStatis
     if isinstance(statistics, VecNormalize):
         statistics = NormalizeStatistics.of(statistics)
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("wb") as stream:
-            np.savez(stream, **dataclasses.asdict(statistics))
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    with atomic_file(path) as temporary, temporary.open("wb") as stream:
+        np.savez(stream, **dataclasses.asdict(statistics))
 
 
 def load_statistics(path: str | Path) -> NormalizeStatistics:

@@ -6,7 +6,6 @@ What a training's state is made of stands in `training_state.py`.
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["read_tree", "write_tree"]
@@ -39,16 +39,8 @@ def write_tree(path: Path, tree: Mapping[str, Any]) -> None:
     arrays: dict[str, NDArray[Any]] = {}
     text = json.dumps(_pack(tree, "state", arrays))
     entries: dict[str, Any] = {_TREE: np.array(text), **arrays}
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        with temporary.open("wb") as stream:
-            np.savez(stream, allow_pickle=False, **entries)
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    with atomic_file(path) as temporary, temporary.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, **entries)
 
 
 def read_tree(path: Path) -> dict[str, Any]:

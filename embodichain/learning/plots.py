@@ -1,21 +1,69 @@
-"""Learning curves as a picture. What is drawn comes from `comparison.py`."""
+"""Learning curves as pictures: of one training, and of several side by side. Extra `plot`."""
 
 from __future__ import annotations
 
+import importlib.util
+import logging
 import os
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from embodichain.learning.axes import set_axes
-from embodichain.learning.comparison import RETURN, SUCCESS, Group, band
+from embodichain.learning.comparison import (
+    LENGTH,
+    PROGRESS,
+    RETURN,
+    SUCCESS,
+    Group,
+    band,
+    read_curves,
+)
+from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["plot_curves"]
+__all__ = ["CURVES_FILE", "draw_curves", "plot_curves", "set_axes"]
 
+CURVES_FILE = "curves.png"
+_TITLES = {
+    RETURN: "mean return",
+    SUCCESS: "success rate",
+    LENGTH: "mean length (control steps)",
+}
 _LINE = 90  # characters that fit the picture's width
-_AXES = {SUCCESS: "success rate", RETURN: "mean return"}
+_MARGIN = 0.05
+_LEAST = 0.05
+"""Least height of an axis, as a share of the largest value on it: smaller changes look flat."""
+_log = logging.getLogger(__name__)
+
+
+def draw_curves(run_dir: Path) -> Path | None:
+    """Draw return, success and length of episodes over environment steps as `curves.png`.
+
+    Args:
+        run_dir: A training's folder with `progress.csv`.
+
+    Returns:
+        The picture; None where matplotlib is not installed or no episode ended.
+    """
+    curves = read_curves(run_dir / PROGRESS)
+    if not curves:
+        return None
+    if importlib.util.find_spec("matplotlib") is None:
+        _log.info("no %s: pip install 'embodichain[plot]'", CURVES_FILE)
+        return None
+    from matplotlib.figure import Figure  # without pyplot: no display, no global state
+
+    figure = Figure(figsize=(5.0 * len(curves), 3.5), layout="constrained")
+    panels = figure.subplots(1, len(curves), squeeze=False)[0]
+    for axes, name in zip(panels, [n for n in _TITLES if n in curves], strict=True):
+        steps, values = curves[name].steps, curves[name].values
+        axes.plot(steps, values, marker="o" if len(steps) == 1 else "")
+        set_axes(axes, float(steps[-1]), values.tolist(), share=name == SUCCESS)
+        axes.set_title(_TITLES[name])
+    path = run_dir / CURVES_FILE
+    figure.savefig(path, dpi=100)
+    return path
 
 
 def plot_curves(groups: Sequence[Group], path: Path) -> None:
@@ -40,7 +88,11 @@ def plot_curves(groups: Sequence[Group], path: Path) -> None:
     except ImportError as error:
         message = "curves need the package matplotlib: pip install 'embodichain[plot]'"
         raise ConfigError(message) from error
-    names = [n for n in _AXES if any(n in run.curves for group in groups for run in group.runs)]
+    names = [
+        n
+        for n in (SUCCESS, RETURN)
+        if any(n in run.curves for group in groups for run in group.runs)
+    ]
     labels = [_wrapped(f"{group.label}  (seeds: {len(group.runs)})") for group in groups]
     lines = sum(label.count("\n") + 1 for label in labels)
     figure = Figure(figsize=(7.0, 3.0 * len(names) + 0.2 * lines), layout="constrained")
@@ -49,17 +101,14 @@ def plot_curves(groups: Sequence[Group], path: Path) -> None:
     # Once, below: what groups are called is as long as their overrides.
     colours = [Line2D([], [], color=f"C{i}") for i in range(len(groups))]
     figure.legend(colours, labels, loc="outside lower left", fontsize="small", frameon=False)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(temporary, dpi=150)
-        os.link(temporary, path)  # unlike a rename, it refuses a name that is taken
+        with atomic_file(path, new=True) as temporary:
+            figure.savefig(temporary, dpi=150)
     except FileExistsError as error:
         raise ConfigError(f"{path} exists; it is never replaced") from error
     except (OSError, ValueError) as error:
         raise ConfigError(f"cannot write {path}: {error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def _draw(axes: Any, groups: Sequence[Group], name: str) -> None:
@@ -78,9 +127,32 @@ def _draw(axes: Any, groups: Sequence[Group], name: str) -> None:
         drawn += [*low.tolist(), *high.tolist()]
         if len(curves) > 1:
             axes.fill_between(steps, low, high, alpha=0.2, color=f"C{number}", linewidth=0)
-    axes.set_ylabel(_AXES[name])
+    axes.set_ylabel(_TITLES[name])
     set_axes(axes, last_step, drawn, share=name == SUCCESS)
 
 
 def _wrapped(label: str) -> str:
     return textwrap.fill(label, _LINE, break_on_hyphens=False, break_long_words=False)
+
+
+def set_axes(axes: Any, last_step: float, values: Iterable[float], *, share: bool) -> None:
+    """Set the limits and the numbers of an axes with a curve.
+
+    Args:
+        axes: Of matplotlib.
+        last_step: The last environment step of any curve in it.
+        values: All that is drawn.
+        share: Whether they are shares, such as success rates.
+    """
+    from matplotlib.ticker import EngFormatter
+
+    drawn = list(values)
+    low, high = (0.0, 1.0) if share else (min(drawn), max(drawn))
+    least = _LEAST * max(abs(low), abs(high)) or 1.0
+    middle, half = (low + high) / 2, max(high - low, least) / 2
+    axes.set_ylim(middle - half * (1 + 2 * _MARGIN), middle + half * (1 + 2 * _MARGIN))
+    axes.set_xlim(0.0, max(last_step, 1.0) * (1 + _MARGIN))
+    axes.set_xlabel("environment steps")
+    axes.xaxis.set_major_formatter(EngFormatter(sep=""))  # 200k, 1M: long numbers overlap
+    axes.ticklabel_format(axis="y", useOffset=False)
+    axes.grid(alpha=0.3)

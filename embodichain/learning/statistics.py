@@ -1,13 +1,13 @@
 """Numbers that say how far to trust a mean: interquartile mean, bootstrap and Wilson intervals.
 
-Plain numpy; knows neither episodes nor environments.
+scipy computes them. It is imported when they are: that takes as long as half of torch.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,7 +20,6 @@ RESAMPLES = 2000
 """Resamples of a bootstrap: its ends then move by a few percent of its width."""
 _SEED = 0  # of the bootstrap's own generator: the same values always give the same interval
 _MOST_VALUES = 4_000_000  # drawn at once: 32 MB, however many episodes there are
-_NORMAL_975 = 1.959963984540054  # 97.5 % quantile of the standard normal distribution
 
 F64 = NDArray[np.float64]
 
@@ -70,47 +69,51 @@ class Rate:
 def iqm(values: ArrayLike, axis: int = -1) -> F64:
     """Interquartile mean: the mean without the lowest and the highest quarter.
 
-    A quarter is rounded down to whole values, as ``scipy.stats.trim_mean(values, 0.25)`` does.
+    A quarter is rounded down to whole values.
 
     Args:
         values: At least one along `axis`.
         axis: Which is reduced.
     """
-    ordered = np.sort(np.asarray(values, np.float64), axis=axis)
-    count = ordered.shape[axis]
-    cut = count // 4
-    middle: F64 = np.take(ordered, np.arange(cut, count - cut), axis=axis).mean(axis=axis)
+    from scipy.stats import trim_mean
+
+    middle: F64 = trim_mean(np.asarray(values, np.float64), 0.25, axis=axis)
     return middle
 
 
 def bootstrap(
-    values: ArrayLike, statistic: Callable[..., F64], confidence: float = CONFIDENCE
-) -> tuple[float, float] | None:
-    """Percentile bootstrap interval of a statistic (Efron, 1979).
+    values: ArrayLike, statistic: Callable[..., Any], confidence: float = CONFIDENCE
+) -> tuple[F64, F64] | None:
+    """Percentile bootstrap interval of a statistic over the first axis (Efron, 1979).
 
-    Draws come from a generator of its own with a fixed seed, so the same values give the same
-    interval and nobody else's numbers change.
+    Draws come from a generator of its own with a fixed seed: the same values give the same
+    interval, and no other random numbers change.
 
     Args:
-        values: (n,).
-        statistic: Reduces the last axis; called as ``statistic(samples, axis=-1)``.
+        values: (n, ...).
+        statistic: Reduces an axis; called as ``statistic(samples, axis=...)``.
         confidence: Between 0 and 1.
 
     Returns:
-        (low, high), or None for fewer than two values: one says nothing about spread.
+        (low, high), each (...); None for fewer than two values, which say nothing about spread.
     """
+    from scipy.stats import bootstrap as scipy_bootstrap
+
     data = np.asarray(values, np.float64)
-    if data.size < 2:
+    if len(data) < 2:
         return None
-    generator = np.random.default_rng(_SEED)
-    rows = max(1, min(RESAMPLES, _MOST_VALUES // data.size))
-    parts = []
-    for first in range(0, RESAMPLES, rows):
-        shape = (min(rows, RESAMPLES - first), data.size)
-        parts.append(statistic(data[generator.integers(0, data.size, shape)], axis=-1))
-    tail = (1.0 - confidence) / 2.0
-    low, high = np.quantile(np.concatenate(parts), (tail, 1.0 - tail))
-    return float(low), float(high)
+    found = scipy_bootstrap(
+        (data,),
+        statistic,
+        n_resamples=RESAMPLES,
+        batch=max(1, min(RESAMPLES, _MOST_VALUES // data.size)),
+        axis=0,
+        vectorized=True,
+        confidence_level=confidence,
+        method="percentile",
+        rng=np.random.default_rng(_SEED),
+    ).confidence_interval
+    return found.low, found.high
 
 
 def estimate(values: ArrayLike) -> Estimate | None:
@@ -129,9 +132,14 @@ def estimate(values: ArrayLike) -> Estimate | None:
         std=float(data.std()),
         min=float(data.min()),
         max=float(data.max()),
-        mean_interval=bootstrap(data, np.mean),
-        iqm_interval=bootstrap(data, iqm),
+        mean_interval=_interval(data, np.mean),
+        iqm_interval=_interval(data, iqm),
     )
+
+
+def _interval(data: F64, statistic: Callable[..., Any]) -> tuple[float, float] | None:
+    found = bootstrap(data, statistic)
+    return None if found is None else (float(found[0]), float(found[1]))
 
 
 def rate(happened: ArrayLike) -> Rate | None:
@@ -142,13 +150,11 @@ def rate(happened: ArrayLike) -> Rate | None:
     Args:
         happened: (n,) truth values.
     """
+    from scipy.stats import binomtest
+
     data = np.asarray(happened, np.bool_)
     trials, count = int(data.size), int(data.sum())
     if not trials:
         return None
-    share, square = count / trials, _NORMAL_975**2
-    spread = 1.0 + square / trials
-    centre = (share + square / (2 * trials)) / spread
-    half = math.sqrt(share * (1 - share) / trials + square / (4 * trials**2))
-    half *= _NORMAL_975 / spread
-    return Rate(share, count, trials, (max(0.0, centre - half), min(1.0, centre + half)))
+    ends = binomtest(count, trials).proportion_ci(CONFIDENCE, method="wilson")
+    return Rate(count / trials, count, trials, (float(ends.low), float(ends.high)))

@@ -22,22 +22,25 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from embodichain.config import Resolved, make_env
 from embodichain.config.algorithms import DEFAULT_ALGORITHM, OffPolicyCfg, PpoCfg
 from embodichain.config.frozen import thaw
-from embodichain.config.run_folder import write_atomically
 from embodichain.config.schema import LARGEST_TRAINING_SEED
 from embodichain.lab.gym.envs.base_env import BaseEnv
-from embodichain.learning.algorithms import build_algorithm, check_arguments, check_normalize
+from embodichain.learning.algorithms import (
+    action_noise,
+    build_algorithm,
+    check_arguments,
+    check_normalize,
+)
 from embodichain.learning.checkpoint import DIGEST, read_digest, read_note
-from embodichain.learning.curves import draw_curves
-from embodichain.learning.disk import telling_where
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.evaluation import Evaluation
-from embodichain.learning.keeper import CheckpointKeeper, find_resumable
-from embodichain.learning.schedules import action_noise
+from embodichain.learning.keeper import CheckpointKeeper, find_resumable, telling_where
+from embodichain.learning.plots import draw_curves
 from embodichain.learning.session import Session
 from embodichain.learning.task_digest import TaskDigest, check_unchanged
+from embodichain.learning.train_logs import check_wandb, wandb_writers
 from embodichain.learning.vec_env import SB3VecEnv
-from embodichain.learning.wandb_log import check_wandb, wandb_writers
 from embodichain.learning.watch import Progress
+from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = [
@@ -309,7 +312,7 @@ def _learn(
 
 
 def _write(run_dir: Path, summary: Mapping[str, Any]) -> None:
-    write_atomically(run_dir / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
+    write_text(run_dir / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
 
 
 def _build(plan: _Plan, vec_env: SB3VecEnv) -> BaseAlgorithm:

@@ -42,7 +42,7 @@ def scene_archive(spec: mujoco.MjSpec) -> bytes:
                 packed[inside] = _content(spec, element.tag, name, folders)
             element.set(key, renamed[name])
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         archive.writestr(_ROOT, ElementTree.tostring(root, encoding="unicode"))
         for inside, data in packed.items():
             archive.writestr(inside, data)

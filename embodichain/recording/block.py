@@ -31,22 +31,21 @@ alone in a message of its own on `START_TOPIC`, and says what the simulation is 
 
 Steps with equal calls (names, columns, dtypes, shapes) make one message on `STEPS_TOPIC`: steps
 `first` to `first + count - 1`. The array `name` of a call lies in `data` at `offset`, as `count`
-arrays of `shape` one after another, little-endian, by rows. Two arrays may have the same offset:
-equal bytes are stored once.
+arrays of `shape` one after another, little-endian, by rows; `packing` may store it in less.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, NamedTuple
 
-import numpy as np
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
-from embodichain.recording.log_error import LARGEST_CHUNK, DamageError
+from embodichain.recording.log_error import DamageError
+from embodichain.recording.packing import DTYPES, Place, load, store
 from embodichain.recording.schema import message_class
 
 __all__ = ["DRAWN", "ArrayKind", "Call", "CallKind", "Run", "pack_run", "unpack_run"]
@@ -58,9 +57,12 @@ MOST_STEPS = 2**12
 MOST_PHYSICS_STEPS = 1_000_000
 """Larger counts in a file are not believed."""
 
-_SMALLEST_SHARED = 64
-"""Bytes; smaller arrays are not compared with others."""
-_DTYPES = {"<f8": 8, "<f4": 4, "<i8": 8, "<u8": 8, "|b1": 1}
+_IDS = frozenset({"env_ids", "failed"})
+"""Arrays that name environments."""
+_FIRST, _COUNT, _CALLS, _DATA = 0x08, 0x10, 0x1A, 0x22
+"""Keys of the fields of `embodichain.Steps`: number and wire type."""
+_LARGEST_CACHED = 4096
+"""Bytes of a call's declaration that is kept for the next message."""
 _KINDS = {"write", "physics", "event", "step", "start"}
 _WRITES = {"state": True, "model": True, "reset": True, "set_const": False}
 """Operation of a write: whether it has values."""
@@ -149,28 +151,24 @@ def pack_run(
             the kind's dtype and shape.
     """
     message = message_class("Steps")(first=first, count=len(steps))
-    parts: list[bytes] = []
-    offsets: list[int] = []
-    end = 0
+    contents: list[tuple[str, bytes]] = []
+    described: list[Any] = []
     for i, kind in enumerate(kinds):
         call = message.calls.add(kind=kind.kind, name=kind.name, mode=kind.mode, nstep=kind.nstep)
         if kind.columns is not None:
             call.some_columns = True
             call.columns.extend(kind.columns)
         for j, array in enumerate(kind.arrays):
-            data = b"".join([step[i][j].data for step in steps])
-            offset = end
-            if len(data) >= _SMALLEST_SHARED:
-                same = (o for o, p in zip(offsets, parts, strict=True) if p == data)
-                offset = next(same, end)
-            if offset == end:
-                parts.append(data)
-                offsets.append(end)
-                end += len(data)
-            call.arrays.add(name=array.name, dtype=array.dtype, shape=array.shape, offset=offset)
+            contents.append((array.dtype, b"".join([step[i][j].data for step in steps])))
+            described.append(call.arrays.add(name=array.name, dtype=array.dtype, shape=array.shape))
+    places, parts = store(contents)
+    for array, place in zip(described, places, strict=True):
+        array.offset, array.single = place.offset, place.single
+        if place.base is not None:
+            array.differs, array.base, array.base_single = True, place.base, place.base_single
     # Protobuf concatenates: the key of field 4 and its length, without copying the bytes again.
     head = message.SerializeToString()
-    return b"".join([head, b"\x22", _varint(end), *parts])
+    return b"".join([head, b"\x22", _varint(sum(map(len, parts))), *parts])
 
 
 def _varint(value: int) -> bytes:
@@ -182,7 +180,13 @@ def _varint(value: int) -> bytes:
     return bytes(out)
 
 
-def unpack_run(data: bytes | memoryview, num_envs: int, moved: int, nstate: int) -> Run:
+def unpack_run(
+    data: bytes | memoryview,
+    num_envs: int,
+    moved: int,
+    nstate: int,
+    wanted: Callable[[CallKind], bool] | None = None,
+) -> Run:
     """Read `embodichain.Steps`; no length, index or shape in it is believed unchecked.
 
     Args:
@@ -190,68 +194,97 @@ def unpack_run(data: bytes | memoryview, num_envs: int, moved: int, nstate: int)
         num_envs: N of the log.
         moved: Columns that physics writes.
         nstate: Columns of a whole row.
+        wanted: Whether a call is read; None reads all.
 
     Returns:
-        The run; its arrays share the message's bytes.
+        The run; most of its arrays share the message's bytes.
 
     Raises:
         DamageError: If the message is not a run of such a log.
     """
-    message = message_class("Steps")()
-    try:
-        message.ParseFromString(bytes(data))
-    except DecodeError as error:
-        raise DamageError(f"a run of control steps is damaged: {error}") from error
-    first, count, blob = message.first, message.count, message.data
+    first, count, declared_calls, blob = _split(memoryview(data))
     if not 0 < count <= MOST_STEPS or first >= 2**62:
         raise DamageError(f"a run of {count} control steps from step {first}")
     calls = []
-    for found in message.calls:
-        arrays: dict[str, NDArray[Any]] = {}
-        for array in found.arrays:
-            arrays[array.name] = _array(array, count, blob)
-        kinds = tuple(ArrayKind(a.name, a.dtype, tuple(a.shape)) for a in found.arrays)
-        columns = tuple(found.columns) if found.some_columns else None
-        kind = CallKind(found.kind, found.name, found.mode, found.nstep, columns, kinds)
-        why = _wrong(kind, arrays, num_envs, moved, nstate)
+    for declared in declared_calls:
+        declaration = _declaration if len(declared) < _LARGEST_CACHED else _declaration.__wrapped__
+        kind, places, why = declaration(declared, num_envs, moved, nstate)
+        if wanted is not None and not wanted(kind):
+            continue
         if why:
             raise DamageError(f"step {first}: {why}")
+        arrays = {}
+        for array, place in zip(kind.arrays, places, strict=True):
+            name, dtype, shape = array
+            values = arrays[name] = load(name, dtype, (count, *shape), place, blob)
+            if name in _IDS and not _ascending(values, num_envs):
+                raise DamageError(f"step {first}: {name} are no environments of this log")
         calls.append(Call(kind, arrays))
     return Run(first, count, calls)
 
 
-def _array(array: Any, count: int, blob: bytes) -> NDArray[Any]:
-    """(count, *shape) values of an `embodichain.Array`."""
-    shape = tuple(array.shape)
-    itemsize = _DTYPES.get(array.dtype)
-    if itemsize is None:
-        raise DamageError(f"array {array.name!r} has the unknown type {array.dtype!r}")
-    size = count * math.prod(shape)
-    if len(shape) > 8 or array.offset + size * itemsize > min(len(blob), LARGEST_CHUNK):
-        raise DamageError(f"array {array.name!r} of shape {shape} is not in the message")
-    flat = np.frombuffer(blob, array.dtype, size, array.offset)
-    if array.dtype == "|b1" and size and int(flat.view(np.uint8).max()) > 1:
-        raise DamageError(f"array {array.name!r} has flags that are neither true nor false")
-    return flat.reshape(count, *shape)
+def _split(data: memoryview) -> tuple[int, int, list[bytes], memoryview]:
+    """The fields of a serialized `embodichain.Steps`; `data` is not copied, as protobuf would."""
+    numbers = {_FIRST: 0, _COUNT: 0}
+    calls: list[bytes] = []
+    blob, at = data[:0], 0
+    while at < len(data):
+        key, at = _read_varint(data, at)
+        value, at = _read_varint(data, at)
+        if key in numbers:
+            numbers[key] = value
+            continue
+        if key not in (_CALLS, _DATA) or value > len(data) - at:
+            raise DamageError("a run of control steps is damaged: it has an unknown field")
+        found, at = data[at : at + value], at + value
+        if key == _CALLS:
+            calls.append(bytes(found))
+        else:
+            blob = found
+    return numbers[_FIRST], numbers[_COUNT], calls, blob
 
 
-def _wrong(
-    kind: CallKind, arrays: Mapping[str, NDArray[Any]], num_envs: int, moved: int, nstate: int
-) -> str:
+def _read_varint(data: memoryview, at: int) -> tuple[int, int]:
+    value = 0
+    for index, byte in enumerate(data[at : at + 10]):
+        value |= (byte & 0x7F) << 7 * index
+        if byte < 0x80:
+            return value, at + index + 1
+    raise DamageError("a run of control steps is damaged: it is cut short")
+
+
+@lru_cache(maxsize=1024)
+def _declaration(
+    data: bytes, num_envs: int, moved: int, nstate: int
+) -> tuple[CallKind, tuple[Place, ...], str]:
+    """A serialized `embodichain.Call`: its kind, where its arrays are, and what is wrong."""
+    try:
+        call = message_class("Call").FromString(data)
+    except DecodeError as error:
+        raise DamageError(f"a run of control steps is damaged: {error}") from error
+    arrays = tuple(ArrayKind(a.name, a.dtype, tuple(a.shape)) for a in call.arrays)
+    columns = tuple(call.columns) if call.some_columns else None
+    kind = CallKind(call.kind, call.name, call.mode, call.nstep, columns, arrays)
+    places = tuple(
+        Place(a.offset, a.single, a.base if a.differs else None, a.base_single) for a in call.arrays
+    )
+    return kind, places, _wrong(kind, num_envs, moved, nstate)
+
+
+def _wrong(kind: CallKind, num_envs: int, moved: int, nstate: int) -> str:
     """What is wrong with a call; empty if nothing is."""
     what = f"{kind.kind} {kind.name}".rstrip()
     if kind.kind not in _KINDS:
         return f"unknown call {kind.kind!r}"
-    if len(arrays) != len(kind.arrays):
+    shapes = {array.name: array.shape for array in kind.arrays}
+    if len(shapes) != len(kind.arrays):
         return f"{what} has an array twice"
-    n = num_envs
-    for name in ("env_ids", "failed"):
-        if name in arrays:
-            ids = arrays[name]
-            if ids.ndim != 2 or ids.dtype != np.int64 or not _ascending(ids, num_envs):
-                return f"{what} has no environments of this log as {name}"
-    if "env_ids" in arrays:
-        n = arrays["env_ids"].shape[1]
+    for array in kind.arrays:
+        if array.dtype not in DTYPES or len(array.shape) > 8:
+            return f"{what} has an array of unknown type, {array.dtype!r}"
+        if array.name in _IDS and (array.dtype != "<i8" or len(array.shape) != 1):
+            return f"{what} has no environments as {array.name}"
+    n = shapes["env_ids"][0] if "env_ids" in shapes else num_envs
     have = {array.name: (array.dtype, array.shape) for array in kind.arrays}
     have.pop("env_ids", None)
     if kind.kind == "write":
@@ -302,7 +335,8 @@ def _wrong_write(
 
 
 def _ascending(ids: NDArray[Any], num_envs: int) -> bool:
+    """Whether each of (count, n) rows names environments in ascending order."""
     if not ids.size:
         return True
-    inside = int(ids.min()) >= 0 and int(ids.max()) < num_envs
-    return inside and bool((np.diff(ids, axis=1) > 0).all())
+    inside = int(ids[:, 0].min()) >= 0 and int(ids[:, -1].max()) < num_envs
+    return inside and bool((ids[:, 1:] > ids[:, :-1]).all())

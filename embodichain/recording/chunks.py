@@ -7,14 +7,11 @@ stays below a few times `LARGEST_CHUNK` and every loop ends with the bytes.
 
 from __future__ import annotations
 
-import math
 import os
 import struct
 import zlib
-from bisect import bisect_left
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import accumulate
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
@@ -41,19 +38,12 @@ CUT = "the file ends early: it was not closed, or cut"
 _KEPT = (Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
 _KEPT_LIMIT = 2**29
 """Bytes of the largest attachment or metadata record that is believed."""
-_WAITING = 50_000
-"""Messages that wait for earlier ones at most: what a chunk says of its times may be wrong."""
 
 _HEAD = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQ")  # first and last log time, size
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _FOOTER = struct.Struct("<QQI")
 Found = tuple[str, int, memoryview]
 """Topic, log time in ns, payload."""
-
-
-class _UnknownChannelError(DamageError):
-    """A message belongs to a channel that was not declared in what was read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,16 +52,12 @@ class ChunkPlace:
 
     Attributes:
         start_ns: Smallest log time in it.
-        end_ns: Largest log time in it.
-        size: Bytes it unpacks to, as it says.
         offset: Where its record begins, after opcode and length.
         length: Bytes of the record.
         part: Number of the file it lies in, of those that were opened.
     """
 
     start_ns: int
-    end_ns: int
-    size: int
     offset: int
     length: int
     part: int = 0
@@ -123,8 +109,7 @@ class LogReader:
         self._announced = 0  # messages, by the files' own statistics
         self._next = ""  # the file that continues the last one
         self._introduced = -1  # the last file that has said what it is
-        self._learned = False  # whether chunks were read for their channels
-        self._unpacked: tuple[ChunkPlace, list[Found]] | None = None  # the last one
+        self._unpacked: tuple[ChunkPlace, list[Found] | None] | None = None  # the last
         self._streams: list[BinaryIO] = []
         self._begins: list[int] = []  # bytes of the files before each
         try:
@@ -233,8 +218,8 @@ class LogReader:
         if opcode == Opcode.CHUNK:
             if first and part and self._introduced < part:
                 raise DamageError("it does not say which log it is a part of")
-            start, end, size = _CHUNK.unpack(stream.read(_CHUNK.size))
-            self.chunks.append(ChunkPlace(start, end, size, at, length, part))
+            (start_ns,) = struct.unpack("<Q", stream.read(8))
+            self.chunks.append(ChunkPlace(start_ns, at, length, part))
         elif opcode == Opcode.ATTACHMENT and length < _KEPT_LIMIT and not part:
             stream.seek(at + 16)  # after log time and creation time
             (n,) = struct.unpack("<I", stream.read(4))
@@ -286,6 +271,13 @@ class LogReader:
         return self.header
 
     @property
+    def cut(self) -> str:
+        """Why the log may go on beyond what can be read; empty if it does not."""
+        if not self.complete:
+            return self.damage or "its end is missing"
+        return "" if self.finished or self.recovered else "the recorder did not close it"
+
+    @property
     def part_note(self) -> str:
         """Which part of a log this is, if it is not all of it and nothing is lost."""
         return self.require_header().part_note(self.alone)
@@ -332,25 +324,11 @@ class LogReader:
         for found in self.blocks(chunks):
             yield from found
 
-    def messages_in_time(self, wanted: Callable[[str], bool]) -> Iterator[Found]:
-        """Messages of the topics that are wanted, by log time: a file may hold them otherwise.
-
-        Those of one time come as they lie in the file. What is damaged ends iteration.
-        """
-        later = [*accumulate((c.start_ns for c in reversed(self.chunks)), min)][::-1]
-        waiting: list[Found] = []
-        for number, found in enumerate(self.blocks()):
-            waiting += [message for message in found if wanted(message[0])]
-            waiting.sort(key=lambda message: message[1])
-            more = number + 1 < len(later) and len(waiting) < _WAITING
-            until = later[number + 1] if more else math.inf
-            count = bisect_left(waiting, until, key=lambda message: message[1])
-            yield from waiting[:count]
-            del waiting[:count]
-        yield from waiting
-
     def blocks(self, chunks: list[ChunkPlace] | None = None) -> Iterator[list[Found]]:
         """The same, a list for each chunk; of all chunks, their messages are counted."""
+        if chunks and not self.channels:  # no index; channels are declared when they are first used
+            for chunk in self.chunks[: self.chunks.index(chunks[0])]:
+                self._unpack(chunk)
         read = 0
         for chunk in self.chunks if chunks is None else chunks:
             found = self._unpack(chunk)
@@ -362,11 +340,9 @@ class LogReader:
             self._damaged(0, f"{read} messages where the file announces {self._announced}")
 
     def _unpack(self, chunk: ChunkPlace) -> list[Found] | None:
-        if self._unpacked is not None and self._unpacked[0] is chunk:
-            return self._unpacked[1]
-        found = self._read(chunk)
-        self._unpacked = None if found is None else (chunk, found)
-        return found
+        if self._unpacked is None or self._unpacked[0] is not chunk:
+            self._unpacked = chunk, self._read(chunk)
+        return self._unpacked[1]
 
     def _read(self, chunk: ChunkPlace) -> list[Found] | None:
         stream = self._streams[chunk.part]
@@ -374,24 +350,11 @@ class LogReader:
         try:
             compression, data = chunk_content(stream.read(chunk.length))
             self.compressions.add(compression)
-            try:
-                return self._records(memoryview(data))
-            except _UnknownChannelError:
-                if not self._learn(chunk):
-                    raise
-                return self._records(memoryview(data))
+            return self._records(memoryview(data))
         except (DamageError, struct.error) as error:
             self._damaged(chunk.part, str(error))
             self.good_bytes = self._begins[chunk.part] + chunk.offset - _HEAD.size
             return None
-
-    def _learn(self, before: ChunkPlace) -> bool:
-        """Read what precedes a chunk, once: channels may be declared when they are first used."""
-        first, self._learned = not self._learned, True
-        if first:
-            for chunk in self.chunks[: self.chunks.index(before)]:
-                self._unpack(chunk)
-        return first
 
     def _records(self, data: memoryview) -> list[Found]:
         found: list[Found] = []
@@ -407,8 +370,7 @@ class LogReader:
                     raise DamageError("a message is cut short")
                 channel, _, log_time, _ = _MESSAGE.unpack_from(data, at)
                 if channel not in topics:
-                    unknown = f"channel {channel}, unknown here"
-                    raise _UnknownChannelError(f"a message belongs to {unknown}")
+                    raise DamageError(f"a message belongs to channel {channel}, unknown here")
                 found.append((topics[channel], log_time, data[at + _MESSAGE.size : at + length]))
             elif opcode in (Opcode.CHANNEL, Opcode.SCHEMA):
                 record = parse(opcode, bytes(data[at : at + length]))

@@ -62,7 +62,7 @@ def read_events(reader: LogReader) -> Iterator[LogEvent]:
     Raises:
         LogError: If a message is damaged.
     """
-    for run in runs(reader):
+    for run in runs(reader, wanted=lambda kind: kind.kind == "event"):
         calls = run.of_kind("event")
         for t in range(run.count):
             for call in calls:
@@ -78,7 +78,7 @@ def read_writes(reader: LogReader) -> Iterator[LogWrite]:
     Raises:
         LogError: If a message is damaged.
     """
-    for run in runs(reader):
+    for run in runs(reader, wanted=lambda kind: kind.kind == "write"):
         calls = run.of_kind("write")
         for t in range(run.count):
             for call in calls:

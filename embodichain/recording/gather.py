@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -12,12 +11,12 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64
 from embodichain.recording.arrays import LogArrays
-from embodichain.recording.block import Run
+from embodichain.recording.block import CallKind, Run
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.log_error import LogError
 from embodichain.recording.model_columns import Column
-from embodichain.recording.simulation import DifferenceFound
-from embodichain.recording.trajectory import Rows, Span, follow, runs
+from embodichain.recording.simulation import Simulation
+from embodichain.recording.trajectory import Rows, Span, changes, outcomes, runs, stacked, steps_of
 
 __all__ = ["OUTCOMES", "first_step", "gather"]
 
@@ -59,28 +58,30 @@ def gather(
     steps: list[NDArray[np.int64]] = []
     pieces: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
     everyone = len(ids) == reader.require_header().num_envs
-    try:
-        for run, index, states in _parts(reader, rows, span, slices):
-            steps.append(run.first + index)
-            outcome = run.calls[-1].arrays
-            for name in names:
-                if name in slices:
-                    pieces[name].append(states[name])
-                else:
-                    key, dtype = OUTCOMES[name]
-                    found = outcome[key][index]
-                    pieces[name].append((found if everyone else found[:, ids]).astype(dtype))
-    except DifferenceFound as found:
-        where = f"{reader.path} does not simulate to what it says"
-        raise LogError(f"{where}: {found.difference}") from found
-    values = {}
+    for run, index, states in _parts(reader, rows, span, slices):
+        steps.append(run.first + index)
+        outcome = run.calls[-1].arrays
+        for name in names:
+            if name in slices:
+                pieces[name].append(states[name])
+            else:
+                key, dtype = OUTCOMES[name]
+                found = outcome[key][index]
+                pieces[name].append((found if everyone else found[:, ids]).astype(dtype))
+    values: dict[str, NDArray[Any]] = {}
+    named = {name: list(columns[name]) for name in names}
     for name in names:
-        shape = (0, len(ids), len(columns[name])) if name in (*slices, "actions") else (0, len(ids))
-        dtype = OUTCOMES[name][1] if name in OUTCOMES else np.float64
-        values[name] = np.concatenate([np.empty(shape, dtype), *pieces.pop(name)])
+        shape = (0, len(ids), len(named[name])) if name in (*slices, "actions") else (0, len(ids))
+        empty: NDArray[Any] = np.empty(shape, OUTCOMES[name][1] if name in OUTCOMES else np.float64)
+        try:
+            values[name] = np.concatenate(pieces.pop(name) or [empty])
+        except ValueError as error:
+            raise LogError(f"{reader.path}: steps differ in their {name}: {error}") from error
+    if "actions" in values:  # the first step of a damaged log may be unknown
+        named["actions"] = [Column(str(i), "") for i in range(values["actions"].shape[-1])]
     control_dt = reader.require_header().control_dt
     every_step = np.concatenate([np.empty(0, np.int64), *steps])
-    return LogArrays(every_step, ids, control_dt, {n: list(columns[n]) for n in names}, values)
+    return LogArrays(every_step, ids, control_dt, named, values)
 
 
 def _parts(
@@ -88,26 +89,49 @@ def _parts(
 ) -> Iterator[_Part]:
     """The steps of a span, those of each run together."""
     if not slices:
-        yield from _steps(reader, span)
+        for run in runs(reader, span, outcomes):
+            index = _within(run, span)
+            if len(index):
+                yield run, index, {}
         return
-    for _, steps in groupby(follow(reader, rows, span), key=lambda found: id(found[0])):
-        index: list[int] = []
-        states: dict[str, list[F64]] = {name: [] for name in slices}
-        for found in steps:
-            run, t = found
-            index.append(t)
-            for name, columns in slices.items():
-                states[name].append(rows.rows[:, columns].copy())
-        yield run, np.array(index), {name: np.stack(values) for name, values in states.items()}
 
+    def wanted(kind: CallKind) -> bool:
+        if kind.kind != "write" or isinstance(rows, Simulation):
+            return changes(kind)
+        return kind.mode == "reset" or (kind.mode == "state" and kind.name in {*slices, "row"})
 
-def _steps(reader: LogReader, span: Span) -> Iterator[_Part]:
-    """The same without rows: nothing is followed."""
-    last = sys.maxsize if span.last is None else span.last
-    for run in runs(reader, span):
-        index = np.arange(max(span.first - run.first, 0), min(last - run.first + 1, run.steps))
+    for run in runs(reader, span, wanted):
+        if run.of_kind("start"):
+            rows.begin(run)
+            continue
+        index, states = _received(reader, rows, run, span, slices)
         if len(index):
-            yield run, index, {}
+            yield run, index, states
+
+
+def _received(
+    reader: LogReader, rows: Rows, run: Run, span: Span, slices: Mapping[str, slice]
+) -> tuple[NDArray[np.int64], Mapping[str, F64]]:
+    """Which steps of a run are known and wanted, and what physics received in them."""
+    together = None
+    if run.steps > 1 and not isinstance(rows, Simulation):
+        together = stacked(reader, rows, run, slices)
+    if together is not None:
+        index = _within(run, span)
+        return index, {name: values[index] for name, values in together.items()}
+    steps: list[int] = []
+    states: dict[str, list[F64]] = {name: [] for name in slices}
+    for t in steps_of(reader, rows, run, span):
+        steps.append(t)
+        for name, columns in slices.items():
+            states[name].append(rows.rows[:, columns].copy())
+    return np.array(steps, np.int64), {n: np.array(values) for n, values in states.items()}
+
+
+def _within(run: Run, span: Span) -> NDArray[np.int64]:
+    """Numbers of those steps of a run that are wanted."""
+    last = sys.maxsize if span.last is None else span.last
+    return np.arange(max(span.first - run.first, 0), min(last - run.first + 1, run.steps))
 
 
 def first_step(reader: LogReader, span: Span) -> int | None:
@@ -116,7 +140,7 @@ def first_step(reader: LogReader, span: Span) -> int | None:
     Raises:
         LogError: If a message is damaged.
     """
-    for run in runs(reader, span):
+    for run in runs(reader, span, outcomes):
         step = max(run.first, span.first)
         if step < run.first + run.steps:
             return step if step in span else None

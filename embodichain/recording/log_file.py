@@ -12,11 +12,14 @@ import mcap.writer
 import zstandard
 from mcap.writer import CompressionType, Writer
 
+from embodichain.recording.log_error import LARGEST_CHUNK
 from embodichain.recording.schema import descriptor_set
 
 __all__ = ["LogFile"]
 
 _LIBRARY = "embodichain"
+_CHUNK_BYTES = 2**20
+_LARGEST_MESSAGE = LARGEST_CHUNK - 2 * _CHUNK_BYTES
 _COMPRESSIONS = {
     "none": CompressionType.NONE,
     "lz4": CompressionType.LZ4,
@@ -104,7 +107,7 @@ class LogFile:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         self._stream = _Appended(os.open(name, flags, 0o666, dir_fd=self.folder))
         stream: Any = self._stream
-        self._writer: Any = Writer(stream, compression=self._compression)
+        self._writer: Any = Writer(stream, _CHUNK_BYTES, self._compression)
         self._writer.start(library=_LIBRARY)
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
@@ -161,7 +164,12 @@ class LogFile:
             time_ns: Log time.
             data: The message.
             last_step: Newest control step that is finished with it.
+
+        Raises:
+            OSError: If it cannot be written, or is larger than a chunk may be.
         """
+        if len(data) > _LARGEST_MESSAGE:
+            raise OSError(errno.EMSGSIZE, f"a message of {len(data)} bytes fits into no chunk")
         if last_step is not None:
             self._last_step = last_step
         size = self._stream.size

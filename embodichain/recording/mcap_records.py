@@ -59,12 +59,17 @@ def _unpacked(name: str, packed: bytes, size: int) -> bytes:
     """Decompress to at most `size` bytes, whatever the compressed data say of themselves."""
     if name == "":
         return packed
+    stated = -1
+    if name == "lz4":
+        stated = lz4.frame.get_frame_info(packed)["content_size"] or -1
+    elif name == "zstd":
+        stated = zstandard.frame_content_size(packed)
+    if stated not in (size, -1):
+        raise DamageError("a chunk is damaged: its length is wrong")
     if name == "lz4":
         content: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size)
         return content
     if name == "zstd":
-        if zstandard.frame_content_size(packed) not in (size, -1):
-            raise DamageError("a chunk is damaged: its length is wrong")
         return zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
     raise DamageError(f"a chunk has the compression {name[:20]!r}, which is not known")
 

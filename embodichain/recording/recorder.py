@@ -43,7 +43,7 @@ RUN_STEPS, RUN_BYTES, RUN_SECONDS = 256, 2**20, 0.25
 FLUSH_SECONDS = 0.5
 """What is written is readable in the file after so long; with `RUN_SECONDS`, and the time between
 two calls of the timer, at most a second is lost when the process is killed."""
-START_SHARE = 32
+START_SHARE = 128
 """A start is written after so many times its bytes of other data."""
 
 
@@ -295,17 +295,17 @@ class McapRecorder(StepObserver):
     def _add_step(self) -> None:
         """Add a finished step to the run; write the run before, if its calls are others."""
         kinds = [kind for kind, _ in self._calls]
-        run = self._run
-        if kinds != run.kinds or not run.steps:
-            if run.steps:
-                with self._writing.writes():
-                    self._write_run()
-            size = sum(array.nbytes for _, arrays in self._calls for array in arrays)
-            run = PendingRun(self._step, kinds, time.monotonic(), size)
         with self._writing.lock:
-            # One statement takes the step over: an interrupt loses none, and adds none twice.
-            run.steps.append(self._calls)
-            self._run = run
+            run = self._run
+            alike = bool(run.steps) and kinds == run.kinds
+            if alike:
+                # One statement takes the step over: an interrupt loses none, and repeats none.
+                run.steps.append(self._calls)
+        if not alike:
+            size = sum(array.nbytes for _, arrays in self._calls for array in arrays)
+            with self._writing.writes():
+                self._write_run()
+                self._run = PendingRun(self._step, kinds, time.monotonic(), size, [self._calls])
         self._calls = []
 
     def _write_when_due(self) -> None:

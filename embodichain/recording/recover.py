@@ -18,6 +18,7 @@ from embodichain.recording.header import METADATA, METADATA_END, METADATA_RECOVE
 from embodichain.recording.log_error import DamageError, LogError
 from embodichain.recording.parts import first_file
 from embodichain.recording.schema import STEPS_TOPIC
+from embodichain.recording.trajectory import outcomes
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["Recovery", "recover"]
@@ -110,14 +111,12 @@ class _Copy:
         try:
             for topic, time_ns, data in reader.messages():
                 if topic == STEPS_TOPIC:
-                    self.steps += unpack_run(data, *sizes).steps
+                    self.steps += unpack_run(data, *sizes, outcomes).steps
                 writer.add_message(self._channel(topic), time_ns, bytes(data), time_ns)
                 self.messages += 1
-            self.why = reader.damage or ("" if reader.complete else "its end is missing")
+            self.why = reader.cut
         except DamageError as error:
             self.why = f"a message is damaged: {error}"
-        if not self.why and not reader.finished and not reader.recovered:
-            self.why = "the recorder did not close it"
         if not self.why and damaged:
             self.why = f"the attachment {damaged[0]} is damaged"
         if reader.recovered:

@@ -48,6 +48,10 @@ MESSAGES: Mapping[str, Sequence[str]] = {
         "string dtype = 2",
         "repeated uint32 shape = 3",
         "uint64 offset = 4",
+        "bool single = 5",
+        "bool differs = 6",
+        "uint64 base = 7",
+        "bool base_single = 8",
     ),
     "Call": (
         "string kind = 1",

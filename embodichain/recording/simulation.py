@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import NoReturn
 
 import mujoco
 import numpy as np
@@ -54,11 +56,16 @@ class Difference:
         return f"step {self.step}, environment {self.env}, {self.field}: {values}"
 
 
-class DifferenceFound(Exception):
-    """Ends following a log: a result, not an error."""
+class DifferenceFound(LogError):
+    """A log does not simulate to what it says.
 
-    def __init__(self, difference: Difference) -> None:
-        super().__init__(str(difference))
+    Args:
+        path: The log.
+        difference: Where they part first.
+    """
+
+    def __init__(self, path: Path, difference: Difference) -> None:
+        super().__init__(f"{path} does not simulate to what it says: {difference}")
         self.difference = difference
 
 
@@ -192,7 +199,7 @@ class Simulation(Rows):
     def _settle(
         self, step: int, local: EnvIndex | None, recorded: F64, columns: NDArray[np.int64] | slice
     ) -> None:
-        """Compare rows with recorded ones, and take these over where nobody compares."""
+        """Compare rows with recorded ones, and take these over where they are not compared."""
         self._compare(step, local, recorded, columns)
         active = self._active(step)
         if not self._exact or not active.all():
@@ -217,8 +224,7 @@ class Simulation(Rows):
         row, at = divmod(int(np.flatnonzero(differs)[0]), differs.shape[1])
         column = int(np.arange(self.header.nstate)[columns][at])
         name = column_name(self._layout, column)
-        values = float(recorded[row, at]), float(here[row, at])
-        raise DifferenceFound(Difference(step, self._env(local, row), name, *values))
+        self._differ(step, local, row, name, float(recorded[row, at]), float(here[row, at]))
 
     def _taken(self, local: EnvIndex | None, columns: NDArray[np.int64] | slice) -> F64:
         """(n, k) columns of the rows here, side by side."""
@@ -237,11 +243,13 @@ class Simulation(Rows):
         wrong = np.flatnonzero((hashes != recorded) & (active if local is None else active[local]))
         if len(wrong):
             row = int(wrong[0])
-            values = int(recorded[row]), int(hashes[row])
-            raise DifferenceFound(Difference(step, self._env(local, row), "hash", *values))
+            self._differ(step, local, row, "hash", int(recorded[row]), int(hashes[row]))
 
-    def _env(self, local: EnvIndex | None, row: int) -> int:
-        return int(self.env_ids[row if local is None else local[row]])
+    def _differ(
+        self, step: int, local: EnvIndex | None, row: int, field: str, *values: float
+    ) -> NoReturn:
+        env = int(self.env_ids[row if local is None else local[row]])
+        raise DifferenceFound(self.path, Difference(step, env, field, *values))
 
     def _measure(self, here: F64, there: F64, columns: NDArray[np.int64] | slice) -> None:
         """Note the largest errors of positions and velocities."""

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.snapshot import Drawn, Snapshot
 from embodichain.lab.sim.engine.base import F64, EnvIndex
-from embodichain.recording.api import Log
 from embodichain.recording.block import DRAWN, Call, Run
 from embodichain.recording.episodes import LogEpisode
 from embodichain.recording.log_error import LogError
 from embodichain.recording.playback import follower_of, span_of
-from embodichain.recording.simulation import DifferenceFound
+from embodichain.recording.recorded_log import RecordedLog
 from embodichain.recording.trajectory import Span, own_physics, runs
 from embodichain.utils.errors import ConfigError
 
@@ -24,7 +23,9 @@ __all__ = ["snapshot"]
 _CONTROLS = frozenset({"ctrl", "qfrc_applied", "xfrc_applied"})
 
 
-def snapshot(log: Log, env: int, episode: int | None = None, step: int | None = None) -> Snapshot:
+def snapshot(
+    log: RecordedLog, env: int, episode: int | None = None, step: int | None = None
+) -> Snapshot:
     """One environment before a control step.
 
     Args:
@@ -58,9 +59,11 @@ def snapshot(log: Log, env: int, episode: int | None = None, step: int | None = 
     return Snapshot(origin, log.model, layout, row, fields, *counters, drawn, tuple(notes))
 
 
-def _moment(log: Log, env: int, episode: int | None, step: int | None) -> tuple[LogEpisode, int]:
+def _moment(
+    log: RecordedLog, env: int, episode: int | None, step: int | None
+) -> tuple[LogEpisode, int]:
     """The episode that is meant, and the control step that comes next, from the log's start."""
-    span_of(log, env, episode)  # complains
+    span_of(log, env, episode)  # raises if there is none
     mine = [e for e in log.episodes if e.env == env]
     if not mine:
         raise ConfigError(f"{log.path} has no control step of environment {env}")
@@ -86,18 +89,14 @@ def _moment(log: Log, env: int, episode: int | None, step: int | None) -> tuple[
     return found, at
 
 
-def _state(log: Log, env: int, step: int) -> tuple[F64, dict[str, NDArray[Any]]]:
+def _state(log: RecordedLog, env: int, step: int) -> tuple[F64, dict[str, NDArray[Any]]]:
     """(nstate,) row before a control step, and model fields."""
     follower = follower_of(log, env)
-    try:
-        for number, call, t in _calls_before(log, step, max(step - 1, log.header.first_step)):
-            if isinstance(call, Run):
-                follower.begin(call)
-            else:
-                follower.apply(number, call, t)
-    except DifferenceFound as other:
-        where = f"{log.path} does not simulate to what it says"
-        raise LogError(f"{where}: {other.difference}") from other
+    for number, call, t in _calls_before(log, step, max(step - 1, log.header.first_step)):
+        if isinstance(call, Run):
+            follower.begin(call)
+        else:
+            follower.apply(number, call, t)
     if follower.next_step != step:
         raise LogError(f"{log.path} has no state of control step {step}")
     fields = follower.engine.state_dict()["model"]
@@ -105,7 +104,7 @@ def _state(log: Log, env: int, step: int) -> tuple[F64, dict[str, NDArray[Any]]]
     return follower.rows[0].copy(), own
 
 
-def _calls_before(log: Log, step: int, first: int) -> Iterator[tuple[int, Call | Run, int]]:
+def _calls_before(log: RecordedLog, step: int, first: int) -> Iterator[tuple[int, Call | Run, int]]:
     """Yield starts and calls that come before the action of a control step is written.
 
     Args:
@@ -126,7 +125,7 @@ def _calls_before(log: Log, step: int, first: int) -> Iterator[tuple[int, Call |
                 yield number, call, t
 
 
-def _before_action(log: Log, run: Run) -> int:
+def _before_action(log: RecordedLog, run: Run) -> int:
     """How many calls of a step come before its action is written.
 
     Normally none. A reset that was asked for between two steps, as the first always is, ends with
@@ -142,7 +141,7 @@ def _precedes_action(call: Call) -> bool:
     return kind.kind != "write" or kind.mode != "state" or kind.name not in _CONTROLS
 
 
-def _history(log: Log, env: int, step: int) -> tuple[tuple[Drawn, ...], bool]:
+def _history(log: RecordedLog, env: int, step: int) -> tuple[tuple[Drawn, ...], bool]:
     """What terms drew for an environment since its reset, of each term the last.
 
     Also whether it was reset before the first control step of the log.
@@ -168,9 +167,10 @@ def _history(log: Log, env: int, step: int) -> tuple[tuple[Drawn, ...], bool]:
 
 def _drawn(call: Call, t: int, ids: EnvIndex | None, env: int) -> Drawn:
     row = env if ids is None else int(np.searchsorted(ids, env))
-    values = {
-        name.removeprefix(DRAWN): np.array(drawn[t][row])
-        for name, drawn in call.arrays.items()
-        if name.startswith(DRAWN)
-    }
+    values = {}
+    for name, drawn in call.arrays.items():
+        if name.startswith(DRAWN):
+            if drawn.ndim < 2 or row >= drawn.shape[1]:
+                raise LogError(f"{call.kind.name}: what it drew is not of every environment")
+            values[name.removeprefix(DRAWN)] = np.array(drawn[t, row])
     return Drawn(call.kind.name, call.kind.mode, values)

@@ -16,6 +16,7 @@ from embodichain.recording.episode_ends import EndedEpisode, decode_ends
 from embodichain.recording.header import Header
 from embodichain.recording.log_error import DamageError, LogError
 from embodichain.recording.schema import STEPS_TOPIC
+from embodichain.recording.trajectory import outcomes
 
 __all__ = ["ChannelInfo", "Episode", "LogSummary", "inspect"]
 
@@ -124,7 +125,7 @@ def inspect(path: str | Path) -> LogSummary:
             for topic, _, data in reader.messages():
                 counts[topic] += 1
                 if topic == STEPS_TOPIC:
-                    run = unpack_run(data, *sizes)
+                    run = unpack_run(data, *sizes, outcomes)
                     if run.steps:
                         steps, last_step = steps + run.steps, run.first + run.count - 1
                 elif topic == EPISODE_TOPIC:
@@ -179,9 +180,9 @@ def _end(reader: LogReader, last_step: int) -> list[str]:
     """Where a log ends, if that is not as it should be."""
     warnings = []
     if not reader.complete:
-        why = reader.damage or "its end is missing"
         missing = f"what followed step {last_step} is missing"
-        warnings.append(f"incomplete: {why}; {missing if last_step >= 0 else 'no step is in it'}")
+        missing = missing if last_step >= 0 else "no step is in it"
+        warnings.append(f"incomplete: {reader.cut}; {missing}")
     elif reader.recovered:
         where = f"after step {last_step}" if last_step >= 0 else "before its first step is complete"
         warnings.append(f"recovered from a broken file; it ends {where}: {reader.recovered}")

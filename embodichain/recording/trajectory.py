@@ -6,8 +6,7 @@ engine, which also has the model fields, and can simulate what the log says.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -17,13 +16,22 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.base import F64, EnvIndex
 from embodichain.lab.sim.engine.layout import as_slice, entries
-from embodichain.recording.block import Call, Run, unpack_run
+from embodichain.recording.block import Call, CallKind, Run, unpack_run
 from embodichain.recording.chunks import ChunkPlace, LogReader
 from embodichain.recording.header import Header
 from embodichain.recording.log_error import DamageError, LogError
 from embodichain.recording.schema import START_TOPIC, STEPS_TOPIC
 
-__all__ = ["Rows", "Span", "columns_of", "follow", "own_physics", "runs"]
+__all__ = [
+    "Rows",
+    "Span",
+    "columns_of",
+    "follow",
+    "own_physics",
+    "runs",
+    "stacked",
+    "steps_of",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,15 +50,29 @@ class Span:
         return self.last is not None and step > self.last
 
 
+Wanted = Callable[[CallKind], bool]
+
+
+def outcomes(kind: CallKind) -> bool:
+    """Whether a call is needed for what steps gave: only ``step`` itself."""
+    return kind.kind == "step"
+
+
+def changes(kind: CallKind) -> bool:
+    """Whether a call changes rows or model fields."""
+    return kind.kind in ("write", "physics")
+
+
 _ALL = Span()
 
 
-def runs(reader: LogReader, span: Span = _ALL) -> Iterator[Run]:
+def runs(reader: LogReader, span: Span = _ALL, wanted: Wanted | None = None) -> Iterator[Run]:
     """Yield the starts and runs that following some steps needs: from the last start before them.
 
     Args:
-        reader: The log; it knows of damage that is met.
+        reader: The log; its `damage` tells of what is met.
         span: The control steps; None is all.
+        wanted: Whether a call is read; ``start`` and ``step`` are always; None reads all.
 
     Raises:
         LogError: If a message is damaged, or a chunk lies where it does not belong.
@@ -58,12 +80,15 @@ def runs(reader: LogReader, span: Span = _ALL) -> Iterator[Run]:
     header = reader.require_header()
     sizes = header.num_envs, header.moved_width, header.nstate
     expected: int | None = None
+    reads = None
+    if wanted is not None:
+        reads = _also_starts_and_steps(wanted)
     for topic, time_ns, payload in reader.messages(_needed(reader, span)):
         is_start = topic == START_TOPIC
         if not is_start and (topic != STEPS_TOPIC or expected is None):
             continue
         try:
-            run = unpack_run(payload, *sizes)
+            run = unpack_run(payload, *sizes, reads)
         except DamageError as error:
             raise LogError(f"{reader.path}: a message is damaged: {error}") from error
         why = _wrong(run, time_ns, is_start, header)
@@ -79,6 +104,10 @@ def runs(reader: LogReader, span: Span = _ALL) -> Iterator[Run]:
         expected = run.first + run.steps
         if span.ends_before(expected):
             return
+
+
+def _also_starts_and_steps(wanted: Wanted) -> Wanted:
+    return lambda kind: kind.kind in ("start", "step") or wanted(kind)
 
 
 def _wrong(run: Run, time_ns: int, is_start: bool, header: Header) -> str:
@@ -205,6 +234,8 @@ class Rows:
                 self.write(step, call, local, values)
             else:
                 self.physics(step, call, t, local, take)
+        except LogError:
+            raise  # it is a ValueError
         except (KeyError, ValueError, IndexError) as error:
             what = "physics" if kind == "physics" else f"a write to {call.kind.name!r}"
             raise LogError(
@@ -236,6 +267,14 @@ class Rows:
             start, stop = self.header.layout[call.kind.name]
             view = self._rows[:, start:stop]
         view[entries(local, columns_of(call.kind.columns))] = values
+
+    def moved(self, columns: slice) -> slice | None:
+        """Where columns of whole rows lie in what physics returned; None for its inputs."""
+        for here, there in self._ranges:
+            if here.start <= columns.start and columns.stop <= here.stop:
+                at = there.start - here.start
+                return slice(columns.start + at, columns.stop + at)
+        return None
 
     def physics(
         self, step: int, call: Call, t: int, local: EnvIndex | None, take: EnvIndex | slice
@@ -276,19 +315,72 @@ def follow(reader: LogReader, rows: Rows, span: Span = _ALL) -> Iterator[tuple[R
     Raises:
         LogError: If a message is damaged.
     """
-    last = sys.maxsize if span.last is None else span.last
-    for run in runs(reader, span):
+    for run in runs(reader, span, changes):
         if run.of_kind("start"):
             rows.begin(run)
-            continue
-        own = own_physics(reader, run) if run.steps else len(run.calls)
-        for t in range(run.count):
-            step = run.first + t
-            for call in run.calls[:own]:
-                rows.apply(step, call, t)
-            if span.first <= step and run.steps and rows.known:
-                yield run, t
-            if step >= last:
-                return
-            for call in run.calls[own:]:
-                rows.apply(step, call, t)
+        else:
+            yield from ((run, t) for t in steps_of(reader, rows, run, span))
+
+
+def steps_of(reader: LogReader, rows: Rows, run: Run, span: Span) -> Iterator[int]:
+    """The same for the steps of one run, as numbers within it."""
+    own = own_physics(reader, run) if run.steps else len(run.calls)
+    for t in range(run.count):
+        step = run.first + t
+        for call in run.calls[:own]:
+            rows.apply(step, call, t)
+        if span.first <= step and run.steps and rows.known:
+            yield t
+        if step == span.last:
+            return
+        for call in run.calls[own:]:
+            rows.apply(step, call, t)
+
+
+def stacked(
+    reader: LogReader, rows: Rows, run: Run, components: Mapping[str, slice]
+) -> dict[str, F64] | None:
+    """Components of the rows that physics received in each step of a run, all at once.
+
+    Args:
+        reader: The log.
+        rows: As the log has them before the run; afterwards these components are as after it.
+        run: Finished steps.
+        components: Name to columns of whole rows.
+
+    Returns:
+        Name to (count, n, k) values; None where steps must be followed one by one: where calls
+        reach only some environments, or physics runs more than once.
+    """
+    own = own_physics(reader, run)
+    calls = [call for call in run.calls if call.kind.mode != "model" and changes(call.kind)]
+    physics = run.calls[own]
+    for call in calls:
+        kind = call.kind
+        other = kind.kind == "physics" and call is not physics
+        if other or "env_ids" in call.arrays or kind.mode == "reset" or kind.name == "row":
+            return None
+    if "rows" not in physics.arrays or not rows.known:
+        return None
+    _, take = rows.chosen(None)
+    found = {}
+    for name, columns in components.items():
+        values = np.empty((run.count + 1, len(rows.env_ids), columns.stop - columns.start))
+        values[0] = rows.rows[:, columns]
+        moved = rows.moved(columns)
+        values[1:] = values[0] if moved is None else physics.arrays["rows"][:, take, moved]
+        before, after = (
+            [c for c in part if c.kind.name == name and c.kind.kind == "write"]
+            for part in (run.calls[:own], run.calls[own:])
+        )
+        # What was written before physics is still there after it, unless physics writes it.
+        for target, part in (
+            *([] if moved else [(values[1:], before)]),
+            *[(values[1:], after), (values[:-1], before)],
+        ):
+            for call in part:
+                target[:, :, columns_of(call.kind.columns)] = call.arrays["values"][:, take]
+        rows.rows[:, columns] = values[-1]
+        found[name] = values[:-1]
+    rows.next_step = run.first + run.count
+    return found

@@ -31,7 +31,7 @@ from embodichain.recording.simulation import (
     Simulation,
     always,
 )
-from embodichain.recording.trajectory import runs
+from embodichain.recording.trajectory import changes, outcomes, runs
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["Difference", "VerifyReport", "verify"]
@@ -111,9 +111,8 @@ def verify(
             active = always(len(selected))
             if episode is not None:
                 active = _episode(reader, selected, episode)
-            following = _Following(reader, model, selected, active, exact, num_threads)
-            following.run(progress)
-            report = following.report(problems)
+            how = model, selected, active, exact, num_threads
+            report = _follow(reader, how, replace(report, problems=problems), progress)
         else:
             report = replace(report, problems=problems)
         return _with_notes(report, reader)
@@ -169,7 +168,7 @@ def _episode(reader: LogReader, selected: EnvIndex, episode: int) -> Active:
     masks: dict[int, NDArray[np.bool_]] = {}
     last = -1
     try:
-        for run in runs(reader):
+        for run in runs(reader, wanted=outcomes):
             if run.steps:
                 ids = run.calls[-1].arrays["episode_ids"][:, selected]
                 masks |= zip(range(run.first, run.first + run.count), ids == episode, strict=True)
@@ -182,81 +181,49 @@ def _episode(reader: LogReader, selected: EnvIndex, episode: int) -> Active:
     return lambda step: masks.get(step, nothing)
 
 
-class _Following:
-    """Follows a log with an engine, up to the first difference or the end."""
-
-    def __init__(
-        self,
-        reader: LogReader,
-        model: mujoco.MjModel,
-        selected: EnvIndex,
-        active: Active,
-        exact: bool,
-        num_threads: int,
-    ) -> None:
-        self._reader, self._model, self._selected = reader, model, selected
-        self._active, self._exact, self._threads = active, exact, num_threads
-        self._steps, self._last_step = 0, reader.require_header().first_step - 1
-        self._difference: Difference | None = None
-        self._error = ""
-        self._errors: dict[str, float] = {}
-
-    def run(self, progress: Progress | None) -> None:
-        """Simulate and compare."""
-        try:
-            self._follow(progress)
-        except DifferenceFound as found:
-            self._difference = found.difference
-        except LogError as error:
-            why = str(error).removeprefix(f"{self._reader.path}: ")
-            self._error = f"after {self._steps} steps: {why}"
-
-    def _follow(self, progress: Progress | None) -> None:
-        simulation = None
-        for run in runs(self._reader):
+def _follow(
+    reader: LogReader,
+    how: tuple[mujoco.MjModel, EnvIndex, Active, bool, int],
+    report: VerifyReport,
+    progress: Progress | None,
+) -> VerifyReport:
+    """Simulate and compare up to the first difference or the end; `how` is `Simulation`'s."""
+    steps, last_step = 0, reader.require_header().first_step - 1
+    difference, error, active = None, "", how[2]
+    largest: dict[str, float] = {}
+    simulation = None
+    try:
+        for run in runs(reader, wanted=changes):
             if simulation is None:  # a start: so many environments are really in the file
-                how = self._active, self._exact, self._threads
-                simulation = Simulation(self._reader, self._model, self._selected, *how)
-                self._errors = simulation.largest_error
+                simulation = Simulation(reader, *how)
+                largest = simulation.largest_error
             if run.of_kind("start"):
                 simulation.begin(run)
                 continue
             for t in range(run.count):
-                step = run.first + t
                 for call in run.calls:
-                    simulation.apply(step, call, t)
+                    simulation.apply(run.first + t, call, t)
                 if run.steps:
-                    self._last_step = step
-                    self._steps += bool(self._active(step).any())
+                    last_step = run.first + t
+                    steps += bool(active(last_step).any())
                     if progress is not None:
-                        progress(self._steps)
+                        progress(steps)
+    except DifferenceFound as found:
+        difference = found.difference
+    except LogError as damage:
+        error = f"after {steps} steps: {str(damage).removeprefix(f'{reader.path}: ')}"
+    report = replace(report, steps=steps, difference=difference, largest_error=largest)
+    if difference is not None or error:
+        return replace(report, problems=[*report.problems, *([error] if error else [])])
+    return _at_the_end(reader, report, last_step)
 
-    def report(self, problems: list[str]) -> VerifyReport:
-        """What came of it, and why else the log is not verified."""
-        notes: list[str] = []
-        reader, difference = self._reader, self._difference
-        if self._error:
-            problems = [*problems, self._error]
-        elif difference is None:
-            problems = [*problems, *self._end()]
-            if reader.recovered and reader.complete:
-                notes.append(f"the log ends {self._where()}: {reader.recovered}")
-            said = reader.part_note, reader.require_header().every_note
-            notes += [note for note in said if note]
-        ok = difference is None and not problems
-        counts = self._steps, len(self._selected)
-        return VerifyReport(reader.path, ok, *counts, difference, problems, self._errors, notes)
 
-    def _end(self) -> list[str]:
-        """What is missing at the end of a log."""
-        reader, ends = self._reader, f"the log ends {self._where()}"
-        if not reader.complete:
-            return [f"{ends}: {reader.damage or 'its end is missing'}"]
-        if not reader.finished and not reader.recovered:
-            return [f"{ends}: the recorder did not close it"]
-        return []
-
-    def _where(self) -> str:
-        if self._last_step < 0:
-            return "before its first step was complete"
-        return f"after step {self._last_step}"
+def _at_the_end(reader: LogReader, report: VerifyReport, last_step: int) -> VerifyReport:
+    """Say what is missing at the end of a log, and what should be known of it."""
+    ends = f"the log ends after step {last_step}"
+    if last_step < 0:
+        ends = "the log ends before its first step was complete"
+    problems = [*report.problems, *([f"{ends}: {reader.cut}"] if reader.cut else [])]
+    notes = [f"{ends}: {reader.recovered}"] if reader.recovered and reader.complete else []
+    notes += [note for note in (reader.part_note, reader.require_header().every_note) if note]
+    return replace(report, ok=not problems, problems=problems, notes=notes)

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.type_errors import unknown_key, what_is_wrong
 
 __all__ = ["from_dict"]
 
@@ -30,17 +30,14 @@ def from_dict(cls: type[Any], init_dict: dict[str, Any]) -> Any:
         return TypeAdapter(cls).validate_python(init_dict)
     except ValidationError as error:
         names = [f.name for f in dataclasses.fields(cls)]
-        raise ConfigError([_problem(e, names) for e in error.errors()]) from error
-
-
-def _problem(error: Any, names: list[str]) -> Problem:
-    path = [str(part) for part in error["loc"]]
-    hint = ""
-    if error["type"] == "unexpected_keyword_argument":
-        message = "unknown key"
-        if len(path) == 1:
-            message += f"; allowed: {', '.join(names)}"
-            hint = did_you_mean(path[0], names).strip()
-    else:
-        message = f"{error['msg']}, got {error['input']!r}"
-    return Problem(".".join(path), message, hint)
+        problems = []
+        for found in error.errors():
+            path = [str(part) for part in found["loc"]]
+            if found["type"] != "unexpected_keyword_argument":
+                message, hint = what_is_wrong([found])
+            elif len(path) == 1:
+                message, hint = unknown_key(path[0], names)
+            else:
+                message, hint = "unknown key", ""
+            problems.append(Problem(".".join(path), message, hint))
+        raise ConfigError(problems) from error

@@ -43,15 +43,16 @@ def test_step_speed(tmp_path):
 def test_log_cost(tmp_path):
     table, facts = run(
         "log_cost", "--pairs=3", "--case", "2", "4", "--case", "3", "1", "--seconds=0",
-        "--episode=3", "--processes=2", out=tmp_path / "raw.json",
+        "--episode=3", out=tmp_path / "raw.json",
     )  # fmt: skip
-    assert [(r["num_envs"], r["physics_steps"]) for r in facts["results"]] == [(2, 4), (3, 1)]
+    cases = [(r["num_envs"], r["physics_steps"], r["resets"]) for r in facts["results"]]
+    assert cases == [(n, k, how) for n, k in ((2, 4), (3, 1)) for how in ("lockstep", "staggered")]
     for result in facts["results"]:
-        assert len(result["steps_a_turn"]) == 2
-        for processes in result["seconds"].values():
-            assert [len(turns) for turns in processes] == [3, 3]
-            assert min(min(turns) for turns in processes) > 0
-    assert table.count("| 2 | 4 | ") == table.count("| 3 | 1 | ") == 1
+        assert len(result["bytes"]) == 3 and min(result["bytes"]) > 0
+        for seconds in (result["seconds"], result["cpu_seconds"]):
+            assert [len(seconds[name]) for name in ("plain", "logged")] == [3, 3]
+            assert min(min(times) for times in seconds.values()) > 0
+    assert table.count("| 2 | 4 | ") == table.count("| 3 | 1 | ") == 2
 
 
 def test_how_sure_a_median_is():
@@ -128,7 +129,7 @@ def test_memory(tmp_path):
 @pytest.mark.slow
 def test_startup(tmp_path):
     _, facts = run("startup", "--rounds=1", out=tmp_path / "s.json")
-    assert len(facts["seconds"]["first step, beyond torch"]) == 1
+    assert len(facts["cpu_seconds"]["embodichain run, to its first step"]) == 1
 
 
 def test_turns_are_whole_episodes_in_changing_order():

@@ -188,6 +188,7 @@ def test_config_is_printed_without_running(capsys: pytest.CaptureFixture[str]) -
         ("embodichain run task=", {"task=reach", "task=random_reach"}),
         ("embodichain train task=reach alg", {"algo="}),
         ("embodichain show task=reach task.physics.phys", {"task.physics.physics_dt="}),
+        ("embodichain run sim.num_th", {"sim.num_threads="}),
         ("embodichain replay la", {"last"}),
         ("embodichain eval la", {"last"}),
         ("embodichain eval last record=", {"record=mcap", "record=none"}),
@@ -203,9 +204,12 @@ def test_completion(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setenv("COMP_LINE", line)
-    assert main(["-sc", "query=bash"]) == 0
-    found = set(capsys.readouterr().out.split())
+    words_typed = line.split(" ")
+    monkeypatch.setenv("_EMBODICHAIN_COMPLETE", "bash_complete")
+    monkeypatch.setenv("COMP_WORDS", line)
+    monkeypatch.setenv("COMP_CWORD", str(len(words_typed) - 1))
+    assert main([]) == 0
+    found = {x.partition(",")[2] for x in capsys.readouterr().out.split()}
     assert words <= found
     if line.endswith("re"):
         assert found == words
@@ -213,7 +217,11 @@ def test_completion(
 
 def test_completion_script_is_for_this_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["-sc", "install=bash"]) == 0
-    assert capsys.readouterr().out.rstrip().endswith("hydra_bash_completion embodichain")
+    script = capsys.readouterr().out
+    assert "_EMBODICHAIN_COMPLETE=bash_complete" in script
+    assert script.rstrip().endswith("_embodichain_completion_setup;")
+    assert main(["-sc", "uninstall=bash"]) == 0
+    assert capsys.readouterr().out == "complete -r embodichain\n"
 
 
 def test_process_is_as_it_was_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:

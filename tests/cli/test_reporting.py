@@ -1,7 +1,7 @@
 import pytest
 
 from embodichain.cli import exits
-from embodichain.cli.reporting import report
+from embodichain.cli.exits import report
 from embodichain.utils.errors import ConfigError, Problem, RenderError
 
 

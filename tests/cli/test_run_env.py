@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from embodichain.cli.dispatch import main
+from embodichain.cli import main
 
 CONFIGS = Path(__file__).parents[1] / "helpers" / "gym_configs"
 SHORT = ["max_steps=3", "--json"]
@@ -58,7 +58,10 @@ def test_it_is_run_with_a_gym_config(gym: Path, capsys: pytest.CaptureFixture[st
     [
         ([], "no gym config is named: embodichain run-env --gym_config FILE"),
         (["--gym_config", "none.json"], "no such file: none.json"),
-        (["--gym_config", "gym.yaml", "--num_evs", "2"], "Did you mean '--num"),
+        (
+            ["--gym_config", "gym.yaml", "--num_evs", "2"],
+            "Did you mean one of: '--num-envs', '--num_envs'?",
+        ),
         (["--gym_config", "gym.yaml", "--device", "cuda"], "cuda"),
         (["--gym_config", "gym.yaml", "task.max_episode_steps=0"], "max_episode_steps"),
     ],

@@ -9,8 +9,7 @@ import pytest
 from pydantic import AfterValidator, Field
 
 from embodichain.cli import main
-from embodichain.cli.term_docs import parse_doc
-from embodichain.cli.type_words import type_words
+from embodichain.cli.terms import parse_doc, type_words
 from embodichain.lab.gym.envs.cfg import TermCfg
 from embodichain.lab.gym.envs.managers.param_types import Box3, NonNegative, Positive, Range, Vec3
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
@@ -29,15 +28,25 @@ def test_a_term_is_shown_with_kinds_parameters_and_example(
         "parameter": "threshold",
         "type": "number > 0",
         "default": "",
-        "what": "Metres.",
+        "what": "In the quantity's unit.",
     }
     assert (rows["use_xy_only"]["type"], rows["use_xy_only"]["default"]) == (
         "true or false",
         "false",
     )
     assert term["signature"].startswith("within_distance(source_entity_cfg, target_entity_cfg, ")
-    assert "closer than a threshold" in term["doc"]
+    assert "Stands for ``{func: distance, shape: {below: THRESHOLD}}``." in term["doc"]
+    assert "less than a threshold" in term["doc"]
     assert "Args:" not in term["doc"]
+
+
+def test_a_shape_is_shown_too(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["show", "term", "tolerance"]) == 0
+    text = capsys.readouterr().out
+    for word in ("for: `shape` of a term", "value_at_margin", "shape: {tolerance: {bounds: "):
+        assert word in text
+    assert main(["show", "term", "tolerence"]) == 2
+    assert "Did you mean 'tolerance'?" in capsys.readouterr().err
 
 
 def test_it_fits_80_columns(

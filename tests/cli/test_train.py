@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from embodichain.cli import main
-from embodichain.cli.jobs import given
-from embodichain.cli.train import job
+from embodichain.cli.jobs import execute
+from embodichain.cli.train import train_job
 from embodichain.config import resolve
 from embodichain.recording import inspect, verify
 
@@ -58,8 +58,7 @@ def test_what_a_sweeper_gets(tmp_path):
     without = "~task.metrics.success"
     for lines in ([], [without], [without, "eval.episodes=0"]):
         overrides = [*TINY, "eval.episodes=3", "quiet=true", f"output_dir={tmp_path}", *lines]
-        with given(resolve(overrides, "train")):
-            found = job({})
+        found = execute(resolve(overrides, "train"), train_job, ["embodichain", "train"])
         folder = tmp_path / "latest"
         summary = json.loads((folder / "summary.json").read_text())
         assert found == summary["objective"]

@@ -10,15 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
 
 from embodichain.cli import main
-from embodichain.cli.term_entries import SECTION_OF, all_entries
+from embodichain.cli.terms import SECTION_OF, all_entries
 from embodichain.config import compose, validate
 from tests.config.bad_configs import BAD
 from tests.config.conftest import WriteTask, write_task  # noqa: F401  (a fixture)
 from tests.helpers.example_scene import write_task as write_scene
-from tests.lab.gym.mdp.test_examples import ENTRIES, KEYS
+from tests.lab.gym.mdp.test_examples import ENTRIES, example_of
 
 Params = dict[str, Any]
 
@@ -148,9 +147,8 @@ def test_every_term_with_spoiled_parameters(
     terms: dict[str, Params] = {}
     for entry in ENTRIES:
         if kind in entry.kinds:
-            example = yaml.safe_load(entry.doc.example)
-            terms[entry.name] = {k: v for k, v in example.items() if k in KEYS[kind]}
-            terms[entry.name]["params"] = SPOILED[how](example.get("params", {}))
+            terms[entry.name] = example_of(entry, kind)
+            terms[entry.name]["params"] = SPOILED[how](terms[entry.name].get("params", {}))
     lines = ["task=everything", "max_steps=1", "num_envs=2", "seed=1", "quiet=true", "record=none"]
     lines.append(f"output_dir={tmp_path / 'outputs'}")
     write_scene(section, terms, tmp_path / "all")

@@ -62,6 +62,16 @@ def test_gains_that_events_draw_count(write_task: WriteTask) -> None:
     assert drawn["Joint2"] == pytest.approx(calm["Joint2"], rel=0.1)
 
 
+def test_gains_drawn_by_randomize_count_too(write_task: WriteTask) -> None:
+    path = write_task(INIT, INIT + LIMITED)
+    text = path.read_text()
+    path.write_text(text.replace("events:\n", DRAW))
+    alias = armature()
+    draw = DRAW.replace("randomize_actuator_gains", "randomize").replace("entity_cfg", "of")
+    path.write_text(text.replace("events:\n", draw.replace("damping_range", "damping")))
+    assert armature() == alias
+
+
 def test_show_lists_it_with_speeds(
     write_task: WriteTask, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -27,8 +27,9 @@ def test_a_resolved_config_cannot_change(write_task: WriteTask) -> None:
     before = dump_yaml(resolved.tree)
     with pytest.raises(TypeError):
         resolved.tree["task"]["robot"]["uid"] = "other"  # type: ignore[index]
-    resolved.root.task.objects.clear()
-    resolved.env_cfg.robot = None
+    cfg = resolved.env_cfg
+    cfg.robot = None
+    cfg.objects.clear()
     assert dump_yaml(resolved.tree) == before
     assert list(resolved.env_cfg.objects) == ["ball", "box"]
 

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from embodichain.config import adopt, claim, find_run, resolve, thaw, write_record
-from embodichain.config.run_folder import write_atomically
+from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError
 from tests.config.conftest import WriteTask
 
@@ -98,14 +98,14 @@ def test_a_full_disk_is_said_loudly(write_task: WriteTask, monkeypatch: pytest.M
 
 def test_a_failed_write_keeps_the_old_file(monkeypatch: pytest.MonkeyPatch) -> None:
     path = Path("summary.json")
-    write_atomically(path, "old")
+    write_text(path, "old")
 
     def fails(descriptor: int) -> None:
         raise OSError(5, "Input/output error")
 
     monkeypatch.setattr(os, "fsync", fails)
     with pytest.raises(OSError, match="Input/output error"):
-        write_atomically(path, "new")
+        write_text(path, "new")
     assert path.read_text() == "old"
     assert [p.name for p in Path().glob("*summary*")] == ["summary.json"]
 

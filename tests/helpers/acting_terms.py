@@ -46,6 +46,7 @@ _PARAMS: dict[str, dict[str, Any]] = {
     "link_pose": {**LINKS, "to_matrix": True, "in_root_frame": True},
     "link_velocity": {**LINKS, "in_root_frame": True},
     "get_rigid_object_velocity": CUBE,
+    "velocity": CUBE,
     "get_robot_eef_pose": {},
     "target_position": {"target_pose_key": "target_pose"},
     "orientation": CUBE,

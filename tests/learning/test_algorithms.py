@@ -8,8 +8,12 @@ import torch
 
 from embodichain.config.algorithms import AnyAlgoCfg
 from embodichain.learning import algorithms
-from embodichain.learning.algorithms import algorithm_class, build_algorithm, check_arguments
-from embodichain.learning.schedules import action_noise
+from embodichain.learning.algorithms import (
+    action_noise,
+    algorithm_class,
+    build_algorithm,
+    check_arguments,
+)
 from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.utils.errors import ConfigError
 from tests.learning.counting import CountingEnv

@@ -9,7 +9,6 @@ from PIL import Image
 from stable_baselines3.common.logger import CSVOutputFormat
 
 from embodichain.cli import main
-from embodichain.learning.axes import set_axes
 from embodichain.learning.comparison import (
     RETURN,
     SUCCESS,
@@ -18,7 +17,7 @@ from embodichain.learning.comparison import (
     group_runs,
     read_run,
 )
-from embodichain.learning.plots import plot_curves
+from embodichain.learning.plots import plot_curves, set_axes
 from embodichain.learning.statistics import bootstrap
 from embodichain.utils.errors import ConfigError
 

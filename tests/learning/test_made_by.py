@@ -3,8 +3,7 @@
 import gymnasium as gym
 import pytest
 
-from embodichain.learning.checkpoint import read_note
-from embodichain.learning.made_by import made_by
+from embodichain.learning.checkpoint import made_by, read_note
 
 NAMES = {
     "ppo": "stable_baselines3.PPO",

@@ -6,7 +6,7 @@ import json
 import pytest
 
 from embodichain.config import resolve
-from embodichain.learning import wandb_log
+from embodichain.learning import train_logs
 from embodichain.learning.train import check_training, train
 from embodichain.utils.errors import ConfigError, EmbodichainError
 
@@ -69,7 +69,7 @@ def test_the_environment_variable_turns_online_into_offline(tmp_path, monkeypatc
     cfg = resolve([*TINY, "wandb.mode=online", "wandb.name=mine"], "train").root.wandb
     with (
         pytest.raises(RuntimeError, match="broken"),
-        wandb_log.wandb_writers(cfg, tmp_path, {"seed": 1}),
+        train_logs.wandb_writers(cfg, tmp_path, {"seed": 1}),
     ):
         raise RuntimeError("broken")
     found = list(records(tmp_path))
@@ -81,7 +81,7 @@ def test_without_a_login_online_is_one_clear_error(tmp_path):
     cfg = resolve([*TINY, "wandb.mode=online"], "train").root.wandb
     with (
         pytest.raises(EmbodichainError, match=r"Weights & Biases: .*wandb\.mode=offline"),
-        wandb_log.wandb_writers(cfg, tmp_path, {}),
+        train_logs.wandb_writers(cfg, tmp_path, {}),
     ):
         pass
 
@@ -97,6 +97,6 @@ def test_a_missing_package_is_named_before_anything_runs(monkeypatch):
 
 
 def test_nothing_happens_unless_it_is_asked_for(tmp_path):
-    with wandb_log.wandb_writers(resolve([*TINY], "train").root.wandb, tmp_path, {}) as writers:
+    with train_logs.wandb_writers(resolve([*TINY], "train").root.wandb, tmp_path, {}) as writers:
         assert writers == ()
     assert not (tmp_path / "wandb").exists()

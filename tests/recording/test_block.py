@@ -2,10 +2,12 @@
 
 import numpy as np
 import pytest
+import zstandard
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from embodichain.recording.block import ArrayKind, CallKind, pack_run, unpack_run
 from embodichain.recording.log_error import DamageError
+from embodichain.recording.packing import load, store
 from embodichain.recording.schema import descriptor_set, scalars_class, scalars_descriptor_set
 
 N, MOVED, NSTATE = 3, 5, 9
@@ -82,6 +84,45 @@ def test_equal_arrays_are_stored_once():
     assert other - same == pytest.approx(50 * N * 2 * 8, abs=8)
 
 
+def test_an_array_that_differs_in_few_numbers_from_another_is_read_as_it_was_written():
+    made = steps(50)
+    for step in made:
+        step[5][0] = step[0][0].copy()
+        step[5][0][1, 1] = np.nan
+    data = pack_run(0, KINDS, made)
+    assert len(data) < len(pack_run(0, KINDS, steps(50, actions_differ=True))) + 50
+    run = unpack(data)
+    expected = np.stack([step[5][0] for step in made])
+    assert run.calls[5].arrays["action"].tobytes() == expected.tobytes()
+    written = run.calls[0].arrays["values"]
+    assert written.tobytes() == np.stack([step[0][0] for step in made]).tobytes()
+    assert len(zstandard.compress(data)) < len(data) - 50 * N * 2 * 6
+
+
+def test_equal_bytes_of_another_type_are_another_array():
+    types = [("<f8", (12,)), ("|b1", (96,)), ("<i8", (12,)), ("<f8", (12,))]
+    places, parts = store([(dtype, bytes(96)) for dtype, _ in types])
+    stored = memoryview(b"".join(parts))
+    for (dtype, shape), place in zip(types, places, strict=True):
+        found = load("a", dtype, shape, place, stored)
+        assert found.dtype == dtype and not found.any()
+    assert places[0] == places[3]
+
+
+@pytest.mark.parametrize("special", [0.0, -0.0, np.inf, np.nan, 1e-40, 1e300, 0.1])
+def test_float32_values_take_half_the_bytes_and_come_back_as_they_were(special):
+    made = steps(50)
+    for step in made:
+        step[0][0] = step[0][0].astype(np.float32).astype(np.float64)
+        step[0][0][2, 1] = special
+    data = pack_run(0, KINDS, made)
+    expected = np.stack([step[0][0] for step in made])
+    assert unpack(data).calls[0].arrays["values"].tobytes() == expected.tobytes()
+    saved = len(pack_run(0, KINDS, steps(50, actions_differ=True))) - len(data)
+    single = special not in (1e-40, 1e300, 0.1)
+    assert saved == pytest.approx(50 * N * 2 * 4 if single else 0, abs=30)
+
+
 def test_the_schema_in_the_file_decodes_a_run():
     files = descriptor_pb2.FileDescriptorSet.FromString(descriptor_set("embodichain.Steps"))
     pool = descriptor_pool.DescriptorPool()
@@ -91,6 +132,7 @@ def test_the_schema_in_the_file_decodes_a_run():
     made = steps(4)
     message = cls.FromString(pack_run(9, KINDS, made))
     rows = message.calls[1].arrays[0]
+    assert not rows.single and not rows.differs
     found = np.frombuffer(message.data, rows.dtype, 4 * N * MOVED, rows.offset)
     assert found.tolist() == np.stack([step[1][0] for step in made]).ravel().tolist()
 

@@ -3,7 +3,7 @@ import json
 import numpy as np
 import pytest
 
-from embodichain.cli.dispatch import main
+from embodichain.cli import main
 from embodichain.recording import RecordOptions, diff
 from embodichain.recording.block import pack_run
 from embodichain.recording.log_error import LogError

@@ -103,3 +103,12 @@ def test_a_file_that_was_removed_is_noticed(tmp_path):
     with pytest.raises(FileNotFoundError, match="removed while it was written"):
         log.flush()
     log.close()
+
+
+def test_a_message_that_no_reader_would_unpack_is_not_written(tmp_path, monkeypatch):
+    monkeypatch.setattr("embodichain.recording.log_file._LARGEST_MESSAGE", 1000)
+    log = start(tmp_path / "log.mcap")
+    log.write(TOPIC, 1, bytes(1000))
+    with pytest.raises(OSError, match="a message of 1001 bytes fits into no chunk"):
+        log.write(TOPIC, 2, bytes(1001))
+    log.close()

@@ -3,7 +3,7 @@ import json
 import pytest
 
 import embodichain.recording as recording
-from embodichain.cli.dispatch import main
+from embodichain.cli import main
 
 
 @pytest.mark.parametrize(

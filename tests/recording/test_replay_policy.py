@@ -10,8 +10,8 @@ import yaml
 
 import embodichain
 import embodichain.recording as recording
-from embodichain.cli import replay
-from embodichain.cli.policies import policy_of
+from embodichain.cli.app import call
+from embodichain.cli.attach import policy_of
 from embodichain.config import make_env, resolve
 from embodichain.config.frozen import dump_yaml
 from embodichain.recording import McapRecorder, verify
@@ -44,7 +44,7 @@ def path(tmp_path_factory):
 
 
 def compared(path, capsys, *options):
-    assert replay.main([str(path), "--policy", *options, "--json"]) == 0
+    assert call(["replay", str(path), "--policy", *options, "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
 
@@ -68,7 +68,7 @@ def test_another_policy_begins_alike_and_ends_elsewhere(path, capsys):
 
 
 def test_a_table_for_people(path, capsys):
-    assert replay.main([str(path), "--policy", "random", "--env", "0"]) == 0
+    assert call(["replay", str(path), "--policy", "random", "--env", "0"]) == 0
     out = capsys.readouterr().out
     assert "recorded_return" in out and "mean return" in out
 
@@ -86,14 +86,14 @@ def test_nothing_that_a_log_names_is_imported(path, tmp_path, capsys):
 
     evil = rewrite(path, tmp_path / "evil.mcap", attachment=attachment)
     with pytest.raises(ConfigError, match="evil_module_of_a_log"):
-        replay.main([str(evil), "--policy", "zero"])
+        call(["replay", str(evil), "--policy", "zero"])
 
 
 def test_what_cannot_be_compared(path, record):
     with pytest.raises(ConfigError, match="nothing to compare"):
-        replay.main([str(path), "--policy", "zero", "--episode", "7"])
+        call(["replay", str(path), "--policy", "zero", "--episode", "7"])
     with pytest.raises(ConfigError, match="holds no config"):
-        replay.main([str(record()), "--policy", "zero"])
+        call(["replay", str(record()), "--policy", "zero"])
 
 
 def test_one_environment_alone_verifies_with_any_number_of_threads(path):

@@ -9,7 +9,7 @@ import pytest
 import zstandard
 
 import embodichain.recording as recording
-from embodichain.cli.dispatch import main
+from embodichain.cli import main
 from embodichain.recording import inspect, verify
 from embodichain.recording.attachments import MODEL as MODEL_FILE
 from embodichain.recording.attachments import load_mjb, model_bytes, model_digest, unpack_model

@@ -24,7 +24,7 @@ _action(
     summary="Joint position targets around the initial position, for learners: Isaac Lab's "
     "JointPositionAction with ``use_default_offset: true``.",
     options=_AFFINE,
-    defaults={"clip": [-1.0, 1.0]},
+    defaults={"clip": (-1.0, 1.0)},
     fixed={"centre": "home"},
     example="{func: default_offset_joint_position, params: {entity_cfg: {uid: ur10}, scale: 0.6}}",
 )
@@ -34,7 +34,7 @@ _action(
     "DeltaQposTerm, Isaac Lab's RelativeJointPositionAction, applied once a control step.",
     params={**_JOINTS, "reference": "centre"},
     options=_AFFINE,
-    defaults={"reference": "qpos", "clip": [-1.0, 1.0]},
+    defaults={"reference": "qpos", "clip": (-1.0, 1.0)},
     hints={"reference": Literal["qpos", "target"]},
     example="{func: relative_joint_position, params: {entity_cfg: {uid: ur10}, scale: 0.05}}",
 )
@@ -50,7 +50,7 @@ _action(
     "joint_velocity",
     summary="Joint velocity targets: EmbodiChain's QvelTerm, Isaac Lab's JointVelocityAction.",
     options=_AFFINE,
-    defaults={"clip": [-1.0, 1.0]},
+    defaults={"clip": (-1.0, 1.0)},
     fixed={"control": "velocity"},
     example="{func: joint_velocity, params: {entity_cfg: {uid: ur10}, scale: {'Joint.*': 0.5}}}",
 )
@@ -58,7 +58,7 @@ _action(
     "joint_effort",
     summary="Joint efforts: EmbodiChain's QfTerm, Isaac Lab's JointEffortAction.",
     options=_AFFINE,
-    defaults={"clip": [-1.0, 1.0]},
+    defaults={"clip": (-1.0, 1.0)},
     fixed={"control": "effort"},
     example="{func: joint_effort, params: {entity_cfg: {uid: ur10}, scale: 10.0, clip: [-1, 1]}}",
 )

@@ -15,7 +15,8 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.gym.envs.cfg import TermCfg
-from embodichain.lab.gym.envs.managers.check import SECTIONS, check_term
+from embodichain.lab.gym.envs.managers.check import check_term
+from embodichain.lab.gym.envs.managers.registry import SECTIONS
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
@@ -72,11 +73,11 @@ def _terms(section: str, terms: Mapping[str, TermCfg]) -> dict[str, Any]:
 
 
 def _term(section: str, cfg: TermCfg) -> dict[str, Any]:
-    spec, given, _ = check_term(SECTIONS[section], cfg, section)
+    checked, _ = check_term(SECTIONS[section], cfg, section)
     params = dict(cfg.params)
-    if spec is not None:
-        defaults = {name: p.default for name, p in spec.params.items() if p.default is not p.empty}
-        params = defaults | given
+    if checked is not None:
+        known = checked.spec.params.items()
+        params = {n: p.default for n, p in known if p.default is not p.empty} | checked.values
     others = {f.name for f in dataclasses.fields(cfg)} - {"func", "params"}
     fields = {name: getattr(cfg, name) for name in sorted(others)}
     return {"func": cfg.func, **fields, "params": params}

@@ -246,7 +246,7 @@ class ArticulationCfg(ObjectBaseCfg):
     """Friction and collision of all links (an MJCF file's friction stays unless changed here); mass
     and inertia come from the file."""
     fix_base: bool = True
-    """Whether the root stands still, whatever the file says; False gives it a free joint."""
+    """Whether the root is fixed, whatever the file says; False gives it a free joint."""
     disable_self_collision: bool = True
     init_qpos: Any = None
     """(D,) values or {joint regex: value}, rad or m; None is the file's keyframe, else zeros moved
@@ -357,7 +357,7 @@ class LightCfg(ObjectBaseCfg):
 
 @configclass
 class MarkerCfg:
-    """A coordinate frame drawn for people. Drawing it is left to the viewers."""
+    """A coordinate frame that viewers may draw."""
 
     name: str = "marker"
     marker_type: str = "axis"

@@ -9,7 +9,10 @@ from pydantic import ValidatorFunctionWrapHandler, WrapValidator
 
 from embodichain.utils.configclass import configclass
 
-__all__ = ["FileFirst", "Gain", "JointDrivePropertiesCfg", "PerJoint"]
+__all__ = ["NO_LIMIT", "FileFirst", "Gain", "JointDrivePropertiesCfg", "PerJoint"]
+
+NO_LIMIT = 1e9
+"""Efforts and speeds at least this large are no limits (EmbodiChain's default is 1e10)."""
 
 PerJoint = float | dict[str, float]
 """One value for all joints, or values keyed by joint-name regex or control-part name."""
@@ -20,7 +23,7 @@ class FileFirst(float):
 
 
 def _kept(value: Any, validate: ValidatorFunctionWrapHandler) -> Any:
-    """What stands for "not given" still does in a config that was read back from a dict."""
+    """Keep the mark of a value that was not given when a config is read back from a dict."""
     return value if isinstance(value, FileFirst) else validate(value)
 
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation
     from embodichain.lab.sim.compiler.chatter import DriveChange, PhysicsStep
     from embodichain.lab.sim.compiler.scene import CompiledScene
-    from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
+    from embodichain.lab.sim.compiler.scene_sensors import SensorPlan
 
 __all__ = ["PreparedScene"]
 

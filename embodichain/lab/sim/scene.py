@@ -17,7 +17,7 @@ from embodichain.lab.sim.cfg import (
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_articulation
 from embodichain.lab.sim.compiler.chatter import DriveChange, physics_step
 from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
-from embodichain.lab.sim.compiler.sensor_plans import plan_sensor
+from embodichain.lab.sim.compiler.scene_sensors import plan_sensor
 from embodichain.lab.sim.engine.base import Engine
 from embodichain.lab.sim.host import Host
 from embodichain.lab.sim.objects.articulation import Articulation
@@ -25,12 +25,13 @@ from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.prepared_scene import PreparedScene
-from embodichain.lab.sim.sensors.base import BaseSensor
-from embodichain.lab.sim.sensors.camera_cfg import CameraCfg, no_camera
-from embodichain.lab.sim.sensors.cfg import SensorCfg
-from embodichain.lab.sim.sensors.contact import ContactSensor
-from embodichain.lab.sim.sensors.force_torque import ForceTorqueSensor
-from embodichain.lab.sim.sensors.imu import ImuSensor
+from embodichain.lab.sim.sensors.cfg import CameraCfg, SensorCfg, no_camera
+from embodichain.lab.sim.sensors.sensor_handles import (
+    BaseSensor,
+    ContactSensor,
+    ForceTorqueSensor,
+    ImuSensor,
+)
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["Entity", "Scene"]

@@ -24,16 +24,15 @@ from embodichain.lab.sim.compiler.chatter import DriveChange
 from embodichain.lab.sim.compiler.scene import CompiledScene
 from embodichain.lab.sim.device import check_device
 from embodichain.lab.sim.engine.cpu import CpuEngine
-from embodichain.lab.sim.initial_state import entity_columns, initial_row
+from embodichain.lab.sim.entity_columns import entity_columns
 from embodichain.lab.sim.objects._arrays import as_env_ids
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.scene import Entity, Scene
-from embodichain.lab.sim.sensors.base import BaseSensor
-from embodichain.lab.sim.sensors.camera_cfg import CameraCfg
-from embodichain.lab.sim.sensors.cfg import SensorCfg
+from embodichain.lab.sim.sensors.cfg import CameraCfg, SensorCfg
+from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.lab.sim.upstream_members import UpstreamMembers
 
 if TYPE_CHECKING:
@@ -50,6 +49,10 @@ class SimulationManager(UpstreamMembers):
     Args:
         cfg: How the simulation runs.
 
+    Attributes:
+        robots, articulations, rigid_objects, lights, sensors: What was added, by uid;
+            `articulations` are those that are no robots.
+
     Raises:
         DeviceError: If the device is unknown or has no engine here.
     """
@@ -60,6 +63,11 @@ class SimulationManager(UpstreamMembers):
         self.num_envs = int(self.sim_config.num_envs)
         super().__init__()
         self._scene = Scene(self.sim_config, self)
+        self.robots = self._scene.robots
+        self.articulations = self._scene.articulations
+        self.rigid_objects = self._scene.rigid_objects
+        self.lights = self._scene.lights
+        self.sensors = self._scene.sensors
         self._destroyed = False
         self._engine: CpuEngine | None = None
         self._initial_row: F64 = np.zeros(0)
@@ -132,31 +140,6 @@ class SimulationManager(UpstreamMembers):
 
     # -- finding -------------------------------------------------------------------------------
 
-    @property
-    def robots(self) -> dict[str, Robot]:
-        """Robots by uid."""
-        return self._scene.robots
-
-    @property
-    def articulations(self) -> dict[str, Articulation]:
-        """Articulations that are no robots, by uid."""
-        return self._scene.articulations
-
-    @property
-    def rigid_objects(self) -> dict[str, RigidObject]:
-        """Rigid objects by uid."""
-        return self._scene.rigid_objects
-
-    @property
-    def lights(self) -> dict[str, Light]:
-        """Lights by uid."""
-        return self._scene.lights
-
-    @property
-    def sensors(self) -> dict[str, BaseSensor]:
-        """Sensors by uid."""
-        return self._scene.sensors
-
     def get_robot(self, uid: str | None = None) -> Robot | None:
         """A robot by uid (None if absent); without a uid, the only one."""
         if uid is None:
@@ -208,6 +191,11 @@ class SimulationManager(UpstreamMembers):
         """Everything that has a name, ``default_plane`` included."""
         return self._scene.uids
 
+    @property
+    def has_non_static_rigid_object(self) -> bool:
+        """Whether a rigid object can move."""
+        return any(obj.cfg.body_type != "static" for obj in self.rigid_objects.values())
+
     # -- compiling -----------------------------------------------------------------------------
 
     @property
@@ -244,8 +232,7 @@ class SimulationManager(UpstreamMembers):
             return
         cfg, scene = self.sim_config, self._scene.compile()
         self._engine = CpuEngine(scene.model, self.num_envs, cfg.num_threads, cfg.persistent)
-        parsed = [articulation.parsed for articulation in self._scene.jointed.values()]
-        self._initial_row = initial_row(self._engine, scene, parsed)
+        self._initial_row = scene.initial_row
         self._engine.write("row", self._initial_row)
         self._scene.bind(self._engine)
 
@@ -378,9 +365,6 @@ class SimulationManager(UpstreamMembers):
             self.rigid_objects[uid].load_state_dict(properties)
         for uid, light in state.get("lights", {}).items():  # states of older releases have none
             self.lights[uid].load_state_dict(light)
-
-    def init_gpu_physics(self) -> None:
-        """Do nothing: there is no GPU engine yet, and the CPU's needs no start."""
 
     def enable_physics(self, enable: bool = True) -> None:
         """Switch physics on or off; while it is off, `update` takes no steps.

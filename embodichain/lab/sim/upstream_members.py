@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import logging
 import weakref
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Self, cast
 
 from embodichain.lab.sim.unavailable import not_available
@@ -17,14 +18,60 @@ if TYPE_CHECKING:
 __all__ = ["UpstreamMembers"]
 
 _log = logging.getLogger(__name__)
-_ENGINE = "the engine is MuJoCo's: model and data are scene.model and engine.rows"
-_GIZMO = "gizmos are not available"
-_TEXTURES = "textures are compiled into the model"
-_WINDOW = "the log of a run holds it: record=full, then `embodichain replay last --video FILE`"
-
-
 _instances: dict[int, weakref.ref[Any]] = {}
 """Simulations of this process by `instance_id`, while they live."""
+
+_SOFT, _CLOTH = "soft bodies are not available", "cloth is not available"
+_GROUP, _GIZMO = "object groups are not available", "gizmos are not available"
+_TEXTURE, _MATERIAL = "textures are compiled into the model", "declare visual_material"
+_LIGHT, _WELD = "MuJoCo has none; add lights", "welds come later"
+_ENGINE = "the engine is MuJoCo's: model and data are scene.model and engine.rows"
+_WINDOW = "the log of a run holds it: record=full, then `embodichain replay last --video FILE`"
+
+_ANSWERS: dict[str, tuple[Any, str]] = {
+    "flush_cleanup_queue": (None, "`destroy` frees at once"),
+    "wait_scene_destruction": (None, "`destroy` frees at once"),
+    "init_gpu_physics": (None, "there is no GPU engine yet, and the CPU's needs no start"),
+    "set_default_background": (None, "the background is MuJoCo's sky and ground plane"),
+    "get_soft_object": (None, _SOFT),
+    "get_soft_object_uid_list": ([], _SOFT),
+    "get_cloth_object": (None, _CLOTH),
+    "get_cloth_object_uid_list": ([], _CLOTH),
+    "get_rigid_object_group": (None, _GROUP),
+    "get_rigid_object_group_uid_list": ([], _GROUP),
+    "has_gizmo": (False, _GIZMO),
+    "get_gizmo": (None, _GIZMO),
+    "list_gizmos": ({}, _GIZMO),
+    "update_gizmos": (None, _GIZMO),
+    "is_window_recording": (False, "windows are not recorded"),
+    "get_texture_cache": (None, _TEXTURE),
+}
+"""Method -> what it returns always, and why."""
+
+_REFUSALS = {
+    "add_soft_object": "soft bodies come later",
+    "add_cloth_object": "cloth comes later",
+    "add_rigid_object_group": "add objects one by one",
+    **dict.fromkeys(
+        ("create_visual_material", "get_visual_material", "clean_materials"), _MATERIAL
+    ),
+    **dict.fromkeys(("create_rigid_constraint", "remove_rigid_constraint"), _WELD),
+    "export_usd": "USD is not written",
+    "draw_marker": "add a kinematic object instead",
+    "remove_marker": "no marker can be drawn",
+    **dict.fromkeys(("enable_gizmo", "disable_gizmo", "toggle_gizmo_visibility"), _GIZMO),
+    "set_gizmo_visibility": _GIZMO,
+    "visualize_point_cloud": "point clouds come later",
+    **dict.fromkeys(("set_indirect_lighting", "set_emission_light"), _LIGHT),
+    "set_ground_plane_visibility": "SimulationManagerCfg(ground_plane=False) leaves it out",
+    "set_texture_cache": _TEXTURE,
+    "render_camera_group": "cameras come later",
+    **dict.fromkeys(("get_env", "get_world"), _ENGINE),
+    **dict.fromkeys(("start_window_record", "stop_window_record"), _WINDOW),
+    **dict.fromkeys(("toggle_window_record", "enable_window_record_hotkey"), _WINDOW),
+    "add_custom_window_control": "the window is MuJoCo's viewer",
+}
+"""Method -> why it raises NotImplementedError."""
 
 
 class UpstreamMembers:
@@ -35,7 +82,6 @@ class UpstreamMembers:
     """
 
     device: torch.device
-    rigid_objects: Any
 
     def __init__(self) -> None:
         self.instance_id = max(_instances, default=-1) + 1
@@ -77,14 +123,6 @@ class UpstreamMembers:
         if cls.is_instantiated(instance_id):
             cls.get_instance(instance_id).destroy()
 
-    @staticmethod
-    def flush_cleanup_queue() -> None:
-        """Do nothing: `destroy` frees at once."""
-
-    @staticmethod
-    def wait_scene_destruction(timeout_ms: int = 0) -> None:
-        """Do nothing: `destroy` frees at once."""
-
     @property
     def is_use_gpu_physics(self) -> bool:
         """Whether physics runs on a GPU."""
@@ -100,90 +138,17 @@ class UpstreamMembers:
         if not enable:
             _log.warning("set_manual_update(False): no effect, physics advances in update() only")
 
-    @property
-    def has_non_static_rigid_object(self) -> bool:
-        """Whether a rigid object can move."""
-        return any(obj.cfg.body_type != "static" for obj in self.rigid_objects.values())
 
-    # -- what can be asked, and is never there -----------------------------------------------------
+def _answering(name: str, answer: Any, why: str) -> Callable[..., Any]:
+    def method(*args: Any, **kwargs: Any) -> Any:
+        return answer.copy() if isinstance(answer, (list, dict)) else answer
 
-    def get_soft_object(self, uid: str) -> None:
-        """None: soft bodies are not available."""
+    method.__name__ = name
+    method.__doc__ = f"{answer!r}: {why}."
+    return method
 
-    def get_cloth_object(self, uid: str) -> None:
-        """None: cloth is not available."""
 
-    def get_rigid_object_group(self, uid: str) -> None:
-        """None: object groups are not available."""
-
-    def get_soft_object_uid_list(self) -> list[str]:
-        """Empty: soft bodies are not available."""
-        return []
-
-    def get_cloth_object_uid_list(self) -> list[str]:
-        """Empty: cloth is not available."""
-        return []
-
-    def get_rigid_object_group_uid_list(self) -> list[str]:
-        """Empty: object groups are not available."""
-        return []
-
-    def has_gizmo(self, uid: str, control_part: str | None = None) -> bool:
-        """False: gizmos are not available."""
-        return False
-
-    def get_gizmo(self, uid: str, control_part: str | None = None) -> None:
-        """None: gizmos are not available."""
-
-    def list_gizmos(self) -> dict[str, bool]:
-        """Empty: gizmos are not available."""
-        return {}
-
-    def update_gizmos(self) -> None:
-        """Do nothing: there are no gizmos."""
-
-    def is_window_recording(self) -> bool:
-        """False: windows are not recorded."""
-        return False
-
-    def get_texture_cache(self, key: str | None = None) -> Any:
-        """None: textures are compiled into the model."""
-        return None
-
-    def set_default_background(self) -> None:
-        """Do nothing: the background is MuJoCo's sky and ground plane."""
-
-    # -- what is not available ---------------------------------------------------------------------
-
-    add_soft_object = not_available("add_soft_object", "soft bodies come later")
-    add_cloth_object = not_available("add_cloth_object", "cloth comes later")
-    add_rigid_object_group = not_available("add_rigid_object_group", "add objects one by one")
-    create_visual_material = not_available("create_visual_material", "declare visual_material")
-    get_visual_material = not_available("get_visual_material", "declare visual_material")
-    clean_materials = not_available("clean_materials", "declare visual_material")
-    create_rigid_constraint = not_available("create_rigid_constraint", "welds come later")
-    remove_rigid_constraint = not_available("remove_rigid_constraint", "welds come later")
-    export_usd = not_available("export_usd", "USD is not written")
-    draw_marker = not_available("draw_marker", "add a kinematic object instead")
-    remove_marker = not_available("remove_marker", "no marker can be drawn")
-    enable_gizmo = not_available("enable_gizmo", _GIZMO)
-    disable_gizmo = not_available("disable_gizmo", _GIZMO)
-    toggle_gizmo_visibility = not_available("toggle_gizmo_visibility", _GIZMO)
-    set_gizmo_visibility = not_available("set_gizmo_visibility", _GIZMO)
-    visualize_point_cloud = not_available("visualize_point_cloud", "point clouds come later")
-    set_indirect_lighting = not_available("set_indirect_lighting", "MuJoCo has none; add lights")
-    set_emission_light = not_available("set_emission_light", "MuJoCo has none; add lights")
-    set_ground_plane_visibility = not_available(
-        "set_ground_plane_visibility", "SimulationManagerCfg(ground_plane=False) leaves it out"
-    )
-    set_texture_cache = not_available("set_texture_cache", _TEXTURES)
-    render_camera_group = not_available("render_camera_group", "cameras come later")
-    get_env = not_available("get_env", _ENGINE)
-    get_world = not_available("get_world", _ENGINE)
-    start_window_record = not_available("start_window_record", _WINDOW)
-    stop_window_record = not_available("stop_window_record", _WINDOW)
-    toggle_window_record = not_available("toggle_window_record", _WINDOW)
-    enable_window_record_hotkey = not_available("enable_window_record_hotkey", _WINDOW)
-    add_custom_window_control = not_available(
-        "add_custom_window_control", "the window is MuJoCo's viewer"
-    )
+for _name, (_answer, _why) in _ANSWERS.items():
+    setattr(UpstreamMembers, _name, staticmethod(_answering(_name, _answer, _why)))
+for _name, _why in _REFUSALS.items():
+    setattr(UpstreamMembers, _name, not_available(_name, _why))

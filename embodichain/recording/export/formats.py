@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from embodichain.recording.api import Log
 from embodichain.recording.episodes import LogEpisode
@@ -47,28 +47,27 @@ class Part:
         return range(max(self.start, episode.first_step), stop)
 
 
-@dataclass(frozen=True, slots=True)
-class Format:
-    """A format of files, written by `write(log, part, path)` of the module of its name.
+class Format(NamedTuple):
+    """A format of files.
 
     Attributes:
         suffix: Of the file's name; empty where it is a folder.
-        what: One line.
+        writer: Module of this package and its function ``(log, part, path)``; empty for films.
     """
 
     suffix: str
-    what: str
+    writer: str = ""
 
 
 FORMATS: Mapping[str, Format] = {
-    "csv": Format(".csv", "a table, a row for each step and environment"),
-    "npz": Format(".npz", "numpy arrays (T, N, ...), with names and units of columns"),
-    "parquet": Format(".parquet", "the table of csv, columnar and typed"),
-    "hdf5": Format(".hdf5", "demonstrations in robomimic's layout, one for each episode"),
-    "lerobot": Format("", "a LeRobotDataset v3, with films of the task's cameras"),
-    "rrd": Format(".rrd", "a recording for Rerun: scene, curves, events"),
-    "ros2": Format(".mcap", "a ROS 2 bag: joint states, transforms, robot description"),
-    "mp4": Format(".mp4", "a film of one environment"),
+    "csv": Format(".csv", "tables:write_csv"),
+    "npz": Format(".npz", "tables:write_npz"),
+    "parquet": Format(".parquet", "tables:write_parquet"),
+    "hdf5": Format(".hdf5", "hdf5:write"),
+    "lerobot": Format("", "lerobot:write"),
+    "rrd": Format(".rrd", "rrd:write"),
+    "ros2": Format(".mcap", "ros2:write"),
+    "mp4": Format(".mp4"),
 }
 _PACKAGES = {"rerun": "rerun-sdk"}
 """Packages whose names are others than their modules'."""
@@ -118,10 +117,17 @@ def export(
     part = part or Part()
     log.header.require_states(log.path)
     _require_steps(log, part)
-    module = importlib.import_module(f"embodichain.recording.export.{format}")
-    watching = {"progress": progress, "stop": stop} if format == "mp4" else {}
+    module, _, function = chosen.writer.partition(":")
     with _new_file(path, chosen.suffix) as partial:
-        module.write(log, part, partial, **watching)
+        if module:
+            writing = importlib.import_module(f"embodichain.recording.export.{module}")
+            getattr(writing, function)(log, part, partial)
+        else:
+            from embodichain.recording.film import film_log
+
+            env = part.env if part.env is not None else next(iter(log.header.view_envs), 0)
+            what = env, part.episode, part.start, None if part.stop is None else part.stop - 1
+            film_log(log, partial, *what, progress=progress, stop=stop)
     return path
 
 

@@ -19,7 +19,7 @@ from embodichain.recording.arrays import LogArrays
 from embodichain.recording.episodes import LogEpisode
 from embodichain.recording.export.demonstrations import demonstrations
 from embodichain.recording.export.formats import Part, required
-from embodichain.recording.export.table import about
+from embodichain.recording.export.tables import about
 from embodichain.recording.log_error import LogError
 
 __all__ = ["write"]

@@ -7,24 +7,28 @@ Entities: ``/world/env_I/UID/LINK``, and below ``/env_I``: ``joint_positions``,
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.recording.api import Log
 from embodichain.recording.arrays import LogArrays
-from embodichain.recording.export.formats import Part
-from embodichain.recording.export.rrd_layout import layout
+from embodichain.recording.export.formats import Part, required
 from embodichain.recording.export.rrd_scene import Scene
 from embodichain.recording.export.rrd_stream import Stream
-from embodichain.recording.export.table import about
+from embodichain.recording.export.tables import about
 from embodichain.recording.views.log_lines import event_text
 from embodichain.recording.views.messages import FrameTransforms
 from embodichain.recording.views.motion import scalar_joints
 
 __all__ = ["write"]
+
+_FROM = np.array([1.0, -1.2, 0.8])
+"""Where the eye is, seen from the middle of the scene."""
 
 
 def write(log: Log, part: Part, path: Path) -> None:
@@ -38,7 +42,7 @@ def write(log: Log, part: Part, path: Path) -> None:
     names = [name for name in log.columns if name in fields]
     offsets = _offsets(log) if len(envs) > 1 else {}
     places = np.array([offsets.get(env, np.zeros(3)) for env in envs])
-    stream = Stream(log.header, layout(log.model, envs, places))
+    stream = Stream(log.header, _layout(log.model, envs, places))
     stream.about(about(log))
     stream.log("world", stream.rr.ViewCoordinates.RIGHT_HAND_Z_UP, None)
     for env, place in zip(envs, places, strict=True):
@@ -144,3 +148,47 @@ def _drawn(event: Any, env: int) -> dict[str, NDArray[np.float64]]:
     """What an event drew for an environment."""
     row = env if event.env_ids is None else int(np.flatnonzero(event.env_ids == env)[0])
     return {name: values[row] for name, values in event.drawn.items()}
+
+
+def _layout(model: mujoco.MjModel, envs: Sequence[int], places: NDArray[np.float64]) -> Any:
+    """Return what a viewer shows at first: the scene, beside it joints, reward and what happened.
+
+    Args:
+        model: The scene's model.
+        envs: The environments that are shown; curves are those of the first.
+        places: (n, 3) where each stands, metres.
+
+    Raises:
+        ConfigError: If rerun is not installed.
+    """
+    rrb: Any = required("rerun.blueprint", "rrd")
+    center = np.array(model.stat.center, np.float64) + places.mean(axis=0)
+    size = float(model.stat.extent) + float(np.linalg.norm(np.ptp(places, axis=0)))
+    eye = center + size * _FROM / np.linalg.norm(_FROM)
+    first = f"/env_{envs[0]}"
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Spatial3DView(
+                origin="/world",
+                name="scene",
+                eye_controls=rrb.EyeControls3D(position=eye, look_target=center, eye_up=(0, 0, 1)),
+            ),
+            rrb.Vertical(
+                rrb.TimeSeriesView(
+                    origin=f"{first}/joint_positions", name="joint positions (rad, m)"
+                ),
+                rrb.TimeSeriesView(origin=f"{first}/reward", name="reward"),
+                rrb.Tabs(
+                    rrb.TextLogView(origin=f"{first}/log", name="log"),
+                    rrb.TimeSeriesView(origin=f"{first}/metrics", name="metrics"),
+                    rrb.TimeSeriesView(origin=f"{first}/episode", name="episodes"),
+                    rrb.TimeSeriesView(origin=f"{first}/actions", name="actions"),
+                ),
+                row_shares=[2, 1, 1],
+            ),
+            column_shares=[3, 2],
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline="sim_time"),
+    )

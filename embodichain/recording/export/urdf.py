@@ -6,7 +6,6 @@ the box around it, because a description that is one string cannot carry files.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from xml.etree.ElementTree import Element, SubElement, tostring
 
 import mujoco
@@ -14,17 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.recording.views.motion import frame_names
+from embodichain.recording.views.shapes import Shape, shapes
 from embodichain.utils.math import quat_multiply, quat_rotate
 
 __all__ = ["urdf"]
 
-_SHOWN_GROUPS = 3  # MuJoCo's viewers show geoms of groups 0 to 2
 _ZERO, _UNIT = np.zeros(3), np.array([1.0, 0, 0, 0])
 _HINGE, _SLIDE = int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)
-_SPHERE, _CAPSULE, _CYLINDER, _PLANE = (
-    int(getattr(mujoco.mjtGeom, f"mjGEOM_{kind}"))
-    for kind in ("SPHERE", "CAPSULE", "CYLINDER", "PLANE")
-)
+_SPHERE, _PLANE = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_PLANE)
 
 Floats = NDArray[np.float64]
 
@@ -36,16 +32,16 @@ def urdf(model: mujoco.MjModel, env_id: int) -> str:
         model: The model.
         env_id: The environment, whose name links carry.
     """
-    names = frame_names(model, env_id)
+    names, by_body = frame_names(model, env_id), dict[int, list[Shape]]()
+    for shape in shapes(model):
+        by_body.setdefault(shape.body, []).append(shape)
     robot = Element("robot", name=names[0])
     SubElement(robot, "link", name=names[0])
     for body in range(1, model.nbody):
         link = SubElement(robot, "link", name=names[body])
         _inertial(link, model, body)
-        first = int(model.body_geomadr[body])
-        for geom in range(first, first + int(model.body_geomnum[body])):
-            if int(model.geom_group[geom]) < _SHOWN_GROUPS:
-                _visual(link, model, geom)
+        for shape in by_body.get(body, ()):
+            _visual(link, model, shape)
         _joints(robot, model, body, names)
     text: str = tostring(robot, encoding="unicode")
     return text
@@ -116,36 +112,27 @@ def _inertial(link: Element, model: mujoco.MjModel, body: int) -> None:
     SubElement(inertial, "inertia", ixx=x, iyy=y, izz=z, ixy="0", ixz="0", iyz="0")
 
 
-def _visual(link: Element, model: mujoco.MjModel, geom: int) -> None:
-    pos, quat = model.geom_pos[geom], model.geom_quat[geom]
-    for offset, (tag, attributes) in _shapes(model, geom):
-        visual = SubElement(link, "visual")
-        _origin(visual, pos + quat_rotate(quat, offset), quat)
-        SubElement(SubElement(visual, "geometry"), tag, attributes)
-        material = int(model.geom_matid[geom])
-        rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
-        colour = SubElement(visual, "material", name=f"geom_{geom}")
-        SubElement(colour, "color", rgba=_text(rgba))
-
-
-def _shapes(
-    model: mujoco.MjModel, geom: int
-) -> Iterator[tuple[Floats, tuple[str, dict[str, str]]]]:
-    """Shapes of a geom and where they are in its frame."""
-    kind, size = int(model.geom_type[geom]), model.geom_size[geom]
-    if kind == _PLANE:
+def _visual(link: Element, model: mujoco.MjModel, shape: Shape) -> None:
+    """Add a shape: primitives keep theirs, anything else is the box around it."""
+    radius, _, half = shape.half.tolist()
+    ball = "sphere", {"radius": _number(radius)}
+    if int(model.geom_type[shape.geom]) == _PLANE:
         return
-    if kind == _SPHERE:
-        yield _ZERO, ("sphere", {"radius": _number(size[0])})
-    elif kind in (_CAPSULE, _CYLINDER):
-        round_ = {"radius": _number(size[0])}
-        yield _ZERO, ("cylinder", {**round_, "length": _number(2 * size[1])})
-        if kind == _CAPSULE:
-            for end in (-size[1], size[1]):
-                yield np.array([0, 0, end]), ("sphere", round_)
+    if shape.kind in ("cylinder", "capsule"):
+        rod = "cylinder", {"radius": _number(radius), "length": _number(2 * half)}
+        ends = (-half, half) if shape.kind == "capsule" else ()
+        parts = [(_ZERO, rod), *((np.array([0, 0, end]), ball) for end in ends)]
+    elif int(model.geom_type[shape.geom]) == _SPHERE:
+        parts = [(_ZERO, ball)]
     else:
-        centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
-        yield centre, ("box", {"size": _text(2 * half)})
+        box = model.geom_aabb[shape.geom]
+        parts = [(box[:3], ("box", {"size": _text(2 * box[3:])}))]
+    for offset, (tag, attributes) in parts:
+        visual = SubElement(link, "visual")
+        _origin(visual, shape.pos + quat_rotate(shape.quat, offset), shape.quat)
+        SubElement(SubElement(visual, "geometry"), tag, attributes)
+        colour = SubElement(visual, "material", name=f"geom_{shape.geom}")
+        SubElement(colour, "color", rgba=_text(shape.rgba))
 
 
 def _origin(owner: Element, pos: Floats, quat: Floats) -> None:

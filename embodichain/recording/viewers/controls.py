@@ -1,6 +1,6 @@
-"""`Facts` and `Wishes`: what a run tells the people at a page, and what these ask for.
+"""`Facts` of a step for the page, and the page's `Controls`: plain data between two processes.
 
-Plain data, sent between the run's process and the page's. See `web_page.py` and `web_process.py`.
+See `web_page.py` and `web_process.py`.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-__all__ = ["SPEEDS", "Facts", "Setup", "Wishes"]
+__all__ = ["SPEEDS", "Controls", "Facts", "Setup"]
 
 SPEEDS: tuple[float | None, ...] = (None, 2.0, 1.0, 0.5, 0.25, 0.1)
-"""Multiples of real time; None is as fast as it goes."""
+"""Multiples of real time; None is without limit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,8 +21,8 @@ class Facts:
 
     Attributes:
         step: Number of the control step, from 0.
-        seconds: Since the episode began, of simulated time.
-        lines: What else is to be read, as name and text.
+        seconds: Simulated time since the episode began.
+        lines: Further lines, as name and text.
         rewards: Each term's share of this step's reward: its value times its weight.
         sums: Each term's sum of these over the episode.
     """
@@ -34,22 +34,22 @@ class Facts:
     sums: Mapping[str, float] = field(default_factory=dict)
 
     def plain(self) -> tuple[Any, ...]:
-        """Its values in their order."""
+        """Return the values in order."""
         return self.step, self.seconds, self.lines, self.rewards, self.sums
 
 
 @dataclass(frozen=True, slots=True)
-class Wishes:
-    """What people ask for, and whether anybody is there.
+class Controls:
+    """The state of the page's controls.
 
     Attributes:
         env_id: The environment to show.
         speed: One of `SPEEDS`.
-        paused: Whether to wait.
+        paused: Whether the run waits.
         watched: Whether a browser has the page open.
-        steps: How often a single step was asked for.
-        resets: How often a reset was asked for; the last time, of `reset_env`.
-        reset_env: See there.
+        steps: How often a single step was requested.
+        resets: How often a reset was requested.
+        reset_env: The environment of the last reset.
     """
 
     env_id: int = 0
@@ -63,15 +63,15 @@ class Wishes:
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """How a page begins.
+    """The initial state of a page.
 
     Attributes:
         host: The address to listen on.
         port: The port; None is the first free one from 8080.
         title: Of the page and its panel.
         num_envs: How many environments can be chosen from.
-        can_reset: Whether a reset may be asked for.
-        wishes: What is asked for at first.
+        can_reset: Whether resets may be requested.
+        controls: The initial controls.
     """
 
     host: str
@@ -79,4 +79,4 @@ class Setup:
     title: str
     num_envs: int
     can_reset: bool
-    wishes: Wishes
+    controls: Controls

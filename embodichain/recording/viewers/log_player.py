@@ -1,21 +1,114 @@
-"""`play_log`: recorded states on a screen, at the speed of the clock, again and again."""
+"""`play_log`: recorded states on a screen, in real time: MuJoCo's window here, or a `WebPage`."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING, Protocol
 
+from embodichain.lab.sim.viewer import NativeViewer
 from embodichain.recording.api import Log
 from embodichain.recording.playback import Playback, Span, span_of
 from embodichain.recording.viewers.controls import Facts
-from embodichain.recording.viewers.log_screens import Screen
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["play_log"]
+if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.cpu import CpuEngine
 
-_NAP = 0.05
+__all__ = ["NativeScreen", "Screen", "play_log"]
+
+_NAP, _TICK = 0.05, 0.02
 _AT_THE_END = 1.0
-"""Seconds until it begins again."""
+"""Seconds until it starts again."""
+_SPACE = 32
+
+
+class Screen(Protocol):
+    """Where a log is shown."""
+
+    @property
+    def env_id(self) -> int:
+        """The chosen environment."""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether it makes sense to go on."""
+
+    @property
+    def watched(self) -> bool:
+        """Whether it is looked at now."""
+
+    def begin(self, engine: CpuEngine) -> None:
+        """Show this engine's environment from now on, as its model looks now."""
+
+    def show(self, row: F64, facts: Facts) -> None:
+        """Show the engine's state, (nstate,)."""
+
+    def pace(self, seconds: float) -> None:
+        """Wait for the next step, and while paused."""
+
+    def close(self) -> None:
+        """Show nothing any more."""
+
+
+class NativeScreen:
+    """MuJoCo's window; the space bar pauses, and lets go on.
+
+    Args:
+        env_id: The environment, for the log.
+        stopped: Whether to wait no longer.
+    """
+
+    def __init__(self, env_id: int, stopped: Callable[[], bool] = lambda: False) -> None:
+        self.env_id = env_id
+        self._stopped = stopped
+        self._window: NativeViewer | None = None
+        self._paused = False
+        self._due = time.monotonic()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the window was not closed."""
+        return self._window is None or self._window.is_running
+
+    @property
+    def watched(self) -> bool:
+        """A window is always looked at."""
+        return True
+
+    def begin(self, engine: CpuEngine) -> None:
+        """Open the window; its model stays the first one.
+
+        Raises:
+            RenderError: If there is no display.
+        """
+        if self._window is None:
+            self._window = NativeViewer(engine, 0, self._on_key)
+        self._window.follow(engine)
+
+    def show(self, row: F64, facts: Facts) -> None:
+        """Show the engine's state."""
+        if self._window is not None:
+            self._window.sync()
+
+    def pace(self, seconds: float) -> None:
+        """Wait for the clock, and while it is paused."""
+        self._due = max(self._due + seconds, time.monotonic())
+        while self.is_open and not self._stopped():
+            left = self._due - time.monotonic()
+            if left <= 0 and not self._paused:
+                return
+            time.sleep(_TICK if self._paused else min(left, _TICK))
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._window is not None:
+            self._window.close()
+
+    def _on_key(self, key: int) -> None:
+        if key == _SPACE:
+            self._paused = not self._paused
 
 
 def play_log(
@@ -27,9 +120,9 @@ def play_log(
     speed: float = 1.0,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Play a log until the screen is closed, or somebody says to stop; begins anew at the end.
+    """Play a log until the screen is closed or `stopped` says so; starts again at the end.
 
-    Nothing is played while nobody looks. When people choose another environment, it goes on with
+    It waits while the screen is not watched. When another environment is chosen, it continues with
     that one, at the same step.
 
     Args:
@@ -102,7 +195,7 @@ class _Player:
 
 
 def _sampled(log: Log, env: int, prefix: str) -> dict[int, dict[str, float]]:
-    """Numbers of each reward term in the steps where they were sampled; none if nobody viewed."""
+    """Numbers of each reward term in the sampled steps; none if it was not viewed."""
     if env not in log.header.view_envs:
         return {}
     steps, values = log.metrics(env)
@@ -112,7 +205,7 @@ def _sampled(log: Log, env: int, prefix: str) -> dict[int, dict[str, float]]:
 
 
 def _wait(seconds: float | None, screen: Screen, stopped: Callable[[], bool]) -> None:
-    """Wait for a while, or with None until somebody looks."""
+    """Wait for a while, or with None until the screen is watched."""
     end = None if seconds is None else time.monotonic() + seconds
     while screen.is_open and not stopped():
         if screen.watched if end is None else time.monotonic() >= end:

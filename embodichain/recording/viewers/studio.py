@@ -137,7 +137,7 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
             raise RuntimeError(f"requests to MuJoCo {mujoco.__version__}'s viewer are not checked")
 
     def prepare_next_frame(self) -> bool:
-        """Draw only for somebody."""
+        """Draw only for an open page."""
         if not self.guard.connections:
             time.sleep(_IDLE_SECONDS)
             return False

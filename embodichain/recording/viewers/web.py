@@ -1,6 +1,6 @@
 """`WebView`: a running environment on MuJoCo Studio's page, as an observer of its steps.
 
-The page is `web_page.py`'s. While nobody has it open, a step costs a look at the clock.
+The page is `web_page.py`'s. Without a browser, a step costs the test of a flag.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _FACTS_INTERVAL = 1.0 / 20.0
 
 
 class WebView(StepObserver):
-    """Serves a page on which people look at one environment, pause, step and reset it.
+    """Serves a page that shows one environment, with buttons for pause, step and reset.
 
     Attach it with `env.add_observer`; closing the environment closes it.
 
@@ -35,8 +35,8 @@ class WebView(StepObserver):
         host: The address to listen on.
         port: The port; None is the first free one from 8080.
         env_id: Which of the N is shown first.
-        realtime: Whether the run keeps to the clock while somebody looks; people can change it.
-        resets: Whether people may end episodes, as truncated.
+        realtime: Whether the run first keeps to the clock while the page is open.
+        resets: Whether the page may end episodes, as truncated.
         stopped: Whether the run was told to stop: a pause ends then.
         title: Of the page.
 
@@ -75,7 +75,7 @@ class WebView(StepObserver):
 
     @property
     def watched(self) -> bool:
-        """Whether somebody has the page open."""
+        """Whether a browser has the page open."""
         return self._page.watched
 
     def on_write(self, env: ObservedEnv, write: Write) -> None:
@@ -89,7 +89,7 @@ class WebView(StepObserver):
             self._show(env)
 
     def on_step(self, env: ObservedEnv, step: StepRecord) -> None:
-        """Do what people ask for; show the new state, if a picture is due."""
+        """Apply the controls; show the new state if a picture is due."""
         page = self._page
         if not page.watched:
             return
@@ -110,7 +110,7 @@ class WebView(StepObserver):
         self._page.close()
 
     def _show(self, env: ObservedEnv, told: bool = True) -> None:
-        """Send the current state of the environment that people want to see."""
+        """Send the current state of the chosen environment."""
         chosen = self._page.env_id
         if chosen != self._env_id or self._restyled:
             self._env_id, self._restyled = chosen, False

@@ -1,7 +1,7 @@
-"""`WebPage`: one model on MuJoCo Studio's page, for whoever has rows of state to show.
+"""`WebPage`: shows rows of state of one model on MuJoCo Studio's page.
 
-It knows no environment: `web.py` shows a running one with it, `replay --view` a log. The page
-itself is another process, `web_process.py`.
+`web.py` shows a running environment with it, `replay --view` a log. The page itself is served by
+another process, `web_process.py`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.engine.base import F64
-from embodichain.recording.viewers.controls import Facts, Setup, Wishes
+from embodichain.recording.viewers.controls import Controls, Facts, Setup
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ LOOKS = (
 
 
 class WebPage:
-    """A page that shows one of several environments; nobody is waited for while nobody looks.
+    """A page that shows one of several environments; without a browser nothing waits for it.
 
     Args:
         model: The model of the environment that is shown first.
@@ -58,9 +58,9 @@ class WebPage:
         title: Of the page and its panel.
         num_envs: How many environments can be chosen from.
         env_id: The one shown first.
-        realtime: Whether `pace` keeps to the clock first; people can change it.
-        resets: Whether people may ask for a reset.
-        stopped: Whether to wait for nobody any more.
+        realtime: Whether `pace` first keeps to the clock.
+        resets: Whether resets may be requested.
+        stopped: Whether to end all waiting.
 
     Attributes:
         url: Where the page is.
@@ -84,12 +84,12 @@ class WebPage:
         resets: bool = True,
         stopped: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._wishes = Wishes(env_id=env_id, speed=1.0 if realtime else None)
+        self._controls = Controls(env_id=env_id, speed=1.0 if realtime else None)
         self._stopped = stopped
         self._looks = _looks_of(model)
         self._taken_steps = self._taken_resets = 0
         self._due: float | None = None
-        setup = Setup(host, port, title, num_envs, resets, self._wishes)
+        setup = Setup(host, port, title, num_envs, resets, self._controls)
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the page
         self._page, self._process = _start(self._errors)
         self._room = select.poll()
@@ -110,18 +110,18 @@ class WebPage:
 
     @property
     def watched(self) -> bool:
-        """Whether somebody has the page open. Cheap: ask before computing what to show."""
-        return self._wishes.watched
+        """Whether a browser has the page open; cheap."""
+        return self._controls.watched
 
     @property
     def env_id(self) -> int:
-        """The environment that people want to see."""
-        return self._wishes.env_id
+        """The chosen environment."""
+        return self._controls.env_id
 
     @property
     def fast(self) -> bool:
         """Whether steps come as fast as they are made: not each is worth showing."""
-        return self._wishes.speed is None
+        return self._controls.speed is None
 
     def begin(self, engine: CpuEngine) -> None:
         """Show states of an engine's environment 0 from now on."""
@@ -150,9 +150,7 @@ class WebPage:
             self._send("state", (np.asarray(row, np.float64).tobytes(), told))
 
     def pace(self, seconds: float, changed: Callable[[], None] = lambda: None) -> None:
-        """Wait as people want it: for the clock, and while they pause. Returns for the next step.
-
-        Does not wait while nobody looks.
+        """Wait for the clock, and while paused, until the next step; not without a browser.
 
         Args:
             seconds: Simulated time between two steps.
@@ -160,30 +158,30 @@ class WebPage:
                 chosen in it.
         """
         shown = -1
-        while self._wishes.paused and self._waits() and not self._take_step():
+        while self._controls.paused and self._waits() and not self._take_step():
             if self.env_id != shown:
                 shown = self.env_id
                 changed()
             time.sleep(_NAP)
-        if not self._wishes.paused:
-            self._taken_steps = self._wishes.steps
-        speed = self._wishes.speed
+        if not self._controls.paused:
+            self._taken_steps = self._controls.steps
+        speed = self._controls.speed
         if speed is None or not self.watched:
             self._due = None
             return
         now = time.monotonic()
         due = now if self._due is None else self._due + seconds / speed
         self._due = due = max(due, now - _LATE)
-        while (left := due - time.monotonic()) > 0 and not self._wishes.paused and self._waits():
+        while (left := due - time.monotonic()) > 0 and not self._controls.paused and self._waits():
             time.sleep(min(left, _NAP))
 
     def take_reset(self) -> int | None:
-        """The environment whose episode people want to end, once; else None."""
-        wishes = self._wishes
-        if wishes.resets == self._taken_resets:
+        """Return the environment of a requested reset, once; else None."""
+        controls = self._controls
+        if controls.resets == self._taken_resets:
             return None
-        self._taken_resets = wishes.resets
-        return wishes.reset_env
+        self._taken_resets = controls.resets
+        return controls.reset_env
 
     def close(self) -> None:
         """Serve no longer; again is nothing."""
@@ -208,12 +206,12 @@ class WebPage:
             self._page.send_bytes(pickle.dumps((kind, value), pickle.HIGHEST_PROTOCOL))
 
     def _listen(self) -> None:
-        """Hear what people wish for until the other process ends."""
+        """Receive controls until the other process ends."""
         try:
             while True:
-                self._wishes = self._page.recv()
+                self._controls = self._page.recv()
         except (EOFError, OSError):
-            self._wishes = Wishes(env_id=self.env_id)
+            self._controls = Controls(env_id=self.env_id)
             if not self._closed:
                 _log.warning("the web viewer has ended; the run goes on%s", self._last_words())
 
@@ -223,7 +221,7 @@ class WebPage:
         return f": {words.splitlines()[-1]}" if words else ""
 
     def _take_step(self) -> bool:
-        if self._wishes.steps == self._taken_steps:
+        if self._controls.steps == self._taken_steps:
             return False
         self._taken_steps += 1
         return True

@@ -1,6 +1,6 @@
-"""`Panel`: the window on the page of `viewer=web`, and what people asked for in it.
+"""`Panel`: the window with the controls on the page of `viewer=web`.
 
-It is drawn in the viewer's thread, and knows no simulation. Importing it imports MuJoCo Studio.
+It is drawn in the viewer's thread. Importing it imports MuJoCo Studio.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         setup: How it begins.
 
     Attributes:
-        wishes: What is asked for; replaced as a whole, in the viewer's thread and by `leave`.
+        controls: Replaced as a whole, in the viewer's thread and by `leave`.
     """
 
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
-        self.wishes = setup.wishes
+        self.controls = setup.controls
         self._facts: Facts | None = None
         self._history: deque[Facts] = deque(maxlen=_KEPT)
         self._camera = ux.UxState()
@@ -46,33 +46,33 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         self._history.append(facts)
 
     def leave(self) -> None:
-        """Nobody has the panel: nothing is waited for."""
-        self._wish(paused=False)
+        """End a pause: no browser has the panel."""
+        self._change(paused=False)
 
     # -- asked for -------------------------------------------------------------------------------
 
     def choose(self, env_id: int) -> None:
         """Show another environment."""
         chosen = min(max(env_id, 0), self._setup.num_envs - 1)
-        if chosen != self.wishes.env_id:
+        if chosen != self.controls.env_id:
             self._history.clear()
-            self._wish(env_id=chosen)
+            self._change(env_id=chosen)
 
     def pause(self) -> None:
         """Wait, or go on."""
-        self._wish(paused=not self.wishes.paused)
+        self._change(paused=not self.controls.paused)
 
     def step(self) -> None:
         """Take one step, and wait."""
-        self._wish(paused=True, steps=self.wishes.steps + self.wishes.paused)
+        self._change(paused=True, steps=self.controls.steps + self.controls.paused)
 
     def reset(self) -> None:
         """End the episode of the environment that is shown."""
         if self._setup.can_reset:
-            self._wish(resets=self.wishes.resets + 1, reset_env=self.wishes.env_id)
+            self._change(resets=self.controls.resets + 1, reset_env=self.controls.env_id)
 
-    def _wish(self, **changed: Any) -> None:
-        self.wishes = dataclasses.replace(self.wishes, **changed)
+    def _change(self, **changed: Any) -> None:
+        self.controls = dataclasses.replace(self.controls, **changed)
 
     # -- drawn -----------------------------------------------------------------------------------
 
@@ -114,10 +114,10 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
 
     def _draw_controls(self) -> None:
         if self._setup.num_envs > 1:
-            changed, chosen = imgui.InputInt("environment", self.wishes.env_id)
+            changed, chosen = imgui.InputInt("environment", self.controls.env_id)
             if changed:
                 self.choose(chosen)
-        if imgui.Button("Go on" if self.wishes.paused else "Pause", _BUTTON):
+        if imgui.Button("Go on" if self.controls.paused else "Pause", _BUTTON):
             self.pause()
         imgui.SetItemTooltip("Space")
         imgui.SameLine()
@@ -131,9 +131,9 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         imgui.EndDisabled()
         imgui.SetItemTooltip("Backspace: this environment's episode ends, as truncated")
         names = ["as fast as it goes", *(f"{speed:g} x real time" for speed in SPEEDS if speed)]
-        changed, chosen = imgui.Combo("speed", SPEEDS.index(self.wishes.speed), names)
+        changed, chosen = imgui.Combo("speed", SPEEDS.index(self.controls.speed), names)
         if changed:
-            self._wish(speed=SPEEDS[chosen])
+            self._change(speed=SPEEDS[chosen])
 
     def _draw_looks(self) -> None:
         """Studio's own widgets: cameras, and what is drawn."""

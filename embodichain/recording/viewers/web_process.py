@@ -2,7 +2,7 @@
 
 MuJoCo Studio is native code with one user interface in a process: what goes wrong in it must not
 end a training. The run's process (`web_page.py`) sends models, states and facts through a socket;
-this one sends back what people wish for. It ends when the socket does.
+this one sends back the controls. It ends when the socket closes.
 """
 
 from __future__ import annotations
@@ -58,13 +58,13 @@ class _Page:
 
     Args:
         run: The run's end.
-        studio: What shows.
-        panel: What asks.
+        studio: The viewer.
+        panel: The controls.
     """
 
     def __init__(self, run: Connection, studio: Any, panel: Any) -> None:
         self._run, self._studio, self._panel = run, studio, panel
-        self._sent = panel.wishes
+        self._sent = panel.controls
 
     def serve(self) -> str:
         """Returns why it ended."""
@@ -85,15 +85,15 @@ class _Page:
             if state is not None:
                 row = np.frombuffer(state).copy()
                 self._studio.send(messages.StateSnapshot(state=row, state_sig=_STATE))
-            self._tell_wishes()
+            self._send_controls()
 
-    def _tell_wishes(self) -> None:
-        if self._panel.wishes.paused and not self._studio.controlled:
+    def _send_controls(self) -> None:
+        if self._panel.controls.paused and not self._studio.controlled:
             self._panel.leave()
-        wishes = dataclasses.replace(self._panel.wishes, watched=self._studio.watched)
-        if wishes != self._sent:
-            self._sent = wishes
-            self._run.send(wishes)
+        controls = dataclasses.replace(self._panel.controls, watched=self._studio.watched)
+        if controls != self._sent:
+            self._sent = controls
+            self._run.send(controls)
 
 
 if __name__ == "__main__":

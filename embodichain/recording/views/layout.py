@@ -8,21 +8,25 @@ right after a jump in time, and the grid lies above the floor, where it does not
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from embodichain.lab.sim.engine.base import F64
 from embodichain.recording.views.markers import Commands
 from embodichain.recording.views.motion import scalar_joints
-from embodichain.recording.views.places import places
 from embodichain.recording.views.scalars import identifier
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv
 
-__all__ = ["foxglove_layout"]
+__all__ = ["foxglove_layout", "pitch_of", "places"]
+
+_EXTENTS = 2.5
+"""Distance between viewed environments, in extents of the scene."""
 
 _PALETTE = ("#4e98e2", "#f5774d", "#f7df71", "#5cd6a9", "#61cbff", "#a395e2", "#ea4d6c")
 _PLOT = {
@@ -92,3 +96,20 @@ def _plot(title: str, values: Mapping[str, str]) -> dict[str, Any]:
     # Foxglove's key, and that of its open fork Lichtblick.
     titles = {"foxglovePanelTitle": title, "lichtblickPanelTitle": title}
     return {**_PLOT, **titles, "paths": paths}
+
+
+def pitch_of(env: ObservedEnv) -> float:
+    """Metres between environments that are viewed: the scene's size, at most `arena_space`."""
+    pitch = _EXTENTS * float(env.sim.engine.model.stat.extent)
+    if env.num_envs > 1:
+        pitch = min(pitch, float(env.sim.arena_offsets[1, 0]))
+    return pitch
+
+
+def places(env: ObservedEnv, env_ids: Sequence[int]) -> F64:
+    """(n, 3) position of each of these environments in ``world``, in a square, metres."""
+    side = math.ceil(math.sqrt(len(env_ids)))
+    index = np.arange(len(env_ids))
+    grid = np.stack([index % max(side, 1), index // max(side, 1), 0 * index], axis=1)
+    found: F64 = np.asarray(grid * pitch_of(env), np.float64)
+    return found

@@ -66,8 +66,9 @@ class Frames:
 
     def encode(self, time_ns: int) -> bytes:
         """Return the serialized message."""
+        seconds, nanos = divmod(time_ns, 1_000_000_000)
         for timestamp in self._times:
-            set_time(timestamp, time_ns)
+            timestamp.seconds, timestamp.nanos = seconds, nanos
         data: bytes = self._message.SerializeToString()
         return data
 

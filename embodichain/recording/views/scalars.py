@@ -6,14 +6,13 @@ Every plotting tool draws flat fields; which there are depends on the task's ter
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.gym.envs.managers.term_rows import TermRows
 from embodichain.recording.schema import scalars_class, scalars_descriptor_set
 
 if TYPE_CHECKING:
@@ -33,14 +32,14 @@ class Scalars:
 
     Args:
         step: Any step of the run.
-        env_ids: (n,) viewed environments, ascending, at least one.
+        env_ids: Viewed environments.
         commands: The commands, whose values are scalars too.
     """
 
-    def __init__(self, step: StepRecord, env_ids: NDArray[np.int64], commands: Commands) -> None:
-        self._which = env_ids
+    def __init__(self, step: StepRecord, env_ids: Sequence[int], commands: Commands) -> None:
+        self._ids = env_ids
         found = commands.scalars()
-        self._commands = [values for _, values in found]
+        self._commands = [values.T for _, values in found]
         self._facts = [key for key in _FACTS if key in step.info]
         self._terms = {key: list(step.info.get(key, {})) for key, _ in _GROUPS}
         self.names: list[str] = []
@@ -48,8 +47,7 @@ class Scalars:
         for name in map(identifier, self._titles([name for names, _ in found for name in names])):
             taken = sum(n == name or n.startswith(f"{name}__") for n in self.names)
             self.names.append(f"{name}__{taken + 1}" if taken else name)
-        self._shape = len(self.names), len(env_ids)
-        self._factors = np.ones((len(self.names), 1))
+        self._factors: list[float] = []  # of the scalars; empty: all are 1
         self._weights: object = None  # those in `_factors`
         self._message = scalars_class(METRICS, self.names)
 
@@ -68,53 +66,57 @@ class Scalars:
         """Multiply reward terms with these weights from now on, as they add to the reward."""
         if weights is not self._weights:
             self._weights = weights
-            first = 3 + len(self._facts)
-            for at, name in enumerate(self._terms["rewards"], first):
-                self._factors[at] = weights.get(name, 1.0)
+            factors = [1.0] * len(self.names)
+            for at, name in enumerate(self._terms["rewards"], 3 + len(self._facts)):
+                factors[at] = weights.get(name, 1.0)
+            self._factors = factors if set(factors) != {1.0} else []
 
-    def take(self, step: StepRecord) -> F64:
-        """Return the scalars, (S, n), copied.
+    def encode(self, step: StepRecord) -> list[bytes]:
+        """Return the serialized message of each viewed environment.
 
         Raises:
             ValueError: If the step has other scalars than the first one.
         """
-        which, info = self._which, step.info
-        taken: F64 = np.empty(self._shape)
-        taken[0], taken[1] = step.reward[which], step.terminated[which]
-        taken[2] = step.truncated[which]
-        at = 3
         try:
-            for key in self._facts:
-                taken[at] = _array(info[key])[which]
-                at += 1
-            for key, names in self._terms.items():
-                group: Mapping[str, Any] = info.get(key, {})
-                if len(group) != len(names):
-                    raise KeyError(names)
-                for name in names:
-                    taken[at] = _array(group[name])[which]
-                    at += 1
+            blocks = self._blocks(step)
         except KeyError as error:
             raise ValueError(
                 f"a step's scalars are not those of the first one: {self.names}"
             ) from error
-        for command in self._commands:
-            end = at + command.shape[1]
-            taken[at:end] = command[which].T
-            at = end
-        taken *= self._factors
-        return taken
+        found = []
+        for env_id in self._ids:
+            values: list[float] = []
+            for block in blocks:
+                if block.ndim == 1:
+                    values.append(block.item(env_id))
+                else:
+                    values += block[:, env_id].tolist()
+            if self._factors:
+                values = [a * b for a, b in zip(values, self._factors, strict=True)]
+            message = self._message(**dict(zip(self.names, values, strict=True)))
+            found.append(message.SerializeToString())
+        return found
 
-    def encode(self, step: StepRecord) -> list[bytes]:
-        """Return the serialized message of each viewed environment."""
-        return [
-            self._message(**dict(zip(self.names, values, strict=True))).SerializeToString()
-            for values in self.take(step).T.tolist()
-        ]
+    def _blocks(self, step: StepRecord) -> list[NDArray[Any]]:
+        """All scalars in order, as (N,) arrays or (K, N) of K scalars."""
+        info = step.info
+        blocks: list[NDArray[Any]] = [step.reward, step.terminated, step.truncated]
+        blocks += [_array(info[key]) for key in self._facts]
+        for key, names in self._terms.items():
+            group: Mapping[str, Any] = info.get(key, {})
+            if len(group) != len(names):
+                raise KeyError(names)
+            if isinstance(group, TermRows) and list(group) == names:
+                blocks.append(group.rows)
+            else:
+                blocks += [_array(group[name]) for name in names]
+        return blocks + self._commands
 
 
-def _array(value: Any) -> Any:
-    return value.numpy() if isinstance(value, torch.Tensor) else value
+def _array(value: Any) -> NDArray[Any]:
+    """Return a tensor or an array as an array."""
+    array: NDArray[Any] = value if type(value) is np.ndarray else value.numpy()
+    return array
 
 
 def identifier(name: str) -> str:

@@ -17,11 +17,11 @@ import numpy as np
 from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex, Write
 from embodichain.lab.sim.engine.layout import row_layout
 from embodichain.recording.options import RecordLike
+from embodichain.recording.views.layout import pitch_of, places
 from embodichain.recording.views.log_lines import ending_text, event_text, ids_text, log_line
 from embodichain.recording.views.markers import Commands
 from embodichain.recording.views.messages import Sink
 from embodichain.recording.views.motion import Frames, Joints
-from embodichain.recording.views.places import pitch_of, places
 from embodichain.recording.views.scalars import METRICS, Scalars
 from embodichain.recording.views.scene import Props, scene_update
 from embodichain.recording.views.shapes import LOOKS, PLANE_SIZE
@@ -78,11 +78,11 @@ class Views:
         sink.channel("/log", "foxglove.Log")
         if self._viewed:
             sink.channel("/tf", "foxglove.FrameTransforms")
-        for env_id in self._viewed:
-            sink.channel(f"/env_{env_id}/scene", "foxglove.SceneUpdate")
-            sink.channel(f"/env_{env_id}/joint_states", "foxglove.JointStates")
+        for viewed in self._viewed.values():
+            sink.channel(viewed.scene, "foxglove.SceneUpdate")
+            sink.channel(viewed.joints, "foxglove.JointStates")
             if self._commands.drawn:
-                sink.channel(f"/env_{env_id}/markers", "foxglove.SceneUpdate")
+                sink.channel(viewed.markers, "foxglove.SceneUpdate")
 
     def say(self, message: str, level: str = "INFO") -> None:
         """Write a line to `/log`."""
@@ -120,21 +120,21 @@ class Views:
             return
         self._sampled, time_ns = step, self._now()
         messages = [
-            (f"/env_{env_id}/scene", scene)
+            (self._viewed[env_id].scene, scene)
             for env_id, anyway in self._shown.items()
-            if (scene := self._viewed[env_id].scene(time_ns, anyway)) is not None
+            if (scene := self._viewed[env_id].look(time_ns, anyway)) is not None
         ]
         self._shown = {}
+        data = self._data
         for index, (env_id, viewed) in enumerate(self._viewed.items()):
             row = rows[env_id]
             for target, columns in self._inputs:
                 target[:] = row[columns]
-            mujoco.mj_kinematics(viewed.model, self._data)
-            self._frames.place(index, self._data)
-            messages.append((f"/env_{env_id}/joint_states", self._joints.encode(time_ns, row)))
+            mujoco.mj_kinematics(viewed.model, data)
+            self._frames.place(index, data)
+            messages.append((viewed.joints, self._joints.encode(time_ns, row)))
             if self._commands.drawn:
-                markers = self._commands.update(time_ns, env_id, self._data)
-                messages.append((f"/env_{env_id}/markers", markers))
+                messages.append((viewed.markers, self._commands.update(time_ns, env_id, data)))
         messages.append(("/tf", self._frames.encode(time_ns)))
         self._sink.send(time_ns, messages)
 
@@ -180,8 +180,8 @@ class Views:
             scalars, time_ns = self.declare(record), self._now()
             if self._rewards is not None:
                 scalars.weigh(self._rewards.weights)
-            metrics = zip(self._viewed, scalars.encode(record), strict=True)
-            self._sink.send(time_ns, [(f"/env_{i}/metrics", data) for i, data in metrics])
+            metrics = zip(self._viewed.values(), scalars.encode(record), strict=True)
+            self._sink.send(time_ns, [(viewed.metrics, data) for viewed, data in metrics])
 
     def _say_endings(self, step: int, record: StepRecord) -> None:
         diverged = record.info.get("diverged")
@@ -196,10 +196,10 @@ class Views:
     def declare(self, record: StepRecord) -> Scalars:
         """Return the run's scalars; the first call finds them and declares their channels."""
         if self._scalars is None:
-            self._scalars = Scalars(record, self._ids, self._commands)
-            for env_id in self._viewed:
-                schema = self._scalars.descriptor_set
-                self._sink.channel(f"/env_{env_id}/metrics", f"embodichain.{METRICS}", schema)
+            self._scalars = Scalars(record, list(self._viewed), self._commands)
+            schema = self._scalars.descriptor_set
+            for viewed in self._viewed.values():
+                self._sink.channel(viewed.metrics, f"embodichain.{METRICS}", schema)
         return self._scalars
 
     def close(self, step: int, rows: F64) -> None:
@@ -219,12 +219,15 @@ class _Viewed:
 
     Attributes:
         changed: Model fields that have changed since they were read.
+        scene, joints, markers, metrics: Its topics.
     """
 
     def __init__(self, engine: Engine, env_id: int, props: Props, changed: set[str]) -> None:
         self._engine, self._env_id, self._props = engine, env_id, props
         self._model, self._owned, self._stale = engine.model, False, True
         self.changed = set(changed)
+        names = "scene", "joint_states", "markers", "metrics"
+        self.scene, self.joints, self.markers, self.metrics = (f"/env_{env_id}/{n}" for n in names)
 
     @property
     def model(self) -> mujoco.MjModel:
@@ -239,7 +242,7 @@ class _Viewed:
             self.changed = set()
         return self._model
 
-    def scene(self, time_ns: int, anyway: bool) -> bytes | None:
+    def look(self, time_ns: int, anyway: bool) -> bytes | None:
         """Return its `SceneUpdate`; None if it looks as before, unless that is wanted anyway."""
         model = self.model
         if not self._stale and not anyway:

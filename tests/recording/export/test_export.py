@@ -15,7 +15,7 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
 import embodichain.recording as recording
-from embodichain.cli.dispatch import main
+from embodichain.cli import main
 from embodichain.recording import RecordOptions
 from embodichain.recording.export import FORMATS, Part, export
 from embodichain.recording.export.urdf import urdf

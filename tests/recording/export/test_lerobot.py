@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import embodichain.recording as recording
-from embodichain.cli.dispatch import main
+from embodichain.cli import main
 from embodichain.lab.sim.rendering import SceneRenderer, View
 from embodichain.recording import McapRecorder
 from embodichain.recording.export import Part, export

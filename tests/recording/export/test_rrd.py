@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import embodichain.recording as recording
-from embodichain.cli.dispatch import main
+from embodichain.cli import main
 from embodichain.recording.export import Part, export
 from embodichain.recording.views.shapes import mesh_of, shapes
 from tests.recording.scene import MODEL, SmallEnv

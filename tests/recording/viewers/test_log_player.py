@@ -9,11 +9,10 @@ import pytest
 
 import embodichain
 import embodichain.recording as recording
-from embodichain.cli import replay
+from embodichain.cli.app import call
 from embodichain.recording import McapRecorder
-from embodichain.recording.viewers import log_screens
-from embodichain.recording.viewers.log_player import play_log
-from embodichain.recording.viewers.log_screens import NativeScreen
+from embodichain.recording.viewers import log_player
+from embodichain.recording.viewers.log_player import NativeScreen, play_log
 from embodichain.recording.viewers.web_page import WebPage
 from embodichain.utils.errors import ConfigError
 from tests.helpers.browser import chromium, needs_chromium, picture, share_of
@@ -133,7 +132,7 @@ def test_the_window_pauses_at_the_space_bar(path, monkeypatch):
 
     windows = []
     monkeypatch.setattr(
-        log_screens, "NativeViewer", lambda *args: windows.append(Window(*args)) or windows[-1]
+        log_player, "NativeViewer", lambda *args: windows.append(Window(*args)) or windows[-1]
     )
     stopped = []
     screen = NativeScreen(0, lambda: bool(stopped))
@@ -168,7 +167,7 @@ def test_the_window_pauses_at_the_space_bar(path, monkeypatch):
 )
 def test_options_of_the_command(path, options, message):
     with pytest.raises(ConfigError, match=message):
-        replay.main([str(path), *options])
+        call(["replay", str(path), *options])
 
 
 @pytest.mark.slow

@@ -44,8 +44,8 @@ class Run:
         self.env.close()
 
     @property
-    def wishes(self):
-        return self.view._page._wishes
+    def controls(self):
+        return self.view._page._controls
 
 
 @pytest.fixture(scope="module")
@@ -113,27 +113,27 @@ def test_the_page_shows_the_robot_and_the_panel(page):
 
 
 def test_keys_pause_step_and_end_an_episode(page, run):
-    press(page, "Space", lambda: run.wishes.paused)
+    press(page, "Space", lambda: run.controls.paused)
     wait(lambda: stands(run))
-    step, asked = run.env.control_step, run.wishes.steps
-    press(page, "ArrowRight", lambda: run.wishes.steps > asked)
+    step, asked = run.env.control_step, run.controls.steps
+    press(page, "ArrowRight", lambda: run.controls.steps > asked)
     wait(lambda: stands(run))
-    assert run.env.control_step - step == run.wishes.steps - asked >= 1
-    ends, asked = len(run.truncated), run.wishes.resets
-    press(page, "Backspace", lambda: run.wishes.resets > asked)
+    assert run.env.control_step - step == run.controls.steps - asked >= 1
+    ends, asked = len(run.truncated), run.controls.resets
+    press(page, "Backspace", lambda: run.controls.resets > asked)
     press(page, "ArrowRight", lambda: len(run.truncated) > ends)
     env_id, steps = run.truncated[ends]
     assert env_id == 0 and steps < run.env.max_episode_steps
-    press(page, "Space", lambda: not run.wishes.paused)
+    press(page, "Space", lambda: not run.controls.paused)
     wait(lambda: not stands(run))
 
 
 def test_a_second_browser_looks_on_and_no_tab_stops_the_run(page, visit, run):
     second = visit(320, 200, 0.002)  # the whole robot: it has no panel
-    assert not run.wishes.paused
-    press(page, "Space", lambda: run.wishes.paused)
+    assert not run.controls.paused
+    press(page, "Space", lambda: run.controls.paused)
     page.context.browser.close()
-    wait(lambda: not run.wishes.paused)  # who asked for the pause is gone
+    wait(lambda: not run.controls.paused)  # who asked for the pause is gone
     wait(lambda: not stands(run))
     assert run.view.watched
     before = picture(second)

@@ -12,7 +12,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from embodichain.recording.viewers.controls import Facts, Wishes
+from embodichain.recording.viewers.controls import Controls, Facts
 from embodichain.recording.viewers.web_page import WebPage
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import MODEL, SmallEnv
@@ -31,7 +31,7 @@ def served():
 @pytest.fixture
 def page(served):
     """The page, with nobody there and nothing wished for."""
-    served._wishes, served._taken_steps, served._taken_resets = Wishes(), 0, 0
+    served._controls, served._taken_steps, served._taken_resets = Controls(), 0, 0
     return served
 
 
@@ -119,9 +119,9 @@ def test_the_first_state_comes_at_once_to_who_connects(page):
     assert until(lambda: not page.watched)
 
 
-def wish(page, **wishes):
+def control(page, **controls):
     """What people at the page ask for, without one: a browser does it in `test_web_browser.py`."""
-    page._wishes = dataclasses.replace(page._wishes, watched=True, **wishes)
+    page._controls = dataclasses.replace(page._controls, watched=True, **controls)
 
 
 def seconds_of(call):
@@ -131,7 +131,7 @@ def seconds_of(call):
 
 
 def test_nobody_is_waited_for(page):
-    page._wishes = dataclasses.replace(page._wishes, paused=True, speed=0.1)
+    page._controls = dataclasses.replace(page._controls, paused=True, speed=0.1)
     began = time.monotonic()
     for _ in range(1000):
         page.pace(1.0, lambda: None)
@@ -139,10 +139,10 @@ def test_nobody_is_waited_for(page):
 
 
 def test_a_pause_takes_single_steps_and_ends(page):
-    wish(page, paused=True, speed=None, steps=2)
+    control(page, paused=True, speed=None, steps=2)
     page.pace(1.0, lambda: None)
     page.pace(1.0, lambda: None)
-    later = threading.Timer(0.1, wish, (page,), {"paused": False})
+    later = threading.Timer(0.1, control, (page,), {"paused": False})
     later.start()
     assert seconds_of(lambda: page.pace(1.0, lambda: None)) > 0.05
     later.join()
@@ -150,7 +150,7 @@ def test_a_pause_takes_single_steps_and_ends(page):
 
 def test_a_pause_ends_when_the_run_is_told_to_stop():
     page = WebPage(MODEL, stopped=lambda: True)
-    wish(page, paused=True)
+    control(page, paused=True)
     page.pace(1.0, lambda: None)
     page.close()
 
@@ -160,10 +160,10 @@ def test_another_environment_is_shown_during_a_pause(page):
 
     def changed():
         shown.append(page.env_id)
-        wish(page, paused=page.env_id == 0)
+        control(page, paused=page.env_id == 0)
 
-    wish(page, paused=True, speed=None)
-    later = threading.Timer(0.1, wish, (page,), {"env_id": 1})
+    control(page, paused=True, speed=None)
+    later = threading.Timer(0.1, control, (page,), {"env_id": 1})
     later.start()
     page.pace(1.0, changed)
     later.join()
@@ -171,13 +171,13 @@ def test_another_environment_is_shown_during_a_pause(page):
 
 
 def test_the_clock_is_kept_while_somebody_looks(page):
-    wish(page, speed=2.0)
+    control(page, speed=2.0)
     assert seconds_of(lambda: [page.pace(0.2, lambda: None) for _ in range(4)]) > 0.29
 
 
 def test_a_reset_is_taken_once(page):
     assert page.take_reset() is None
-    wish(page, resets=1, reset_env=2)
+    control(page, resets=1, reset_env=2)
     assert page.take_reset() == 2
     assert page.take_reset() is None
 

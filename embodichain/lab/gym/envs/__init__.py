@@ -9,7 +9,6 @@ import lazy_loader
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv, EmbodiedEnv
     from embodichain.lab.gym.envs.cfg import EnvCfg
-    from embodichain.lab.gym.envs.embodied_cfg import EmbodiedEnvCfg
     from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
 
 __getattr__, __dir__, _ = lazy_loader.attach(
@@ -17,7 +16,6 @@ __getattr__, __dir__, _ = lazy_loader.attach(
     submod_attrs={
         "base_env": ["BaseEnv", "EmbodiedEnv"],
         "cfg": ["EnvCfg"],
-        "embodied_cfg": ["EmbodiedEnvCfg"],
         "observers": ["EventRecord", "StepObserver", "StepRecord"],
     },
 )
@@ -25,7 +23,6 @@ __getattr__, __dir__, _ = lazy_loader.attach(
 __all__ = [
     "BaseEnv",
     "EmbodiedEnv",
-    "EmbodiedEnvCfg",
     "EnvCfg",
     "EventRecord",
     "StepObserver",

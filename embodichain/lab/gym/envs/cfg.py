@@ -39,6 +39,7 @@ __all__ = [
     "SuggestedCfg",
     "TermCfg",
     "TerminationCfg",
+    "ValueCfg",
 ]
 
 Names = str | list[str] | None
@@ -81,6 +82,18 @@ class TermCfg:
     params: dict[str, Any] = {}
 
 
+ValueShape = str | dict[str, Any] | list[str | dict[str, Any]] | None
+"""``l2``, ``{tanh: 0.1}``, ``{tolerance: {bounds: [0, 1], margin: 2}}``, or a list of these."""
+
+
+@configclass
+class ValueCfg(TermCfg):
+    """A term that is a number, or several, of each environment; `shape` makes one of them."""
+
+    shape: ValueShape = dataclasses.field(default=None, kw_only=True)
+    """Applied to what `func` gives; several, in a list, one after the other."""
+
+
 @configclass
 class EventCfg(TermCfg):
     """Something that happens to the scene: ``f(env, env_ids, **params) -> None``."""
@@ -115,7 +128,7 @@ class NoiseCfg:
 
 
 @configclass
-class ObservationCfg(TermCfg):
+class ObservationCfg(ValueCfg):
     """A piece of the observation: ``f(env, obs, **params) -> (N, ...)``.
 
     With `mode` ``modify``, ``f(env, data, **params)`` receives the entry `name` and returns its
@@ -155,7 +168,7 @@ class ActionTermCfg(TermCfg):
 
 
 @configclass
-class RewardCfg(TermCfg):
+class RewardCfg(ValueCfg):
     """``f(env, obs, action, info, **params) -> (N,)``; counted as value x weight, never x dt."""
 
     mode: Literal["add", "replace"] = "add"
@@ -163,14 +176,14 @@ class RewardCfg(TermCfg):
 
 
 @configclass
-class TerminationCfg(TermCfg):
+class TerminationCfg(ValueCfg):
     """``f(env, obs, action, info, **params) -> (N,) bool``."""
 
     kind: Literal["success", "fail", "time_out"] = "fail"
 
 
 @configclass
-class MetricCfg(TermCfg):
+class MetricCfg(ValueCfg):
     """``f(env, obs, action, info, **params) -> (N,)``, reduced over an episode."""
 
     reduce: Literal["last", "any", "all", "mean", "sum", "max", "min"] = "last"
@@ -256,3 +269,12 @@ class EnvCfg:
     extensions: dict[str, Any] = dataclasses.field(default_factory=dict, kw_only=True)
     """Become attributes of the environment."""
     suggested: SuggestedCfg = dataclasses.field(default_factory=SuggestedCfg, kw_only=True)
+
+    def complete(self) -> None:
+        """Set fields that follow from others, in place, before an environment is built.
+
+        The default does nothing; configs in another form, such as EmbodiChain's, convert it here.
+
+        Raises:
+            ConfigError: If the config cannot be completed.
+        """

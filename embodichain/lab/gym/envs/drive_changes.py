@@ -29,12 +29,15 @@ def drive_changes(events: Mapping[str, EventCfg]) -> dict[str, list[DriveChange]
         known = TERMS["event"].get(event.func) if isinstance(event.func, str) else None
         func = known.func if known is not None else event.func
         ranges: Mapping[str, str] = getattr(func, "drive_ranges", {})
-        entities = event.params.get("entity_cfgs") or [event.params.get("entity_cfg")]
+        params: Mapping[str, Any] = event.params
+        if known is not None:
+            params = {meant: params[name] for name, meant in known.written(params).items()}
+        entities = params.get("entity_cfgs") or [params.get("entity_cfg")]
         for param, quantity in ranges.items():
-            bounds = _bounds(event.params.get(param))
+            bounds = _bounds(params.get(param))
             for entity in [e for e in entities if e is not None and bounds is not None]:
-                names = _names(entity, quantity, event.params)
-                change = DriveChange(quantity, names, bounds, _operation(event.params, quantity))  # type: ignore[arg-type]
+                names = _names(entity, quantity, params)
+                change = DriveChange(quantity, names, bounds, _operation(params, quantity))  # type: ignore[arg-type]
                 found.setdefault(str(_get(entity, "uid")), []).append(change)
     return found
 
@@ -53,6 +56,8 @@ def _names(entity: Any, quantity: str, params: Mapping[str, Any]) -> tuple[str, 
 
 
 def _operation(params: Mapping[str, Any], quantity: str) -> Any:
+    if quantity == "strength":  # factors, whatever the operation of the other fields
+        return "abs"
     default = "add" if quantity == "mass" and params.get("relative") else "abs"
     return params.get("operation") or default
 

@@ -66,7 +66,8 @@ class ObservationBuffer:
         """Make the layout from the first observation, and return that in it."""
         first = self._with_terms(obs)
         manager = self._manager
-        self.layout = manager.layout = ObservationLayout(first, manager.paths, manager.num_envs)
+        self.layout = ObservationLayout(first, manager.paths, manager.num_envs)
+        manager.use(self.layout)
         self._built = True
         return self.layout.pack(first)
 

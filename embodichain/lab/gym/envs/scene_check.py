@@ -19,11 +19,11 @@ from embodichain.lab.sim.cfg import (
 )
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
 from embodichain.lab.sim.compiler.chatter import DriveChange, PhysicsStep, physics_step
-from embodichain.lab.sim.compiler.collision import MAX_MASKED
 from embodichain.lab.sim.compiler.names import check_uid
-from embodichain.lab.sim.compiler.objects import check_object
+from embodichain.lab.sim.compiler.rigid_objects import check_object
+from embodichain.lab.sim.compiler.robot_bodies import MAX_MASKED
 from embodichain.lab.sim.compiler.scene import compile_scene
-from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensors
+from embodichain.lab.sim.compiler.scene_sensors import SensorPlan, plan_sensors
 from embodichain.lab.sim.compiler.visuals import GROUND, check_light
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.utils.errors import ConfigError, Problem

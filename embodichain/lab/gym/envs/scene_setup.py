@@ -11,7 +11,6 @@ import math
 from typing import TYPE_CHECKING, Any
 
 from embodichain.lab.gym.envs.cfg import ActionTermCfg, EnvCfg, SceneEntityCfg
-from embodichain.lab.gym.envs.embodied_cfg import EmbodiedEnvCfg, fill_in
 from embodichain.lab.gym.envs.episodes import NO_LIMIT
 from embodichain.lab.gym.envs.managers.check import check_terms
 from embodichain.lab.gym.envs.scene_check import describe
@@ -21,7 +20,7 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.objects.robot import Robot
-    from embodichain.lab.sim.sensors.base import BaseSensor
+    from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
     from embodichain.lab.sim.sim_manager import SimulationManager
 
 __all__ = [
@@ -56,8 +55,7 @@ def frozen_cfg(cfg: EnvCfg | None, num_envs: int | None = None) -> EnvCfg:
         NotImplementedError: If an `EmbodiedEnvCfg` declares a camera.
     """
     cfg = copy.deepcopy(cfg) if cfg is not None else EnvCfg()
-    if isinstance(cfg, EmbodiedEnvCfg):
-        fill_in(cfg)
+    cfg.complete()
     if num_envs is not None:
         cfg.num_envs = num_envs
     given: SimulationManagerCfg | None = cfg.sim_cfg  # EmbodiChain allows None

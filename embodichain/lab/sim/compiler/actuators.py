@@ -158,7 +158,7 @@ def _input_name(model: mujoco.MjModel, actuator: int, k: int) -> str:
 
 @dataclass(frozen=True)
 class ActuatorDescription:
-    """One actuator, for people.
+    """One actuator, in words and numbers.
 
     Attributes:
         name: In the model.

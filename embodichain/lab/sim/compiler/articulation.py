@@ -17,17 +17,14 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.cfg import ArticulationCfg
 from embodichain.lab.sim.compiler.actuators import Servos, control_names, read_servos
-from embodichain.lab.sim.compiler.assembly import read_robot
-from embodichain.lab.sim.compiler.attachments import add_attachments, check_attachments
 from embodichain.lab.sim.compiler.chatter import (
     DriveChange,
     PhysicsStep,
     drawn_joints,
     quiet_armature,
 )
-from embodichain.lab.sim.compiler.collision import prepare_shapes
 from embodichain.lab.sim.compiler.drives import DriveGains, apply_drives, resolve_drives
-from embodichain.lab.sim.compiler.files import ModelFile, compile_quietly
+from embodichain.lab.sim.compiler.file_joints import movable_joints, read_joints, read_mimics
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.initial import (
     Keyframe,
@@ -35,12 +32,22 @@ from embodichain.lab.sim.compiler.initial import (
     read_keyframe,
     resolve_qpos,
 )
-from embodichain.lab.sim.compiler.joints import movable_joints, read_joints, read_mimics
-from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
+from embodichain.lab.sim.compiler.link_additions import (
+    add_attachments,
+    add_tools,
+    check_attachments,
+    resolve_tools,
+)
+from embodichain.lab.sim.compiler.model_files import (
+    MUJOCO_ERRORS,
+    ModelFile,
+    as_line,
+    compile_quietly,
+)
 from embodichain.lab.sim.compiler.names import exact_pattern, match
-from embodichain.lab.sim.compiler.pose import initial_pose
-from embodichain.lab.sim.compiler.roots import set_root, strip_world
-from embodichain.lab.sim.compiler.tools import add_tools, resolve_tools
+from embodichain.lab.sim.compiler.rigid_math import initial_pose
+from embodichain.lab.sim.compiler.robot_assembly import read_robot
+from embodichain.lab.sim.compiler.robot_bodies import prepare_shapes, set_root, strip_world
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import listing
 

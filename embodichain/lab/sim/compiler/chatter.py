@@ -25,9 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.cfg import SimulationManagerCfg
-from embodichain.lab.sim.compiler.drives import NO_EFFORT_LIMIT
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.drive_cfg import FileFirst, JointDrivePropertiesCfg
+from embodichain.lab.sim.drive_cfg import NO_LIMIT, FileFirst, JointDrivePropertiesCfg
 from embodichain.utils.random import RandomStreams
 
 __all__ = [
@@ -69,7 +68,7 @@ def may_chatter(
     limit = cfg.max_effort
     if isinstance(limit, FileFirst):  # an MJCF's limit, if drives take the place of its actuators
         return not (isinstance(cfg.stiffness, FileFirst) and isinstance(cfg.damping, FileFirst))
-    return isinstance(limit, (str, Mapping)) or limit < NO_EFFORT_LIMIT
+    return isinstance(limit, (str, Mapping)) or limit < NO_LIMIT
 
 
 @dataclass(frozen=True)

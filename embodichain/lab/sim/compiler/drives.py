@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from embodichain.lab.sim.compiler.actuators import JOINT_TRANSMISSIONS, Servos
 from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import match
-from embodichain.lab.sim.drive_cfg import FileFirst, JointDrivePropertiesCfg
+from embodichain.lab.sim.drive_cfg import NO_LIMIT, FileFirst, JointDrivePropertiesCfg
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = [
-    "NO_EFFORT_LIMIT",
     "DriveGains",
     "FileJoints",
     "Mask",
@@ -31,8 +30,6 @@ __all__ = [
 ]
 
 Mask = NDArray[np.bool_]
-NO_EFFORT_LIMIT = 1e9
-"""Efforts at least this large count as unlimited (EmbodiChain's default is 1e10)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +128,7 @@ def resolve_drives(
         message = "must be positive; a joint that shall not push needs stiffness 0 instead"
         problems.append(Problem("max_effort", message))
         effort = np.where(effort > 0, effort, np.inf)
-    effort = np.where(effort >= NO_EFFORT_LIMIT, np.inf, effort)
+    effort = np.where(effort >= NO_LIMIT, np.inf, effort)
     driven = np.ones(count, np.bool_)
     relimited = no_joint.copy()
     if servos is None:

@@ -14,8 +14,8 @@ import numpy as np
 
 from embodichain.lab.sim.compiler.actuators import JOINT_TRANSMISSIONS, Servos
 from embodichain.lab.sim.compiler.drives import FileJoints, Mask
+from embodichain.lab.sim.compiler.file_joints import Mimics, movable_joints
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.joints import Mimics, movable_joints
 from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import listing

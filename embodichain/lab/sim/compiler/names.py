@@ -1,4 +1,4 @@
-"""Names in configs against names in models: regexes, and uids."""
+"""Names in configs: regexes against the names in models, and uids."""
 
 from __future__ import annotations
 

@@ -1,29 +1,28 @@
-"""`compile_scene`: parsed articulations, objects and lights into one model."""
+"""`compile_scene`: parsed articulations, objects, lights and sensors into one model."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import LightCfg, RigidObjectCfg, SimulationManagerCfg
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation
-from embodichain.lab.sim.compiler.collision import MAX_MASKED, separate
-from embodichain.lab.sim.compiler.files import compile_quietly
 from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
-from embodichain.lab.sim.compiler.messages import MUJOCO_ERRORS, as_line
+from embodichain.lab.sim.compiler.model_files import MUJOCO_ERRORS, as_line, compile_quietly
 from embodichain.lab.sim.compiler.names import check_uid
-from embodichain.lab.sim.compiler.objects import add_object, check_object, damping_of
-from embodichain.lab.sim.compiler.options import apply_options, replace_options
-from embodichain.lab.sim.compiler.pose import initial_pose
-from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
-from embodichain.lab.sim.compiler.sensors import (
+from embodichain.lab.sim.compiler.rigid_math import initial_pose
+from embodichain.lab.sim.compiler.rigid_objects import add_object, check_object, damping_of
+from embodichain.lab.sim.compiler.robot_bodies import MAX_MASKED, separate
+from embodichain.lab.sim.compiler.scene_sensors import (
     SensorIndex,
+    SensorPlan,
     add_sensors,
-    deaf_sensors,
     index_sensors,
+    silent_sensors,
 )
 from embodichain.lab.sim.compiler.visuals import (
     GROUND,
@@ -35,7 +34,98 @@ from embodichain.lab.sim.compiler.visuals import (
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_multiply, quat_rotate
 
-__all__ = ["CompiledScene", "compile_scene"]
+__all__ = ["CompiledScene", "apply_options", "compile_scene", "replace_options"]
+
+_INTEGRATORS = {
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
+    "Euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "RK4": mujoco.mjtIntegrator.mjINT_RK4,
+}
+_SOLVERS = {
+    "Newton": mujoco.mjtSolver.mjSOL_NEWTON,
+    "CG": mujoco.mjtSolver.mjSOL_CG,
+    "PGS": mujoco.mjtSolver.mjSOL_PGS,
+}
+_CONES = {
+    "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL,
+    "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC,
+}
+_ENUMS: dict[str, type[Any]] = {
+    "integrator": mujoco.mjtIntegrator,
+    "solver": mujoco.mjtSolver,
+    "cone": mujoco.mjtCone,
+    "jacobian": mujoco.mjtJacobian,
+}
+_FLAGS: dict[str, type[Any]] = {
+    "disableflags": mujoco.mjtDisableBit,
+    "enableflags": mujoco.mjtEnableBit,
+}
+
+
+def apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
+    """Set a scene's physics options.
+
+    Auto-reset is off: it would put a diverged simulation back to qpos0 in the middle of a step.
+
+    Raises:
+        ConfigError: If the timestep is not positive.
+    """
+    if not cfg.physics_dt > 0:
+        raise ConfigError([Problem("physics_dt", f"must be positive, got {cfg.physics_dt}")])
+    physics, option = cfg.physics_config, spec.option
+    option.timestep = float(cfg.physics_dt)
+    option.gravity = [float(g) for g in physics.gravity]
+    option.integrator = int(_INTEGRATORS[physics.integrator])
+    option.solver = int(_SOLVERS[physics.solver])
+    option.iterations = int(physics.iterations)
+    option.cone = int(_CONES[physics.cone])
+    option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
+
+
+def replace_options(child: mujoco.MjSpec, scene: mujoco.MjSpec) -> list[str]:
+    """Give a child the scene's options.
+
+    Returns:
+        ``name: value in the file -> value of the scene`` for each option that the file sets to
+        something other than MuJoCo's default and the scene does not share.
+    """
+    default = mujoco.MjSpec().option
+    replaced: list[str] = []
+    for name in _names(default):
+        old, new = getattr(child.option, name), getattr(scene.option, name)
+        if name in _FLAGS:
+            theirs = int(old) & ~int(new)
+            if theirs:
+                replaced.append(f"{name} {_flags(name, theirs)} -> off")
+        elif not np.array_equal(old, new) and not np.array_equal(old, getattr(default, name)):
+            replaced.append(f"{name} {_show(name, old)} -> {_show(name, new)}")
+        setattr(child.option, name, new)
+    return replaced
+
+
+def _names(option: Any) -> list[str]:
+    return [name for name in dir(option) if not name.startswith("_")]
+
+
+def _show(name: str, value: Any) -> str:
+    if name in _ENUMS:
+        return str(_ENUMS[name](int(value)).name.split("_")[-1].lower())
+    array = np.asarray(value, np.float64).reshape(-1)
+    return " ".join(f"{x:g}" for x in array)
+
+
+def _flags(name: str, bits: int) -> str:
+    known = [flag for flag in _FLAGS[name].__members__.values() if int(flag) & bits]
+    names = [flag.name.split("_")[-1].lower() for flag in known if _one_bit(int(flag))]
+    return ", ".join(names) or hex(bits)
+
+
+def _one_bit(value: int) -> bool:
+    return value > 0 and value & (value - 1) == 0
+
+
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +137,9 @@ class CompiledScene:
             after compiling; MJCF cannot say the former (one number for all six axes).
         spec: What it was compiled from, for export as XML or archive.
         entities: Where each entity is in the model.
+        initial_row: (nstate,) `mjSTATE_INTEGRATION` of the start: MuJoCo's reset state with every
+            entity at its configured place, targets of drives at the configured joint positions,
+            and what else a file's keyframe says.
         sensors: Where each sensor is.
         notes: What a user should be told, one line each: options of the robots' files that the
             scene's replace, sensors that can report nothing.
@@ -55,6 +148,7 @@ class CompiledScene:
     model: mujoco.MjModel
     spec: mujoco.MjSpec
     entities: dict[str, EntityIndex]
+    initial_row: F64
     sensors: dict[str, SensorIndex] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
@@ -103,15 +197,20 @@ def compile_scene(
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
         raise ConfigError(f"MuJoCo cannot compile the scene: {as_line(error)[0]}") from error
-    notes += deaf_sensors(model, sensors)
+    notes += silent_sensors(model, sensors)
     entities = {p.uid: _index_articulation(model, p) for p in articulations}
     for uid, cfg in objects.items():
         index = entities[uid] = _index_object(model, uid, cfg)
         if index.free_qvel_adr >= 0:
             dofs = slice(index.free_qvel_adr, index.free_qvel_adr + 6)
             model.dof_damping[dofs] = damping_of(model, index.root_body_id, cfg)
-    aim_camera(spec, model, _start(model, articulations, entities))
-    return CompiledScene(model, spec, entities, index_sensors(model, sensors), tuple(notes))
+    data = _start(model, articulations, entities)
+    row = np.zeros(mujoco.mj_stateSize(model, _STATE))
+    mujoco.mj_getState(model, data, row, _STATE)
+    mujoco.mj_kinematics(model, data)
+    aim_camera(spec, model, data)
+    sensor_index = index_sensors(model, sensors)
+    return CompiledScene(model, spec, entities, row, sensor_index, tuple(notes))
 
 
 def _check(
@@ -218,7 +317,7 @@ def _start(
     articulations: Sequence[ParsedArticulation],
     entities: Mapping[str, EntityIndex],
 ) -> mujoco.MjData:
-    """Return the scene as it starts, positions computed."""
+    """Return the scene's initial state."""
     data = mujoco.MjData(model)
     for index in entities.values():
         pose: F64 = np.concatenate([index.pos0, index.quat0])
@@ -227,9 +326,21 @@ def _start(
         elif index.free_qpos_adr >= 0:
             data.qpos[index.free_qpos_adr : index.free_qpos_adr + 7] = pose
     for parsed in articulations:
-        data.qpos[entities[parsed.uid].qpos_adr] = parsed.init_qpos
-        for name, (quat, _) in (parsed.keyframe.balls if parsed.keyframe else {}).items():
-            start = int(model.joint(f"{parsed.uid}/{name}").qposadr[0])
-            data.qpos[start : start + 4] = quat
-    mujoco.mj_kinematics(model, data)
+        index = entities[parsed.uid]
+        data.qpos[index.qpos_adr], data.qvel[index.dof_adr] = parsed.init_qpos, parsed.init_qvel
+        data.ctrl[index.own_ctrl_ids], data.act[index.own_act_ids] = (
+            parsed.init_ctrl,
+            parsed.init_act,
+        )
+        if parsed.keyframe is None:
+            continue
+        start = index.free_qvel_adr
+        if start >= 0:
+            velocity = parsed.keyframe.root_qvel
+            data.qvel[start : start + 3] = quat_rotate(initial_pose(parsed.cfg)[1], velocity[:3])
+            data.qvel[start + 3 : start + 6] = velocity[3:]
+        for name, (quat, speed) in parsed.keyframe.balls.items():
+            joint = model.joint(f"{parsed.uid}/{name}")
+            data.qpos[joint.qposadr[0] : joint.qposadr[0] + 4] = quat
+            data.qvel[joint.dofadr[0] : joint.dofadr[0] + 3] = speed
     return data

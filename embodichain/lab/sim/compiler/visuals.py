@@ -9,7 +9,7 @@ import numpy as np
 
 from embodichain.lab.sim.cfg import LightCfg
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.pose import initial_pose
+from embodichain.lab.sim.compiler.rigid_math import initial_pose
 from embodichain.lab.sim.shapes import VisualMaterialCfg
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -72,7 +72,7 @@ def set_look(spec: mujoco.MjSpec) -> None:
 
 
 def add_ground(spec: mujoco.MjSpec) -> None:
-    """Add the plane at z = 0 that every scene stands on: tiles of one metre."""
+    """Add the ground plane at z = 0, with tiles of one metre."""
     spec.add_texture(
         name=GROUND,
         type=mujoco.mjtTexture.mjTEXTURE_2D,

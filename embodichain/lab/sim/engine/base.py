@@ -80,8 +80,6 @@ class Engine(Protocol):
     model: mujoco.MjModel
     num_envs: int
     listeners: list[EngineListener]
-    steps_write_inputs: bool
-    """Whether a step may change state components that physics only reads (a plugin may)."""
 
     @property
     def rows(self) -> F64:

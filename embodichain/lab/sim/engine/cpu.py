@@ -48,8 +48,8 @@ class CpuEngine(Engine):
         num_envs: N.
         num_threads: Physics threads; 0 is every core this process may run on.
         persistent: One MjData per environment (True) or per thread (False). A thread's stays in
-            its cache, which makes steps up to 15 % faster, and a look at poses computes those
-            alone; an environment's own continues from the stages that a look has computed. None is
+            its cache, which makes steps up to 15 % faster, and reads of poses compute poses alone;
+            with its own an environment continues from the stages that a read has computed. None is
             False, unless the model needs the former. No byte of a step depends on it.
     """
 
@@ -79,8 +79,6 @@ class CpuEngine(Engine):
         self._views: dict[str, F64] = {
             name: self._rows[:, cols] for name, cols in self._layout.items()
         }
-        resets = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        self.steps_write_inputs = resets or model.nplugin > 0
         self._fields = ModelFields(self._batch, num_envs)
         self._default_row: F64 = self._rows[0].copy()
         self._derived: dict[str, F64] = {}
@@ -232,8 +230,6 @@ class CpuEngine(Engine):
         fields = self._fields
         if fields.stale and fields.is_derived(field):
             self._set_const_now()  # it must not undo this write
-        if field == "opt.disableflags":
-            self.steps_write_inputs = True
         view = fields.view(field)
         view[entries(env_ids, columns)] = values
         self._mark(env_ids)

@@ -1,4 +1,4 @@
-"""`Divergence`: which environments' states stopped being physics since somebody last asked."""
+"""`Divergence`: which environments have diverged since the last call."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _DIVERGED = [
 
 
 class Divergence:
-    """Watches MuJoCo's warning counters of a batch, and remembers in whom it raised.
+    """Compares MuJoCo's warning counters of a batch, and stores where MuJoCo raised.
 
     Args:
-        batch: The batch; its counters so far are no news.
+        batch: The batch; its counters now are the baseline.
     """
 
     def __init__(self, batch: mjbatch.Batch) -> None:
@@ -52,7 +52,7 @@ class Divergence:
             self._failed[rows] = False
 
     def take(self) -> NDArray[np.bool_] | None:
-        """(N,) mask of environments that diverged since the last call, or None for nobody."""
+        """(N,) mask of environments that diverged since the last call, or None."""
         warned = self._warning.tobytes()  # compared as a whole: a tenth of a sum's time
         if warned == self._warned and self._failed is None:
             return None

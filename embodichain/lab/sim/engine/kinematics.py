@@ -1,7 +1,4 @@
-"""`Kinematics`: poses and velocities of every body, without what a step computes beside them.
-
-Which fields that covers and how it is asked of the batch live here; when is the engine's business.
-"""
+"""`Kinematics`: poses and velocities of every body, without contacts and constraints."""
 
 from __future__ import annotations
 
@@ -34,7 +31,7 @@ _NO_SENSOR = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 class Kinematics:
     """Forward kinematics of a batch: less than half of its position and velocity stages.
 
-    Nobody collides meanwhile: that contacts have no room in memory is found by the next step.
+    Contacts are switched off meanwhile; that they have no room in memory is found by the next step.
 
     Attributes:
         enough: Whether it computes all fields that were asked for.

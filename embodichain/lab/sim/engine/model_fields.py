@@ -1,7 +1,7 @@
 """`ModelFields`: model fields that differ between a batch's environments.
 
-What was expanded, whose derived constants are out of date, and whether a reset is still the same
-for everyone. Who writes them, and who is told, is the engine's business.
+It knows which fields are expanded, which environments' derived constants are out of date, and
+whether all environments are reset to the same row.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class ModelFields:
     def own(self, name: str) -> NDArray[Any]:
         """(N, size) live values of a field that the engine changes for one call of the batch.
 
-        Nobody is told that it was expanded.
+        It does not count as expanded.
         """
         found = self._own.get(name)
         if found is None:

@@ -5,7 +5,6 @@ Checks of environment indices, shapes, devices and finiteness live here, once.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
@@ -13,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+
+from embodichain.lab.sim.compiler.names import match
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.base import F64, EnvIndex
@@ -141,7 +142,10 @@ def names_matching(patterns: str | Sequence[str], names: Sequence[str], what: st
         ValueError: If a pattern matches nothing; lists the names.
     """
     wanted = [patterns] if isinstance(patterns, str) else list(patterns)
+    found: set[int] = set()
     for pattern in wanted:
-        if not any(re.fullmatch(pattern, name) for name in names):
-            raise ValueError(f"no {what} matches {pattern!r}; there are: {', '.join(names)}")
-    return [i for i, name in enumerate(names) if any(re.fullmatch(p, name) for p in wanted)]
+        indices, problems = match(pattern, names, what, "")
+        if problems:
+            raise ValueError(problems[0].message)
+        found |= set(indices)
+    return sorted(found)

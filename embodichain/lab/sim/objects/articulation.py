@@ -16,10 +16,9 @@ from embodichain.lab.sim.objects._arrays import (
     names_matching,
     to_tensor,
 )
-from embodichain.lab.sim.objects.actuator_controls import ActuatorControls
 from embodichain.lab.sim.objects.articulation_data import ArticulationData
 from embodichain.lab.sim.objects.articulation_links import ArticulationLinks
-from embodichain.lab.sim.objects.drives import Drives
+from embodichain.lab.sim.objects.drives import ActuatorControls, Drives
 from embodichain.lab.sim.objects.entity import BatchEntity
 from embodichain.lab.sim.objects.joint_state import JointState
 from embodichain.lab.sim.unavailable import not_available

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.drive_cfg import NO_LIMIT
+
 if TYPE_CHECKING:
     import mujoco
 
@@ -21,10 +23,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation
     from embodichain.lab.sim.engine.base import F64
 
-__all__ = ["NO_LIMIT", "ModelGains", "Transmission"]
-
-NO_LIMIT = 1e9
-"""Efforts at least this large count as unlimited (EmbodiChain's default is 1e10)."""
+__all__ = ["ModelGains", "Transmission"]
 
 Joints = NDArray[np.int64]
 

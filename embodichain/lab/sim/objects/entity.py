@@ -66,7 +66,7 @@ class BatchEntity(Handle["EntityIndex"]):
     def write_pose(
         self, pos: F64, quat: F64 | None = None, env_ids: EnvIndex | None = None
     ) -> None:
-        """Set the root pose from checked numpy arrays: the door for terms, without checks.
+        """Set the root pose from checked numpy arrays.
 
         Args:
             pos: (n, 3) metres in the environment's frame.

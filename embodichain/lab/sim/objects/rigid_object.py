@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex
     from embodichain.lab.sim.host import Host
-    from embodichain.lab.sim.objects.solids import Solid
+    from embodichain.lab.sim.objects.rigid_inertia import Solid
 
 __all__ = ["RigidBodyData", "RigidObject"]
 

@@ -62,7 +62,7 @@ def test_a_control_part_picks_joints(make) -> None:
         ({"part_name": "leg"}, "part_name: no control part"),
         ({"part_name": "leg", "joint_ids": [1]}, "part_name: give either"),
         ({**ARM, "joint_ids": [1]}, "joint_ids: give either"),
-        ({"robot_uid": "cube"}, "entity_cfg: 'cube' has no joints"),
+        ({"robot_uid": "cube"}, "robot_uid: 'cube' has no joints"),
     ],
 )
 def test_wrong_joints(make, params, part) -> None:
@@ -304,7 +304,7 @@ def test_what_a_term_remembers_of_actions_is_reset_and_restored(make, func) -> N
 
 
 def test_actions_without_an_order_are_refused() -> None:
-    from embodichain.lab.gym.envs.mdp.rewards.actions import action_l2
+    from embodichain.lab.gym.envs.mdp.quantities.episode import action_
 
     with pytest.raises(TypeError, match="needs an action tensor, got dict"):
-        action_l2(None, None, {"qpos": torch.zeros(3, 6)}, {})
+        action_(None, {"qpos": torch.zeros(3, 6)})

@@ -413,6 +413,27 @@ def test_objects_share_a_draw_or_not(make) -> None:
         assert torch.equal(cube, goal) is shared
 
 
+def test_fields_of_one_term_are_drawn_together(make) -> None:
+    params = {**CUBE, "scale": [2, 2], "mass": [5, 5], "friction": [0.3, 0.3]}
+    env = fired(make, "randomize", params)
+    cube = env.sim.get_rigid_object("cube")
+    assert cube.get_body_scale()[0].tolist() == [2.0] * 3
+    assert cube.get_mass()[0].item() == 5.0
+    assert cube.get_inertia()[0].tolist() == pytest.approx([5 * 0.2**2 / 6] * 3)
+    assert cube.get_friction().tolist() == pytest.approx([0.3] * 3)
+    scene = fired(make, "randomize", {"gravity": [[0, 0, 9], [0, 0, 9]], "friction": [0.5, 0.5]})
+    plane = scene.sim.engine.model.geom("default_plane").id
+    assert field(scene, "geom_friction")[plane, 0] == 0.5
+    assert scene.sim.engine.model_field("opt.gravity")[0].tolist() == pytest.approx([0, 0, -0.81])
+
+
+def test_several_entities_have_draws_of_their_own(make) -> None:
+    both = {"entity_cfgs": [{"uid": "cube"}, {"uid": "ur10"}], "mass": [0.5, 2]}
+    env = fired(make, "randomize", both)
+    masses = [env.sim.get_rigid_object("cube").get_mass()[0].item(), *env.robot.get_mass()[0]]
+    assert len({round(float(m), 9) for m in masses if m > 0}) > 5
+
+
 # -- mistakes --------------------------------------------------------------------------------------
 
 WRONG = [
@@ -454,6 +475,15 @@ WRONG = [
      "same_scale_all_axes", "sphere"),
     ("randomize_rigid_objects_scale", {"entity_cfgs": [], "scale_factor_range": [1, 2]},
      "entity_cfgs", "no object"),
+    ("randomize_rigid_object_mass", {"of": {"uid": "ur10"}, "mass_range": [1, 2]},
+     "of.uid", "no rigid object"),
+    ("randomize", {**CUBE}, "", "at least one range"),
+    ("randomize", {"mass": [1, 2]}, "entity_cfg", "of which entity"),
+    ("randomize", {**CUBE, "gravity": [[0, 0, -9], [0, 0, -8]]}, "gravity", "leave entity_cfg out"),
+    ("randomize", {**CUBE, "inertia": [1, 2], "operation": "add"}, "operation", "always"),
+    ("randomize", {**CUBE, "stiffness": [1, 2]}, "entity_cfg.uid", "no joints"),
+    ("randomize", {**CUBE, "mass": [1, 2], "shared_sample": True}, "shared_sample", "scales"),
+    ("randomize", {**CUBE, "mas": [1, 2]}, "mas", "Did you mean 'mass'?"),
 ]  # fmt: skip
 
 

@@ -79,7 +79,9 @@ def seen(env: BaseEnv, func: str, **params: Any) -> np.ndarray[Any, Any]:
     from embodichain.lab.gym.envs.managers import ObservationManager
 
     manager = ObservationManager(env, {"it": ObservationCfg(func=func, params=params)})
-    found: np.ndarray[Any, Any] = manager.compute(env.get_obs())["it"].numpy()
+    obs: dict[Any, Any] = {}
+    manager.compute(obs)
+    found: np.ndarray[Any, Any] = obs["it",].numpy()
     assert found.dtype == np.float32
     return found
 

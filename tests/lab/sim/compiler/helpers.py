@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,8 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import RobotCfg, SimulationManagerCfg
-from embodichain.lab.sim.compiler import CompiledScene, compile_scene, parse_articulation
-from embodichain.lab.sim.compiler.chatter import physics_step
+from embodichain.lab.sim.compiler import CompiledScene
+from embodichain.lab.sim.sim_manager import SimulationManager
 
 UR10 = "UniversalRobots/UR10/UR10.urdf"
 HOME = [1.57079, -1.57079, 1.57079, -1.57079, -1.57079, -3.14159]
@@ -100,9 +101,13 @@ def scene_of(
     objects: Mapping[str, Any] | None = None,
     sim: SimulationManagerCfg | None = None,
 ) -> CompiledScene:
-    sim = sim or SimulationManagerCfg()
-    parsed = [parse_articulation(uid, cfg, physics_step(sim)) for uid, cfg in robots.items()]
-    return compile_scene(sim, parsed, objects or {}, {})
+    """The scene of a simulation with these entities, which logs what a user should be told."""
+    manager = SimulationManager(sim or SimulationManagerCfg(headless=True))
+    for uid, cfg in robots.items():
+        manager.add_robot(dataclasses.replace(cfg, uid=uid))
+    for uid, cfg in (objects or {}).items():
+        manager.add_rigid_object(dataclasses.replace(cfg, uid=uid))
+    return manager.scene
 
 
 def start(scene: CompiledScene, init_qpos: Mapping[str, Any]) -> mujoco.MjData:

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import yaml
 
-from embodichain.cli.dispatch import main
+from embodichain.cli import main
+from embodichain.compat.gym_config.env_cfg import config_to_cfg
 from embodichain.lab.gym.envs import EmbodiedEnv, EnvCfg
-from embodichain.lab.gym.gym_config.env_cfg import config_to_cfg
 from embodichain.lab.sim import SimulationManager, SimulationManagerCfg
 from embodichain.lab.sim.cfg import JointDrivePropertiesCfg, RobotCfg, URDFCfg
 from embodichain.lab.sim.compiler import parse_articulation
-from embodichain.lab.sim.compiler.attach import attach
+from embodichain.lab.sim.compiler.robot_assembly import attach
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.from_dict import from_dict
 

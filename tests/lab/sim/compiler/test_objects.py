@@ -195,7 +195,7 @@ def test_a_mesh_in_another_format_is_named(tmp_path):
 )
 def test_a_name_that_cannot_be_used_is_refused(uid, message):
     with pytest.raises(ConfigError, match=message):
-        scene_of({}, {uid: RigidObjectCfg()})
+        compile_scene(SimulationManagerCfg(), [], {uid: RigidObjectCfg()}, {})
 
 
 def test_lights_and_objects_share_their_names():

@@ -7,10 +7,15 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from embodichain.lab.sim.meshes.conversion import convert_collision, convert_visual, reads
-from embodichain.lab.sim.meshes.decomposition import decompose
-from embodichain.lab.sim.meshes.part import MeshError
-from embodichain.lab.sim.meshes.store import cache_folder, entry
+from embodichain.lab.sim.meshes.mesh_conversion import (
+    cache_folder,
+    convert_collision,
+    convert_visual,
+    entry,
+    reads,
+)
+from embodichain.lab.sim.meshes.mesh_decomposition import decompose
+from embodichain.lab.sim.meshes.mesh_part import MeshError
 from tests.lab.sim.meshes.files import collada
 
 

@@ -220,13 +220,11 @@ def test_the_simulation_continues_from_its_state(persistent):
     assert go(other) == expected
 
 
-def test_proprioception_is_positions_velocities_and_efforts_together(sim, robot):
+def test_proprioception_is_positions_velocities_and_efforts(sim, robot):
     robot.set_qpos(torch.tensor(HOME) + 0.1)
     sim.update(step=3)
-    (qpos, qvel, qf), together = robot.proprioception()
-    for found, wanted in ((qpos, robot.get_qpos()), (qvel, robot.get_qvel())):
-        assert torch.equal(found, wanted) and found.any()
-    assert torch.equal(qf, robot.get_qf()) and qf.any()
-    assert together.tobytes() == torch.stack([qpos, qvel, qf]).numpy().tobytes()
-    some, _ = robot.proprioception(np.array([4, 1]))
-    assert torch.equal(some[1], robot.get_qvel()[:, [4, 1]])
+    found = robot.get_proprioception()
+    assert list(found) == ["qpos", "qvel", "qf"]
+    for name, wanted in (("qpos", robot.get_qpos()), ("qvel", robot.get_qvel())):
+        assert torch.equal(found[name], wanted) and wanted.any()
+    assert torch.equal(found["qf"], robot.get_qf()) and robot.get_qf().any()

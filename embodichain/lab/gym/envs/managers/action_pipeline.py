@@ -1,7 +1,6 @@
 """`ActionPipeline`: the delay and the noise between an action and its term.
 
-An action without either never comes here. Before physics nothing is "only looked at": every call is
-a step of all environments.
+Every call is a step of all environments.
 """
 
 from __future__ import annotations
@@ -14,6 +13,7 @@ import numpy as np
 
 from embodichain.lab.gym.envs.cfg import ActionTermCfg
 from embodichain.lab.gym.envs.managers.noise import Noise
+from embodichain.lab.gym.envs.managers.past import Delay, Rows
 
 if TYPE_CHECKING:
     import torch
@@ -51,55 +51,49 @@ class ActionPipeline:
 
     def __init__(self, name: str, cfg: ActionTermCfg, width: int, streams: RandomStreams) -> None:
         path = f"actions.{name}"
-        self._streams, self._stream = streams, path
-        count = streams.num_envs
-        delay = cfg.delay
-        self._shortest, self._longest = (delay, delay) if isinstance(delay, int) else delay
-        self._lags: NDArray[np.int64] = np.full(count, self._shortest, np.int64)
-        self._past: F64 = np.zeros((self._longest, count, width))
-        self._empty: NDArray[np.bool_] = np.ones(count, np.bool_)
-        self._rows = np.arange(count)
+        self._delay: Delay | None = None
+        if cfg.delay not in (0, [0, 0]):
+            self._delay = Delay(cfg.delay, f"{path}.delay", streams)
+        self._fresh: NDArray[np.bool_] = np.ones(streams.num_envs, np.bool_)
         self._noise = None if cfg.noise is None else Noise(cfg.noise, (width,), path, streams)
 
     def __call__(self, action: torch.Tensor) -> torch.Tensor:
         """(N, A) float32 what the term receives for this step's action."""
         values: NDArray[Any] = action.numpy()
-        if self._longest:
-            values = self._delayed(values).astype(np.float32)
+        if self._delay is not None:
+            rows, hold = Rows(None, None), None
+            if self._fresh.any():
+                rows = Rows(None, self._fresh)
+                hold = np.broadcast_to(self.hold(), values.shape)
+                self._fresh = np.zeros_like(self._fresh)
+            values = self._delay(values, rows, hold).astype(np.float32)
         if self._noise is not None:
             values = self._noise.apply(values, None)
         return torch.from_numpy(values)
 
-    def _delayed(self, action: NDArray[np.float32]) -> F64:
-        past = self._past
-        if self._empty.any():
-            past = past.copy()
-            past[:, self._empty] = np.broadcast_to(self.hold(), action.shape)[self._empty]
-            self._empty = np.zeros_like(self._empty)
-        recent = np.concatenate([action[None], past])  # recent[d] is the action of d steps ago
-        self._past = recent[:-1]
-        found: F64 = recent[self._lags, self._rows]
-        return found
-
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Forget these environments' actions, and draw their delays."""
-        where: Any = slice(None) if env_ids is None else env_ids
-        self._empty = self._empty.copy()
-        self._empty[where] = True
-        if self._longest > self._shortest:
-            high = self._longest + 1
-            drawn = self._streams.uniform(
-                f"{self._stream}.delay", (1,), self._shortest, high, env_ids
-            )
-            self._lags = self._lags.copy()
-            # min: a number just below `high` may round up to it.
-            self._lags[where] = np.minimum(drawn[:, 0], self._longest).astype(np.int64)
+        self._fresh = self._fresh.copy()
+        self._fresh[slice(None) if env_ids is None else env_ids] = True
+        if self._delay is not None:
+            self._delay.restart(env_ids)
 
     def state_dict(self) -> dict[str, Any]:
         """Actions under way, and delays (copies)."""
-        return {"past": self._past.copy(), "lags": self._lags.copy(), "empty": self._empty.copy()}
+        if self._delay is None:
+            return {}
+        past, lag = self._delay.past.values, self._delay.lag.copy()
+        return {
+            "past": None if past is None else past.copy(),
+            "lag": lag,
+            "fresh": self._fresh.copy(),
+        }
 
     def load_state_dict(self, state: Mapping[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
-        self._past, self._lags = state["past"].copy(), state["lags"].copy()
-        self._empty = state["empty"].copy()
+        if self._delay is None:
+            return
+        past = state["past"]
+        self._delay.past.values = None if past is None else past.copy()
+        self._delay.lag[:] = state["lag"]
+        self._fresh = state["fresh"].copy()

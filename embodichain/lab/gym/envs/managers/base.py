@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from embodichain.lab.gym.envs.cfg import SceneEntityCfg, TermCfg
-from embodichain.lab.gym.envs.managers.check import check_in_task, check_term
-from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec
-from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
+from embodichain.lab.gym.envs.cfg import TermCfg
+from embodichain.lab.gym.envs.managers.building import BuiltTerm, build_term
+from embodichain.lab.gym.envs.managers.registry import Kind
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -22,25 +18,6 @@ if TYPE_CHECKING:
 __all__ = ["BuiltTerm", "Manager", "checked_rows"]
 
 C = TypeVar("C", bound=TermCfg)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BuiltTerm(Generic[C]):
-    """A declared term, ready to be called.
-
-    Attributes:
-        name: Its key in the config.
-        cfg: What the config says.
-        spec: The function or class behind it.
-        call: Takes what the manager passes; parameters are bound.
-        instance: The object, if the term is a class.
-    """
-
-    name: str
-    cfg: C
-    spec: TermSpec
-    call: Callable[..., Any]
-    instance: Any = None
 
 
 class Manager(Generic[C]):
@@ -68,7 +45,7 @@ class Manager(Generic[C]):
         self.terms: dict[str, BuiltTerm[C]] = {}
         for name, cfg in cfgs.items():
             try:
-                self.terms[name] = _build(env, kind, name, cfg, f"{section}.{name}")
+                self.terms[name] = build_term(env, kind, name, cfg, f"{section}.{name}")
             except ConfigError as error:
                 problems += error.problems
         if problems:
@@ -102,7 +79,7 @@ class Manager(Generic[C]):
         old = self.terms[name]
         cfg = copy.copy(self._declared[name])
         cfg.params = params
-        term = _build(self.env, self._kind, name, cfg, f"{self.section}.{name}")
+        term = build_term(self.env, self._kind, name, cfg, f"{self.section}.{name}")
         if old.instance is not None and hasattr(old.instance, "state_dict"):
             term.instance.load_state_dict(old.instance.state_dict())
         self.terms[name] = term
@@ -131,49 +108,6 @@ class Manager(Generic[C]):
             self.set_params(name, copy.deepcopy(params))
         for name, term in self._stateful.items():
             term.load_state_dict(state["terms"][name])
-
-
-def _build(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> BuiltTerm[C]:
-    spec, values, problems = check_term(kind, cfg, path)
-    if spec is None or problems:
-        raise ConfigError(problems)
-    where = f"{path}.params"
-    problems = check_in_task(spec, values, env.cfg, where)
-    if problems:
-        raise ConfigError(problems)
-    params = {key: _resolved(env, value, f"{where}.{key}") for key, value in values.items()}
-    if not spec.is_class:
-        bound = partial(spec.func, **params) if params else spec.func
-        return BuiltTerm(name, cfg, spec, bound)
-    with _under(where):
-        instance = spec.func(env, **params)
-    method = {"action": "apply", "command": "resample"}.get(kind, "__call__")
-    return BuiltTerm(name, cfg, spec, getattr(instance, method), instance)
-
-
-@contextmanager
-def _under(path: str) -> Iterator[None]:
-    """Put a path before those of a ConfigError that do not begin with it."""
-    try:
-        yield
-    except ConfigError as error:
-        raise ConfigError(
-            p
-            if p.path.startswith(path)
-            else Problem(f"{path}.{p.path}".rstrip("."), p.message, p.hint)
-            for p in error.problems
-        ) from error
-
-
-def _resolved(env: TermContext, value: Any, path: str) -> Any:
-    """Replace references to entities, also within lists and maps, by what they mean."""
-    if isinstance(value, SceneEntityCfg):
-        return resolve_entity(env.sim, value, path)
-    if isinstance(value, (list, tuple)):
-        return type(value)(_resolved(env, v, f"{path}.{i}") for i, v in enumerate(value))
-    if isinstance(value, dict):
-        return {k: _resolved(env, v, f"{path}.{k}") for k, v in value.items()}
-    return value
 
 
 def checked_rows(value: Any, num_envs: int, kind: Kind, name: str) -> None:

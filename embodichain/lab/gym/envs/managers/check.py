@@ -9,7 +9,9 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import typing
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -18,25 +20,28 @@ from pydantic import PydanticSchemaGenerationError, TypeAdapter, ValidationError
 from embodichain.lab.gym.envs.cfg import EnvCfg, SceneEntityCfg, TermCfg
 from embodichain.lab.gym.envs.managers.check_fields import check_corruption, check_fields
 from embodichain.lab.gym.envs.managers.param_types import FORMS
-from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec, resolve_term
+from embodichain.lab.gym.envs.managers.references import references
+from embodichain.lab.gym.envs.managers.registry import (
+    SECTIONS,
+    SHAPES,
+    TERMS,
+    Kind,
+    TermSpec,
+    resolve_term,
+)
 from embodichain.lab.gym.envs.managers.term import ActionTerm, CommandTerm
 from embodichain.lab.sim.sensors.cfg import readings
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
-__all__ = ["SECTIONS", "check_in_task", "check_params", "check_term", "check_terms"]
-
-SECTIONS: dict[str, Kind] = {
-    "actions": "action",
-    "events": "event",
-    "commands": "command",
-    "observations": "observation",
-    "rewards": "reward",
-    "terminations": "termination",
-    "metrics": "metric",
-    "curriculum": "curriculum",
-}
-"""Sections of a task and the kind of term each holds."""
+__all__ = [
+    "CheckedTerm",
+    "check_in_task",
+    "check_params",
+    "check_shape",
+    "check_term",
+    "check_terms",
+]
 
 _ENTITIES = (
     *("entity_cfg", "source_entity_cfg", "target_entity_cfg", "end_effector_cfg", "object_cfg"),
@@ -63,15 +68,32 @@ def check_terms(cfg: EnvCfg, *, allow_import: bool = True) -> list[Problem]:
     for section, kind in SECTIONS.items():
         for name, term in getattr(cfg, section).items():
             path = f"{section}.{name}"
-            spec, values, found = check_term(kind, term, path, allow_import=allow_import)
+            checked, found = check_term(kind, term, path, allow_import=allow_import)
             problems += found
-            if spec is not None and not found:
-                problems += check_in_task(spec, values, cfg, f"{path}.params", allow_import)
+            if checked is not None:
+                problems += check_in_task(checked, cfg, f"{path}.params", allow_import)
     return problems + check_corruption(cfg) + _check_modifiers(cfg)
 
 
+@dataclass(frozen=True)
+class CheckedTerm:
+    """A declared term without a mistake.
+
+    Attributes:
+        spec: The function or class behind it.
+        values: Its parameters as `check_params` returns them.
+        names: Parameter -> the name that the config gives it.
+        shapes: Its shapes in order, with their parameters.
+    """
+
+    spec: TermSpec
+    values: dict[str, Any]
+    names: dict[str, str]
+    shapes: tuple[tuple[TermSpec, dict[str, Any]], ...] = ()
+
+
 def check_in_task(
-    spec: TermSpec, values: Mapping[str, Any], cfg: EnvCfg, path: str, allow_import: bool = True
+    term: CheckedTerm, cfg: EnvCfg, path: str, allow_import: bool = True
 ) -> list[Problem]:
     """Check what only the whole task shows: references to commands and sensors, and curricula.
 
@@ -79,13 +101,13 @@ def check_in_task(
     such mistakes, with paths relative to the parameters.
 
     Args:
-        spec: The term.
-        values: Its parameters as `check_params` returns them.
+        term: The term.
         cfg: The task.
         path: Key path of the parameters.
         allow_import: See `check_terms`.
     """
     found: list[Problem] = []
+    spec, values = term.spec, term.values
     for name, section in _REFERENCES.items():
         there, value = getattr(cfg, section), values.get(name)
         if isinstance(value, str) and value not in there and name in spec.params:
@@ -94,6 +116,10 @@ def check_in_task(
             what, known = section.removesuffix("s"), listing(there, value)
             message = f"no {what} is called {value!r}; there are: {known}"
             found.append(Problem(name, message, did_you_mean(value, there).strip()))
+    hints = spec.hints()
+    for name, value in values.items():
+        for reference in references(hints.get(name)):
+            found += [Problem(name, p.message, p.hint) for p in reference.check(cfg, value)]
     check = getattr(spec.func, "check_task", None)
     if check is not None:
         found += check(cfg, values, allow_import)
@@ -102,7 +128,7 @@ def check_in_task(
 
 def check_term(
     kind: Kind, term: TermCfg, path: str, *, allow_import: bool = True
-) -> tuple[TermSpec | None, dict[str, Any], list[Problem]]:
+) -> tuple[CheckedTerm | None, list[Problem]]:
     """Check one declared term.
 
     Args:
@@ -112,18 +138,63 @@ def check_term(
         allow_import: See `check_terms`.
 
     Returns:
-        The function or class behind it (None if there is none), its parameters as `check_params`
-        returns them, and every mistake.
+        The term (None if it has a mistake), and every mistake.
     """
     problems = check_fields(path, term)
+    shapes, found = check_shape(getattr(term, "shape", None), f"{path}.shape")
+    problems += found
     try:
         spec = resolve_term(kind, term.func, allow_import=allow_import)
     except ConfigError as error:
         found = [Problem(f"{path}.func", p.message, p.hint) for p in error.problems]
-        return None, {}, problems + found
+        return None, problems + found
     problems += _check_class(f"{path}.func", spec)
     values, found = check_params(spec, term.params, f"{path}.params")
-    return spec, values, problems + found
+    problems += found
+    if problems:
+        return None, problems
+    names = {meant: name for name, meant in spec.written(term.params).items()}
+    return CheckedTerm(spec, values, names, shapes), []
+
+
+def check_shape(
+    shape: Any, path: str
+) -> tuple[tuple[tuple[TermSpec, dict[str, Any]], ...], list[Problem]]:
+    """Check what a term's `shape` says.
+
+    Args:
+        shape: A name, ``{name: parameters}``, or a list of these; None is none. Parameters are a
+            map, or the value of the first one.
+        path: Its key path.
+
+    Returns:
+        The shapes with their parameters, and every mistake.
+    """
+    TERMS["reward"]  # shapes are registered with the terms
+    steps: list[tuple[TermSpec, dict[str, Any]]] = []
+    problems: list[Problem] = []
+    several = isinstance(shape, (list, tuple))
+    for i, step in enumerate(shape if several else [] if shape is None else [shape]):
+        where = f"{path}.{i}" if several else path
+        if isinstance(step, Mapping) and len(step) == 1:
+            ((name, given),) = step.items()
+        elif isinstance(step, str):
+            name, given = step, {}
+        else:
+            message = f"expected a name or one `name: parameters`, got {step!r}"
+            problems.append(Problem(where, message))
+            continue
+        spec = SHAPES.get(name)
+        if spec is None:
+            message = f"unknown shape {name!r}; allowed: {', '.join(SHAPES)}"
+            problems.append(Problem(where, message, did_you_mean(str(name), SHAPES).strip()))
+            continue
+        if not isinstance(given, Mapping):
+            given = {next(iter(spec.params), ""): given}
+        values, found = check_params(spec, given, f"{where}.{name}")
+        problems += found
+        steps.append((spec, values))
+    return tuple(steps), problems
 
 
 def _check_class(path: str, spec: TermSpec) -> list[Problem]:
@@ -173,21 +244,24 @@ def check_params(
     """
     values: dict[str, Any] = {}
     problems: list[Problem] = []
-    hints = spec.hints()
+    hints, meant = spec.hints(), spec.written(params)
     for name, value in params.items():
-        if name not in spec.params and not spec.open_params:
+        key = meant.get(name)
+        if key is None:
             allowed = ", ".join(spec.params) or "no parameters"
             message = f"unknown parameter of {spec.label}; it takes {allowed}"
             hint = did_you_mean(name, spec.params).strip()
             problems.append(Problem(f"{path}.{name}", message, hint))
-            continue
-        try:
-            values[name] = _convert(_meant(name, hints.get(name, Any), value), value)
-        except ValidationError as error:
-            hint = hints.get(name, Any)
-            problems += [_problem(f"{path}.{name}", e, hint) for e in error.errors()]
+        elif key != name and key in params:
+            problems.append(Problem(f"{path}.{name}", f"means the same as {key}: leave one out"))
+        else:
+            hint = hints.get(key, Any)
+            try:
+                values[key] = _convert(_meant(key, hint, value), value)
+            except ValidationError as error:
+                problems += [_problem(f"{path}.{name}", e, hint) for e in error.errors()]
     for name, parameter in spec.params.items():
-        if parameter.default is inspect.Parameter.empty and name not in params:
+        if parameter.default is inspect.Parameter.empty and name not in meant.values():
             message = f"missing; {spec.label} needs it"
             problems.append(Problem(f"{path}.{name}", message))
     return values, problems
@@ -205,11 +279,17 @@ def _meant(name: str, hint: Any, value: Any) -> Any:
 def _convert(hint: Any, value: Any) -> Any:
     if isinstance(value, np.ndarray):
         value = value.tolist()
+    adapter = _adapter(hint) if isinstance(hint, Hashable) else _adapter.__wrapped__(hint)
+    return value if adapter is None else adapter.validate_python(value)
+
+
+@cache
+def _adapter(hint: Any) -> TypeAdapter[Any] | None:
+    """What checks values of a type; None if any passes, as of a user's own type."""
     try:
-        adapter: TypeAdapter[Any] = TypeAdapter(hint)
-    except PydanticSchemaGenerationError:  # a user's own type: any value passes
-        return value
-    return adapter.validate_python(value)
+        return TypeAdapter(hint)
+    except PydanticSchemaGenerationError:
+        return None
 
 
 def _problem(path: str, error: Any, hint: Any) -> Problem:

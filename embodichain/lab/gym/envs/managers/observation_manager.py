@@ -62,14 +62,27 @@ class ObservationManager(Manager[ObservationCfg]):
         for entry in self._entries:
             # A term that modifies an entry declares it as well; each is in the vector once.
             self._groups.setdefault(entry.term.cfg.group, {})[entry.path] = None
-        self._last_modifier = {e.path: i for i, e in enumerate(self._entries) if e.modifies}
+        self._modified = {e.path: i for i, e in enumerate(self._entries) if e.modifies}
         self._remembers = any(entry.remembers for entry in self._entries)
         self._fresh: NDArray[np.bool_] = np.ones(env.num_envs, np.bool_)
         self.stepped: EnvIndex | None = _NONE
+        # Entry, its columns if its value is (N, K), that shape, and whether it is the last of its
+        # path.
+        self._plan: list[tuple[ObservationEntry, Any, tuple[int, ...], bool]] = []
 
     def _bind(self) -> None:
         for entry in self._entries:
             entry.term = self.terms[entry.term.name]
+
+    def use(self, layout: ObservationLayout) -> None:
+        """Write later observations into this layout, made from the first one."""
+        self.layout = layout
+        self._plan = []
+        for index, entry in enumerate(self._entries):
+            shape = layout.shapes.get(entry.path, ())
+            columns = layout.columns[entry.path] if len(shape) == 1 else None
+            finished = self._modified.get(entry.path, index) <= index
+            self._plan.append((entry, columns, (self.num_envs, *shape), finished))
 
     @property
     def groups(self) -> tuple[str, ...]:
@@ -126,20 +139,21 @@ class ObservationManager(Manager[ObservationCfg]):
         Raises:
             ValueError: If a term's value has another shape than at first.
         """
-        rows, layout, last = self._rows(), obs.layout, self._last_modifier
         unfinished: dict[tuple[str, ...], Any] = {}
         for path, value in own.items():
-            if path in last:
+            if path in self._modified:
                 unfinished[path] = value
             else:
-                layout.write(obs, path, value)
-        for index, entry in enumerate(self._entries):
-            path = entry.path
-            value = entry.value(_copy(unfinished[path]) if entry.modifies else obs, rows)
-            if last.get(path, index) > index:
-                unfinished[path] = value
+                obs.layout.write(obs, path, value)
+        rows, numbers = self._rows(), obs.rows
+        for entry, columns, shape, finished in self._plan:
+            value = entry.value(_copy(unfinished[entry.path]) if entry.modifies else obs, rows)
+            if not finished:
+                unfinished[entry.path] = value
+            elif columns is not None and value.shape == shape:
+                numbers[:, columns] = value
             else:
-                layout.write(obs, path, value)
+                obs.layout.write(obs, entry.path, value)
 
     def _rows(self) -> Rows:
         """The environments that this observation is for; the next one is for none."""

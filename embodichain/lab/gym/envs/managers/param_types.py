@@ -17,6 +17,8 @@ __all__ = [
     "Angle",
     "Axes6",
     "Bounds",
+    "BoundsOrBox",
+    "Box",
     "Box1",
     "Box2",
     "Box3",
@@ -46,6 +48,8 @@ Vec3 = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 
 
 def _ordered(value: Sequence[Sequence[float]]) -> Sequence[Sequence[float]]:
+    if len(value[0]) != len(value[1]):
+        raise ValueError(f"low has {len(value[0])} values, high {len(value[1])}")
     for axis, (low, high) in enumerate(zip(value[0], value[1], strict=True)):
         if low > high:
             raise ValueError(f"low {low} exceeds high {high} in column {axis}")
@@ -70,6 +74,12 @@ Range = Annotated[
 """[low, high]."""
 Bounds = Annotated[Sequence[float], Field(min_length=2, max_length=2), AfterValidator(_bounds)]
 """[low, high]; either may be infinite (``.inf`` in YAML)."""
+Box = Annotated[
+    list[Annotated[list[Finite], Field(min_length=1)]],
+    Field(min_length=2, max_length=2),
+    AfterValidator(_ordered),
+]
+"""[[low of each column], [high of each]]."""
 Box1 = Annotated[
     list[Annotated[list[Finite], Field(min_length=1, max_length=1)]],
     Field(min_length=2, max_length=2),
@@ -110,6 +120,11 @@ RangeOrBox = Annotated[
     Discriminator(_axis_form),
 ]
 """[low, high], or [[x, y, z] low, [x, y, z] high]."""
+BoundsOrBox = Annotated[
+    Annotated[Bounds, Tag("for all")] | Annotated[Box, Tag("by axis")],
+    Discriminator(_axis_form),
+]
+"""[low, high], either infinite, or [[low of each column], [high of each]]."""
 ScaleRange = Annotated[
     Annotated[Range, Tag("for all")]
     | Annotated[Box1, Tag("for all axes")]

@@ -45,13 +45,16 @@ class Past:
         self._depth = depth
         self.values: NDArray[Any] | None = None
 
-    def append(self, value: NDArray[Any], rows: Rows) -> NDArray[Any]:
+    def append(
+        self, value: NDArray[Any], rows: Rows, before: NDArray[Any] | None = None
+    ) -> NDArray[Any]:
         """Append a value where environments stepped.
 
         Args:
             value: (N, ...), left as it is.
-            rows: Environments that did not step keep their values; for fresh ones all values are
-                this one.
+            rows: Environments that did not step keep their values; for fresh ones all values but
+                the last are `before`.
+            before: (N, ...); None is the value itself.
 
         Returns:
             (N, depth, ...): do not write into it.
@@ -67,7 +70,9 @@ class Past:
             stepped[rows.stepped] = True
             moved = np.where(_column(stepped, moved), moved, old)
         if rows.fresh is not None:
-            moved = np.where(_column(rows.fresh, moved), newest, moved)
+            filled = newest if before is None else before[:, None]
+            moved = np.where(_column(rows.fresh, moved), filled, moved)
+            moved[rows.fresh, -1] = value[rows.fresh]
         # An observation between two steps changes nothing that is stored.
         self.values = (
             moved if rows.stepped is None else np.where(_column(stepped, moved), moved, old)
@@ -80,7 +85,7 @@ def _column(mask: NDArray[np.bool_], like: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 class Delay:
-    """Returns the value of some steps ago; at the beginning of an episode its first one.
+    """Returns the value of some steps ago; at the beginning of an episode the one before it.
 
     Args:
         steps: Control steps, or [low, high]: each episode of each environment draws its own.
@@ -105,10 +110,14 @@ class Delay:
         if self._low == self._high:
             return
         drawn = self._streams.uniform(self._stream, (), self._low, self._high + 1, env_ids)
-        self.lag[slice(None) if env_ids is None else env_ids] = drawn.astype(np.int64)
+        # A number just below the upper bound may round up to it.
+        steps = np.minimum(drawn, self._high).astype(np.int64)
+        self.lag[slice(None) if env_ids is None else env_ids] = steps
 
-    def __call__(self, value: NDArray[Any], rows: Rows) -> NDArray[Any]:
-        """(N, ...) the delayed value."""
-        recent = self.past.append(value, rows)
+    def __call__(
+        self, value: NDArray[Any], rows: Rows, before: NDArray[Any] | None = None
+    ) -> NDArray[Any]:
+        """(N, ...) the delayed value; `before` is the one before an episode's first."""
+        recent = self.past.append(value, rows, before)
         delayed: NDArray[Any] = recent[self._rows, self._high - self.lag]
         return delayed

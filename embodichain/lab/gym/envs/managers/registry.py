@@ -1,7 +1,10 @@
-"""The terms that exist: `register_term`, `TERMS`, and finding a term by name or import path.
+"""The terms that exist: `register_term`, `quantity`, `TERMS`, and finding a term by name or path.
 
-What a term's parameters may be is checked in `check.py`. No torch here, so that listing and
-validating start fast; modules of terms load torch lazily for the same reason.
+A *quantity* is a function of the scene that gives numbers, ``(env, ...) -> (N,) or (N, K)``; a
+*shape* (`register_shape`) makes one number of each row of them; the section of a task says whether
+the result is a reward, a metric, a termination or an observation. Other terms are functions and
+classes with the signature of their kind. Imports no torch, so that listing and validating start
+fast; modules of terms load torch lazily for the same reason.
 """
 
 from __future__ import annotations
@@ -12,11 +15,11 @@ import logging
 import pkgutil
 import re
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import entry_points
 from types import SimpleNamespace
-from typing import Any, Literal, TypeVar, get_args
+from typing import Any, Literal, TypeVar, cast, get_args
 
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.plugins import TERM_MODULES
@@ -26,11 +29,17 @@ __all__ = [
     "ENTRY_POINTS",
     "KINDS",
     "LEADING",
+    "SECTIONS",
+    "SHAPES",
     "TERMS",
+    "VALUE_KINDS",
     "Kind",
+    "SpecKind",
     "TermSpec",
     "describe_term",
     "import_object",
+    "quantity",
+    "register_shape",
     "register_term",
     "resolve_term",
 ]
@@ -46,7 +55,21 @@ Kind = Literal[
     "curriculum",
 ]
 KINDS: tuple[Kind, ...] = get_args(Kind)
-LEADING: dict[Kind | Literal["policy"], tuple[str, ...]] = {
+SECTIONS: dict[str, Kind] = {
+    "actions": "action",
+    "events": "event",
+    "commands": "command",
+    "observations": "observation",
+    "rewards": "reward",
+    "terminations": "termination",
+    "metrics": "metric",
+    "curriculum": "curriculum",
+}
+"""Section of a task -> kind of its terms, in the order of pages and tables."""
+VALUE_KINDS: tuple[Kind, ...] = ("observation", "reward", "termination", "metric")
+"""Kinds whose terms are numbers: quantities serve all of them."""
+SpecKind = Kind | Literal["policy", "shape"]
+LEADING: dict[SpecKind, tuple[str, ...]] = {
     "event": ("env", "env_ids"),
     "observation": ("env", "obs"),
     "reward": ("env", "obs", "action", "info"),
@@ -56,27 +79,22 @@ LEADING: dict[Kind | Literal["policy"], tuple[str, ...]] = {
     "command": ("env",),
     "curriculum": ("env", "env_ids"),
     "policy": ("obs", "env"),
+    "shape": ("env",),
 }
 """What is passed first to a function of each kind. A class's `__init__` gets `env` (for policies,
 which are described here too but are no terms: nothing)."""
+_LEAD_OF_QUANTITIES = ("obs", "action", "info")
+"""What a quantity may take after `env`, in this order; none of it in observations."""
 
 _EEF_LATER = (
     "end-effector actions come with the IK solvers, in a later version; until then act on joints: "
-    "default_offset_joint_position, relative_joint_position or joint_position_to_limits"
+    "joint_action"
 )
 logger = logging.getLogger(__name__)
 
 T = TypeVar("T", bound=Callable[..., Any])
 _BUILTIN = "embodichain.lab.gym.envs.mdp"
-_PACKAGES = (
-    "actions",
-    "commands",
-    "curriculum",
-    "events",
-    "observations",
-    "rewards",
-    "terminations",
-)
+_PACKAGES = ("actions", "commands", "curriculum", "events", "quantities")
 ENTRY_POINTS = "embodichain.terms"
 """Entry point group of packages with terms: each names a module that is imported with ours."""
 _PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
@@ -90,17 +108,21 @@ class TermSpec:
         name: How configs call it.
         kind: The manager that runs it.
         func: The function or class.
-        params: What a config may set, by name, in order: the leading arguments are not in it.
+        params: What a config may set, by name, in order: the leading arguments are not in it. A
+            Python name that ends in "_" (``from_``) is written without it.
         doc: Its docstring.
         open_params: Whether it takes ``**kwargs``, so that any further name is allowed.
+        lead: Of a quantity: which of ``obs``, ``action`` and ``info`` it takes after ``env``; of
+            other terms None.
     """
 
     name: str
-    kind: Kind | Literal["policy"]
+    kind: SpecKind
     func: Callable[..., Any]
     params: dict[str, inspect.Parameter]
     doc: str
     open_params: bool = False
+    lead: tuple[str, ...] | None = None
     _hints: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -111,9 +133,13 @@ class TermSpec:
     @property
     def label(self) -> str:
         """For messages: ``event term 'push'``."""
-        return (
-            f"policy {self.name!r}" if self.kind == "policy" else f"{self.kind} term {self.name!r}"
-        )
+        kind = self.kind if self.kind in ("policy", "shape") else f"{self.kind} term"
+        return f"{kind} {self.name!r}"
+
+    @property
+    def place(self) -> str:
+        """Where it is defined: ``package.module:name``."""
+        return _place(self.func)
 
     def hints(self) -> dict[str, Any]:
         """Types of the parameters, evaluated. Only theirs: `env` and results may name torch."""
@@ -123,6 +149,29 @@ class TermSpec:
             for name, parameter in self.params.items():
                 self._hints[name] = _evaluated(parameter.annotation, scope)
         return self._hints
+
+    def written(self, given: Iterable[str]) -> dict[str, str]:
+        """Names that a config gives -> the parameters they mean; the others are left out.
+
+        ``of``, ``from`` and ``to`` are written for ``entity_cfg``, ``source_entity_cfg`` and
+        ``target_entity_cfg``, and the other way round.
+        """
+        meant = {}
+        for name in given:
+            other = _OTHER_NAMES.get(name, name)
+            if name in self.params or self.open_params:
+                meant[name] = name
+            elif other in self.params:
+                meant[name] = other
+        return meant
+
+    def arguments(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Values by the parameters' names as keyword arguments of the function."""
+        return {self.params[k].name if k in self.params else k: v for k, v in values.items()}
+
+
+_OTHER_NAMES = {"of": "entity_cfg", "from": "source_entity_cfg", "to": "target_entity_cfg"}
+_OTHER_NAMES |= {old: new for new, old in _OTHER_NAMES.items()}
 
 
 def _evaluated(annotation: Any, scope: dict[str, Any]) -> Any:
@@ -147,6 +196,7 @@ class _TermTable(Mapping[Kind, dict[str, TermSpec]]):
         if not self._loaded:
             self._loaded = True  # before: a module of terms may look terms up
             try:
+                importlib.import_module(f"{_BUILTIN}.shapes")
                 for package in _PACKAGES:
                     _import_modules(f"{_BUILTIN}.{package}")
                 for module in TERM_MODULES:
@@ -213,32 +263,93 @@ def register_term(*kinds: Kind, name: str | None = None) -> Callable[[T], T]:
 
     def decorate(func: T) -> T:
         for kind in kinds:
-            spec = describe_term(kind, func, name)
-            known = TERMS.registered[kind].get(spec.name)
-            if known is not None and _place(known.func) != _place(func):
-                raise ValueError(
-                    f"{kind} term {spec.name!r} is registered already, by {_place(known.func)}"
-                )
-            TERMS.registered[kind][spec.name] = spec
+            add_term(describe_term(kind, func, name))
         return func
 
     return decorate
+
+
+def add_term(spec: TermSpec) -> None:
+    """Register a term that is described already.
+
+    Raises:
+        ValueError: If its name is taken by another object.
+    """
+    table = SHAPES if spec.kind == "shape" else TERMS.registered[cast("Kind", spec.kind)]
+    known = table.get(spec.name)
+    if known is not None and known.place != spec.place:
+        raise ValueError(f"{spec.label} is registered already, by {known.place}")
+    table[spec.name] = spec
+
+
+def quantity(*kinds: Kind, name: str | None = None) -> Callable[[T], T]:
+    """Register a function (or class) of the scene that gives numbers.
+
+    A function takes ``env``, then those of ``obs``, ``action`` and ``info`` that it reads (a
+    quantity that reads any of them is no observation), then parameters. A class takes ``(env,
+    **params)`` and is called without arguments.
+
+    Args:
+        *kinds: The managers that may use it; none are observation, reward, termination and metric,
+            as far as its arguments allow.
+        name: Its name; None is the function's own.
+
+    Returns:
+        A decorator that leaves its argument as it is. The value is float64 or bool, (N,) or (N, K);
+        observations may have more dimensions.
+    """
+
+    def decorate(func: T) -> T:
+        lead = _lead_of(func)
+        _LEADS[func] = lead
+        chosen = kinds or (VALUE_KINDS[1:] if lead else VALUE_KINDS)
+        for kind in chosen:
+            add_term(describe_term(kind, func, name))
+        return func
+
+    return decorate
+
+
+def register_shape(func: T) -> T:
+    """Register what makes one number of each row of a quantity, under its own name in lower case.
+
+    A "_" at the end of the name, which keeps it apart from another name of Python's, is left out.
+
+    ``(env, **params)`` returns a callable, or is a class with `__call__`: (N,) or (N, K) float64 or
+    bool -> the same or (N,).
+    """
+    title = str(getattr(func, "__name__", "")).lower().removesuffix("_")
+    add_term(describe_term("shape", func, title))
+    return func
+
+
+def _lead_of(func: Callable[..., Any]) -> tuple[str, ...]:
+    if inspect.isclass(func):
+        return ()
+    names = list(inspect.signature(func).parameters)[1:]
+    count = next((i for i, n in enumerate(names) if n not in _LEAD_OF_QUANTITIES), len(names))
+    return tuple(names[:count])
+
+
+_LEADS: dict[Callable[..., Any], tuple[str, ...]] = {}
+"""Quantities -> what they take after `env`."""
+SHAPES: dict[str, TermSpec] = {}
+"""Every registered shape by name; filled with the terms."""
 
 
 def _place(func: Callable[..., Any]) -> str:
     return f"{func.__module__}:{getattr(func, '__qualname__', type(func).__qualname__)}"
 
 
-def describe_term(
-    kind: Kind | Literal["policy"], func: Callable[..., Any], name: str | None = None
-) -> TermSpec:
+def describe_term(kind: SpecKind, func: Callable[..., Any], name: str | None = None) -> TermSpec:
     """Read a term's parameters off its signature.
 
     Raises:
         ValueError: If the signature lacks the arguments that the manager passes.
     """
     title = name or str(getattr(func, "__name__", type(func).__name__))
-    lead = LEADING[kind]
+    of_quantity = _LEADS.get(func)
+    lead = LEADING[kind] if of_quantity is None else ("env", *of_quantity)
     if inspect.isclass(func):
         lead = () if kind == "policy" else ("env",)
     params = list(inspect.signature(func).parameters.values())
@@ -251,9 +362,10 @@ def describe_term(
         name=title,
         kind=kind,
         func=func,
-        params={p.name: p for p in rest if p.kind not in variable},
+        params={p.name.removesuffix("_"): p for p in rest if p.kind not in variable},
         doc=inspect.getdoc(func) or "",
         open_params=any(p.kind is inspect.Parameter.VAR_KEYWORD for p in rest),
+        lead=of_quantity,
     )
 
 
@@ -271,7 +383,8 @@ def resolve_term(
         ConfigError: If there is no such term; names the closest one.
     """
     if not isinstance(func, str):
-        return _described(kind, func, None)
+        known = next((s for s in TERMS[kind].values() if s.func is func), None)
+        return known or _described(kind, func, None)
     known = TERMS[kind].get(func)
     if known is not None:
         return known

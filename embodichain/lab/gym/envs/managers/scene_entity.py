@@ -1,6 +1,8 @@
-"""`ResolvedEntity`: what a `SceneEntityCfg` means in a scene, with joints and links as indices.
+"""`ResolvedEntity`: what a `SceneEntityCfg` means in a scene, and what its joints and links read.
 
-What a reference picks is `compiler.entity_names.pick`, which checks a config too.
+What a reference picks is `compiler.entity_names.pick`, which checks a config too. Arrays are the
+engine's own float64 numbers. Sums run over columns in a fixed order, because a reduction may round
+differently for another number of environments.
 """
 
 from __future__ import annotations
@@ -8,17 +10,29 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
+import numpy as np
 from pydantic import GetCoreSchemaHandler, TypeAdapter, ValidationError
 
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import cross, quat_conjugate, quat_multiply, quat_rotate
 
 if TYPE_CHECKING:
+    import torch
+    from numpy.typing import NDArray
+
+    from embodichain.lab.sim.engine.base import F64, Engine
     from embodichain.lab.sim.sim_manager import SimulationManager
 
-__all__ = ["ResolvedEntity", "resolve_entity"]
+__all__ = ["Frame", "ResolvedEntity", "origin_velocities", "resolve_entity"]
+
+Frame = Literal["world", "body", "yaw"]
+_HINGE = 3
+"""MuJoCo's ``mjJNT_HINGE``: terms are listed without MuJoCo."""
+UNLIMITED = 1e9
+"""Speeds and efforts at least this large are no limits (EmbodiChain's default is 1e10)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +102,264 @@ class ResolvedEntity:
         """MuJoCo body id of the one picked link, or None for the root."""
         name = self.link_name
         return None if name is None else int(self.asset.body_of(name))
+
+    @cached_property
+    def body_id(self) -> int:
+        """MuJoCo body id of the one picked link, else of the root."""
+        link = self.link_body
+        return int(self.asset.entity.root_body_id) if link is None else link
+
+    # -- joints, in float64; K is the number of picked joints ------------------------------------
+
+    @cached_property
+    def _columns(self) -> NDArray[np.int64]:
+        return np.asarray(self.joint_ids, np.int64)
+
+    @cached_property
+    def _dofs(self) -> NDArray[np.int64]:
+        return np.asarray(self.asset.entity.dof_adr, np.int64)[self._columns]
+
+    def _pick(self, values: F64) -> F64:
+        return values if self.all_joints else values[:, self._columns]
+
+    def require_joints(self) -> None:
+        """Raise a ConfigError if the entity has no joints."""
+        if not self.joint_ids:
+            raise ConfigError([Problem(self.path, f"{self.uid!r} has no joints")])
+
+    @cached_property
+    def initial_qpos(self) -> F64:
+        """(K,) initial joint positions, rad or m."""
+        found: F64 = np.asarray(self.asset.parsed.init_qpos, np.float64)[self._columns]
+        return found
+
+    def qpos(self) -> F64:
+        """(N, K) joint positions, rad or m: not to be written to or stored."""
+        return self._pick(self.asset.read_qpos())
+
+    def qvel(self) -> F64:
+        """(N, K) joint velocities, rad/s or m/s: not to be written to or stored."""
+        return self._pick(self.asset.read_qvel())
+
+    def target_qpos(self) -> F64:
+        """(N, K) position targets of the drives, rad or m; qpos of joints without a drive."""
+        found: F64 = self.asset.drives.read_target_qpos()[:, self._columns]
+        return found
+
+    def effort(self) -> F64:
+        """(N, K) N m or N of the last physics step: drive, its damper, and efforts applied."""
+        applied = self.asset.engine.state("qfrc_applied")[:, self._dofs]
+        found: F64 = self._pick(self.asset.read_qf()) + applied
+        return found
+
+    def hinges(self) -> NDArray[np.bool_]:
+        """(K,) whether a joint turns, instead of sliding."""
+        model = self.asset.engine.model
+        turns: NDArray[np.bool_] = model.jnt_type[model.dof_jntid[self._dofs]] == _HINGE
+        return turns
+
+    def qpos_limits(self, soft_ratio: float = 1.0) -> tuple[F64, F64]:
+        """Low and high position limits in force, (K,) or (N, K) each; infinite without a limit.
+
+        Args:
+            soft_ratio: Share of the range, around its middle.
+
+        Raises:
+            ConfigError: If no joint has a limit.
+        """
+        low, high = self.asset.drives.limits.of(self._columns, None)
+        self._require_limits(np.isfinite(low) | np.isfinite(high), "position")
+        if soft_ratio == 1.0:
+            return low, high
+        limited = np.isfinite(low) & np.isfinite(high)
+        width = np.subtract(high, low, where=limited, out=np.zeros_like(low))
+        inset = 0.5 * (1.0 - soft_ratio) * width
+        return low + inset, high - inset
+
+    def qvel_limits(self) -> F64:
+        """(N, K) rad/s or m/s: the smaller of the drive's maximum and the file's limit.
+
+        Raises:
+            ConfigError: If no joint has a limit.
+        """
+        return self._smaller(self.asset.drives.max_velocity, "qvel_limits", "velocity")
+
+    def effort_limits(self) -> F64:
+        """(N, K) N m or N: the smaller of the drive's maximum and the file's limit.
+
+        Raises:
+            ConfigError: If no joint has a limit.
+        """
+        drives = self.asset.drives
+        return self._smaller(drives.max_effort * drives.strength, "qf_limits", "effort")
+
+    def _smaller(self, drive: F64, of_file: str, what: str) -> F64:
+        file = np.asarray(getattr(self.asset.parsed, of_file), np.float64)
+        limits = np.minimum(drive[:, self._columns], file[self._columns])
+        limits = np.where(limits >= UNLIMITED, np.inf, limits)
+        self._require_limits(np.isfinite(limits), what)
+        return limits
+
+    def _require_limits(self, limited: NDArray[np.bool_], what: str) -> None:
+        if not limited.any():
+            names = ", ".join(self.joint_names)
+            message = f"none of the joints picked of {self.uid!r} has limits of {what}: {names}"
+            raise ConfigError([Problem(self.path, message)])
+
+    # -- the picked link, else the root: environment's frame, wxyz, float64 ----------------------
+
+    def position(self) -> F64:
+        """(N, 3) m: a live view, not to be written to or stored."""
+        body = self.link_body
+        found: F64 = (
+            self.asset.read_pose()[0]
+            if body is None
+            else self.asset.engine.derived("xpos")[:, body]
+        )
+        return found
+
+    def orientation(self) -> F64:
+        """(N, 4) wxyz: a live view, not to be written to or stored."""
+        body = self.link_body
+        found: F64 = (
+            self.asset.read_pose()[1]
+            if body is None
+            else self.asset.engine.derived("xquat")[:, body]
+        )
+        return found
+
+    def pose(self) -> torch.Tensor:
+        """(N, 7) float32 x, y, z, qw, qx, qy, qz."""
+        link = self.link_name
+        found: torch.Tensor = (
+            self.asset.get_local_pose() if link is None else self.asset.get_link_pose(link)
+        )
+        return found
+
+    def _free_qvel(self) -> F64 | None:
+        """(N, 6) velocity of a floating root: linear in world axes, angular in its own."""
+        start = self.asset.entity.free_qvel_adr
+        if self.link_body is not None or start < 0:
+            return None
+        found: F64 = self.asset.engine.state("qvel")[:, start : start + 6]
+        return found
+
+    def linear_velocity(self, frame: Frame = "world") -> F64:
+        """(N, 3) m/s of the origin.
+
+        A floating root's is its joint's own. Else it is MuJoCo's `cvel`, which is (angular, linear)
+        at the centre of mass of the kinematic tree, moved to the origin:
+        v = v_com + w x (origin - com).
+
+        Args:
+            frame: The axes: of the ``world``, of the ``body`` itself, or of its heading (``yaw``),
+                which are level and turned about z to where the body's x axis points.
+        """
+        free = self._free_qvel()
+        engine = self.asset.engine
+        linear = origin_velocities(engine, self.body_id)[0] if free is None else free[:, :3]
+        if frame == "body":
+            return quat_rotate(quat_conjugate(self.orientation()), linear)
+        return _in_heading(self.orientation(), linear) if frame == "yaw" else linear
+
+    def angular_velocity(self, frame: Frame = "world") -> F64:
+        """(N, 3) rad/s; see `linear_velocity`."""
+        free = self._free_qvel()
+        if free is not None and frame == "body":
+            return free[:, 3:]
+        if free is not None:
+            angular = quat_rotate(self.orientation(), free[:, 3:])
+        else:
+            angular = self.asset.engine.derived("cvel")[:, self.body_id, :3]
+        if frame == "body":
+            return quat_rotate(quat_conjugate(self.orientation()), angular)
+        return _in_heading(self.orientation(), angular) if frame == "yaw" else angular
+
+    # -- all picked links; L is their number, 1 for the root -------------------------------------
+
+    def link_poses(self, in_root_frame: bool = False) -> tuple[F64, F64]:
+        """Positions (N, L, 3) in m and orientations (N, L, 4), wxyz: not to be stored.
+
+        Args:
+            in_root_frame: Whether they are relative to the entity's root, in its axes.
+        """
+        root_position, root_quat = self.asset.read_pose()
+        if not self.link_names:
+            position, quat = root_position[:, None], root_quat[:, None]
+        else:
+            ids = self._link_bodies
+            engine = self.asset.engine
+            position, quat = engine.derived("xpos")[:, ids], engine.derived("xquat")[:, ids]
+        if not in_root_frame:
+            return position, quat
+        inverse = _repeated(quat_conjugate(root_quat), position.shape[1])
+        return quat_rotate(inverse, position - root_position[:, None]), quat_multiply(inverse, quat)
+
+    def link_velocities(self, in_root_frame: bool = False) -> tuple[F64, F64]:
+        """Linear in m/s, of the links' origins, and angular in rad/s, (N, L, 3) each.
+
+        Args:
+            in_root_frame: Whether they are those minus the root's, in its axes.
+        """
+        root = self._root
+        if self.link_names:
+            linear, angular = origin_velocities(self.asset.engine, self._link_bodies)
+        else:
+            linear, angular = self.linear_velocity()[:, None], self.angular_velocity()[:, None]
+        if not in_root_frame:
+            return linear, angular
+        inverse = _repeated(quat_conjugate(root.orientation()), linear.shape[1])
+        linear = linear - root.linear_velocity()[:, None]
+        angular = angular - root.angular_velocity()[:, None]
+        return quat_rotate(inverse, linear), quat_rotate(inverse, angular)
+
+    @cached_property
+    def _link_bodies(self) -> Any:
+        from embodichain.lab.sim.objects._arrays import columns_of  # imports the engine
+
+        return columns_of([self.asset.body_of(name) for name in self.link_names])
+
+    @cached_property
+    def _root(self) -> ResolvedEntity:
+        return ResolvedEntity(self.uid, self.asset) if self.link_names else self
+
+
+def origin_velocities(engine: Engine, bodies: Any) -> tuple[F64, F64]:
+    """Velocities of bodies' origins from MuJoCo's `cvel`, world axes.
+
+    Args:
+        engine: The engine.
+        bodies: B ids of bodies, a slice, or one id.
+
+    Returns:
+        Linear in m/s and angular in rad/s, (N, B, 3) each; (N, 3) of one id.
+    """
+    roots = engine.model.body_rootid[bodies].astype(np.int64)
+    cvel = engine.derived("cvel")[:, bodies]
+    arm = engine.derived("xpos")[:, bodies] - engine.derived("subtree_com")[:, roots]
+    angular = cvel[..., :3]
+    return cvel[..., 3:] + cross(angular, arm), angular
+
+
+def _repeated(quat: F64, count: int) -> F64:
+    """(N, count, 4) of (N, 4)."""
+    return np.broadcast_to(quat[:, None], (len(quat), count, 4))
+
+
+def _in_heading(quat: F64, vectors: F64) -> F64:
+    """(N, 3) vectors in level axes, turned about z to a body's x axis.
+
+    The heading of a body whose x axis is vertical is the world's x axis.
+    """
+    w, x, y, z = (quat[:, i] for i in range(4))
+    ahead, left = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
+    length = np.sqrt(ahead * ahead + left * left)
+    vertical = length == 0.0
+    length = np.where(vertical, 1.0, length)
+    cos, sin = np.where(vertical, 1.0, ahead / length), left / length
+    forward = cos * vectors[:, 0] + sin * vectors[:, 1]
+    sideways = cos * vectors[:, 1] - sin * vectors[:, 0]
+    return np.stack([forward, sideways, vectors[:, 2]], axis=1)
 
 
 def resolve_entity(

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from embodichain.lab.gym.envs.managers.check import SECTIONS
+from embodichain.lab.gym.envs.managers.registry import SECTIONS
 from embodichain.lab.sim.compiler.entity_names import Known, check_reference
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean, listing
@@ -28,14 +28,14 @@ _FIELDS = frozenset(
         "body_ids",
     }
 )
-_KEY = re.compile(r"(.*_)?(entity_cfg|cfg|relative_to)")
+_KEY = re.compile(r"(.*_)?(entity_cfg|cfg|relative_to)|of|from|to")
 
 
 def check_references(cfg: Any, known: Known, open_scene: bool) -> list[Problem]:
     """Return every reference to an entity, joint, link or control part that does not exist.
 
     A parameter is a reference if it is a `SceneEntityCfg`, or a map with nothing but its keys that
-    has ``uid`` or whose own key says so (``entity_cfg``, ``..._cfg``, ``relative_to``).
+    has ``uid`` or whose own key says so (``of``, ``from``, ``to``, ``..._cfg``, ``relative_to``).
 
     Args:
         cfg: The task.

@@ -12,7 +12,7 @@ from embodichain.lab.gym.envs.managers.param_types import Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import CommandTerm
-from embodichain.lab.gym.envs.mdp import _spatial
+from embodichain.lab.gym.envs.mdp._rows import norm
 from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -76,7 +76,7 @@ class UniformJointPositionCommand(CommandTerm):
         qpos: Any = self._entity.asset.read_qpos()
         if not self._entity.all_joints:
             qpos = qpos[:, list(self._entity.joint_ids)]
-        return {"joint_error": _spatial.norm(qpos - self.values)}
+        return {"joint_error": norm(qpos - self.values)}
 
 
 def _rows(given: Range | dict[str, Range], names: tuple[str, ...], rest: F64) -> F64:

@@ -12,7 +12,7 @@ from embodichain.lab.gym.envs.managers.param_types import Box3
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import CommandMarker, CommandTerm
-from embodichain.lab.gym.envs.mdp import _body, _spatial
+from embodichain.lab.gym.envs.mdp._rows import angle_between, norm
 from embodichain.utils.math import euler_xyz_to_quat, quat_multiply, quat_rotate
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class UniformPoseCommand(CommandTerm):
         self._unique = make_quat_unique
         self.values: F64 = np.zeros((env.num_envs, 7))
         self.values[:, 3] = 1.0
-        self.marker = CommandMarker("pose", _body.body_id(self._root))
+        self.marker = CommandMarker("pose", self._root.body_id)
 
     def resample(self, env_ids: EnvIndex | None) -> None:
         """Draw poses."""
@@ -76,8 +76,8 @@ class UniformPoseCommand(CommandTerm):
 
     def world(self) -> tuple[F64, F64]:
         """The commanded position (N, 3) and wxyz orientation (N, 4) in the environment's frame."""
-        turn = _body.orientation(self._root)
-        position = _spatial.position(self._root) + quat_rotate(turn, self.values[:, :3])
+        turn = self._root.orientation()
+        position = self._root.position() + quat_rotate(turn, self.values[:, :3])
         return position, quat_multiply(turn, self.values[:, 3:])
 
     def metrics(self) -> Mapping[str, F64]:
@@ -86,6 +86,6 @@ class UniformPoseCommand(CommandTerm):
             return {}
         position, quat = self.world()
         return {
-            "position_error": _spatial.norm(_spatial.position(self._entity) - position),
-            "orientation_error": _body.angle_between(_body.orientation(self._entity), quat),
+            "position_error": norm(self._entity.position() - position),
+            "orientation_error": angle_between(self._entity.orientation(), quat),
         }

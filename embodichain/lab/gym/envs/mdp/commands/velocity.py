@@ -12,7 +12,7 @@ from embodichain.lab.gym.envs.managers.param_types import NonNegative, Range, Un
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import CommandMarker, CommandTerm
-from embodichain.lab.gym.envs.mdp import _body, _spatial
+from embodichain.lab.gym.envs.mdp._rows import norm
 from embodichain.utils.configclass import configclass
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ class UniformVelocityCommand(CommandTerm):
         self._stands = rel_standing_envs
         self._heads = rel_heading_envs
         self.values: F64 = np.zeros((count, 3))
-        self.marker = CommandMarker("velocity", _body.body_id(entity_cfg))
+        self.marker = CommandMarker("velocity", entity_cfg.body_id)
         self.heading_target: F64 = np.zeros(count)
         self.is_heading: NDArray[np.bool_] = np.zeros(count, np.bool_)
         self.is_standing: NDArray[np.bool_] = np.zeros(count, np.bool_)
@@ -101,17 +101,17 @@ class UniformVelocityCommand(CommandTerm):
         if not self._turns:
             return
         where: Any = slice(None) if env_ids is None else env_ids
-        error = _wrapped(self.heading_target - _yaw(_body.orientation(self._entity)))
+        error = _wrapped(self.heading_target - _yaw(self._entity.orientation()))
         rate = np.clip(self._stiffness * error, self._drawn.low[2], self._drawn.high[2])
         turning = (self.is_heading & ~self.is_standing)[where]
         self.values[where, 2] = np.where(turning, rate[where], self.values[where, 2])
 
     def metrics(self) -> Mapping[str, F64]:
         """Distance of the velocity from the command: in the plane, and of turning."""
-        difference = _body.heading_velocity(self._entity)[:, :2] - self.values[:, :2]
-        turning = _body.velocity(self._entity)[1][:, 2]
+        difference = self._entity.linear_velocity("yaw")[:, :2] - self.values[:, :2]
+        turning = self._entity.angular_velocity()[:, 2]
         return {
-            "error_vel_xy": _spatial.norm(difference),
+            "error_vel_xy": norm(difference),
             "error_vel_yaw": np.abs(turning - self.values[:, 2]),
         }
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Field
 
 from embodichain.lab.gym.envs.cfg import EnvCfg
-from embodichain.lab.gym.envs.managers.check import SECTIONS, check_params
+from embodichain.lab.gym.envs.managers.check import check_params
 from embodichain.lab.gym.envs.managers.param_types import Finite
-from embodichain.lab.gym.envs.managers.registry import register_term, resolve_term
+from embodichain.lab.gym.envs.managers.registry import SECTIONS, register_term, resolve_term
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._schedule import between, get_at, progress, with_value
 from embodichain.utils.errors import ConfigError, Problem

@@ -12,7 +12,6 @@ from embodichain.lab.gym.envs.managers.param_types import Box3
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.mdp import _spatial
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, quat_multiply
 
@@ -88,7 +87,7 @@ class RandomizePose(Term):
         if self._position is not None:
             pos = self._position(env.event_manager, env_ids)
         if self._near is not None:
-            origin = _spatial.position(self._near)
+            origin = self._near.position()
             origin = origin if env_ids is None else origin[env_ids]
             pos = origin + (0.0 if self._position is None else pos)
         if self._rotation is not None:

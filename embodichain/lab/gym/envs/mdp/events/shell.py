@@ -11,7 +11,6 @@ from embodichain.lab.gym.envs.managers.param_types import Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.mdp import _spatial
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -81,7 +80,7 @@ class RandomizeObjectPositionInShell(Term):
         radius = np.cbrt(radius)
         flat = radius * np.sqrt(np.maximum(0.0, 1.0 - rise * rise))
         offset = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), radius * rise], axis=1)
-        origin = _spatial.position(self._centre)
+        origin = self._centre.position()
         pos = (origin if env_ids is None else origin[env_ids]) + offset
         self._asset.write_pose(pos, self._quat[: len(pos)], env_ids)
         if self._stop is not None:

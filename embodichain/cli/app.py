@@ -1,0 +1,451 @@
+"""The `embodichain` command: its verbs as a click group, and the options that verbs share.
+
+A verb is the function ``command`` of the module `embodichain.cli.NAME`, imported when it is
+called or its help is asked for.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+from click.shell_completion import BashComplete, add_completion_class, shell_complete
+
+from embodichain.cli import exits
+from embodichain.cli.process import signals_raise, starting
+from embodichain.utils.errors import ConfigError
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = [
+    "EVERYDAY_KEYS",
+    "VERBS",
+    "Verb",
+    "call",
+    "common",
+    "complete_last",
+    "job_options",
+    "jobs",
+    "log_argument",
+    "log_of",
+    "main",
+    "overrides",
+    "split_overrides",
+    "typed",
+    "verb",
+]
+
+VERBS = {
+    "run": "Run a task: simulate, show progress, write a log.",
+    "train": "Train a policy with Stable-Baselines3.",
+    "eval": "Play a policy for exactly N episodes; say how far the numbers can be trusted.",
+    "play": "Show a trained policy in a window.",
+    "compare": "Put trainings side by side: a table, and curves with intervals over seeds.",
+    "export": "Write a log for another program, or a policy as one ONNX or TorchScript file.",
+    "replay": "Say what a log contains; with --verify simulate it again and compare every bit.",
+    "view": "Say how to look at a log in Foxglove or Lichtblick; open it, or play it to them.",
+    "recover": "Write a clean log from a broken one, up to where it is good.",
+    "diff": "Name the first step and field where two logs differ.",
+    "bench": "Measure control steps/s beside the bare batch of the same model.",
+    "list": "List tasks, robots or terms.",
+    "show": "Show a task: resolved config, scene, spaces, terms; or one term.",
+    "validate": "Check a task, build it as `run` does, and print every mistake.",
+    "convert": "Write EmbodiChain's own config of a task as a task file.",
+    "run-env": "EmbodiChain's command: run --gym-config, with its flags.",
+    "new": "Write a task and its test into your folder or package.",
+    "doctor": "Check this machine: versions, threads, rendering, disk, optional packages.",
+}
+"""Verb -> what it does, in the order of `--help`."""
+
+EVERYDAY_KEYS = (
+    *("task", "num_envs", "episodes", "max_steps", "total_timesteps", "seed", "policy"),
+    *("record", "viewer", "device", "sim", "output_dir"),
+)
+_KEYS = f"""Keys:
+  {" ".join(EVERYDAY_KEYS)}
+  all of them, with their values: embodichain show task=NAME --config
+
+"""
+_EXIT_CODES = "Exit codes: 0 ok, 1 the run failed, 2 wrong input, 130 interrupted\n"
+_OVERVIEW = f"""
+Completion: eval "$(embodichain -sc install=bash)" (or zsh, fish)
+
+Examples:
+  embodichain run task=random_reach num_envs=4
+  embodichain replay last --verify
+  embodichain list tasks
+
+{_EXIT_CODES}"""
+_QUICK_START = ("run", "run-env", "train")
+"""Verbs that call `started` once their start-up is over."""
+_COMPLETE = "_EMBODICHAIN_COMPLETE"
+_FORGET = {
+    "bash": "complete -r embodichain",
+    "zsh": "compdef -d embodichain",
+    "fish": "complete -c embodichain -e",
+}
+_F = TypeVar("_F", bound=Callable[..., Any])
+Decorator = Callable[[_F], _F]
+
+
+class Verb(click.Command):
+    """A verb whose help ends with examples.
+
+    Args:
+        examples: Arguments, and what they do.
+        keys: Whether it takes ``key=value`` overrides.
+    """
+
+    def __init__(
+        self, *args: Any, examples: tuple[tuple[str, str], ...], keys: bool, **attrs: Any
+    ) -> None:
+        super().__init__(*args, **attrs)
+        self.examples, self.keys = examples, keys
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write keys, examples and exit codes, unwrapped."""
+        width = max(len(arguments) for arguments, _ in self.examples)
+        lines = [f"  embodichain {a:<{width}}   {what}".rstrip() for a, what in self.examples]
+        keys = _KEYS if self.keys else ""
+        formatter.write("\n".join([f"\n{keys}Examples:", *lines, f"\n{_EXIT_CODES}"]))
+
+
+class _Verbs(click.Group):
+    """The verbs, imported one by one."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in VERBS:
+            return None
+        module = importlib.import_module(f"embodichain.cli.{cmd_name.replace('-', '_')}")
+        found: click.Command = module.command
+        return found
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Verbs"):
+            formatter.write_dl(list(VERBS.items()))
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        formatter.write(_OVERVIEW)
+
+    def shell_complete(
+        self, ctx: click.Context, incomplete: str
+    ) -> list[click.shell_completion.CompletionItem]:
+        item = click.shell_completion.CompletionItem
+        return [item(name, help=VERBS[name]) for name in VERBS if name.startswith(incomplete)]
+
+
+def _version(ctx: click.Context, parameter: click.Parameter, value: bool) -> None:
+    if not value or ctx.resilient_parsing:
+        return
+    import platform
+    from importlib.metadata import version
+
+    import embodichain
+
+    python = platform.python_version()
+    own = f"embodichain {embodichain.__version__}"
+    click.echo(f"{own} (Python {python}, MuJoCo {version('mujoco')})")
+    ctx.exit()
+
+
+def _completion(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    """Print what a shell evaluates to complete this command, or to forget it."""
+    if value is None or ctx.resilient_parsing:
+        return
+    action, _, shell = value.partition("=")
+    if action not in ("install", "uninstall") or shell not in _FORGET:
+        raise ConfigError("-sc takes install=SHELL or uninstall=SHELL; SHELL is bash, zsh or fish")
+    if action == "uninstall":
+        click.echo(_FORGET[shell])
+    else:
+        shell_complete(_cli, {}, "embodichain", _COMPLETE, f"{shell}_source")
+    ctx.exit()
+
+
+class _Bash(BashComplete):
+    """Completes ``key=value`` as one word, and goes on after ``key=`` and ``key.``."""
+
+    source_template = "COMP_WORDBREAKS=${COMP_WORDBREAKS//=}\n" + (
+        BashComplete.source_template.replace(
+            "COMPREPLY+=($value)",
+            "COMPREPLY+=($value)\n            [[ $value == *[=.] ]] && compopt -o nospace",
+        )
+    )
+
+
+add_completion_class(_Bash)
+
+
+@click.command(
+    cls=_Verbs,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+    subcommand_metavar="VERB [ARGUMENTS]",
+    options_metavar="",
+)
+@click.option(
+    *("--version", "-V"),
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_version,
+    help="Versions of embodichain, Python and MuJoCo.",
+)
+@click.option(
+    *("-sc", "--shell-completion"),
+    metavar="install=SHELL",
+    is_eager=True,
+    expose_value=False,
+    callback=_completion,
+    help="Completion for bash, zsh or fish.",
+)
+def _cli() -> None:
+    """One YAML tree is one robot experiment: scene, task, learning, and a log that replays."""
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the `embodichain` command.
+
+    Args:
+        argv: Arguments after the program's name; None takes `sys.argv`.
+
+    Returns:
+        0 ok, 1 the run failed, 2 the input is wrong, 130 interrupted.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if _COMPLETE in os.environ:
+        return shell_complete(_cli, {}, "embodichain", _COMPLETE, os.environ[_COMPLETE])
+    try:
+        return call(arguments)
+    except SystemExit as stop:  # how Hydra leaves
+        return stop.code if isinstance(stop.code, int) else exits.OK
+    except BrokenPipeError:  # the reader of a pipe left; Python's manual asks for this redirection
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return exits.FAILED
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (the last line of defence)
+        return exits.report(error, full="--traceback" in arguments)
+
+
+def call(arguments: list[str]) -> int:
+    """Call a verb; errors are raised.
+
+    Args:
+        arguments: The verb and what follows it.
+
+    Returns:
+        The exit code.
+    """
+    first = arguments[0] if arguments else "help"
+    if "=" in first or first in ("-m", "--multirun"):
+        raise ConfigError(f"a verb comes first: embodichain run {' '.join(arguments)}")
+    if first == "help":
+        arguments = ["--help"]
+    start = starting() if first in _QUICK_START else nullcontext()
+    try:
+        with (
+            signals_raise(),
+            _own_modules(),
+            start,
+            _cli.make_context(
+                "embodichain", list(arguments), obj=["embodichain", *arguments]
+            ) as context,
+        ):
+            code: int | None = _cli.invoke(context)
+            return code or exits.OK
+    except click.exceptions.Exit as end:
+        return end.exit_code
+    except click.UsageError as error:
+        raise ConfigError(_usage(error)) from error
+
+
+def _usage(error: click.UsageError) -> str:
+    if isinstance(error, click.exceptions.NoSuchCommand):
+        hint = did_you_mean(error.command_name, VERBS)
+        return f"no such verb: '{error.command_name}'.{hint} There are: {', '.join(VERBS)}."
+    program = error.ctx.command_path if error.ctx is not None else "embodichain"
+    return f"{error.format_message()}\nTry '{program} --help'."
+
+
+@contextmanager
+def _own_modules() -> Iterator[None]:
+    """Let a config name functions of modules in the working directory, or in its `src`.
+
+    They come last in `sys.path`: no installed module is hidden by them.
+    """
+    added = [folder for folder in (os.getcwd(), os.path.abspath("src")) if folder not in sys.path]
+    sys.path += added
+    try:
+        yield
+    finally:
+        for folder in added:
+            sys.path.remove(folder)
+
+
+# -- what verbs are made of --------------------------------------------------------------------
+
+
+def verb(
+    name: str, *examples: tuple[str, str], keys: bool = False
+) -> Callable[[Callable[..., int | None]], Verb]:
+    """Make a function the verb of this name.
+
+    Args:
+        name: One of `VERBS`.
+        *examples: Arguments after ``embodichain``, and what they do.
+        keys: Whether it takes ``key=value`` overrides.
+    """
+    return click.command(name, cls=Verb, help=VERBS[name], examples=examples, keys=keys)
+
+
+def common(*, config_dir: bool = False, quiet: bool = False) -> Decorator[Any]:
+    """Add `--json`, `--traceback` and, where asked for, `--config-dir` and `--quiet`."""
+
+    def add(function: _F) -> _F:
+        function = click.option("--traceback", is_flag=True, help="Show where an error happened.")(
+            function
+        )
+        function = click.option("--json", is_flag=True, help="One JSON object on stdout.")(function)
+        if quiet:
+            text = "No progress, no report."
+            function = click.option("--quiet", "-q", is_flag=True, help=text)(function)
+        if config_dir:
+            function = click.option(
+                *("--config-dir", "-cd"), metavar="DIR", help="Search this folder for YAML first."
+            )(function)
+        return function
+
+    return add
+
+
+def overrides(metavar: str = "[KEY=VALUE]...", *words: str, config: str = "run") -> Decorator[Any]:
+    """Add the argument `words`: overrides in Hydra's grammar, and names.
+
+    Args:
+        metavar: How help shows it.
+        *words: Names that are completed besides keys.
+        config: The root config whose keys are completed, ``run`` or ``train``.
+    """
+    complete = partial(_complete, config=config, names=words)
+    return click.argument("words", nargs=-1, metavar=metavar, shell_complete=complete)
+
+
+def _complete(
+    ctx: click.Context,
+    parameter: click.Parameter,
+    incomplete: str,
+    *,
+    config: str,
+    names: tuple[str, ...],
+) -> list[str]:
+    from embodichain.config.completion import complete_override
+
+    found = [name for name in names if incomplete and name.startswith(incomplete)]
+    if found:
+        return found
+    typed = [w for w in ctx.params.get("words") or () if "=" in w or w.startswith("~")]
+    with _own_modules():
+        return complete_override(incomplete, typed, config, ctx.params.get("config_dir"))
+
+
+def complete_last(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    """Complete `last`, the newest run."""
+    return ["last"] if "last".startswith(incomplete) else []
+
+
+def log_argument(metavar: str = "FILE", name: str = "file") -> Decorator[Any]:
+    """Add an argument that names a log, see `log_of`."""
+    return click.argument(name, metavar=metavar, shell_complete=complete_last)
+
+
+def log_of(name: str) -> Path:
+    """Return the log that is meant: a file, the one in a run's folder, or the newest (``last``).
+
+    Raises:
+        ConfigError: There is no log yet, or the folder has none.
+    """
+    from embodichain.config.newest import LOG, newest_run
+
+    path = newest_run("outputs", LOG) if name == "last" else Path(name)
+    if path is None:
+        raise ConfigError("no run in outputs has a log yet: embodichain run task=NAME")
+    if not path.is_dir():
+        return path
+    log = path.resolve() / LOG
+    if not log.exists():
+        raise ConfigError(f"{path.resolve()} has no {LOG}: it was run with record=none")
+    return log
+
+
+_INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
+
+
+def jobs(config: str) -> Decorator[Any]:
+    """Add what `run` and `train` take: overrides, Hydra's flags, output.
+
+    Args:
+        config: The root config, ``run`` or ``train``.
+    """
+
+    def add(function: _F) -> _F:
+        option = click.option
+        for decorate in (
+            common(config_dir=True, quiet=True),
+            option(
+                *("--info", "-i"),
+                type=click.Choice(_INFO),
+                is_flag=False,
+                flag_value="all",
+                help="Print how the config was composed.",
+            ),
+            option("--package", "-p", metavar="KEY", help="With --cfg: only this part."),
+            option("--resolve", is_flag=True, help="With --cfg: resolve interpolations."),
+            option(
+                *("--cfg", "-c"),
+                type=click.Choice(("job", "hydra", "all")),
+                help="Print the config, and do nothing.",
+            ),
+            option("--multirun", "-m", is_flag=True, help="One job for each value."),
+            option(
+                *("--gym-config",),
+                metavar="FILE",
+                help="EmbodiChain's own config of a task, instead of task=NAME.",
+            ),
+            overrides("[task=NAME] [KEY=VALUE]...", config=config),
+        ):
+            function = decorate(function)
+        return function
+
+    return add
+
+
+def typed() -> list[str]:
+    """Return the command line of the verb that is running."""
+    return list(click.get_current_context().find_root().obj)
+
+
+def job_options(options: Any) -> list[str]:
+    """Return the flags of a verb that starts a job as overrides: `quiet`, `json`, `traceback`.
+
+    The workers of a sweep get overrides only, so that everything they must know is one.
+    """
+    return [f"{name}=true" for name in ("quiet", "json", "traceback") if getattr(options, name)]
+
+
+def split_overrides(words: tuple[str, ...]) -> list[str]:
+    """Turn what was typed into overrides: a bare word names the task.
+
+    Raises:
+        ConfigError: More than one bare word.
+    """
+    bare = [word for word in words if "=" not in word and not word.startswith("~")]
+    if len(bare) > 1:
+        raise ConfigError(f"one task at a time: {', '.join(bare)}. Values are given as key=value")
+    return [*(f"task={word}" for word in bare), *(word for word in words if word not in bare)]

@@ -1,0 +1,193 @@
+"""`EmbodiedEnvCfg`: a task declared in Python in EmbodiChain's form, with lists of entities.
+
+`EmbodiedEnvCfg.complete` converts it as a gym config is converted (`compat.gym_config`): notes on
+what means something else or nothing here are the same.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from embodichain.compat.gym_config.conversion import Conversion, convert
+from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
+from embodichain.lab.gym.envs.managers.registry import TERMS, Kind
+from embodichain.lab.sim.cfg import ArticulationCfg, LightCfg, RigidObjectCfg, name_of
+from embodichain.lab.sim.sensors.cfg import CameraCfg, no_camera
+from embodichain.utils.configclass import configclass, is_configclass
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.from_dict import from_dict
+
+__all__ = ["EmbodiedEnvCfg"]
+
+_log = logging.getLogger(__name__)
+_SECTIONS: Mapping[str, Kind] = {
+    "events": "event",
+    "observations": "observation",
+    "rewards": "reward",
+    "actions": "action",
+}
+_LISTS = ("background", "rigid_object", "articulation")
+_MAPS = ("objects", "articulations", "lights")
+_OF_ENV = ("control_parts", "active_joint_ids", "filter_visual_rand", "filter_dataset_saving")
+_ALWAYS = ("shape_type", "func")
+"""Fields that count where they have their default, too."""
+
+
+@configclass
+class _EnvLightCfg:
+    """Lights of a scene."""
+
+    direct: list[LightCfg] = []
+    indirect: dict[str, Any] | None = None
+    """Left out: there is one background light."""
+
+
+@configclass
+class EmbodiedEnvCfg(EnvCfg):
+    """The config of an environment in EmbodiChain's form. All fields of `EnvCfg` count, too.
+
+    `events`, `observations`, `rewards` and `actions` are a configclass with a field for each
+    functor, or a map. A functor's `func` is a term's name or a function.
+    """
+
+    EnvLightCfg = _EnvLightCfg
+
+    control_parts: list[str] | None = dataclasses.field(default=None, kw_only=True)
+    """Parts whose joints are acted on; None is every joint."""
+    active_joint_ids: list[int] = dataclasses.field(default_factory=list, kw_only=True)
+    sensor: list[Any] = dataclasses.field(default_factory=list, kw_only=True)
+    """Sensors of ours; a camera is an error when the environment is built."""
+    light: _EnvLightCfg = dataclasses.field(default_factory=_EnvLightCfg, kw_only=True)
+    background: list[RigidObjectCfg] = dataclasses.field(default_factory=list, kw_only=True)
+    """Static or kinematic objects."""
+    rigid_object: list[RigidObjectCfg] = dataclasses.field(default_factory=list, kw_only=True)
+    rigid_object_group: list[Any] = dataclasses.field(default_factory=list, kw_only=True)
+    """Left out: object groups are not available."""
+    articulation: list[ArticulationCfg] = dataclasses.field(default_factory=list, kw_only=True)
+    events: Any = dataclasses.field(default=None, kw_only=True)
+    observations: Any = dataclasses.field(default=None, kw_only=True)
+    rewards: Any = dataclasses.field(default=None, kw_only=True)
+    actions: Any = dataclasses.field(default=None, kw_only=True)
+    dataset: Any = dataclasses.field(default=None, kw_only=True)
+    """Left out: a run's log becomes a data set."""
+    extensions: Any = dataclasses.field(default=None, kw_only=True)
+    filter_visual_rand: bool = dataclasses.field(default=False, kw_only=True)
+    filter_dataset_saving: bool = dataclasses.field(default=False, kw_only=True)
+    init_rollout_buffer: bool = dataclasses.field(default=False, kw_only=True)
+    """No effect: a learner keeps its own buffer."""
+
+    def complete(self) -> None:
+        """Set the fields of `EnvCfg` from those in EmbodiChain's form; log what is left out.
+
+        Raises:
+            ConfigError: A value cannot be converted; contains every mistake.
+            NotImplementedError: A camera is declared.
+        """
+        cameras = [sensor for sensor in self.sensor if isinstance(sensor, CameraCfg)]
+        if cameras:
+            raise no_camera(cameras[0])
+        conversion = convert(_gym_config(self), ours=True)
+        if conversion.problems:
+            raise ConfigError([_here(p, p.path) for p in conversion.problems])
+        declared = _checked(conversion)
+        for name in ("robot", "extensions", *_SECTIONS):
+            setattr(self, name, getattr(declared, name))
+        for name in _MAPS:
+            setattr(self, name, {**getattr(declared, name), **getattr(self, name)})
+        self.sensors = {**{name_of(sensor): sensor for sensor in self.sensor}, **self.sensors}
+        for note in conversion.notes:
+            _log.warning("%s", _here(note, note.path))
+
+
+def _gym_config(cfg: EmbodiedEnvCfg) -> dict[str, Any]:
+    """The content of a file that declares the same; only what differs from a default."""
+    env: dict[str, Any] = {key: getattr(cfg, key) for key in _OF_ENV if getattr(cfg, key)}
+    env["extensions"] = cfg.extensions or {}
+    if cfg.dataset is not None:
+        env["dataset"] = {"recorder": None}  # its content means nothing here
+    for section, kind in _SECTIONS.items():
+        env[section] = {
+            name: _functor(functor, kind) for name, functor in _named(getattr(cfg, section))
+        }
+    config: dict[str, Any] = {key: _plain(getattr(cfg, key)) for key in _LISTS}
+    if cfg.rigid_object_group:
+        config["rigid_object_group"] = cfg.rigid_object_group
+    if cfg.robot is not None:
+        config["robot"] = _plain(cfg.robot)
+    return {**config, "light": _plain(cfg.light), "env": env}
+
+
+def _named(section: Any) -> Iterator[tuple[str, Any]]:
+    """The functors of a section by name: of a map, or the public attributes of an object."""
+    if section is None:
+        return
+    if isinstance(section, Mapping):
+        values: Mapping[str, Any] = section
+    elif is_configclass(section):
+        values = {f.name: getattr(section, f.name) for f in dataclasses.fields(section)}
+    else:
+        names = [n for n in dir(section) if not n.startswith("_")]
+        values = {n: getattr(section, n) for n in names}
+    yield from ((str(name), value) for name, value in values.items() if value is not None)
+
+
+def _functor(functor: Any, kind: Kind) -> Any:
+    plain = _plain(functor)
+    if not isinstance(functor, TermCfg):
+        return plain
+    if kind == "observation":
+        plain["mode"] = getattr(functor, "mode", "modify")  # its default is not that of a file
+    func = functor.func
+    if callable(func):
+        known = next((name for name, spec in TERMS[kind].items() if spec.func is func), None)
+        plain["func"] = known or func
+        if known is None and functor.params:
+            plain["params"] = functor.params  # a user's function gets a `SceneEntityCfg` as it is
+    return plain
+
+
+def _plain(value: Any) -> Any:
+    """A config as a map of what differs from its class's defaults; of a user's class, from ours."""
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, type) or not is_configclass(value):
+        return value
+    base = next(c for c in type(value).__mro__ if c.__module__.startswith("embodichain."))
+    return {
+        f.name: _plain(getattr(value, f.name))
+        for f in dataclasses.fields(base)
+        if f.name in _ALWAYS or not _same(getattr(value, f.name), _default(f))
+    }
+
+
+def _default(field: dataclasses.Field[Any]) -> Any:
+    if field.default_factory is not dataclasses.MISSING:
+        return field.default_factory()
+    return field.default
+
+
+def _same(value: Any, default: Any) -> bool:
+    """Equal by content, of types that say so with one bool: an array is never a default."""
+    if value is default:
+        return True
+    return not hasattr(value, "shape") and bool(_plain(value) == _plain(default))
+
+
+def _checked(conversion: Conversion) -> EnvCfg:
+    try:
+        declared: EnvCfg = from_dict(EnvCfg, conversion.task)
+    except ConfigError as error:
+        problems = [
+            _here(p, ".".join(conversion.origin(tuple(p.path.split("."))))) for p in error.problems
+        ]
+        raise ConfigError(problems) from error
+    return declared
+
+
+def _here(problem: Problem, path: str) -> Problem:
+    return Problem(path.removeprefix("env."), problem.message, problem.hint)

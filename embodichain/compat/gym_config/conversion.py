@@ -1,0 +1,184 @@
+"""`convert`: a whole gym config becomes a task, with a list of what could not come along."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from embodichain.compat.gym_config.draft import Draft, Path
+from embodichain.compat.gym_config.rigid_objects import (
+    convert_lights,
+    convert_objects,
+    convert_sensors,
+)
+from embodichain.compat.gym_config.robots import convert_articulations, convert_robot
+from embodichain.compat.gym_config.terms import convert_actions, convert_terms
+from embodichain.compat.gym_config.vocabulary import ENV, PHYSICS, TOP
+from embodichain.utils.errors import Problem
+
+__all__ = ["CLASSES", "Conversion", "convert"]
+
+_DEFAULT_DT = 0.01  # seconds a physics step, EmbodiChain's and ours
+_GENERIC = ("EmbodiedEnv-v1",)
+CLASSES = (
+    *("SimpleTask-v1", "PushCubeRL", "CartPoleRL", "PointMassRL", "StackBlocksTwo-v1"),
+    *("StackCups-v1", "ScoopIce-v1", "PlaceObjectDrawer-v1", "BlocksRankingSize-v1"),
+    *("BlocksRankingRGB-v1", "MatchObjectContainer-v1", "PourWater-v3", "PourWaterAgent-v3"),
+    *("Rearrangement-v3", "RearrangementAgent-v3", "HumanoidRun-v1", "UnitreeGo1FlatRL-v1"),
+    *("UnitreeGo2FlatRL-v1", "ANYmalCFlatRL-v1", "UnitreeG1FlatRL-v1", "UnitreeH1_2FlatRL-v1"),
+    *("MicroDuckFlatRL-v1", "FrankaReachApg-v0"),
+)
+"""Ids that are classes of EmbodiChain's own: their Python is not here."""
+_COMPONENTS = ("environment", "embodiment", "scene")
+_SIMULATED = ("robot", "objects", "articulations")
+_ORDER = (
+    *("description", "id", "physics", "sim_steps_per_control", "max_episode_steps"),
+    *("ignore_terminations", "robot", "objects", "articulations", "lights", "actions", "events"),
+    *("observations", "rewards", "extensions", "suggested"),
+)
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """What became of a gym config.
+
+    Attributes:
+        name: The task's name, from `id`; empty for the generic environment.
+        task: The task; plain values, not checked.
+        origins: Path in the task -> path in the gym config, for whole subtrees.
+        notes: What was left out or is read otherwise; paths are the gym config's.
+        problems: Mistakes: keys that nobody knows, values that cannot be converted.
+    """
+
+    name: str
+    task: dict[str, Any]
+    origins: Mapping[Path, Path]
+    notes: tuple[Problem, ...]
+    problems: tuple[Problem, ...]
+
+    def origin(self, path: Path) -> Path:
+        """Return where a key of the task stands in the gym config, or its nearest ancestor."""
+        for count in range(len(path), 0, -1):
+            source = self.origins.get(path[:count])
+            if source is not None:
+                return (*source, *path[count:])
+        return ()
+
+
+def convert(
+    config: Mapping[str, Any], registered: Collection[str] = (), *, ours: bool = False
+) -> Conversion:
+    """Convert a gym config.
+
+    Args:
+        config: Its content, plain values; left as it is.
+        registered: Those of `CLASSES` that the user has registered a class for.
+        ours: Whether it may hold keys of our own, and functions in the place of their names: what
+            Python code declares.
+    """
+    draft = Draft(ours)
+    draft.carry(config, (), (), TOP)
+    _identity(draft, config.get("id"), registered)
+    _physics(draft, config)
+    robot = convert_robot(draft, config["robot"]) if config.get("robot") is not None else ""
+    for section in ("background", "rigid_object"):
+        convert_objects(draft, section, config.get(section))
+    convert_articulations(draft, config.get("articulation"))
+    convert_lights(draft, config.get("light"))
+    convert_sensors(draft, config.get("sensor"))
+    env = config.get("env")
+    if env is not None and draft.carry(env, ("env",), (), ENV):
+        _control_period(draft, env)
+        convert_actions(draft, env, robot)
+        for section in ("events", "observations", "rewards"):
+            convert_terms(draft, section, env, robot)
+        if config.get("id") in CLASSES and "id" not in draft.task:
+            _note_lost_success(draft, config["id"])
+    _suggest(draft, config)
+    _refuse_nothing(draft, config)
+    task = {key: draft.task[key] for key in _ORDER if key in draft.task}
+    name = "" if config.get("id") in (None, *_GENERIC) else str(config["id"])
+    return Conversion(name, task, draft.origins, tuple(draft.notes), tuple(draft.problems))
+
+
+def _identity(draft: Draft, name: Any, registered: Collection[str]) -> None:
+    where = ("id",)
+    if name is None:
+        return
+    if not isinstance(name, str):
+        draft.refuse(where, f"expected text, got {name!r}")
+        return
+    words = "A task" if name in _GENERIC else f"The task {name}"
+    draft.put(("description",), f"{words}, converted from EmbodiChain's own form.", where)
+    if name in CLASSES and name not in registered:
+        message = (
+            f"{name} is a Python class of EmbodiChain's: what it computes itself (success, "
+            "failure, rewards) is not here; declare it as terms, or register a class of that id"
+        )
+        draft.note(where, message)
+    elif name not in _GENERIC:
+        draft.put(("id",), name, where)
+
+
+def _note_lost_success(draft: Draft, name: str) -> None:
+    """Say it where a reward waits for a success that nothing computes any more."""
+    for key, term in draft.task.get("rewards", {}).items():
+        if term["func"] == "success_reward":
+            message = (
+                f"it stays 0: success was computed by the Python class of {name}; declare a "
+                f"termination of kind success or a metric called success, or register the class"
+            )
+            draft.note(("env", "rewards", key), message)
+
+
+def _refuse_nothing(draft: Draft, config: Mapping[str, Any]) -> None:
+    """A task without robot, object and articulation would run, and simulate nothing."""
+    parts = [key for key in _COMPONENTS if config.get(key) is not None]
+    for key in parts:
+        message = "components of release 0.3 are not read: write their sections into this file"
+        draft.refuse((key,), message)
+    built_in_python = "id" in draft.task
+    if draft.problems or built_in_python or any(draft.task.get(key) for key in _SIMULATED):
+        return
+    draft.refuse((), "nothing is left to simulate: the file gives no robot, object or articulation")
+
+
+def _physics(draft: Draft, config: Mapping[str, Any]) -> None:
+    if config.get("physics_config") is not None:
+        draft.carry(config["physics_config"], ("physics_config",), ("physics",), PHYSICS)
+    if config.get("physics_dt") is not None:
+        draft.put(("physics", "physics_dt"), config["physics_dt"], ("physics_dt",))
+
+
+def _control_period(draft: Draft, env: Mapping[str, Any]) -> None:
+    """`target_control_frequency` must be a whole number of physics steps, as there."""
+    frequency, where = env.get("target_control_frequency"), ("env", "target_control_frequency")
+    if frequency is None:
+        return
+    dt = draft.task.get("physics", {}).get("physics_dt", _DEFAULT_DT)
+    if not all(isinstance(v, (int, float)) and v > 0 for v in (frequency, dt)):
+        draft.refuse(where, f"expected a positive number, got {frequency!r}")
+        return
+    steps = 1.0 / (dt * frequency)
+    if round(steps) < 1 or abs(steps - round(steps)) > 1e-9 * steps:
+        draft.refuse(where, f"{frequency} Hz is no whole number of physics steps of {dt} s")
+        return
+    draft.put(("sim_steps_per_control",), round(steps), where)
+
+
+def _suggest(draft: Draft, config: Mapping[str, Any]) -> None:
+    """Root keys of a run: suggestions, so that the command line wins."""
+    for key, name, verbs in (
+        ("num_envs", "num_envs", ("run", "train")),
+        ("seed", "seed", ("run", "train")),
+        ("max_episodes", "episodes", ("run",)),
+    ):
+        value = config.get(key)
+        if value is None or (key == "seed" and value == -1):  # -1 draws one, as null does
+            continue
+        for verb in verbs:
+            draft.put(("suggested", verb, name), value, (key,))
+    device = config.get("device")
+    if device not in (None, "cpu"):
+        draft.note(("device",), f"physics runs on the CPU, not on {device!r}")

@@ -1,0 +1,131 @@
+"""`Draft`: the task that grows, where each part of it came from, and what could not come along.
+
+Knows paths and tables of keys; what a section means is `scene`'s and `terms`'.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import PurePosixPath
+from typing import Any
+
+from embodichain.compat.gym_config.vocabulary import HANDLED, As, Vocabulary
+from embodichain.utils.errors import Problem
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["Draft", "Path"]
+
+Path = tuple[str, ...]
+"""Keys and indices from a root, indices as text."""
+
+
+class Draft:
+    """What a conversion has made so far.
+
+    Args:
+        ours: Whether keys of our own go with those of the tables: they stay, and are checked with
+            the task.
+
+    Attributes:
+        task: The task; plain values.
+        origins: Path in the task -> path in the gym config, for subtrees that came over whole.
+        notes: What was left out and why; paths are the gym config's.
+        problems: What is wrong in the gym config.
+    """
+
+    def __init__(self, ours: bool = False) -> None:
+        self.ours = ours
+        self.task: dict[str, Any] = {}
+        self.origins: dict[Path, Path] = {}
+        self.notes: list[Problem] = []
+        self.problems: list[Problem] = []
+
+    def put(self, target: Path, value: Any, source: Path) -> None:
+        """Set a value; maps on the way are made."""
+        parent = self.task
+        for key in target[:-1]:
+            parent = parent.setdefault(key, {})
+        parent[target[-1]] = value
+        self.origins[target] = source
+
+    def note(self, source: Path, message: str) -> None:
+        """Say that something is left out or read otherwise."""
+        self.notes.append(Problem(".".join(source), message))
+
+    def refuse(self, source: Path, message: str, hint: str = "") -> None:
+        """Say that something is wrong."""
+        self.problems.append(Problem(".".join(source), message, hint.strip()))
+
+    def carry(self, data: Any, source: Path, target: Path, vocabulary: Vocabulary) -> bool:
+        """Do with each key of a map what a table says; those that are handled are left to others.
+
+        Args:
+            data: The map; anything else is refused.
+            source: Its path.
+            target: Where kept keys go.
+            vocabulary: The table.
+
+        Returns:
+            Whether `data` is a map.
+        """
+        if not isinstance(data, Mapping):
+            self.refuse(source, f"expected a map, got {data!r}")
+            return False
+        for key, value in data.items():
+            rule, where = vocabulary.get(str(key)), (*source, str(key))
+            if rule is None and self.ours:
+                self.put((*target, str(key)), value, where)
+            elif rule is None:
+                self.unknown(where, vocabulary)
+            elif isinstance(rule, str):
+                if value is not None and value != [] and value != {}:  # nothing is left out then
+                    self.note(where, rule)
+            elif rule is not HANDLED:
+                name = rule.name if isinstance(rule, As) else str(key)
+                self.put((*target, name), value, where)
+        return True
+
+    def unknown(self, where: Path, allowed: Mapping[str, Any]) -> None:
+        """Refuse a key that nobody knows, with the closest that is known."""
+        hint = did_you_mean(where[-1], allowed)
+        self.refuse(where, f"unknown key; known: {', '.join(allowed)}.", hint)
+
+    def entity(
+        self, data: Any, source: Path, section: str, fallback: str | None = None
+    ) -> Path | None:
+        """Where an element of a list of entities goes: under its uid, which must be its own.
+
+        Args:
+            data: The element.
+            source: Its path.
+            section: The map of entities that it joins.
+            fallback: A key with a file, whose stem is the name of an element without uid.
+        """
+        uid = data.get("uid") if isinstance(data, Mapping) else None
+        if not uid and fallback is not None and isinstance(data, Mapping):
+            file = data.get(fallback)
+            uid = PurePosixPath(file.replace("\\", "/")).stem if isinstance(file, str) else None
+        if not isinstance(uid, str) or not uid:
+            self.refuse((*source, "uid"), "missing value: the name of the entity")
+            return None
+        if uid in self.task.get(section, {}):
+            self.refuse((*source, "uid"), f"another entity is called {uid!r} already")
+            return None
+        self.put((section, uid), {}, source)
+        return section, uid
+
+    def items(self, data: Any, source: Path) -> Iterator[tuple[Path, Any]]:
+        """The elements of a list with their paths; None is empty, anything else is refused."""
+        if data is not None and not isinstance(data, list):
+            self.refuse(source, f"expected a list, got {data!r}")
+            return
+        for i, value in enumerate(data or ()):
+            yield (*source, str(i)), value
+
+    def entries(self, data: Any, source: Path) -> Iterator[tuple[Path, str, Any]]:
+        """The values of a map with their paths and names; None is empty, else it is refused."""
+        if data is not None and not isinstance(data, Mapping):
+            self.refuse(source, f"expected a map, got {data!r}")
+            return
+        for key, value in (data or {}).items():
+            yield (*source, str(key)), str(key), value

@@ -1,0 +1,109 @@
+"""From a gym config to an `EnvCfg`, for scripts that use the Python API instead of the command."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import logging
+from collections.abc import Mapping, Sequence
+from types import ModuleType
+from typing import Any
+
+from embodichain.compat.gym_config.conversion import Conversion, convert
+from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.gym.envs.managers.registry import TERMS, Kind
+from embodichain.lab.gym.utils.registration import REGISTERED_ENVS
+from embodichain.lab.sim.cfg import RenderCfg, SimulationManagerCfg
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.from_dict import from_dict
+
+__all__ = ["config_to_cfg"]
+
+_log = logging.getLogger(__name__)
+_SIM_KEYS = ("headless", "gpu_id", "arena_space")
+_OURS = (*_SIM_KEYS, "device", "renderer", "render_cfg")
+"""Keys without a meaning in YAML that a `SimulationManagerCfg` does have."""
+_KINDS: Mapping[str, Kind] = {
+    "events": "event",
+    "observations": "observation",
+    "rewards": "reward",
+    "actions": "action",
+}
+
+
+def config_to_cfg(
+    config: Mapping[str, Any], manager_modules: Sequence[str | ModuleType] | None = None
+) -> EnvCfg:
+    """Convert a gym config to the config of an environment; log what could not come along.
+
+    Args:
+        config: Its content; left as it is.
+        manager_modules: Modules, or their names, in which functors are looked for by name.
+
+    Returns:
+        A config whose terms and scene are checked when an environment is built of it.
+
+    Raises:
+        ConfigError: Holds every unknown key and wrong type, at its path in the gym config.
+    """
+    modules = [
+        importlib.import_module(m) if isinstance(m, str) else m for m in manager_modules or ()
+    ]
+    conversion = convert(_with_modules(config, modules), tuple(REGISTERED_ENVS))
+    if conversion.problems:
+        raise ConfigError(conversion.problems)
+    cfg = _checked(conversion)
+    run = cfg.suggested.run
+    cfg.num_envs = run.get("num_envs", 1)
+    cfg.seed = run.get("seed")
+    cfg.sim_cfg = _sim_cfg(config)
+    for note in conversion.notes:
+        if note.path not in _OURS:
+            _log.warning("%s", note)
+    return cfg
+
+
+def _checked(conversion: Conversion) -> EnvCfg:
+    try:
+        cfg: EnvCfg = from_dict(EnvCfg, conversion.task)
+    except ConfigError as error:
+        found = [
+            Problem(".".join(conversion.origin(tuple(p.path.split(".")))), p.message, p.hint)
+            for p in error.problems
+        ]
+        raise ConfigError(found) from error
+    return cfg
+
+
+def _sim_cfg(config: Mapping[str, Any]) -> SimulationManagerCfg:
+    values = {key: config[key] for key in _SIM_KEYS if config.get(key) is not None}
+    if config.get("device") is not None:
+        values["sim_device"] = config["device"]
+    render = dict(config.get("render_cfg") or {})
+    renderer = config.get("renderer", render.get("renderer"))
+    if renderer is not None:
+        values["render_cfg"] = RenderCfg(renderer=renderer)
+    return SimulationManagerCfg(**values)
+
+
+def _with_modules(config: Mapping[str, Any], modules: Sequence[ModuleType]) -> dict[str, Any]:
+    """The same config, with ``module:function`` for functors that only these modules have."""
+    env = config.get("env")
+    if not modules or not isinstance(env, Mapping):
+        return dict(config)
+    sections = {
+        section: {name: _named(functor, kind, modules) for name, functor in env[section].items()}
+        for section, kind in _KINDS.items()
+        if isinstance(env.get(section), Mapping)
+    }
+    return {**config, "env": {**env, **sections}}
+
+
+def _named(functor: Any, kind: Kind, modules: Sequence[ModuleType]) -> Any:
+    func = functor.get("func") if isinstance(functor, Mapping) else None
+    if not isinstance(func, str) or func in TERMS[kind]:
+        return functor
+    for module in modules:
+        if callable(inspect.getattr_static(module, func, None)):
+            return {**functor, "func": f"{module.__name__}:{func}"}
+    return functor

@@ -1,0 +1,195 @@
+"""Functors of a gym config become terms: events, observations, rewards, actions.
+
+Which terms exist is asked of the registry; that parameters fit is checked with the whole task.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from embodichain.compat.gym_config.draft import Draft, Path
+from embodichain.compat.gym_config.functors import (
+    ACTIONS,
+    LEFT_OUT,
+    NEEDS_ANY,
+    PARAMS_LEFT_OUT,
+    VISUAL,
+)
+from embodichain.compat.gym_config.vocabulary import (
+    ACTION,
+    EVENT,
+    OBSERVATION,
+    REWARD,
+    Vocabulary,
+)
+from embodichain.lab.gym.envs.managers.registry import TERMS, TermSpec
+
+__all__ = ["convert_actions", "convert_terms"]
+
+FunctorKind = Literal["event", "observation", "reward", "action"]
+_TABLES: Mapping[str, tuple[FunctorKind, Vocabulary]] = {
+    "events": ("event", EVENT),
+    "observations": ("observation", OBSERVATION),
+    "rewards": ("reward", REWARD),
+}
+_OWN = "embodichain."
+_JOINTS = {
+    "part_name": "control_parts",
+    "control_parts": "control_parts",
+    "joint_names": "joint_names",
+    "joint_ids": "joint_ids",
+    "preserve_order": "preserve_order",
+}
+"""Parameters that pick a robot's joints -> the key of an `entity_cfg` that does."""
+_EVERY_JOINT = "actions have only these; robot/qpos, robot/qvel and robot/qf have every joint"
+_CLIPPED_THERE = ("default_offset_joint_position",)
+"""Terms whose actions EmbodiChain clamps too, to the same bounds."""
+
+
+def convert_terms(draft: Draft, section: str, env: Mapping[str, Any], robot: str) -> None:
+    """Convert `env.events`, `env.observations` or `env.rewards`.
+
+    Args:
+        draft: Grows by the terms.
+        section: Which of them.
+        env: The section `env`.
+        robot: The robot's uid, for functors that name none.
+    """
+    kind, vocabulary = _TABLES[section]
+    for source, name, functor in draft.entries(env.get(section), ("env", section)):
+        spec, func = _find(draft, kind, functor, source)
+        if func is None:
+            continue
+        if func in VISUAL and env.get("filter_visual_rand"):
+            draft.note(source, f"{func}: env.filter_visual_rand leaves it out")
+            continue
+        params = _known_params(draft, _params(draft, functor, source), func, source)
+        needed = NEEDS_ANY.get(func)
+        if needed is not None and not any(params.get(key) is not None for key in needed):
+            draft.note(source, f"{func}: nothing is left that it would change")
+            continue
+        target = (section, name)
+        draft.put((*target, "func"), func, (*source, "func"))
+        if section == "observations":
+            # EmbodiChain's default is to modify, ours to add.
+            draft.put((*target, "mode"), functor.get("mode", "modify"), (*source, "mode"))
+        draft.carry(functor, source, target, vocabulary)
+        if params:
+            fitted = _with_entity(params, spec, {"uid": robot})
+            draft.put((*target, "params"), fitted, (*source, "params"))
+
+
+def convert_actions(draft: Draft, env: Mapping[str, Any], robot: str) -> None:
+    """Convert `env.actions`; parts or joints that are active stand without them for targets.
+
+    Args:
+        draft: Grows by the terms.
+        env: The section `env`.
+        robot: The robot's uid.
+    """
+    entity: dict[str, Any] = {"uid": robot}
+    for key, name in (("active_joint_ids", "joint_ids"), ("control_parts", "control_parts")):
+        if not env.get(key):
+            continue
+        entity = {"uid": robot, name: env[key]}
+        draft.note(("env", key), _EVERY_JOINT)
+        if not env.get("actions"):
+            term = {"func": "joint_position", "params": {"entity_cfg": entity}}
+            draft.put(("actions", "qpos"), term, ("env", key))
+    for source, name, functor in draft.entries(env.get("actions"), ("env", "actions")):
+        spec, func = _find(draft, "action", functor, source)
+        if func is not None:
+            target = ("actions", name)
+            draft.put((*target, "func"), func, (*source, "func"))
+            draft.carry(functor, source, target, ACTION)
+            params = _action_params(draft, functor, source, spec, entity)
+            draft.put((*target, "params"), params, (*source, "params"))
+
+
+def _find(
+    draft: Draft, kind: FunctorKind, functor: Any, source: Path
+) -> tuple[TermSpec | None, Any]:
+    """The term a functor means, if it is registered, and what to call it; None leaves it out."""
+    if not isinstance(functor, Mapping):
+        draft.refuse(source, f"expected a map, got {functor!r}")
+        return None, None
+    key = "contract" if "func" not in functor and "contract" in functor else "func"
+    written = functor.get(key)
+    if callable(written):  # declared in Python: a function of the user's own
+        return None, written
+    if not isinstance(written, str) or not written:
+        draft.refuse((*source, key), "missing value: the name of a functor")
+        return None, None
+    name = _local(written)
+    known = TERMS[kind]
+    if kind == "action":
+        name = ACTIONS.get(name, name)
+    if name not in known and name in LEFT_OUT[kind]:
+        message = f"{name}: {LEFT_OUT[kind][name]}"
+        if kind == "action" and name != "QposNormalizedTerm":
+            draft.refuse((*source, key), message)  # without it the robot would be driven otherwise
+        else:
+            draft.note(source, message)
+        return None, None
+    return known.get(name), name
+
+
+def _local(name: str) -> str:
+    """A functor's own name; of a user's dotted one, ``package.module:function``."""
+    if "." not in name or ":" in name or "@" in name:
+        return name
+    module, _, function = name.rpartition(".")
+    return function if name.startswith(_OWN) else f"{module}:{function}"
+
+
+def _params(draft: Draft, functor: Mapping[str, Any], source: Path) -> dict[str, Any]:
+    params = functor.get("params")
+    if params is not None and not isinstance(params, Mapping):
+        draft.refuse((*source, "params"), f"expected a map, got {params!r}")
+        return {}
+    return dict(params or {})
+
+
+def _known_params(draft: Draft, params: dict[str, Any], func: str, source: Path) -> dict[str, Any]:
+    """Parameters without those that are known there and mean nothing to our term."""
+    reasons = PARAMS_LEFT_OUT.get(func, {})
+    for key in params:
+        if key in reasons:
+            draft.note((*source, "params", key), reasons[key])
+    return {key: value for key, value in params.items() if key not in reasons}
+
+
+def _with_entity(
+    params: dict[str, Any], spec: TermSpec | None, entity: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Joints picked by parameters that our term lacks stand in its `entity_cfg` instead."""
+    if spec is None or "entity_cfg" not in spec.params or "entity_cfg" in params:
+        return params
+    picked = {k: params[k] for k in (*_JOINTS, "robot_uid") if k in params and k not in spec.params}
+    if not picked and spec.kind != "action":  # a term's entity is for the user to name
+        return params
+    rest = {k: v for k, v in params.items() if k not in picked}
+    wanted = {_JOINTS[k]: v for k, v in picked.items() if k in _JOINTS and v is not None}
+    which = {} if wanted.keys() - {"preserve_order"} else entity
+    uid = picked.get("robot_uid", entity["uid"])
+    return {"entity_cfg": {**which, "uid": uid, **wanted}, **rest}
+
+
+def _action_params(
+    draft: Draft,
+    functor: Mapping[str, Any],
+    source: Path,
+    spec: TermSpec | None,
+    entity: Mapping[str, Any],
+) -> dict[str, Any]:
+    """Parameters of an action term: which joints, and the formula's."""
+    params = _params(draft, functor, source)
+    if spec is None:
+        return params
+    clip = spec.params.get("clip")
+    bounds = None if clip is None or "clip" in params else clip.default
+    if isinstance(bounds, tuple) and spec.name not in _CLIPPED_THERE:
+        params["clip"] = list(bounds)
+        draft.note(source, f"actions are clamped to {list(bounds)}: set clip for other bounds")
+    return _with_entity(params, spec, entity)

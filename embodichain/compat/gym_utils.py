@@ -1,0 +1,112 @@
+"""Launcher arguments of scripts, with EmbodiChain 0.2.1's names and defaults. No torch here.
+
+The command `embodichain` has its own (`embodichain.cli`).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from embodichain.compat.gym_config.env_cfg import config_to_cfg
+from embodichain.compat.gym_config.file import read_gym_config
+from embodichain.utils.errors import ConfigError
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.cfg import EnvCfg
+
+__all__ = [
+    "DEFAULT_MANAGER_MODULES",
+    "add_env_launcher_args_to_parser",
+    "build_env_cfg_from_args",
+    "config_to_cfg",
+]
+
+DEFAULT_MANAGER_MODULES = [
+    f"embodichain.lab.gym.envs.managers.{name}"
+    for name in ("actions", "randomization", "record", "events", "observations", "rewards")
+]
+"""Modules of EmbodiChain's functors, for `config_to_cfg`, which finds them without it too."""
+RENDERERS = ("hybrid", "fast-rt", "rt", "auto", "no-render")
+_FLAGS: dict[str, Any] = {
+    "num_envs": 1,
+    "device": "cpu",
+    "headless": False,
+    "renderer": "hybrid",
+    "arena_space": 5.0,
+    "gpu_id": 0,
+}
+"""Flags that are keys of a gym config too, and their defaults."""
+
+
+def add_env_launcher_args_to_parser(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments that every script of EmbodiChain's understands.
+
+    Args:
+        parser: Gains ``--num_envs --device --headless --renderer --arena_space --gpu_id
+            --gym_config --action_config --preview --filter_visual_rand
+            --filter_dataset_saving``.
+    """
+    add = parser.add_argument
+    add(
+        "--num_envs", type=int, default=_FLAGS["num_envs"], help="environments that run in parallel"
+    )
+    add("--device", type=str, default=_FLAGS["device"], help="where physics runs: cpu")
+    add("--headless", action="store_true", help="open no window")
+    add(
+        "--renderer",
+        choices=RENDERERS,
+        default=_FLAGS["renderer"],
+        help="accepted for compatibility: pictures are MuJoCo's in any case",
+    )
+    add(
+        "--arena_space",
+        type=float,
+        default=_FLAGS["arena_space"],
+        help="metres between environments in viewers",
+    )
+    add(
+        "--gpu_id",
+        type=int,
+        default=_FLAGS["gpu_id"],
+        help="accepted for compatibility: no effect on the CPU",
+    )
+    add("--gym_config", type=str, default="", help="EmbodiChain's config of a task: YAML or JSON")
+    add("--action_config", type=str, default=None, help="a YAML or JSON file for the script")
+    add("--preview", action="store_true", help="accepted for compatibility: no effect")
+    add("--filter_visual_rand", action="store_true", help="leave out visual randomization")
+    add("--filter_dataset_saving", action="store_true", help="leave out dataset terms")
+
+
+def build_env_cfg_from_args(
+    args: argparse.Namespace,
+    gym_config_modifier: Callable[[dict[str, Any]], dict[str, Any] | None] | None = None,
+) -> tuple[EnvCfg, dict[str, Any], dict[str, Any]]:
+    """Build an environment's config from the files and flags of a launcher.
+
+    A flag that differs from its default beats the file; EmbodiChain's defaults overwrite it.
+
+    Args:
+        args: What `add_env_launcher_args_to_parser` parsed; `gym_config` is EmbodiChain's config
+            of the task, `action_config` any YAML or JSON.
+        gym_config_modifier: Changes the content of the gym config before it is used.
+
+    Returns:
+        The config, the content of the gym config, and that of the action config (empty without).
+
+    Raises:
+        ConfigError: No gym config is named, a file cannot be read, or holds mistakes.
+    """
+    if not args.gym_config:
+        raise ConfigError("no gym config is named: --gym_config FILE")
+    config = read_gym_config(args.gym_config)
+    if gym_config_modifier is not None:
+        config = gym_config_modifier(config) or config
+    given = {key: getattr(args, key, default) for key, default in _FLAGS.items()}
+    flags = {key: value for key, value in given.items() if value != _FLAGS[key]}
+    if getattr(args, "filter_visual_rand", False):
+        flags["env"] = {**(config.get("env") or {}), "filter_visual_rand": True}
+    cfg = config_to_cfg({**config, **flags})
+    action = read_gym_config(args.action_config) if args.action_config else {}
+    return cfg, config, action

@@ -1,0 +1,337 @@
+"""Observations of EmbodiChain under their own names and with its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+
+import lazy_loader
+import numpy as np
+from pydantic import Field
+
+from embodichain.compat.terms._targets import pick_joints, tool_of
+from embodichain.compat.terms._targets import target_position as stored_position
+from embodichain.lab.gym.envs.managers.param_types import Range
+from embodichain.lab.gym.envs.managers.references import Body, Joints
+from embodichain.lab.gym.envs.managers.registry import quantity, register_term
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.mdp._rotations import pose_matrix
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import pose_to_matrix
+
+if TYPE_CHECKING:
+    import torch
+
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.sim.engine.base import F64
+else:
+    torch = lazy_loader.load("torch")
+
+__all__ = [
+    "GetRigidObjectPhysicsAttributes",
+    "GetRobotEefPose",
+    "NormalizeRobotJointData",
+    "get_articulation_joint_drive",
+    "get_object_body_scale",
+    "get_object_pose",
+    "get_object_uid",
+    "get_rigid_object_pose",
+    "get_rigid_object_velocity",
+    "target_position",
+]
+
+Attribute = Literal["mass", "friction", "damping", "inertia"]
+Gain = Literal["stiffness", "damping", "max_effort", "max_velocity", "friction", "armature"]
+Attributes = Annotated[Sequence[Attribute], Field(min_length=1)]
+Gains = Annotated[Sequence[Gain], Field(min_length=1)]
+_ALL_GAINS: tuple[Gain, ...] = get_args(Gain)
+_NO_LIMIT = 1e10
+"""What EmbodiChain's configs write for an effort or velocity without a limit."""
+
+
+@register_term("observation")
+def get_object_pose(
+    env: TermContext, obs: Any, entity_cfg: Body, to_matrix: bool = True
+) -> torch.Tensor:
+    """Pose of an object, a robot's root, or the picked link, in the environment's frame.
+
+    EmbodiChain's observation of the same name; an unknown uid is an error here, not zeros.
+
+    Args:
+        entity_cfg: The entity.
+        to_matrix: True gives (N, 4, 4), False (N, 7): x, y, z, qw, qx, qy, qz (metres, wxyz).
+
+    Example:
+        ``{func: get_object_pose, params: {entity_cfg: {uid: cube}, to_matrix: false}}``
+    """
+    pose = entity_cfg.pose()
+    return pose_to_matrix(pose) if to_matrix else pose
+
+
+@register_term("observation")
+def get_rigid_object_pose(
+    env: TermContext, obs: Any, entity_cfg: Body, to_matrix: bool = True
+) -> torch.Tensor:
+    """EmbodiChain's older name of `get_object_pose`.
+
+    Args:
+        entity_cfg: The entity.
+        to_matrix: True gives (N, 4, 4), False (N, 7): x, y, z, qw, qx, qy, qz (metres, wxyz).
+
+    Example:
+        ``{func: get_rigid_object_pose, params: {entity_cfg: {uid: cube}}}``
+    """
+    return get_object_pose(env, obs, entity_cfg, to_matrix)
+
+
+@quantity("observation")
+def get_rigid_object_velocity(env: TermContext, entity_cfg: Body) -> F64:
+    """(N, 6) linear velocity in m/s, then angular in rad/s, world axes; zeros unless dynamic.
+
+    EmbodiChain's observation of the same name.
+
+    Args:
+        entity_cfg: The object (or a robot, then its root).
+
+    Example:
+        ``{func: get_rigid_object_velocity, params: {entity_cfg: {uid: cube}}}``
+    """
+    return np.concatenate([entity_cfg.linear_velocity(), entity_cfg.angular_velocity()], axis=1)
+
+
+@quantity("observation", name="get_robot_eef_pose")
+class GetRobotEefPose:
+    """Pose of the robot's tool in the environment's frame: (N, 4, 4), or (N, 3) metres.
+
+    EmbodiChain's observation of the same name. The tool is the tool point that the robot's
+    `solver_cfg` gives the part, else the last link that hangs from the part's last joint; it is
+    read off the simulation, which is the forward kinematics.
+
+    Args:
+        part_name: A control part of the task's robot; None is the whole robot.
+        position_only: Whether to give the position alone.
+
+    Example:
+        ``{func: get_robot_eef_pose, params: {position_only: true}}``
+    """
+
+    def __init__(
+        self, env: TermContext, part_name: str | None = None, position_only: bool = False
+    ) -> None:
+        self._tool = tool_of(env, None, part_name)
+        self._position_only = position_only
+
+    def __call__(self) -> F64:
+        """Float64 poses."""
+        position = self._tool.position()
+        if self._position_only:
+            return position
+        return pose_matrix(position, self._tool.orientation())
+
+
+@quantity("observation")
+def target_position(env: TermContext, target_pose_key: str = "goal_pose") -> F64:
+    """(N, 3) position in metres of the poses that an event stores as ``env.<target_pose_key>``.
+
+    EmbodiChain's observation of the same name. `randomize_target_pose` writes such poses; where
+    nothing has, that is an error at the first reset, not zeros.
+
+    Args:
+        target_pose_key: The attribute, poses (N, 4, 4).
+
+    Example:
+        ``{func: target_position, params: {target_pose_key: goal_pose}}``
+    """
+    return stored_position(env, target_pose_key)
+
+
+@register_term("observation")
+def get_object_body_scale(env: TermContext, obs: Any, entity_cfg: ResolvedEntity) -> torch.Tensor:
+    """(N, 3) scale of an entity's declared shape or file, along its own axes.
+
+    EmbodiChain's observation of the same name.
+
+    Args:
+        entity_cfg: The object or robot.
+
+    Example:
+        ``{func: get_object_body_scale, params: {entity_cfg: {uid: cube}}}``
+    """
+    asset = entity_cfg.asset
+    if hasattr(asset, "get_body_scale"):
+        scale: torch.Tensor = asset.get_body_scale()
+        return scale
+    scale = torch.tensor(asset.cfg.body_scale, dtype=torch.float32)
+    return scale.repeat(env.num_envs, 1)
+
+
+@register_term("observation")
+def get_object_uid(env: TermContext, obs: Any, entity_cfg: ResolvedEntity) -> torch.Tensor:
+    """(N,) int32 number of an entity in segmentation images: MuJoCo's id of its (root) body.
+
+    EmbodiChain's observation of the same name.
+
+    Args:
+        entity_cfg: The entity, or one link of it.
+
+    Example:
+        ``{func: get_object_uid, params: {entity_cfg: {uid: cube}}}``
+    """
+    return torch.full((env.num_envs,), entity_cfg.body_id, dtype=torch.int32)
+
+
+@register_term("observation", name="get_rigid_object_physics_attributes")
+class GetRigidObjectPhysicsAttributes(Term):
+    """Physical properties of a rigid object side by side, each environment's own.
+
+    ``mass`` (kg), ``friction`` (sliding), ``damping`` (linear, angular, 1/s) and ``inertia`` (three
+    principal moments, kg m^2): (N, 7) with all of them. EmbodiChain's observation of the same name
+    gives a nested dictionary; here it is one vector, that a learner can take.
+
+    Args:
+        entity_cfg: The object.
+        attributes: Which, in the order wanted.
+
+    Example:
+        ``{func: get_rigid_object_physics_attributes, params: {entity_cfg: {uid: cube}}}``
+    """
+
+    def __init__(
+        self,
+        env: TermContext,
+        entity_cfg: ResolvedEntity,
+        attributes: Attributes = ("mass", "friction", "damping", "inertia"),
+    ) -> None:
+        asset = entity_cfg.asset
+        if not hasattr(asset, "get_friction"):
+            message = f"{entity_cfg.uid!r} is no rigid object; see get_articulation_joint_drive"
+            raise ConfigError([Problem("entity_cfg.uid", message)])
+        self._reads = [getattr(asset, f"get_{name}") for name in attributes]
+
+    def __call__(self, env: TermContext, obs: Any) -> torch.Tensor:
+        """(N, K) the attributes side by side."""
+        return torch.cat([read().reshape(env.num_envs, -1) for read in self._reads], dim=1)
+
+
+@quantity("observation")
+def get_articulation_joint_drive(
+    env: TermContext, entity_cfg: Joints, gains: Gains = _ALL_GAINS
+) -> F64:
+    """Properties of joints and their drives side by side, each environment's own.
+
+    K columns of the picked joints for each property: stiffness (N m/rad), damping (N m s/rad),
+    max_effort (N m), max_velocity (rad/s), friction (N m), armature (kg m^2); N, m and kg for
+    slides. What has no limit reads 1e10, as EmbodiChain writes it. EmbodiChain's observation of the
+    same name gives a nested dictionary; here it is one vector, that a learner can take.
+
+    Args:
+        entity_cfg: The robot; its joint names or control parts pick joints.
+        gains: Which properties, in the order wanted.
+
+    Example:
+        ``{func: get_articulation_joint_drive, params: {entity_cfg: {uid: ur10}, gains:
+        [damping]}}``
+    """
+    drives, ids = entity_cfg.asset.drives, list(entity_cfg.joint_ids)
+    parts = [getattr(drives, name)[:, ids] for name in gains]
+    found: F64 = np.minimum(np.concatenate(parts, axis=1), _NO_LIMIT)
+    return found
+
+
+@register_term("observation", name="normalize_robot_joint_data")
+class NormalizeRobotJointData(Term):
+    """Maps joint data of the robot from the joints' limits to a range: for ``mode: modify``.
+
+    (x - low) / (high - low) x (range[1] - range[0]) + range[0] in the picked columns; other columns
+    stay as they are, nothing is clipped. EmbodiChain's observation of the same name, for
+    ``robot/qpos``, ``robot/qvel`` and ``robot/qf`` (or any entry with a column for each active
+    joint). A hinge without position limits (URDF's ``continuous``) is mapped from [-pi, pi] rad.
+
+    Args:
+        joint_ids: The columns, which are those of the active joints: joints that mimic another one
+            have none. None (and no `control_parts`) is all of them.
+        control_parts: One control part of the robot, instead.
+        limit: ``qpos_limits`` in force; or the file's ``qvel_limits`` or ``qf_limits``, which reach
+            from minus to plus the limit.
+        range: [low, high] that the limits become.
+
+    Example:
+        ``{func: normalize_robot_joint_data, mode: modify, name: robot/qpos, params: {joint_ids:
+        [0, 1]}}``
+
+    Raises:
+        ConfigError: If a joint has no such limit.
+    """
+
+    def __init__(
+        self,
+        env: TermContext,
+        joint_ids: list[int] | None = None,
+        control_parts: str | None = None,
+        limit: Literal["qpos_limits", "qvel_limits", "qf_limits"] = "qpos_limits",
+        range: Range = (0.0, 1.0),
+    ) -> None:
+        active = list(env.active_joint_ids)
+        self._columns = _active_columns(env, active, joint_ids, control_parts)
+        self._width = len(active)
+        self._of = pick_joints(env, None, None, [active[column] for column in self._columns])
+        self._ids = np.asarray(self._of.joint_ids, np.int64)
+        self._positions = limit == "qpos_limits"
+        most: F64 = np.asarray(getattr(self._of.asset.parsed, limit), np.float64)[self._ids]
+        self._most = most
+        self._turning = np.zeros(len(most), np.bool_)
+        if self._positions:
+            self._turning = ~np.isfinite(most).any(axis=1) & self._of.hinges()
+            limited = np.isfinite(most).all(axis=1) | self._turning
+        else:  # a file that gives no velocity or effort says 0
+            limited = np.isfinite(most) & (most > 0)
+        _need_limits(self._of, limited, "limit", limit)
+        self._start, self._span = float(range[0]), float(range[1]) - float(range[0])
+
+    def __call__(self, env: TermContext, data: torch.Tensor) -> torch.Tensor:
+        """(N, A) the data with the picked columns mapped."""
+        if data.ndim != 2 or data.shape[1] != self._width:
+            raise ValueError(
+                f"normalize_robot_joint_data wants ({env.num_envs}, {self._width}), one column for "
+                f"each active joint, got {tuple(data.shape)}"
+            )
+        values = data.numpy().astype(np.float64)
+        low, high = -self._most, self._most
+        if self._positions:
+            low, high = self._of.asset.drives.limits.of(self._ids, None)
+            low, high = np.where(self._turning, -np.pi, low), np.where(self._turning, np.pi, high)
+        picked = values[:, self._columns]
+        values[:, self._columns] = (picked - low) / (high - low) * self._span + self._start
+        return torch.from_numpy(values.astype(np.float32))
+
+
+def _active_columns(
+    env: TermContext, active: list[int], joint_ids: list[int] | None, control_parts: str | None
+) -> list[int]:
+    """Columns among the active joints."""
+    if control_parts is None or env.robot is None:
+        columns = list(range(len(active))) if joint_ids is None else joint_ids
+        strange = [column for column in columns if not 0 <= column < len(active)]
+        if strange:
+            message = (
+                f"columns of the active joints, of which there are {len(active)}, numbered from 0; "
+                f"got {strange}"
+            )
+            raise ConfigError([Problem("joint_ids", message)])
+        return columns
+    if joint_ids is not None:
+        raise ConfigError([Problem("control_parts", "give either joint_ids or control_parts")])
+    part = env.scene_entity({"uid": env.robot.uid, "control_parts": control_parts})
+    idle = [n for n, i in zip(part.joint_names, part.joint_ids, strict=True) if i not in active]
+    if idle:
+        message = f"joints of {control_parts!r} are not active: {', '.join(idle)}"
+        raise ConfigError([Problem("control_parts", message)])
+    return [active.index(i) for i in part.joint_ids]
+
+
+def _need_limits(joints: ResolvedEntity, limited: Any, path: str, what: str) -> None:
+    missing = [name for name, fine in zip(joints.joint_names, limited, strict=True) if not fine]
+    if missing:
+        message = f"joints of {joints.uid!r} without {what}: {', '.join(missing)}"
+        raise ConfigError([Problem(path, message)])

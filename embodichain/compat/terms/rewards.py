@@ -1,0 +1,307 @@
+"""Rewards of EmbodiChain under their own names and with its parameters.
+
+They are rewards and metrics. Most are a quantity with a fixed shape, whose general form is said in
+docs/compatibility.md.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+from pydantic import Field
+
+from embodichain.compat.terms._targets import pick_joints, target_position, tool_of
+from embodichain.lab.gym.envs.managers.param_types import NonNegative, Positive
+from embodichain.lab.gym.envs.managers.references import Body
+from embodichain.lab.gym.envs.managers.registry import quantity
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.mdp import _kernels
+from embodichain.lab.gym.envs.mdp._rows import norm, total
+from embodichain.lab.gym.envs.mdp.quantities.pairs import distance
+from embodichain.lab.gym.envs.mdp.shapes import Rate
+from embodichain.utils.math import quat_conjugate, quat_multiply
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.sim.engine.base import F64
+
+__all__ = [
+    "IncrementalDistanceToTarget",
+    "JointLimitPenalty",
+    "JointVelocityPenalty",
+    "ReachingBehindObject",
+    "distance_between_objects",
+    "distance_to_target",
+    "object_goal_distance",
+    "orientation_alignment",
+]
+
+
+def _closeness(d: F64, exponential: bool, sigma: float) -> F64:
+    if not exponential:
+        return -d
+    found: F64 = np.exp(np.ascontiguousarray(d * d * (-0.5 / (sigma * sigma))))
+    return found
+
+
+@quantity("reward", "metric")
+def distance_between_objects(
+    env: TermContext,
+    source_entity_cfg: Body,
+    target_entity_cfg: Body,
+    exponential: bool = False,
+    sigma: Positive = 1.0,
+    use_xy_only: bool = False,
+) -> F64:
+    """-d, or exp(-d^2 / (2 sigma^2)), with d the distance in metres between two entities.
+
+    EmbodiChain's reward of the same name; `use_xy_only` is ours.
+
+    Args:
+        source_entity_cfg: An entity, or a link of one.
+        target_entity_cfg: Likewise.
+        exponential: Whether to use the second formula, which lies in (0, 1].
+        sigma: Its width in metres.
+        use_xy_only: Whether heights are ignored.
+
+    Example:
+        ``{func: distance_between_objects, weight: 1.0, params: {source_entity_cfg: {uid: ur10,
+        link_names: [ee_link]}, target_entity_cfg: {uid: cube}}}``
+    """
+    d = distance(env, source_entity_cfg, target_entity_cfg, use_xy_only)
+    return _closeness(d, exponential, sigma)
+
+
+def _distance_to_target(env: TermContext, source: Body, key: str, use_xy_only: bool) -> F64:
+    delta = target_position(env, key) - source.position()
+    return norm(delta[:, :2] if use_xy_only else delta)
+
+
+@quantity("reward", "metric")
+def distance_to_target(
+    env: TermContext,
+    source_entity_cfg: Body,
+    target_pose_key: str = "target_pose",
+    exponential: bool = False,
+    sigma: Positive = 1.0,
+    use_xy_only: bool = False,
+) -> F64:
+    """-d, or exp(-d^2 / (2 sigma^2)), with d the distance in metres to a pose that an event stores.
+
+    EmbodiChain's reward of the same name.
+
+    Args:
+        source_entity_cfg: An entity, or a link of one.
+        target_pose_key: The attribute of the environment with the poses, (N, 4, 4).
+        exponential: Whether to use the second formula, which lies in (0, 1].
+        sigma: Its width in metres.
+        use_xy_only: Whether heights are ignored.
+
+    Example:
+        ``{func: distance_to_target, weight: 1.0, params: {source_entity_cfg: {uid: cube},
+        exponential: true, sigma: 0.2}}``
+    """
+    d = _distance_to_target(env, source_entity_cfg, target_pose_key, use_xy_only)
+    return _closeness(d, exponential, sigma)
+
+
+@quantity("reward", "metric", name="incremental_distance_to_target")
+class IncrementalDistanceToTarget(Rate):
+    """w tanh(tanh_scale (d_before - d)): positive for coming closer; 0 in an episode's first step.
+
+    d is the distance in metres to a pose that an event stores, w one of two weights. EmbodiChain's
+    reward of the same name, whose memory survives resets and pays for the jump; this one forgets.
+
+    Args:
+        source_entity_cfg: An entity, or a link of one.
+        target_pose_key: The attribute of the environment with the poses, (N, 4, 4).
+        tanh_scale: 1/m.
+        positive_weight: w of a step that came closer.
+        negative_weight: w of a step that went away.
+        use_xy_only: Whether heights are ignored.
+
+    Example:
+        ``{func: incremental_distance_to_target, weight: 1.0, params: {source_entity_cfg: {uid:
+        cube}, negative_weight: 2.0}}``
+    """
+
+    def __init__(
+        self,
+        env: TermContext,
+        source_entity_cfg: Body,
+        target_pose_key: str = "target_pose",
+        tanh_scale: Positive = 10.0,
+        positive_weight: NonNegative = 1.0,
+        negative_weight: NonNegative = 1.0,
+        use_xy_only: bool = False,
+    ) -> None:
+        super().__init__(env, "step")
+        self._target = env, source_entity_cfg, target_pose_key, use_xy_only
+        self._scale, self._weights = tanh_scale, (positive_weight, negative_weight)
+
+    def __call__(self, values: F64 | None = None) -> F64:
+        """(N,) in (-negative_weight, positive_weight)."""
+        change = super().__call__(_distance_to_target(*self._target) if values is None else values)
+        progress = np.tanh(self._scale * -change)
+        return np.where(progress > 0.0, *self._weights) * progress
+
+
+@quantity("reward", "metric", name="reaching_behind_object")
+class ReachingBehindObject:
+    """1 - tanh(distance_scale d), d the tool's distance to a point behind the object to push.
+
+    The point is ``object - behind_offset u + (0, 0, height_offset)`` with u the unit vector from
+    the object to its target (0 where they coincide). EmbodiChain's reward of the same name.
+
+    Args:
+        object_cfg: What is to be pushed.
+        target_pose_key: The attribute of the environment with the target poses, (N, 4, 4).
+        behind_offset: Metres.
+        height_offset: Metres.
+        distance_scale: 1/m.
+        part_name: A control part of the task's robot: its tool is the tool point that the robot's
+            `solver_cfg` gives it, else the link farthest from the base that all its joints move.
+            None is the whole robot.
+        end_effector_cfg: The tool's link, instead (ours).
+
+    Example:
+        ``{func: reaching_behind_object, weight: 0.1, params: {object_cfg: {uid: cube},
+        target_pose_key: target_pose}}``
+    """
+
+    def __init__(
+        self,
+        env: TermContext,
+        object_cfg: Body,
+        target_pose_key: str = "goal_pose",
+        behind_offset: float = 0.015,
+        height_offset: float = 0.015,
+        distance_scale: Positive = 5.0,
+        part_name: str | None = None,
+        end_effector_cfg: Body | None = None,
+    ) -> None:
+        self._env, self._object, self._key = env, object_cfg, target_pose_key
+        self._tool = tool_of(env, end_effector_cfg, part_name)
+        self._behind, self._up = behind_offset, np.array([0.0, 0.0, height_offset])
+        self._scale = distance_scale
+
+    def __call__(self) -> F64:
+        """(N,) in (0, 1]."""
+        place = self._object.position()
+        way = target_position(self._env, self._key) - place
+        length = norm(way)[:, None]
+        direction = way / np.where(length == 0.0, 1.0, length)
+        wanted = place - self._behind * direction + self._up
+        return _kernels.tanh_kernel(norm(self._tool.position() - wanted), 1.0 / self._scale)
+
+
+@quantity("reward", "metric")
+def object_goal_distance(
+    env: TermContext, object_cfg: Body, goal_cfg: Body, std: Positive, minimal_height: float
+) -> F64:
+    """1 - tanh(d / std) where the object is higher than `minimal_height`, else 0.
+
+    Isaac Lab's reward of the same name, with an entity in place of a command as the goal. The
+    general form is `product_of` `height` and `distance`.
+
+    Args:
+        object_cfg: What is carried.
+        goal_cfg: Where to.
+        std: Metres: where the value has fallen to 0.24.
+        minimal_height: Metres above z = 0 of the object's origin.
+
+    Example:
+        ``{func: object_goal_distance, weight: 16.0, params: {object_cfg: {uid: cube}, goal_cfg:
+        {uid: goal}, std: 0.3, minimal_height: 0.1}}``
+    """
+    kernel = _kernels.tanh_kernel(distance(env, object_cfg, goal_cfg), std)
+    return np.where(object_cfg.position()[:, 2] <= minimal_height, 0.0, kernel)
+
+
+@quantity("reward", "metric")
+def orientation_alignment(
+    env: TermContext, source_entity_cfg: Body, target_entity_cfg: Body
+) -> F64:
+    """(tr(Rs Rt^T) - 1) / 2, the cosine of the angle between two orientations, in [-1, 1].
+
+    EmbodiChain's reward of the same name.
+
+    Args:
+        source_entity_cfg: An entity, or a link of one.
+        target_entity_cfg: Likewise.
+
+    Example:
+        ``{func: orientation_alignment, weight: 0.5, params: {source_entity_cfg: {uid: ur10,
+        link_names: [ee_link]}, target_entity_cfg: {uid: goal}}}``
+    """
+    inverse = quat_conjugate(source_entity_cfg.orientation())
+    w = quat_multiply(inverse, target_entity_cfg.orientation())[:, 0]
+    return 2.0 * w * w - 1.0  # the trace of a rotation is 4 w^2 - 1
+
+
+@quantity("reward", "metric", name="joint_velocity_penalty")
+class JointVelocityPenalty:
+    """-|qvel|, the Euclidean norm over the picked joints, rad/s. EmbodiChain's of the same name.
+
+    Args:
+        robot_uid: The robot; None is the task's own.
+        joint_ids: Its joints; None is all active ones.
+        part_name: One of its control parts, instead of `joint_ids`.
+        entity_cfg: Robot and joints by name, instead of all three (ours).
+
+    Example:
+        ``{func: joint_velocity_penalty, weight: 0.01, params: {robot_uid: ur10}}``
+    """
+
+    def __init__(
+        self,
+        env: TermContext,
+        robot_uid: str | None = None,
+        joint_ids: list[int] | None = None,
+        part_name: str | None = None,
+        entity_cfg: ResolvedEntity | None = None,
+    ) -> None:
+        self._joints = pick_joints(env, entity_cfg, robot_uid, joint_ids, part_name)
+
+    def __call__(self) -> F64:
+        """(N,), not positive."""
+        return -norm(self._joints.qvel())
+
+
+@quantity("reward", "metric", name="joint_limit_penalty")
+class JointLimitPenalty:
+    """-sum max(0, margin - x), x the distance to the nearer limit as a share of the range.
+
+    EmbodiChain's reward of the same name. Joints without two limits count 0.
+
+    Args:
+        robot_uid: The robot; None is the task's own.
+        joint_ids: Its joints; None is all active ones.
+        margin: Share of the range at either end that is penalised.
+        entity_cfg: Robot and joints by name, instead of both (ours).
+
+    Example:
+        ``{func: joint_limit_penalty, weight: 0.1, params: {robot_uid: ur10, margin: 0.05}}``
+    """
+
+    def __init__(
+        self,
+        env: TermContext,
+        robot_uid: str | None = None,
+        joint_ids: list[int] | None = None,
+        margin: Annotated[float, Field(gt=0, le=0.5)] = 0.1,
+        entity_cfg: ResolvedEntity | None = None,
+    ) -> None:
+        self._joints = pick_joints(env, entity_cfg, robot_uid, joint_ids)
+        self._margin = margin
+        self._joints.qpos_limits()
+
+    def __call__(self) -> F64:
+        """(N,), not positive."""
+        qpos = self._joints.qpos()
+        low, high = self._joints.qpos_limits()
+        limited = np.isfinite(low) & np.isfinite(high)
+        width = np.subtract(high, low, where=limited, out=np.ones_like(low))
+        near = np.minimum(qpos - low, high - qpos) / width
+        return -total(np.where(limited, np.maximum(self._margin - near, 0.0), 0.0))

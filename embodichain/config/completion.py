@@ -1,0 +1,57 @@
+"""What an override that is being typed may become: groups, their options, keys."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from embodichain.config.composed import compose
+from embodichain.config.introspect import field_names, type_at
+from embodichain.config.schema import RootCfg
+from embodichain.config.search_path import config_loader
+
+__all__ = ["complete_override"]
+
+
+def complete_override(
+    typed: str,
+    before: Sequence[str] = (),
+    config_name: str = "run",
+    config_dir: str | Path | None = None,
+) -> list[str]:
+    """Return how an override may go on: ``task=NAME``, ``algo=``, ``task.physics.physics_dt=``.
+
+    Args:
+        typed: The word so far.
+        before: The overrides before it.
+        config_name: The root config.
+        config_dir: A folder with groups of the user's own.
+    """
+    prefix = typed[: len(typed) - len(typed.lstrip("+~"))]
+    key, has_value, value = typed[len(prefix) :].partition("=")
+    with config_loader(config_dir) as loader:
+        if has_value:
+            return [
+                f"{prefix}{key}={o}" for o in loader.get_group_options(key) if o.startswith(value)
+            ]
+        group, slash, _ = key.rpartition("/")
+        if slash:
+            groups = [f"{group}/{name}" for name in loader.list_groups(group)]
+        else:
+            groups = [name for name in loader.list_groups("") if name != "hydra"]
+        found = [f"{name}=" for name in groups if loader.get_group_options(name)]
+    parent, dot, _ = key.rpartition(".")
+    tree: Any = compose(before, config_name, config_dir).tree
+    parts = parent.split(".") if dot else []
+    node = tree
+    for part in parts:
+        node = node.get(part) if isinstance(node, Mapping) else None
+    names = list(node) if isinstance(node, Mapping) else []
+    names += field_names(type_at(RootCfg, parts, tree) if parts else RootCfg)
+    for name in map(str, dict.fromkeys(names)):
+        path = f"{parent}{dot}{name}"
+        below = isinstance(node, Mapping) and isinstance(node.get(name), Mapping)
+        kind = type_at(RootCfg, [*parts, name], tree)
+        found.append(f"{path}." if below or field_names(kind) else f"{path}=")
+    return [f"{prefix}{word}" for word in dict.fromkeys(found) if word.startswith(key)]

@@ -1,0 +1,92 @@
+"""Sums over the columns of (N, K) arrays in a fixed order, and what turns arrays into tensors.
+
+A reduction of numpy's may round differently for another number of environments; these do not.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader
+import numpy as np
+
+if TYPE_CHECKING:
+    import torch
+    from numpy.typing import NDArray
+
+    from embodichain.lab.sim.engine.base import F64
+else:
+    torch = lazy_loader.load("torch")
+
+__all__ = [
+    "action_rows",
+    "angle_between",
+    "any_column",
+    "every_column",
+    "mean",
+    "norm",
+    "tensor",
+    "total",
+]
+
+
+def total(values: F64) -> F64:
+    """Sum of the rows, (N, K) -> (N,), from the first column on; 0 where K is 0."""
+    if values.shape[1] == 0:
+        return np.zeros(len(values))
+    found = values[:, 0]
+    for column in range(1, values.shape[1]):
+        found = found + values[:, column]
+    return found
+
+
+def mean(values: F64) -> F64:
+    """Mean of the rows, (N, K) -> (N,), summed in the order of the columns."""
+    found: F64 = total(values) / max(values.shape[1], 1)
+    return found
+
+
+def norm(vectors: F64) -> F64:
+    """Euclidean length of the rows, (N, K) -> (N,)."""
+    found: F64 = np.sqrt(total(vectors * vectors))
+    return found
+
+
+def any_column(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether a row has a True, (N, K) -> (N,)."""
+    return np.asarray(mask.any(axis=1))
+
+
+def every_column(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Whether all of a row are True, (N, K) -> (N,)."""
+    return np.asarray(mask.all(axis=1))
+
+
+def angle_between(a: F64, b: F64) -> F64:
+    """(N,) rad in [0, pi] of the rotation from one orientation to another, (N, 4) wxyz each.
+
+    2 atan2(|v|, |w|) of the difference, which is exact near 0 where an arc cosine is not.
+    """
+    from embodichain.utils.math import quat_conjugate, quat_multiply
+
+    difference = quat_multiply(quat_conjugate(a), b)
+    sine, cosine = norm(difference[:, 1:]), np.abs(difference[:, 0])
+    found: F64 = 2.0 * np.arctan2(sine, np.ascontiguousarray(cosine))
+    return found
+
+
+def action_rows(action: Any) -> F64:
+    """(N, A) float64 copy of the action that rewards receive.
+
+    Raises:
+        TypeError: If it is no tensor: a `TensorDict` has no order of its own.
+    """
+    if not hasattr(action, "detach") or not hasattr(action, "ndim"):
+        raise TypeError(f"this term needs an action tensor, got {type(action).__name__}")
+    rows: F64 = action.detach().numpy().astype(np.float64)
+    return rows
+
+
+def tensor(array: NDArray[np.float64] | NDArray[np.bool_]) -> torch.Tensor:
+    """A tensor of its own: float32, or bool."""
+    return torch.from_numpy(array if array.dtype == np.bool_ else array.astype(np.float32))

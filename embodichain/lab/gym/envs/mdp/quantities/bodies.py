@@ -1,0 +1,296 @@
+"""Quantities of one entity, or of one link of it: where it is, how it is turned, how it moves.
+
+Robots' bases above all. Axes are the environment's unless `frame` says otherwise.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from embodichain.lab.gym.envs.managers.param_types import Positive, Vec3
+from embodichain.lab.gym.envs.managers.references import Body
+from embodichain.lab.gym.envs.managers.registry import quantity
+from embodichain.lab.gym.envs.managers.scene_entity import Frame
+from embodichain.lab.gym.envs.mdp import _kernels
+from embodichain.lab.gym.envs.mdp._rotations import (
+    Heading,
+    Rotation,
+    as_rotation,
+    heading,
+    unique_quat,
+)
+from embodichain.lab.gym.envs.mdp._rows import norm, total
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import quat_conjugate, quat_rotate
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.sim.engine.base import F64
+
+__all__ = [
+    "angular_velocity",
+    "at_rest",
+    "height",
+    "linear_velocity",
+    "orientation",
+    "position",
+    "projected_gravity",
+    "root_quat_w",
+    "speed",
+    "tilt",
+    "upright",
+    "velocity",
+    "yaw",
+]
+
+Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
+
+
+def _of_axes(vectors: F64, axes: Axes) -> F64:
+    """Columns of (N, 3) by their letters."""
+    if axes == "xyz":
+        return vectors
+    if axes == "xy":
+        return vectors[:, :2]
+    return vectors[:, ["xyz".index(axis) for axis in axes]]
+
+
+@quantity()
+def position(env: TermContext, of: Body, axes: Axes = "xyz") -> F64:
+    """(N, 3) position of an entity's origin in the environment's frame, m.
+
+    Args:
+        of: The entity, or a link of one.
+        axes: The columns: letters of xyz.
+
+    Example:
+        ``{func: position, params: {of: {uid: cube}}}``
+    """
+    return _of_axes(of.position(), axes)
+
+
+@quantity()
+def height(env: TermContext, of: Body, above: float = 0.0) -> F64:
+    """(N,) height of an entity's origin above a level, m.
+
+    Args:
+        of: The entity, or a link of one.
+        above: The level, metres above z = 0.
+
+    Example:
+        ``{func: height, params: {of: {uid: cube}, above: 0.05}}``
+    """
+    return of.position()[:, 2] - above
+
+
+@quantity("observation")
+def orientation(env: TermContext, of: Body, representation: Rotation = "rot6d") -> F64:
+    """Orientation of an entity in the environment's frame, in the form of your choice.
+
+    Args:
+        of: The entity, or one link of it.
+        representation: ``quat`` (N, 4) wxyz with w >= 0; ``matrix`` (N, 3, 3); ``rot6d`` (N, 6),
+            the matrix's first column, then its second (Zhou et al., CVPR 2019): without jumps.
+
+    Example:
+        ``{func: orientation, params: {of: {uid: cube}, representation: rot6d}}``
+    """
+    return as_rotation(of.orientation(), representation)
+
+
+@quantity("observation")
+def root_quat_w(env: TermContext, of: Body, make_quat_unique: bool = False) -> F64:
+    """(N, 4) orientation of the root in the environment's frame, wxyz.
+
+    Isaac Lab's and mjlab's observation of the same name.
+
+    Args:
+        of: The robot or object.
+        make_quat_unique: Whether to take the one of q and -q that has w >= 0.
+
+    Example:
+        ``{func: root_quat_w, params: {of: {uid: go}, make_quat_unique: true}}``
+    """
+    quat = of.orientation()
+    return unique_quat(quat) if make_quat_unique else quat
+
+
+@quantity()
+def yaw(env: TermContext, of: Body, representation: Heading = "yaw") -> F64:
+    """Heading of an entity: where its x axis points in the horizontal plane.
+
+    Args:
+        of: The entity, or one link of it.
+        representation: ``yaw`` (N, 1), the angle in (-pi, pi] rad about z; ``sin_cos`` (N, 2), its
+            sine and cosine, which have no jump.
+
+    Example:
+        ``{func: yaw, params: {of: {uid: cube}, representation: sin_cos}}``
+    """
+    return heading(of.orientation(), representation)
+
+
+@quantity()
+def projected_gravity(env: TermContext, of: Body, axes: Axes = "xyz") -> F64:
+    """(N, 3) the world's unit vector straight down in a body's axes: (0, 0, -1) when upright.
+
+    It measures roll and pitch, and not yaw.
+
+    Args:
+        of: The entity, or a link of one.
+        axes: The columns: letters of xyz.
+
+    Example:
+        ``{func: projected_gravity, params: {of: {uid: go}}}``
+    """
+    w, x, y, z = (of.orientation()[:, i] for i in range(4))
+    down = [2.0 * (w * y - x * z), -2.0 * (y * z + w * x), 2.0 * (x * x + y * y) - 1.0]
+    return np.stack([down["xyz".index(axis)] for axis in axes], axis=1)
+
+
+@quantity()
+def tilt(env: TermContext, of: Body) -> F64:
+    """(N,) angle of a body's z axis from the vertical, rad: 0 when upright, pi upside down.
+
+    Args:
+        of: The entity, or a link of one.
+
+    Example:
+        ``{func: tilt, params: {of: {uid: go}}}``
+    """
+    down = projected_gravity(env, of)
+    # Exact at both ends, where an arc cosine is not.
+    found: F64 = np.arctan2(norm(down[:, :2]), -down[:, 2])
+    return found
+
+
+@quantity()
+def upright(env: TermContext, of: Body, std: Positive | None = None) -> F64:
+    """(N,) how far a body's z axis points up: (1 + cos(tilt)) / 2, or exp(-sin^2(tilt) / std^2).
+
+    The second is mjlab's of the same name; it does not tell upright from upside down.
+
+    Args:
+        of: The entity, or a link of one.
+        std: The width of the second formula; None is the first.
+
+    Example:
+        ``{func: upright, params: {of: {uid: go}, std: 0.45}}``
+    """
+    if std is None:
+        quat = of.orientation()
+        x, y = quat[:, 1], quat[:, 2]
+        return 0.5 * (1.0 + (1.0 - 2.0 * (x * x + y * y)))
+    down = projected_gravity(env, of, "xy")
+    return _kernels.gaussian(total(down * down), std)
+
+
+@quantity()
+def linear_velocity(env: TermContext, of: Body, frame: Frame = "world", axes: Axes = "xyz") -> F64:
+    """(N, 3) linear velocity of an entity's origin, m/s.
+
+    Isaac Lab's is of the centre of mass of the root link, mjlab's ``link`` velocities are these.
+
+    Args:
+        of: The entity, or a link of one.
+        frame: The axes: of the ``world``, of the ``body`` itself, or of its heading (``yaw``),
+            which are level and turned to where its x axis points.
+        axes: The columns: letters of xyz.
+
+    Example:
+        ``{func: linear_velocity, params: {of: {uid: go}, frame: body}}``
+    """
+    return _of_axes(of.linear_velocity(frame), axes)
+
+
+@quantity()
+def angular_velocity(env: TermContext, of: Body, frame: Frame = "world", axes: Axes = "xyz") -> F64:
+    """(N, 3) angular velocity of an entity, rad/s; with ``frame: body`` what a gyroscope reads.
+
+    Args:
+        of: The entity, or a link of one.
+        frame: The axes: of the ``world``, of the ``body`` itself, or of its heading (``yaw``).
+        axes: The columns: letters of xyz.
+
+    Example:
+        ``{func: angular_velocity, params: {of: {uid: go}, frame: body}}``
+    """
+    return _of_axes(of.angular_velocity(frame), axes)
+
+
+@quantity()
+def velocity(env: TermContext, of: Body) -> F64:
+    """(N, 6) linear velocity of an entity's origin in m/s, then angular in rad/s, world axes.
+
+    Args:
+        of: The entity, or a link of one.
+
+    Example:
+        ``{func: velocity, params: {of: {uid: cube}}}``
+    """
+    return np.concatenate([of.linear_velocity(), of.angular_velocity()], axis=1)
+
+
+@quantity()
+def speed(
+    env: TermContext,
+    of: Body,
+    direction: Vec3 | None = None,
+    frame: Literal["world", "body"] = "world",
+) -> F64:
+    """(N,) length of an entity's linear velocity, or its part along a direction, m/s.
+
+    Args:
+        of: The entity, or a link of one; its origin's velocity.
+        direction: Along which the velocity counts, of any length; None takes its length.
+        frame: The axes of `direction`.
+
+    Example:
+        ``{func: speed, params: {of: {uid: go}, direction: [1, 0, 0], frame: body}}``
+
+    Raises:
+        ConfigError: If the direction is zero.
+    """
+    moving = of.linear_velocity()
+    if direction is None:
+        return norm(moving)
+    along = np.asarray(direction, np.float64)
+    length = float(norm(along[None])[0])
+    if length == 0.0:
+        raise ConfigError([Problem("direction", "must not be zero")])
+    if frame == "body":
+        moving = quat_rotate(quat_conjugate(of.orientation()), moving)
+    return total(moving * (along / length))
+
+
+@quantity("reward", "metric", "termination")
+def at_rest(
+    env: TermContext,
+    of: Body,
+    linear_threshold: Positive | None = None,
+    angular_threshold: Positive | None = None,
+) -> NDArray[np.bool_]:
+    """True where an entity moves and turns slower than two thresholds.
+
+    Args:
+        of: The entity, or a link of one.
+        linear_threshold: m/s; None is any.
+        angular_threshold: rad/s; None is any.
+
+    Example:
+        ``{func: at_rest, params: {of: {uid: cube}, linear_threshold: 0.01, angular_threshold:
+        0.1}}``
+
+    Raises:
+        ConfigError: If neither is given.
+    """
+    if linear_threshold is None and angular_threshold is None:
+        raise ConfigError([Problem("", "give linear_threshold, angular_threshold or both")])
+    linear = np.inf if linear_threshold is None else linear_threshold
+    angular = np.inf if angular_threshold is None else angular_threshold
+    slow: NDArray[np.bool_] = norm(of.linear_velocity()) < linear
+    return slow & (norm(of.angular_velocity()) < angular)

@@ -1,0 +1,154 @@
+"""Quantities of commands: the command itself, and how far the robot is from it.
+
+A velocity command has the columns vx, vy (m/s) and wz (rad/s). A pose command is (N, 7): x, y, z in
+metres and a wxyz quaternion, in the frame of the robot's root.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from embodichain.lab.gym.envs.managers.param_types import Positive
+from embodichain.lab.gym.envs.managers.references import (
+    Body,
+    Command,
+    PlanarCommand,
+    PoseCommand,
+    PositionCommand,
+    VelocityCommand,
+)
+from embodichain.lab.gym.envs.managers.registry import quantity
+from embodichain.lab.gym.envs.managers.scene_entity import Frame
+from embodichain.lab.gym.envs.mdp._rows import angle_between, norm
+from embodichain.utils.math import quat_multiply, quat_rotate
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.sim.engine.base import F64
+
+__all__ = [
+    "angular_velocity_error",
+    "command",
+    "follows_velocity",
+    "linear_velocity_error",
+    "orientation_command_error",
+    "position_command_error",
+]
+
+
+@quantity()
+def command(env: TermContext, command_name: Command) -> F64:
+    """(N, K) the command in force, in the command's own units.
+
+    Args:
+        command_name: The command.
+
+    Example:
+        ``{func: command, params: {command_name: velocity}}``
+    """
+    return command_name()
+
+
+@quantity()
+def linear_velocity_error(
+    env: TermContext, of: Body, command_name: PlanarCommand, frame: Frame = "body"
+) -> F64:
+    """(N, 2) velocity in the plane minus a commanded one, m/s.
+
+    Args:
+        of: The robot, or a link of it.
+        command_name: A command whose first two columns are vx and vy, m/s.
+        frame: Where the velocity is measured: in the ``body``'s own axes, or in its heading's
+            (``yaw``), which are level. ``world`` is the environment's axes.
+
+    Example:
+        ``{func: linear_velocity_error, params: {of: {uid: go}, command_name: velocity}}``
+    """
+    return of.linear_velocity(frame)[:, :2] - command_name()[:, :2]
+
+
+@quantity()
+def angular_velocity_error(
+    env: TermContext,
+    of: Body,
+    command_name: VelocityCommand,
+    frame: Literal["body", "world"] = "body",
+) -> F64:
+    """(N,) turning rate about z minus a commanded one, rad/s.
+
+    Args:
+        of: The robot, or a link of it.
+        command_name: A command whose third column is wz, rad/s.
+        frame: About which z axis the rate is measured: the ``body``'s, or the ``world``'s.
+
+    Example:
+        ``{func: angular_velocity_error, params: {of: {uid: go}, command_name: velocity}}``
+    """
+    return of.angular_velocity(frame)[:, 2] - command_name()[:, 2]
+
+
+@quantity("reward", "metric", "termination")
+def follows_velocity(
+    env: TermContext,
+    of: Body,
+    command_name: VelocityCommand,
+    linear_threshold: Positive,
+    angular_threshold: Positive | None = None,
+) -> NDArray[np.bool_]:
+    """True where velocity in the heading's frame and turning rate are close to a command.
+
+    Args:
+        of: The robot, or a link of it.
+        command_name: A command whose columns are vx, vy (m/s) and wz (rad/s).
+        linear_threshold: m/s, of the distance in the plane.
+        angular_threshold: rad/s about the vertical; None does not measure it.
+
+    Example:
+        ``{func: follows_velocity, params: {of: {uid: go}, command_name: velocity,
+        linear_threshold: 0.3}}``
+    """
+    error = of.linear_velocity("yaw")[:, :2] - command_name()[:, :2]
+    close: NDArray[np.bool_] = norm(error) < linear_threshold
+    if angular_threshold is not None:
+        turning = of.angular_velocity()[:, 2] - command_name()[:, 2]
+        close = close & (np.abs(turning) < angular_threshold)
+    return close
+
+
+@quantity()
+def position_command_error(env: TermContext, of: Body, command_name: PositionCommand) -> F64:
+    """(N,) distance between a link and a commanded position, m. Isaac Lab's of the same name.
+
+    Args:
+        of: The robot and one link of it.
+        command_name: A command whose first three columns are x, y, z in the root's frame, metres.
+
+    Example:
+        ``{func: position_command_error, params: {of: {uid: ur10, link_names: [ee_link]},
+        command_name: pose}}``
+    """
+    root, turned = of.asset.read_pose()
+    wanted = root + quat_rotate(turned, command_name()[:, :3])
+    return norm(wanted - of.position())
+
+
+@quantity()
+def orientation_command_error(env: TermContext, of: Body, command_name: PoseCommand) -> F64:
+    """(N,) angle between a link and a commanded orientation, rad in [0, pi].
+
+    Isaac Lab's of the same name.
+
+    Args:
+        of: The robot and one link of it.
+        command_name: A command (N, 7); columns 3 to 6 are a wxyz quaternion in the root's frame.
+
+    Example:
+        ``{func: orientation_command_error, params: {of: {uid: ur10, link_names: [ee_link]},
+        command_name: pose}}``
+    """
+    wanted = quat_multiply(of.asset.read_pose()[1], command_name()[:, 3:7])
+    return angle_between(of.orientation(), wanted)

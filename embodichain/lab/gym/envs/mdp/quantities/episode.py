@@ -1,0 +1,281 @@
+"""Quantities of the episode and of the step: success, termination, time, actions; and a constant.
+
+Time is the simulation's own, from the first observation of the episode on; physics steps within
+reset events (waiting until objects are at rest) do not count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from embodichain.lab.gym.envs.managers.param_types import Finite, Positive
+from embodichain.lab.gym.envs.managers.registry import quantity, register_term
+from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.mdp._rows import action_rows
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
+
+if TYPE_CHECKING:
+    import torch
+    from numpy.typing import NDArray
+
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.sim.engine.base import F64, EnvIndex
+
+    Mask = NDArray[np.bool_]
+
+__all__ = [
+    "CurrentTime",
+    "ElapsedFraction",
+    "LastAction",
+    "Phase",
+    "RemainingTime",
+    "action_",
+    "constant",
+    "is_alive",
+    "is_terminated",
+    "success_reward",
+    "time_out",
+]
+
+Info = dict[str, Any]
+_NEVER = 2**31 - 1
+
+
+@quantity(name="action")
+def action_(env: TermContext, action: Any) -> F64:
+    """(N, A) the action as given to `step` (after `_preprocess_action`), in its own units.
+
+    The observation of it is `last_action`.
+
+    Example:
+        ``{func: action, shape: l2, weight: -0.01}``
+    """
+    return action_rows(action)
+
+
+@quantity("reward", "metric")
+def constant(env: TermContext, value: float = 1.0) -> F64:
+    """(N,) the same number in every step: a price of time, or a point to start from.
+
+    Args:
+        value: The number.
+
+    Example:
+        ``{func: constant, weight: -0.01}``
+    """
+    return np.full(env.num_envs, float(value))
+
+
+@quantity("reward", "metric")
+def success_reward(env: TermContext, info: Info) -> F64:
+    """(N,) 1 where the task's success holds at this step, else 0. EmbodiChain's of the same name.
+
+    Success is the metric `success`; in a task without one, ``info["success"]``: what the
+    terminations of kind success or the environment's `evaluate` give.
+
+    Example:
+        ``{func: success_reward, weight: 10.0}``
+    """
+    success = info.get("metrics", {}).get("success")
+    if success is None:
+        success = info.get("success")
+    return np.zeros(env.num_envs) if success is None else (success.numpy() != 0).astype(np.float64)
+
+
+@quantity("reward", "metric")
+def is_terminated(env: TermContext, info: Info) -> F64:
+    """(N,) 1 where a termination of kind success or fail ends the episode, else 0.
+
+    Running out of time is no termination. An environment that diverges gets no reward at all.
+    Isaac Lab's reward of the same name: give it a negative weight.
+
+    Example:
+        ``{func: is_terminated, weight: -200.0}``
+    """
+    return _terminated(env, info).astype(np.float64)
+
+
+@quantity("reward", "metric")
+def is_alive(env: TermContext, info: Info) -> F64:
+    """(N,) 1 where `is_terminated` is 0, and 0 where it is 1. Isaac Lab's reward of the same name.
+
+    Example:
+        ``{func: is_alive, weight: 1.0}``
+    """
+    return (~_terminated(env, info)).astype(np.float64)
+
+
+def _terminated(env: TermContext, info: Info) -> Mask:
+    if env.cfg.ignore_terminations:
+        return np.zeros(env.num_envs, np.bool_)
+    ended: Mask = (info["success"] | info["fail"]).numpy()
+    return ended
+
+
+@quantity("termination", "metric")
+def time_out(env: TermContext, time_limit_s: Positive) -> Mask:
+    """True once an episode has lasted so long, this step included.
+
+    Args:
+        time_limit_s: Seconds of simulated time, rounded to control steps.
+
+    Example:
+        ``{func: time_out, kind: time_out, params: {time_limit_s: 5.0}}``
+    """
+    steps = max(1, round(time_limit_s / env.step_dt))
+    over: Mask = env.elapsed_steps.numpy() + 1 >= steps
+    return over
+
+
+class _Clock(Term):
+    """Seconds since each episode's first observation."""
+
+    def __init__(self, env: TermContext) -> None:
+        self._env = env
+        self._start: F64 = np.zeros(env.num_envs)
+        self._fresh: Mask = np.ones(env.num_envs, np.bool_)
+
+    def seconds(self) -> F64:
+        """(N,) s."""
+        now = self._env.sim.engine.state("time")[:, 0]
+        if self._fresh.any():
+            self._start = np.where(self._fresh, now, self._start)
+            self._fresh = np.zeros_like(self._fresh)
+        return now - self._start
+
+    def limit(self) -> float:
+        """Seconds an episode lasts at most.
+
+        Raises:
+            ConfigError: If the task has no limit.
+        """
+        if self._env.max_episode_steps == _NEVER:
+            message = "the task has no time limit (max_episode_steps: -1): nothing remains"
+            raise ConfigError([Problem("", message)])
+        return self._env.max_episode_steps * self._env.step_dt
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Time begins anew with the next observation."""
+        self._fresh[slice(None) if env_ids is None else env_ids] = True
+
+    def state_dict(self) -> dict[str, Any]:
+        """When episodes began (copies)."""
+        return {"start": self._start.copy(), "fresh": self._fresh.copy()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        self._start, self._fresh = state["start"].copy(), state["fresh"].copy()
+
+
+@quantity("observation", name="current_time_s")
+class CurrentTime(_Clock):
+    """(N,) seconds the episode has lasted; 0 right after a reset. Isaac Lab's name.
+
+    Example:
+        ``{func: current_time_s}``
+    """
+
+    def __call__(self) -> F64:
+        """(N,)."""
+        return self.seconds()
+
+
+@quantity("observation", name="remaining_time_s")
+class RemainingTime(_Clock):
+    """(N,) seconds until the episode is truncated by ``max_episode_steps``. Isaac Lab's name.
+
+    Example:
+        ``{func: remaining_time_s}``
+    """
+
+    def __init__(self, env: TermContext) -> None:
+        super().__init__(env)
+        self.limit()
+
+    def __call__(self) -> F64:
+        """(N,)."""
+        return self.limit() - self.seconds()
+
+
+@quantity("observation", name="elapsed_fraction")
+class ElapsedFraction(RemainingTime):
+    """(N,) share of the longest episode (``max_episode_steps``) that is over: from 0 to 1.
+
+    With it a value function can know when a time limit strikes (Pardo et al., "Time limits in
+    reinforcement learning", ICML 2018).
+
+    Example:
+        ``{func: elapsed_fraction}``
+    """
+
+    def __call__(self) -> F64:
+        """(N,)."""
+        return self.seconds() / self.limit()
+
+
+@quantity("observation", name="phase")
+class Phase(_Clock):
+    """(N, 2 K) sine and cosine of 2 pi (t / period + offset), t the episode's time; K offsets.
+
+    A clock for gaits and other cycles: sin, cos of the first offset, then of the second...
+
+    Args:
+        period_s: Seconds a cycle.
+        offsets: Positions within the cycle at t = 0, in periods, one for each pair of numbers.
+
+    Example:
+        ``{func: phase, params: {period_s: 0.8, offsets: [0.0, 0.5]}}``
+    """
+
+    def __init__(
+        self,
+        env: TermContext,
+        period_s: Positive,
+        offsets: Annotated[Sequence[Finite], Field(min_length=1)] = (0.0,),
+    ) -> None:
+        super().__init__(env)
+        self._period, self._offsets = float(period_s), [float(offset) for offset in offsets]
+
+    def __call__(self) -> F64:
+        """(N, 2 K)."""
+        cycles = self.seconds() / self._period
+        columns = []
+        for offset in self._offsets:
+            angle = 2.0 * np.pi * (cycles + offset)
+            columns += [np.sin(angle), np.cos(angle)]
+        return np.stack(columns, axis=1)
+
+
+@register_term("observation", name="last_action")
+class LastAction(Term):
+    """(N, A) the action of the last step, as given: before clip, delay and noise.
+
+    Zeros after a reset. Isaac Lab's and mjlab's observation of the same name.
+
+    Args:
+        action_name: One action term, to observe its slice alone; None is the whole action.
+
+    Example:
+        ``{func: last_action}``
+    """
+
+    def __init__(self, env: TermContext, action_name: str | None = None) -> None:
+        declared = env.cfg.actions
+        if action_name is not None and action_name not in declared:
+            known = ", ".join(declared) or "none"
+            message = f"no action term is called {action_name!r}; there are: {known}"
+            hint = did_you_mean(action_name, declared).strip()
+            raise ConfigError([Problem("action_name", message, hint)])
+        self._name = action_name
+
+    def __call__(self, env: TermContext, obs: Any) -> torch.Tensor:
+        """The observation."""
+        action = env.last_action
+        if self._name is None:
+            return action
+        return action[:, env.action_manager.slices[self._name]].contiguous()

@@ -1,0 +1,174 @@
+"""Terms made of terms: all or any of several predicates, a predicate held for some time, products.
+
+The inner terms are declared as everywhere, ``{func: ..., params: {...}}``, and are checked, reset,
+saved and restored with the outer one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from embodichain.lab.gym.envs.cfg import ValueCfg
+from embodichain.lab.gym.envs.managers.base import Manager
+from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.sim.engine.base import EnvIndex
+
+__all__ = ["AllOf", "AnyOf", "HeldFor", "ProductOf"]
+
+
+def _registered(term: ValueCfg) -> ValueCfg:
+    """Check an inner term as one of a manager's is checked, before anything is built."""
+    from embodichain.lab.gym.envs.managers.check import check_term
+
+    if isinstance(term.func, str) and ":" in term.func:
+        raise ValueError("a term within a term must be a registered one, not an import path")
+    problems = check_term("metric", term, "")[1]
+    if problems:
+        raise ValueError("; ".join(str(problem).lstrip(".") for problem in problems))
+    return term
+
+
+Inner = Annotated[ValueCfg, AfterValidator(_registered)]
+Terms = Annotated[dict[str, Inner], Field(min_length=1)]
+Info = dict[str, Any]
+
+
+class _Joined(Term):
+    """Builds the inner terms, joins their values, and passes on what happens to the outer one."""
+
+    def __init__(
+        self, env: TermContext, terms: Mapping[str, ValueCfg], join: np.ufunc, dtype: type
+    ) -> None:
+        self._inner: Manager[ValueCfg] = Manager(env, "terms", "metric", terms)
+        self._calls = [term.call for term in self._inner.terms.values()]
+        self._join_two, self._dtype = join, dtype
+
+    def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> NDArray[Any]:
+        """(N,)."""
+        found = [np.asarray(call(env, obs, action, info)) for call in self._calls]
+        value: NDArray[Any] = found[0].astype(self._dtype)
+        for other in found[1:]:
+            value = self._join_two(value, other.astype(self._dtype))
+        return value
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Reset the inner terms."""
+        self._inner.reset(env_ids)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Of the inner terms."""
+        return self._inner.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        self._inner.load_state_dict(state)
+
+
+@register_term("reward", "metric", "termination", name="all_of")
+class AllOf(_Joined):
+    """True where every one of several terms is true (not 0).
+
+    Args:
+        terms: Name -> metric term.
+
+    Example:
+        ``{func: all_of, params: {terms: {near: {func: distance, shape: {below: 0.05}, params:
+        {from: {uid: cube}, to: {uid: goal}}}, still: {func: at_rest, params: {of: {uid: cube},
+        linear_threshold: 0.01}}}}}``
+    """
+
+    def __init__(self, env: TermContext, terms: Terms) -> None:
+        super().__init__(env, terms, np.logical_and, np.bool_)
+
+
+@register_term("reward", "metric", "termination", name="any_of")
+class AnyOf(_Joined):
+    """True where at least one of several terms is true (not 0).
+
+    Args:
+        terms: Name -> metric term.
+
+    Example:
+        ``{func: any_of, params: {terms: {low: {func: height, shape: {below: 0}, params: {of: {uid:
+        cube}}}, high: {func: height, shape: {above: 1}, params: {of: {uid: cube}}}}}}``
+    """
+
+    def __init__(self, env: TermContext, terms: Terms) -> None:
+        super().__init__(env, terms, np.logical_or, np.bool_)
+
+
+@register_term("reward", "metric", name="product_of")
+class ProductOf(_Joined):
+    """The product of several terms: large only where all are. dm_control's rewards are such.
+
+    Args:
+        terms: Name -> metric term.
+
+    Example:
+        ``{func: product_of, weight: 1.0, params: {terms: {lifted: {func: height, shape: {above:
+        0.1}, params: {of: {uid: cube}}}, near: {func: distance, shape: {tanh: 0.2}, params: {from:
+        {uid: cube}, to: {uid: goal}}}}}}``
+    """
+
+    def __init__(self, env: TermContext, terms: Terms) -> None:
+        super().__init__(env, terms, np.multiply, np.float32)
+
+
+@register_term("reward", "metric", "termination", name="held_for")
+class HeldFor(_Joined):
+    """True where a term has been true (not 0) in each of the last `steps` steps of the episode.
+
+    Args:
+        term: A metric term.
+        steps: Control steps, this one included; or
+        time_s: Seconds of simulated time, rounded to control steps.
+
+    Example:
+        ``{func: held_for, params: {steps: 10, term: {func: distance, shape: {below: 0.05}, params:
+        {from: {uid: cube}, to: {uid: goal}}}}}``
+    """
+
+    def __init__(
+        self,
+        env: TermContext,
+        term: Inner,
+        steps: Annotated[int, Field(ge=1)] | None = None,
+        time_s: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None,
+    ) -> None:
+        if (steps is None) == (time_s is None):
+            raise ConfigError([Problem("steps", "give either steps or time_s")])
+        super().__init__(env, {"term": term}, np.logical_and, np.bool_)
+        self._steps = steps or max(1, round((time_s or 0.0) / env.step_dt))
+        self._held = np.zeros(env.num_envs, np.int64)
+
+    def __call__(self, env: TermContext, obs: Any, action: Any, info: Info) -> NDArray[Any]:
+        """(N,) bool."""
+        true = super().__call__(env, obs, action, info)
+        self._held = np.where(true, self._held + 1, 0)
+        return self._held >= self._steps
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Start counting anew in these environments."""
+        super().reset(env_ids)
+        self._held = self._held.copy()
+        self._held[slice(None) if env_ids is None else env_ids] = 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """Steps held so far, and the inner term (copies)."""
+        return {**super().state_dict(), "held": self._held.copy()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        super().load_state_dict(state)
+        self._held = state["held"].copy()

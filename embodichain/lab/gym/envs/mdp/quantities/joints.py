@@ -1,0 +1,258 @@
+"""Quantities of joints: positions, velocities, efforts, and how far they are beyond limits.
+
+K is the number of picked joints. Joints without a limit are never beyond it; if none of those
+picked has one, that is an error.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from embodichain.lab.gym.envs.managers.param_types import Fraction, NonNegative, Positive
+from embodichain.lab.gym.envs.managers.references import Command, Joints
+from embodichain.lab.gym.envs.managers.registry import quantity
+from embodichain.lab.gym.envs.mdp._rows import norm, total
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+    from embodichain.lab.sim.engine.base import F64
+
+__all__ = [
+    "joint_effort",
+    "joint_effort_excess",
+    "joint_pos_limit_normalized",
+    "joint_position",
+    "joint_position_excess",
+    "joint_power",
+    "joint_sin_cos",
+    "joint_speed",
+    "joint_target_error",
+    "joint_velocity",
+    "joint_velocity_excess",
+    "stand_still",
+    "wrapped",
+]
+
+
+def wrapped(angles: F64) -> F64:
+    """Angles brought into [-pi, pi) rad."""
+    turn = 2.0 * math.pi
+    return angles - turn * np.floor((angles + math.pi) / turn)
+
+
+@quantity()
+def joint_position(
+    env: TermContext, of: Joints, relative: bool = False, periodic: bool = False
+) -> F64:
+    """(N, K) positions of the picked joints, rad or m.
+
+    Args:
+        of: The robot; its joint names or control parts pick joints.
+        relative: Whether the initial positions are subtracted.
+        periodic: Whether positions are angles that are brought into [-pi, pi).
+
+    Example:
+        ``{func: joint_position, params: {of: {uid: ur10}, relative: true}}``
+    """
+    qpos = of.qpos() - of.initial_qpos if relative else of.qpos()
+    return wrapped(qpos) if periodic else qpos
+
+
+@quantity()
+def joint_velocity(env: TermContext, of: Joints) -> F64:
+    """(N, K) velocities of the picked joints, rad/s or m/s.
+
+    Args:
+        of: The robot; its joint names or control parts pick joints.
+
+    Example:
+        ``{func: joint_velocity, params: {of: {uid: ur10}}}``
+    """
+    return of.qvel()
+
+
+@quantity()
+def joint_speed(env: TermContext, of: Joints) -> F64:
+    """(N, K) absolute velocities of the picked joints, rad/s or m/s.
+
+    Args:
+        of: The robot; its joint names or control parts pick joints.
+
+    Example:
+        ``{func: joint_speed, params: {of: {uid: ur10}}}``
+    """
+    return np.abs(of.qvel())
+
+
+@quantity()
+def joint_effort(env: TermContext, of: Joints) -> F64:
+    """(N, K) efforts of the picked joints in the last physics step, N m or N.
+
+    The sum of what drives, their damping and effort actions give: Isaac Lab's applied torque. The
+    damping of a joint without a drive counts as well.
+
+    Args:
+        of: The robot; its joint names or control parts pick joints.
+
+    Example:
+        ``{func: joint_effort, params: {of: {uid: ur10}}}``
+    """
+    return of.effort()
+
+
+@quantity()
+def joint_power(env: TermContext, of: Joints, positive_only: bool = False) -> F64:
+    """(N,) sum of |effort x qvel| over the picked joints, W: times the time step, energy.
+
+    Efforts as in `joint_effort`, of the last physics step; velocities after it. mjlab's
+    `electrical_power_cost` counts only what motors give: `positive_only`.
+
+    Args:
+        of: The robot; its joint names or control parts pick joints.
+        positive_only: Whether joints that are braked count 0.
+
+    Example:
+        ``{func: joint_power, params: {of: {uid: ur10}}}``
+    """
+    power = of.effort() * of.qvel()
+    return total(np.maximum(power, 0.0) if positive_only else np.abs(power))
+
+
+@quantity()
+def joint_target_error(env: TermContext, of: Joints) -> F64:
+    """(N,) mean of |target - qpos| over the picked joints, rad or m; 0 for joints without a drive.
+
+    Args:
+        of: The robot; its joint names or control parts pick joints.
+
+    Example:
+        ``{func: joint_target_error, params: {of: {uid: ur10}}}``
+    """
+    return total(np.abs(of.target_qpos() - of.qpos())) / len(of.joint_ids)
+
+
+@quantity()
+def joint_position_excess(env: TermContext, of: Joints, soft_ratio: Fraction = 1.0) -> F64:
+    """(N, K) how far joints are beyond the nearer position limit, rad or m; negative within.
+
+    Limits give way a little under load: a `soft_ratio` of 1 may measure that.
+
+    Args:
+        of: The robot; its joint names or control parts pick joints.
+        soft_ratio: Share of the range, around its middle, that is allowed.
+
+    Example:
+        ``{func: joint_position_excess, params: {of: {uid: ur10}, soft_ratio: 0.9}}``
+    """
+    qpos = of.qpos()
+    low, high = of.qpos_limits(soft_ratio)
+    return np.maximum(low - qpos, qpos - high)
+
+
+@quantity()
+def joint_velocity_excess(
+    env: TermContext, of: Joints, soft_ratio: Fraction = 1.0, max_velocity: Positive | None = None
+) -> F64:
+    """(N, K) how much faster joints are than allowed, rad/s or m/s; negative where they are slower.
+
+    The limit is the smaller of the drive's `max_velocity` and the file's; physics enforces neither.
+
+    Args:
+        of: The robot; its joint names or control parts pick joints.
+        soft_ratio: Share of the limit that is allowed.
+        max_velocity: The limit instead, rad/s or m/s.
+
+    Example:
+        ``{func: joint_velocity_excess, params: {of: {uid: ur10}, soft_ratio: 0.9}}``
+    """
+    limits = of.qvel_limits() if max_velocity is None else max_velocity
+    return np.abs(of.qvel()) - limits * soft_ratio
+
+
+@quantity()
+def joint_effort_excess(env: TermContext, of: Joints, soft_ratio: Fraction = 1.0) -> F64:
+    """(N, K) effort beyond what is allowed, N m or N; negative where it is less.
+
+    Effort as in `joint_effort`. The limit is the smaller of the drive's `max_effort` and the
+    file's. A drive with a finite `max_effort` is cut off there: use a `soft_ratio` below 1.
+
+    Args:
+        of: The robot; its joint names or control parts pick joints.
+        soft_ratio: Share of the limit that is allowed.
+
+    Example:
+        ``{func: joint_effort_excess, params: {of: {uid: ur10}, soft_ratio: 0.8}}``
+    """
+    return np.abs(of.effort()) - of.effort_limits() * soft_ratio
+
+
+@quantity("reward", "metric")
+def stand_still(
+    env: TermContext, of: Joints, command_name: Command, command_threshold: NonNegative = 0.06
+) -> F64:
+    """(N,) sum of |qpos - initial qpos| where the command is nearly zero, else 0; rad or m.
+
+    Isaac Lab's `stand_still_joint_deviation_l1`, over all columns of the command.
+
+    Args:
+        of: The robot; its joint names or control parts pick joints.
+        command_name: A velocity command.
+        command_threshold: Euclidean norm below which the command counts as zero, in its units.
+
+    Example:
+        ``{func: stand_still, weight: -0.5, params: {of: {uid: go}, command_name: velocity}}``
+    """
+    deviation = total(np.abs(of.qpos() - of.initial_qpos))
+    return np.where(norm(command_name()) < command_threshold, deviation, 0.0)
+
+
+@quantity("observation")
+def joint_sin_cos(env: TermContext, of: Joints) -> F64:
+    """(N, 2 K) sines of the picked joints' positions, then their cosines: for joints without end.
+
+    Args:
+        of: The robot; its joint names or control parts pick joints.
+
+    Example:
+        ``{func: joint_sin_cos, params: {of: {uid: ur10}}}``
+    """
+    # Contiguous: numpy may round a strided transcendental function differently.
+    qpos = np.ascontiguousarray(of.qpos())
+    return np.concatenate([np.sin(qpos), np.cos(qpos)], axis=1)
+
+
+@quantity()
+def joint_pos_limit_normalized(env: TermContext, of: Joints) -> F64:
+    """(N, K) positions of the picked joints in their range: -1 at the lower limit, 1 at the upper.
+
+    2 (q - low) / (high - low) - 1, with the limits in force; nothing is clipped. Isaac Lab's
+    observation of the same name.
+
+    Args:
+        of: The robot; its joint names or control parts pick joints.
+
+    Example:
+        ``{func: joint_pos_limit_normalized, params: {of: {uid: ur10}}}``
+
+    Raises:
+        ConfigError: If a joint has no limits.
+    """
+    low, high = of.asset.drives.limits.of(np.asarray(of.joint_ids, np.int64), None)
+    if np.isinf(low).any() or np.isinf(high).any():
+        raise _without_limits(of, np.isfinite(low) & np.isfinite(high))
+    found: F64 = 2.0 * (of.qpos() - low) / (high - low) - 1.0
+    return found
+
+
+def _without_limits(of: ResolvedEntity, limited: NDArray[np.bool_]) -> ConfigError:
+    every = np.asarray(limited.reshape(-1, len(of.joint_names)).all(axis=0))
+    missing = [name for name, fine in zip(of.joint_names, every, strict=True) if not fine]
+    message = f"joints of {of.uid!r} without position limits: {', '.join(missing)}"
+    return ConfigError([Problem(of.path, message)])

@@ -1,0 +1,174 @@
+"""Quantities of two entities, or links: distances, angles, poses of one relative to the other."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from embodichain.lab.gym.envs.managers.param_types import Angle, Positive
+from embodichain.lab.gym.envs.managers.references import Body
+from embodichain.lab.gym.envs.managers.registry import quantity
+from embodichain.lab.gym.envs.mdp._rotations import Rotation, as_rotation, pose_matrix
+from embodichain.lab.gym.envs.mdp._rows import angle_between, norm
+from embodichain.lab.gym.envs.mdp.quantities.bodies import tilt
+from embodichain.utils.math import quat_conjugate, quat_multiply, quat_rotate
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.sim.engine.base import F64
+
+__all__ = [
+    "angle",
+    "distance",
+    "relative_orientation",
+    "relative_pose",
+    "relative_position",
+    "relative_velocity",
+    "within_pose",
+]
+
+
+@quantity()
+def distance(env: TermContext, from_: Body, to: Body, use_xy_only: bool = False) -> F64:
+    """(N,) distance between the origins of two entities, m.
+
+    Args:
+        from_: An entity, or a link of one.
+        to: Likewise.
+        use_xy_only: Whether heights are ignored.
+
+    Example:
+        ``{func: distance, params: {from: {uid: ur10, link_names: [ee_link]}, to: {uid: goal}}}``
+    """
+    delta = to.position() - from_.position()
+    return norm(delta[:, :2] if use_xy_only else delta)
+
+
+@quantity()
+def angle(env: TermContext, from_: Body, to: Body | None = None) -> F64:
+    """(N,) angle of the one rotation that takes an orientation into another, rad in [0, pi].
+
+    Args:
+        from_: An entity, or a link of one.
+        to: Likewise; None measures the z axis from the vertical, as `tilt`.
+
+    Example:
+        ``{func: angle, params: {from: {uid: ur10, link_names: [ee_link]}, to: {uid: goal}}}``
+    """
+    if to is None:
+        return tilt(env, from_)
+    return angle_between(from_.orientation(), to.orientation())
+
+
+@quantity("reward", "metric", "termination")
+def within_pose(
+    env: TermContext,
+    from_: Body,
+    to: Body,
+    position_threshold: Positive,
+    orientation_threshold: Angle,
+) -> NDArray[np.bool_]:
+    """True where two entities are closer than one threshold and turned by less than another.
+
+    Args:
+        from_: An entity, or a link of one.
+        to: Likewise.
+        position_threshold: Metres.
+        orientation_threshold: Radians, of the one rotation that takes the first into the second.
+
+    Example:
+        ``{func: within_pose, params: {from: {uid: cube}, to: {uid: goal}, position_threshold:
+        0.05, orientation_threshold: 0.1}}``
+    """
+    near: NDArray[np.bool_] = distance(env, from_, to) < position_threshold
+    return near & (angle(env, from_, to) < orientation_threshold)
+
+
+@quantity()
+def relative_position(
+    env: TermContext, from_: Body, to: Body, in_source_frame: bool = False
+) -> F64:
+    """(N, 3) position of one entity minus that of another, m.
+
+    Args:
+        from_: An entity, or a link of one.
+        to: Likewise: the vector points to it.
+        in_source_frame: Whether it is given in the axes of `from`, instead of the environment's.
+
+    Example:
+        ``{func: relative_position, params: {from: {uid: ur10, link_names: [ee_link]}, to: {uid:
+        goal}}}``
+    """
+    delta = to.position() - from_.position()
+    return quat_rotate(quat_conjugate(from_.orientation()), delta) if in_source_frame else delta
+
+
+@quantity("observation")
+def relative_orientation(
+    env: TermContext, from_: Body, to: Body, representation: Rotation = "quat"
+) -> F64:
+    """Orientation of `to` in the frame of `from`: conj(q_from) q_to.
+
+    Args:
+        from_: An entity, or a link of one.
+        to: Likewise.
+        representation: ``quat`` (N, 4) wxyz with w >= 0; ``matrix`` (N, 3, 3); ``rot6d`` (N, 6),
+            the matrix's first column, then its second (Zhou et al., CVPR 2019).
+
+    Example:
+        ``{func: relative_orientation, params: {from: {uid: cube}, to: {uid: goal}}}``
+    """
+    quat = quat_multiply(quat_conjugate(from_.orientation()), to.orientation())
+    return as_rotation(quat, representation)
+
+
+@quantity("observation")
+def relative_pose(
+    env: TermContext, from_: Body, to: Body, representation: Rotation = "quat"
+) -> F64:
+    """Pose of `to` in the frame of `from`: position in m, then orientation.
+
+    Args:
+        from_: An entity, or a link of one.
+        to: Likewise.
+        representation: ``quat`` gives (N, 7), wxyz with w >= 0; ``rot6d`` (N, 9); ``matrix``
+            (N, 4, 4).
+
+    Example:
+        ``{func: relative_pose, params: {from: {uid: cube}, to: {uid: goal}, representation:
+        rot6d}}``
+    """
+    inverse = quat_conjugate(from_.orientation())
+    place = quat_rotate(inverse, to.position() - from_.position())
+    quat = quat_multiply(inverse, to.orientation())
+    if representation == "matrix":
+        return pose_matrix(place, quat)
+    return np.concatenate([place, as_rotation(quat, representation)], axis=1)
+
+
+@quantity()
+def relative_velocity(
+    env: TermContext, from_: Body, to: Body, in_source_frame: bool = False
+) -> F64:
+    """(N, 6) velocity of `to` minus that of `from`: linear m/s, then angular rad/s.
+
+    The plain difference of the two origins' velocities; the turning of `from` is not subtracted.
+
+    Args:
+        from_: An entity, or a link of one.
+        to: Likewise.
+        in_source_frame: Whether it is given in the axes of `from`, instead of the world's.
+
+    Example:
+        ``{func: relative_velocity, params: {from: {uid: ur10, link_names: [ee_link]}, to: {uid:
+        cube}}}``
+    """
+    linear = to.linear_velocity() - from_.linear_velocity()
+    angular = to.angular_velocity() - from_.angular_velocity()
+    if in_source_frame:
+        inverse = quat_conjugate(from_.orientation())
+        linear, angular = quat_rotate(inverse, linear), quat_rotate(inverse, angular)
+    return np.concatenate([linear, angular], axis=1)

@@ -1,0 +1,227 @@
+"""Quantities of sensors: contacts, inertial measurements, forces at joints.
+
+Sensors are declared under `sensors:`; contact forces, specific forces and joint forces are those of
+the last physics step. Isaac Lab's contact rewards take the largest force of several physics steps
+where these take the last one. n is the number of a sensor's links.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from embodichain.lab.gym.envs.managers.param_types import NonNegative
+from embodichain.lab.gym.envs.managers.references import (
+    ContactOf,
+    ForceTorqueOf,
+    ImuOf,
+    PlanarCommand,
+)
+from embodichain.lab.gym.envs.managers.registry import quantity
+from embodichain.lab.gym.envs.managers.scene_entity import origin_velocities
+from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.mdp._rows import norm, total
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.sim.engine.base import F64, EnvIndex
+
+__all__ = [
+    "FeetAirTime",
+    "body_incoming_wrench",
+    "contact_force",
+    "contact_found",
+    "feet_slide",
+    "imu_acceleration",
+    "imu_angular_velocity",
+    "imu_orientation",
+    "imu_projected_gravity",
+]
+
+
+def _lengths(forces: F64) -> F64:
+    """(N, n) N: lengths of forces (N, n, 3)."""
+    x, y, z = forces[..., 0], forces[..., 1], forces[..., 2]
+    found: F64 = np.sqrt(x * x + y * y + z * z)
+    return found
+
+
+@quantity()
+def contact_found(env: TermContext, sensor: ContactOf, threshold: NonNegative | None = None) -> F64:
+    """(N, n) 1 where a link of a contact sensor is touched, else 0.
+
+    Args:
+        sensor: A contact sensor.
+        threshold: N; with it a link counts as touched where the length of its net force is above.
+
+    Example:
+        ``{func: contact_found, params: {sensor: contacts, threshold: 1.0}}``
+    """
+    if threshold is None:
+        return sensor.read_found().astype(np.float64)
+    return (_lengths(sensor.read_force()) > threshold).astype(np.float64)
+
+
+@quantity()
+def contact_force(env: TermContext, sensor: ContactOf, norm: bool = False) -> F64:
+    """(N, n, 3) net contact force on each link of a contact sensor, N, world axes.
+
+    Args:
+        sensor: A contact sensor.
+        norm: Whether to give lengths, (N, n), instead of vectors.
+
+    Example:
+        ``{func: contact_force, params: {sensor: contacts, norm: true}}``
+    """
+    force = sensor.read_force()
+    return _lengths(force) if norm else force
+
+
+@quantity("reward", "metric", name="feet_air_time")
+class FeetAirTime(Term):
+    """Sum over feet that land in this step of (time in the air - threshold), s: longer steps pay.
+
+    0 where the command asks for less than `min_command`. Air time counts control steps, the one of
+    the landing included; feet that an episode begins in the air count from its first step. Isaac
+    Lab's reward of the same name.
+
+    Args:
+        sensor: A contact sensor on the feet.
+        command_name: A command whose first two columns are vx and vy, m/s; None always pays.
+        threshold: s in the air that earns nothing; shorter steps cost.
+        min_command: m/s.
+        force_threshold: N above which a foot touches.
+
+    Example:
+        ``{func: feet_air_time, weight: 0.5, params: {sensor: contacts, command_name: velocity,
+        threshold: 0.5}}``
+    """
+
+    def __init__(
+        self,
+        env: TermContext,
+        sensor: ContactOf,
+        command_name: PlanarCommand | None = None,
+        threshold: NonNegative = 0.5,
+        min_command: NonNegative = 0.1,
+        force_threshold: NonNegative = 1.0,
+    ) -> None:
+        self._sensor, self._command, self._force = sensor, command_name, force_threshold
+        self._least, self._min_command, self._dt = threshold, min_command, env.step_dt
+        self._air: F64 = np.zeros((env.num_envs, len(sensor.names)))
+
+    def __call__(self) -> F64:
+        """(N,) s; the feet's clocks advance by one control step."""
+        touched = _lengths(self._sensor.read_force()) > self._force
+        lasted = self._air + self._dt
+        landed = touched & (self._air > 0.0)
+        self._air = np.where(touched, 0.0, lasted)
+        paid = total(np.where(landed, lasted - self._least, 0.0))
+        if self._command is None:
+            return paid
+        return np.where(norm(self._command()[:, :2]) > self._min_command, paid, 0.0)
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Set the clocks of these environments to 0."""
+        self._air[slice(None) if env_ids is None else env_ids] = 0.0
+
+    def state_dict(self) -> dict[str, Any]:
+        """The clocks (a copy)."""
+        return {"air": self._air.copy()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        self._air = state["air"].copy()
+
+
+@quantity("reward", "metric")
+def feet_slide(env: TermContext, sensor: ContactOf, threshold: NonNegative = 1.0) -> F64:
+    """(N,) sum over touched feet of their speed in the plane, m/s. Isaac Lab's reward of the name.
+
+    The speed is that of each link's origin.
+
+    Args:
+        sensor: A contact sensor on the feet.
+        threshold: N above which a foot touches.
+
+    Example:
+        ``{func: feet_slide, weight: -0.1, params: {sensor: contacts}}``
+    """
+    linear = origin_velocities(env.sim.engine, sensor.body_ids)[0]
+    x, y = linear[..., 0], linear[..., 1]
+    touched = _lengths(sensor.read_force()) > threshold
+    return total(np.where(touched, np.sqrt(x * x + y * y), 0.0))
+
+
+@quantity()
+def imu_acceleration(env: TermContext, sensor: ImuOf) -> F64:
+    """(N, 3) specific force that an IMU measures, m/s^2, its axes: 9.81 upwards at rest.
+
+    Isaac Lab's `imu_lin_acc`.
+
+    Args:
+        sensor: An IMU.
+
+    Example:
+        ``{func: imu_acceleration, params: {sensor: imu}}``
+    """
+    return sensor.read_acceleration()
+
+
+@quantity()
+def imu_angular_velocity(env: TermContext, sensor: ImuOf) -> F64:
+    """(N, 3) angular velocity that an IMU measures, rad/s, its axes. Isaac Lab's `imu_ang_vel`.
+
+    Args:
+        sensor: An IMU.
+
+    Example:
+        ``{func: imu_angular_velocity, params: {sensor: imu}}``
+    """
+    return sensor.read_angular_velocity()
+
+
+@quantity("observation")
+def imu_orientation(env: TermContext, sensor: ImuOf) -> F64:
+    """(N, 4) wxyz: an IMU's axes in the world. Isaac Lab's observation of the same name.
+
+    Args:
+        sensor: An IMU.
+
+    Example:
+        ``{func: imu_orientation, params: {sensor: imu}}``
+    """
+    return sensor.read_orientation()
+
+
+@quantity()
+def imu_projected_gravity(env: TermContext, sensor: ImuOf) -> F64:
+    """(N, 3) the world's unit vector straight down, in an IMU's axes: (0, 0, -1) when upright.
+
+    Isaac Lab's observation of the same name.
+
+    Args:
+        sensor: An IMU.
+
+    Example:
+        ``{func: imu_projected_gravity, params: {sensor: imu}}``
+    """
+    return sensor.read_projected_gravity()
+
+
+@quantity()
+def body_incoming_wrench(env: TermContext, sensor: ForceTorqueOf) -> F64:
+    """(N, 6 n) force in N, then torque in N m, of each link of a force-torque sensor, its axes.
+
+    Isaac Lab's observation of the same name; the sign is the sensor's.
+
+    Args:
+        sensor: A force-torque sensor.
+
+    Example:
+        ``{func: body_incoming_wrench, params: {sensor: wrench}}``
+    """
+    force = sensor.read_force()
+    wrench: F64 = np.concatenate([force, sensor.read_torque()], axis=2).reshape(len(force), -1)
+    return wrench

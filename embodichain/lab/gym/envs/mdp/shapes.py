@@ -1,0 +1,337 @@
+"""Shapes: what makes one number of each row of a quantity.
+
+``{func: distance, shape: {tanh: 0.1}}``; several, in a list, are applied one after the other. Each
+takes (N,) or (N, K) float64 or bool. A number that a config gives instead of a map is the first
+parameter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from embodichain.lab.gym.envs.managers.param_types import (
+    Bounds,
+    BoundsOrBox,
+    Finite,
+    NonNegative,
+    Positive,
+)
+from embodichain.lab.gym.envs.managers.registry import register_shape
+from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.mdp import _kernels
+from embodichain.lab.gym.envs.mdp._rows import any_column, every_column, mean, norm, total
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.sim.engine.base import F64, EnvIndex
+
+    Mask = NDArray[np.bool_]
+
+__all__ = [
+    "Rate",
+    "above",
+    "at_most",
+    "below",
+    "clip",
+    "excess",
+    "gaussian",
+    "l1",
+    "l2",
+    "negative",
+    "norm_",
+    "outside",
+    "tanh",
+    "tolerance",
+    "within",
+]
+
+AtMargin = Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)]
+Values = Callable[["F64"], "F64"]
+Truths = Callable[["F64"], "Mask"]
+
+
+def _columns(values: F64) -> F64:
+    """(N, K) of (N,) or (N, K)."""
+    return values[:, None] if values.ndim == 1 else values
+
+
+def _length(values: F64) -> F64:
+    """(N,) absolute value, or Euclidean length of the rows."""
+    return np.abs(values) if values.ndim == 1 else norm(values)
+
+
+@register_shape
+def l1(env: TermContext) -> Values:
+    """Sum of absolute values.
+
+    Example:
+        ``{func: joint_velocity, shape: l1, weight: -0.01, params: {of: {uid: ur10}}}``
+    """
+    return lambda values: total(np.abs(_columns(values)))
+
+
+@register_shape
+def l2(env: TermContext) -> Values:
+    """Sum of squares.
+
+    Example:
+        ``{func: joint_velocity, shape: l2, weight: -0.001, params: {of: {uid: ur10}}}``
+    """
+
+    def squares(values: F64) -> F64:
+        columns = _columns(values)
+        return total(columns * columns)
+
+    return squares
+
+
+@register_shape
+def norm_(env: TermContext) -> Values:
+    """Euclidean length, the root of `l2`.
+
+    Example:
+        ``{func: linear_velocity, shape: norm, weight: -0.1, params: {of: {uid: cube}}}``
+    """
+    return _length
+
+
+@register_shape
+def tanh(env: TermContext, std: Positive) -> Values:
+    """One minus the hyperbolic tangent of e / std, e the absolute value or the row's length.
+
+    The kernel of Isaac Lab's reaching rewards.
+
+    Args:
+        std: Where the value has fallen to 0.24, in the quantity's unit.
+
+    Example:
+        ``{func: distance, shape: {tanh: 0.1}, weight: 1.0, params: {from: {uid: ur10, link_names:
+        [ee_link]}, to: {uid: cube}}}``
+    """
+    return lambda values: _kernels.tanh_kernel(_length(values), std)
+
+
+@register_shape
+def gaussian(env: TermContext, std: Positive) -> Values:
+    """exp(-e^2 / std^2) in [0, 1], e^2 the sum of squares of the row.
+
+    The kernel of Isaac Lab's tracking rewards.
+
+    Args:
+        std: Where the value has fallen to 1/e, in the quantity's unit.
+
+    Example:
+        ``{func: linear_velocity_error, shape: {gaussian: 0.5}, weight: 1.0, params: {of: {uid:
+        go}, command_name: velocity}}``
+    """
+
+    def kernel(values: F64) -> F64:
+        columns = _columns(values)
+        return _kernels.gaussian(total(columns * columns), std)
+
+    return kernel
+
+
+@register_shape
+def tolerance(
+    env: TermContext,
+    bounds: Bounds = (0.0, 0.0),
+    margin: NonNegative = 0.0,
+    sigmoid: _kernels.Sigmoid = "gaussian",
+    value_at_margin: AtMargin = 0.1,
+) -> Values:
+    """1 within bounds, a sigmoid of the excess beyond them, in [0, 1]; the mean over columns.
+
+    dm_control's ``rewards.tolerance``.
+
+    Args:
+        bounds: [low, high] where the value is 1, in the quantity's unit; either may be infinite.
+        margin: Distance from the bounds at which it has fallen to `value_at_margin`; 0 is a step.
+        sigmoid: The shape of the fall: gaussian, linear, hyperbolic, long_tail, cosine,
+            tanh_squared, quadratic or reciprocal.
+        value_at_margin: In (0, 1); linear, cosine and quadratic may take 0.
+
+    Example:
+        ``{func: height, shape: {tolerance: {bounds: [0.3, .inf], margin: 0.3, sigmoid: linear}},
+        weight: 1.0, params: {of: {uid: cube}}}``
+    """
+    kernel = _kernels.Tolerance(bounds, margin, sigmoid, value_at_margin)
+    return lambda values: kernel(values) if values.ndim == 1 else mean(kernel(values))
+
+
+@register_shape
+def above(env: TermContext, threshold: float, inclusive: bool = False) -> Truths:
+    """True where a column is greater than a threshold.
+
+    Args:
+        threshold: In the quantity's unit.
+        inclusive: Whether equality counts.
+
+    Example:
+        ``{func: height, shape: {above: 0.1}, weight: 15.0, params: {of: {uid: cube}}}``
+    """
+    compare = np.greater_equal if inclusive else np.greater
+    return lambda values: any_column(compare(_columns(values), threshold))
+
+
+@register_shape
+def below(env: TermContext, threshold: float, inclusive: bool = False) -> Truths:
+    """True where every column is less than a threshold.
+
+    Args:
+        threshold: In the quantity's unit.
+        inclusive: Whether equality counts.
+
+    Example:
+        ``{func: distance, shape: {below: 0.05}, params: {from: {uid: cube}, to: {uid: goal}}}``
+    """
+    compare = np.less_equal if inclusive else np.less
+    return lambda values: every_column(compare(_columns(values), threshold))
+
+
+@register_shape
+def within(env: TermContext, bounds: BoundsOrBox) -> Truths:
+    """True where every column is within bounds, the bounds included.
+
+    Args:
+        bounds: [low, high] in the quantity's unit, or [[low of each column], [high of each]].
+
+    Example:
+        ``{func: joint_position, shape: {within: [-0.2, 0.2]}, params: {of: {uid: ur10,
+        joint_names: [Joint1]}}}``
+    """
+    low, high = (np.asarray(bound, np.float64) for bound in bounds)
+
+    def inside(values: F64) -> Mask:
+        columns = _columns(values)
+        return every_column((columns >= low) & (columns <= high))
+
+    return inside
+
+
+@register_shape
+def outside(env: TermContext, bounds: BoundsOrBox) -> Truths:
+    """True where a column is outside of bounds.
+
+    Args:
+        bounds: [low, high] in the quantity's unit, or [[low of each column], [high of each]].
+
+    Example:
+        ``{func: height, shape: {outside: [-0.1, 1]}, params: {of: {uid: cube}}}``
+    """
+    low, high = (np.asarray(bound, np.float64) for bound in bounds)
+
+    def beyond(values: F64) -> Mask:
+        columns = _columns(values)
+        return any_column((columns < low) | (columns > high))
+
+    return beyond
+
+
+@register_shape
+def excess(env: TermContext, threshold: Finite = 0.0) -> Values:
+    """max(x - threshold, 0), column by column.
+
+    Args:
+        threshold: In the quantity's unit.
+
+    Example:
+        ``{func: contact_force, shape: [{excess: 100.0}, l1], weight: -0.001, params: {sensor:
+        contacts, norm: true}}``
+    """
+    return lambda values: np.maximum(values - threshold, 0.0)
+
+
+@register_shape
+def clip(env: TermContext, bounds: Bounds) -> Values:
+    """The value within bounds, column by column.
+
+    Args:
+        bounds: [low, high] in the quantity's unit; either may be infinite.
+
+    Example:
+        ``{func: height, shape: {clip: [0, 0.2]}, weight: 5.0, params: {of: {uid: cube}}}``
+    """
+    low, high = bounds
+    return lambda values: np.minimum(np.maximum(values, low), high)
+
+
+@register_shape
+def at_most(env: TermContext, limit: float | None) -> Values:
+    """The smaller of the value and a limit, column by column.
+
+    Args:
+        limit: In the quantity's unit; None is no limit.
+
+    Example:
+        ``{func: height, shape: {at_most: 0.2}, weight: 5.0, params: {of: {uid: cube}}}``
+    """
+    most = np.inf if limit is None else limit
+    return lambda values: np.minimum(values, most)
+
+
+@register_shape
+def negative(env: TermContext) -> Values:
+    """Minus the value.
+
+    Example:
+        ``{func: distance, shape: negative, weight: 1.0, params: {from: {uid: cube}, to: {uid:
+        goal}}}``
+    """
+    return np.negative
+
+
+@register_shape
+class Rate(Term):
+    """Change since the last control step, column by column; 0 before there is one in the episode.
+
+    Args:
+        per: ``second`` divides by the control step's duration; ``step`` does not.
+        order: 2 is the change of the change: x - 2 x' + x'', 0 in the first two steps.
+
+    Example:
+        ``{func: action, shape: [{rate: step}, l2], weight: -0.01}``
+    """
+
+    def __init__(
+        self,
+        env: TermContext,
+        per: Literal["second", "step"] = "second",
+        order: Literal[1, 2] = 1,
+    ) -> None:
+        self._unit = env.step_dt**order if per == "second" else 1.0
+        self._order = order
+        self._calls: NDArray[np.int64] = np.zeros(env.num_envs, np.int64)
+        self._past: list[F64] = []
+
+    def __call__(self, values: F64) -> F64:
+        """Changes of the shape of ``values``."""
+        rows = values.astype(np.float64)
+        past = self._past or [rows] * self._order
+        self._past = [rows, *past[: self._order - 1]]
+        self._calls = self._calls + 1
+        change = rows - past[0] if self._order == 1 else rows - 2.0 * past[0] + past[1]
+        known = self._calls > self._order
+        if values.ndim > 1:
+            known = known[:, None]
+        return np.where(known, change / self._unit, 0.0)
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Forget the steps of these environments."""
+        self._calls = self._calls.copy()
+        self._calls[slice(None) if env_ids is None else env_ids] = 0
+
+    def state_dict(self) -> dict[str, Any]:
+        """The steps that count, and their values (copies)."""
+        return {"calls": self._calls.copy(), "past": [rows.copy() for rows in self._past]}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        self._calls = state["calls"].copy()
+        self._past = [rows.copy() for rows in state["past"]]

@@ -1,0 +1,240 @@
+"""Mesh files into OBJ and PNG files that MuJoCo reads, made once and cached by content."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+from embodichain.lab.sim.meshes.mesh_part import MeshPart, Rgba, joined
+from embodichain.lab.sim.meshes.mesh_reading import read_mesh
+
+__all__ = [
+    "MAX_STL_FACES",
+    "MadePart",
+    "MadeVisual",
+    "cache_folder",
+    "convert_collision",
+    "convert_visual",
+    "digest",
+    "entry",
+    "has_materials",
+    "reads",
+    "referenced",
+    "write_obj",
+]
+
+_MANIFEST = "manifest.json"
+
+
+def cache_folder() -> Path:
+    """Return where made meshes are kept; it need not exist.
+
+    It is ``meshes`` in ``$EMBODICHAIN_CACHE``, else in ``$XDG_CACHE_HOME/embodichain``, else in
+    ``~/.cache/embodichain``.
+    """
+    own = os.environ.get("EMBODICHAIN_CACHE")
+    base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
+    return (Path(own) if own else Path(base, "embodichain")).expanduser() / "meshes"
+
+
+def digest(recipe: str, files: list[Path]) -> str:
+    """Return the name of what a recipe makes of files: 32 hexadecimal digits of their SHA-256.
+
+    Args:
+        recipe: How it is made; another version of that has another text.
+        files: What it is made from, the main file first. One that is missing counts as such.
+    """
+    total = sha256(recipe.encode())
+    for path in files:
+        try:
+            total.update(sha256(path.read_bytes()).digest())
+        except OSError:
+            total.update(b"missing")
+    return total.hexdigest()[:32]
+
+
+def entry(name: str, make: Callable[[Path], dict[str, Any]]) -> tuple[Path, dict[str, Any]]:
+    """Return an entry's folder and manifest; it is made if it is not there.
+
+    Args:
+        name: From `digest`.
+        make: Writes the entry's files into an empty folder and returns its manifest, which JSON can
+            hold. What it raises leaves nothing behind.
+
+    Raises:
+        OSError: If the cache cannot be written.
+    """
+    place = cache_folder() / name
+    try:
+        return place, json.loads((place / _MANIFEST).read_bytes())
+    except FileNotFoundError:
+        pass
+    place.parent.mkdir(parents=True, exist_ok=True)
+    stage = Path(tempfile.mkdtemp(prefix=".making-", dir=place.parent))
+    try:
+        manifest = make(stage)
+        (stage / _MANIFEST).write_text(json.dumps(manifest), encoding="utf-8")
+        try:
+            stage.rename(place)
+        except OSError:
+            if not (place / _MANIFEST).is_file():
+                raise
+            # Another process was first, with the same content.
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+    return place, manifest
+
+
+NATIVE = (".obj", ".stl", ".msh")
+"""Suffixes that MuJoCo reads."""
+
+MAX_STL_FACES = 200_000
+"""MuJoCo's limit."""
+
+_VERSION = 2  # of what is written: raised with every change of it
+_STL_HEAD, _STL_FACE = 84, 50  # bytes
+
+
+@dataclass(frozen=True)
+class MadePart:
+    """One part of a visual mesh.
+
+    Attributes:
+        mesh: OBJ file.
+        rgba: Its colour; None where the file has none.
+        texture: PNG file, or None. MuJoCo multiplies it with the colour.
+    """
+
+    mesh: Path
+    rgba: Rgba | None
+    texture: Path | None
+
+
+@dataclass(frozen=True)
+class MadeVisual:
+    """A visual mesh: its parts, and what was lost, one line each with the file's name."""
+
+    parts: tuple[MadePart, ...]
+    notes: tuple[str, ...]
+
+
+def reads(path: Path) -> bool:
+    """Whether MuJoCo reads a mesh file as it is: not an ASCII or an overlong STL, for one."""
+    suffix = path.suffix.lower()
+    if suffix != ".stl":
+        return suffix in NATIVE
+    with path.open("rb") as file:
+        head = file.read(_STL_HEAD)
+    faces = int.from_bytes(head[80:84], "little")
+    whole = path.stat().st_size >= _STL_HEAD + _STL_FACE * faces
+    return len(head) == _STL_HEAD and 0 < faces <= MAX_STL_FACES and whole
+
+
+def has_materials(path: Path) -> bool:
+    """Whether it is an OBJ file with a material file: MuJoCo reads its triangles alone."""
+    return path.suffix.lower() == ".obj" and bool(_libraries(path))
+
+
+def convert_visual(path: Path) -> MadeVisual:
+    """Make a mesh file into parts of one material each, as OBJ, with textures as PNG.
+
+    Raises:
+        MeshError: If it cannot be read, or a library that reads it is missing.
+        OSError: If the cache cannot be written.
+    """
+    name = digest(f"visual {_VERSION} {path.name}", [path, *referenced(path)])
+    stem = f"{path.stem}-{name[:8]}"  # MuJoCo names meshes by their files: one name, one content
+
+    def make(folder: Path) -> dict[str, Any]:
+        data = read_mesh(path)
+        parts = [_save(part, folder, f"{stem}-{n}") for n, part in enumerate(data.parts)]
+        return {"parts": parts, "notes": data.notes}
+
+    folder, manifest = entry(name, make)
+    parts = tuple(
+        MadePart(
+            folder / part["mesh"],
+            tuple(part["rgba"]) if part["rgba"] else None,
+            folder / part["texture"] if part["texture"] else None,
+        )
+        for part in manifest["parts"]
+    )
+    return MadeVisual(parts, tuple(f"{path}: {note}" for note in manifest["notes"]))
+
+
+def convert_collision(path: Path) -> Path:
+    """Make a mesh file into one OBJ file of all its triangles; MuJoCo collides their hull.
+
+    Raises:
+        MeshError: If it cannot be read, or a library that reads it is missing.
+        OSError: If the cache cannot be written.
+    """
+    name = digest(f"collision {_VERSION} {path.name}", [path, *referenced(path)])
+    file = f"{path.stem}-{name[:8]}.obj"
+
+    def make(folder: Path) -> dict[str, Any]:
+        write_obj(joined(read_mesh(path).parts), folder / file)
+        return {}
+
+    return entry(name, make)[0] / file
+
+
+def write_obj(part: MeshPart, path: Path) -> None:
+    """Write triangles, with texture coordinates where they have them."""
+    lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in part.vertices.tolist()]
+    faces = (part.faces + 1).tolist()
+    if part.uv is None:
+        lines += [f"f {a} {b} {c}" for a, b, c in faces]
+    else:
+        lines += [f"vt {u:.6g} {v:.6g}" for u, v in part.uv.tolist()]
+        lines += [f"f {a}/{a} {b}/{b} {c}/{c}" for a, b, c in faces]
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+
+
+def _save(part: MeshPart, folder: Path, stem: str) -> dict[str, Any]:
+    """Write a part and its texture; return what the manifest says of it."""
+    write_obj(part, folder / f"{stem}.obj")
+    texture = None
+    if part.texture is not None:
+        pixels = part.texture.tobytes() + str(part.texture.size).encode()
+        texture = f"{sha256(pixels).hexdigest()[:12]}.png"  # parts may share it
+        if not (folder / texture).exists():
+            part.texture.save(folder / texture)
+    return {"mesh": f"{stem}.obj", "rgba": part.rgba, "texture": texture}
+
+
+def referenced(path: Path) -> list[Path]:
+    """Return the files that a mesh file names: their content is part of what is made of it."""
+    suffix = path.suffix.lower()
+    if suffix == ".obj":
+        libraries = _libraries(path)
+        return [
+            *libraries,
+            *(f for lib in libraries for f in _named(lib, rb"(?m)^\s*map_\w+\s(.*)$")),
+        ]
+    if suffix == ".dae":
+        return _named(path, rb"<init_from>([^<]*)</init_from>")
+    if suffix == ".gltf":
+        return _named(path, rb'"uri"\s*:\s*"([^"]{1,512})"')
+    return []
+
+
+def _libraries(path: Path) -> list[Path]:
+    """Return the material files of an OBJ file that exist."""
+    return [lib for lib in _named(path, rb"(?m)^mtllib\s+(.*)$") if lib.is_file()]
+
+
+def _named(path: Path, pattern: bytes) -> list[Path]:
+    """Return the files that a file names; options before a texture's name are left out."""
+    names = re.findall(pattern, path.read_bytes())
+    texts = [name.decode("utf-8", "replace").strip() for name in names]
+    return [path.parent / unquote(t.removeprefix("file://")).split(" ")[-1] for t in texts if t]

@@ -1,0 +1,262 @@
+"""Mesh files into parts: pycollada reads COLLADA (units, up axis), trimesh the other formats."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.meshes.mesh_part import (
+    MeshData,
+    MeshError,
+    MeshPart,
+    Rgba,
+    as_rgb,
+    joined,
+    mean_color,
+    open_texture,
+)
+
+__all__ = ["SUFFIXES", "read_collada", "read_mesh"]
+
+F64 = NDArray[np.float64]
+_TO_Z_UP: dict[str, F64] = {  # COLLADA 1.4.1, section "up_axis": which axes are right, up, inward
+    "X_UP": np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
+    "Y_UP": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+}
+
+
+def read_collada(path: Path) -> MeshData:
+    """Read the visual scene of a COLLADA file.
+
+    Raises:
+        ImportError: If pycollada is missing.
+        MeshError: If it is malformed or holds no triangles.
+    """
+    try:
+        source = path.read_bytes()
+        document = _load(source)
+        notes = []
+        if document.errors:  # a shape whose material is broken would be left out: it stays
+            reasons = "; ".join(str(error).partition(": ")[2] for error in document.errors)
+            notes.append(f"broken references ({reasons}): what they colour is drawn grey")
+            document = _load(_without_broken_materials(source, document))
+    except (_errors(), ET.ParseError, ValueError, OSError) as error:
+        raise MeshError(f"{path}: not readable as COLLADA: {error}") from error
+    data = MeshData([], notes)
+    turn = float(document.assetInfo.unitmeter or 1.0) * _to_z_up(document.assetInfo)
+    looks: dict[str, _Look] = {}
+    for bound in document.scene.objects("geometry") if document.scene else ():
+        for primitive in bound.primitives():
+            part = _part(primitive, turn)
+            if part is None:
+                continue
+            material = primitive.material
+            if material is not None:
+                if material.id not in looks:
+                    looks[material.id] = _Look(path, material.effect, data.notes)
+                looks[material.id].apply(part)
+            data.parts.append(part)
+    if not data.parts:
+        raise MeshError(f"{path}: it holds no triangles")
+    data.notes = list(dict.fromkeys(data.notes))
+    return data
+
+
+def _load(source: bytes) -> Any:
+    import collada
+
+    return collada.Collada(BytesIO(source), ignore=[collada.common.DaeError])
+
+
+def _errors() -> type[Exception]:
+    from collada.common import DaeError
+
+    return DaeError  # type: ignore[no-any-return]
+
+
+def _without_broken_materials(source: bytes, document: Any) -> bytes:
+    """Return the file without references to materials that could not be read."""
+    known = {f"#{material.id}" for material in document.materials}
+    root = ET.fromstring(source)
+    for parent in root.findall(".//{*}technique_common"):
+        for use in parent.findall("{*}instance_material"):
+            if use.get("target") not in known:
+                parent.remove(use)
+    return ET.tostring(root)
+
+
+def _to_z_up(info: Any) -> F64:
+    """Return the rotation (3, 3) that turns a file's up axis to z, the up axis of URDF and MuJoCo.
+
+    MeshLab writes ``Y_UP`` into every file and turns no vertex, neither when it reads nor when it
+    writes: what it says is not followed.
+    """
+    tools = [str(contributor.authoring_tool) for contributor in info.contributors]
+    if any("MeshLab" in tool for tool in tools):
+        return np.eye(3)
+    return _TO_Z_UP.get(info.upaxis, np.eye(3))
+
+
+def _part(primitive: Any, turn: F64) -> MeshPart | None:
+    """Return a primitive's triangles, turned; None for lines and empty lists."""
+    if hasattr(primitive, "triangleset"):  # a list of polygons
+        primitive = primitive.triangleset()
+    if type(primitive).__name__ != "BoundTriangleSet" or len(primitive) == 0:
+        return None
+    corners = primitive.vertex[primitive.vertex_index] @ turn.T
+    uv = None
+    if primitive.texcoordset:
+        uv = primitive.texcoordset[0][primitive.texcoord_indexset[0]][..., :2]
+    return MeshPart.of_corners(corners, uv)
+
+
+class _Look:
+    """Colour and texture of one effect."""
+
+    def __init__(self, path: Path, effect: Any, notes: list[str]) -> None:
+        images = [i for i in (_image(effect.diffuse), _image(effect.emission)) if i is not None]
+        self.texture = open_texture(path, images[0], notes) if images else None
+        self.rgba: Rgba | None = _color(effect)
+
+    def apply(self, part: MeshPart) -> None:
+        part.rgba, part.texture = self.rgba, self.texture
+
+
+def _image(value: Any) -> str | None:
+    """The image file of a property that is a texture."""
+    sampler = getattr(value, "sampler", None)
+    return str(sampler.surface.image.path) if sampler is not None else None
+
+
+def _color(effect: Any) -> Rgba | None:
+    """Diffuse colour and opacity; colours that lights do not change (emission) where it is black.
+
+    Opacity is that of COLLADA 1.4.1, section "Determining Transparency". An opacity of zero is read
+    as one: many exporters write ``transparency`` 0 for "not transparent at all".
+    """
+    colors = [c for c in _tuples(effect.diffuse, effect.emission) if max(c[:3]) > 0]
+    color = colors[0] if colors else next(_tuples(effect.diffuse), None)
+    if color is None:
+        return None
+    clear, share = effect.transparent, effect.transparency
+    opacity = 1.0
+    if isinstance(clear, tuple) and isinstance(share, (int, float)):
+        if effect.opaque_mode == "RGB_ZERO":
+            luminance = float(np.dot(clear[:3], (0.212671, 0.715160, 0.072169)))
+            opacity = 1.0 - luminance * share
+        else:
+            opacity = float(clear[3] if len(clear) > 3 else 1.0) * share
+    red, green, blue = (min(max(float(c), 0.0), 1.0) for c in color[:3])
+    return red, green, blue, opacity if 0.0 < opacity < 1.0 else 1.0
+
+
+def _tuples(*values: Any) -> Iterator[tuple[float, ...]]:
+    yield from (value for value in values if isinstance(value, tuple))
+
+
+SUFFIXES = (".dae", ".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
+"""What can be read."""
+
+_MAX_COLORS = 16  # colours of faces that become parts; above, one part in their mean colour
+
+
+def read_mesh(path: Path) -> MeshData:
+    """Read a mesh file: metres, z up.
+
+    Units and up axis of COLLADA are followed. Other formats hold numbers without units, taken as
+    metres; glTF calls y up, but its coordinates are not turned, as EmbodiChain does not either.
+
+    Raises:
+        MeshError: If the format is none of `SUFFIXES`, a library is missing, or the file is broken.
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        message = f"{path}: format {path.suffix or 'none'} is none of {', '.join(SUFFIXES)}"
+        raise MeshError(message)
+    try:
+        data = read_collada(path) if path.suffix.lower() == ".dae" else _read_other(path)
+    except ImportError as error:
+        message = f"{path}: needs {error.name}: pip install trimesh pycollada"
+        raise MeshError(message) from error
+    for part in data.parts:
+        if part.texture is not None and part.uv is None:
+            data.notes.append("a texture without coordinates: drawn in its mean colour")
+            part.rgba, part.texture = mean_color(part.texture), None
+    data.parts = list(_by_material(data.parts))
+    return data
+
+
+def _by_material(parts: list[MeshPart]) -> Iterator[MeshPart]:
+    """Yield one part for each material; coordinates of a texture that is not there are left out."""
+    groups: dict[tuple[Rgba | None, int], list[MeshPart]] = {}
+    for part in parts:
+        groups.setdefault((part.rgba, id(part.texture)), []).append(part)
+    for same in groups.values():
+        first = same[0]
+        whole = joined(same, textured=first.texture is not None)
+        whole.rgba, whole.texture = first.rgba, first.texture
+        yield whole
+
+
+def _read_other(path: Path) -> MeshData:
+    import trimesh
+
+    try:
+        scene = trimesh.load_scene(path, process=False)
+        meshes = [m for m in scene.dump() if isinstance(m, trimesh.Trimesh) and len(m.faces)]
+    except (ValueError, KeyError, IndexError, TypeError, OSError, AttributeError) as error:
+        # trimesh raises whatever a broken file makes its parser do
+        raise MeshError(f"{path}: cannot be read: {error}") from error
+    data = MeshData([])
+    for mesh in meshes:
+        data.parts += _parts(mesh, data.notes)
+    if not data.parts:
+        raise MeshError(f"{path}: it holds no triangles")
+    return data
+
+
+def _parts(mesh: Any, notes: list[str]) -> list[MeshPart]:
+    visual, kind = mesh.visual, mesh.visual.kind
+    corners = np.asarray(mesh.vertices)[mesh.faces]
+    if kind in ("face", "vertex"):
+        return _by_color(corners, np.asarray(visual.face_colors), notes)
+    if kind != "texture":
+        return [MeshPart.of_corners(corners)]
+    uv = np.asarray(visual.uv)[mesh.faces] if visual.uv is not None else None
+    part = MeshPart.of_corners(corners, uv)
+    material = visual.material
+    part.rgba = _rgba(material)
+    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    part.texture = as_rgb(image) if image is not None else None
+    return [part]
+
+
+def _rgba(material: Any) -> Rgba | None:
+    """The base colour of either kind of trimesh material; white where it has none, as in glTF."""
+    color = getattr(material, "baseColorFactor", None)
+    color = color if color is not None else getattr(material, "diffuse", None)
+    if color is None:
+        return 1.0, 1.0, 1.0, 1.0
+    values = [float(c) / 255.0 for c in np.asarray(color).ravel()]
+    red, green, blue, alpha = (*values, 1.0)[:4]
+    return red, green, blue, alpha
+
+
+def _by_color(corners: Any, colors: Any, notes: list[str]) -> list[MeshPart]:
+    """Split triangles by colour: MuJoCo's vertices have none."""
+    found, which = np.unique(colors, axis=0, return_inverse=True)
+    if len(found) > _MAX_COLORS:
+        notes.append(f"{len(found)} colours of faces or vertices: drawn in their mean colour")
+        found, which = colors.mean(axis=0, keepdims=True), np.zeros(len(colors), np.int64)
+    parts = []
+    for number, color in enumerate(found):
+        part = MeshPart.of_corners(corners[which.ravel() == number])
+        red, green, blue, alpha = (float(c) / 255.0 for c in color)
+        part.rgba = (red, green, blue, alpha)
+        parts.append(part)
+    return parts

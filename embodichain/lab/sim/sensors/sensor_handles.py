@@ -1,0 +1,177 @@
+"""Handles of sensors: contacts, joint forces, inertial measurements."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.host import Handle, Host
+from embodichain.utils.math import quat_conjugate, quat_rotate
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.compiler.scene_sensors import SensorIndex, SensorPlan
+    from embodichain.lab.sim.engine.base import F64, Engine
+    from embodichain.lab.sim.sensors.cfg import SensorCfg
+
+__all__ = ["BaseSensor", "ContactSensor", "ForceTorqueSensor", "ImuSensor"]
+
+
+class BaseSensor(Handle["SensorIndex"]):
+    """One sensor in N environments.
+
+    Args:
+        plan: What it is and the links it is fixed on.
+        host: The simulation.
+
+    Attributes:
+        cfg: Its config.
+        uid: Its name.
+        names: (n,) the links it is fixed on.
+    """
+
+    def __init__(self, plan: SensorPlan, host: Host) -> None:
+        super().__init__(plan.uid, host)
+        self.plan = plan
+        self.cfg: SensorCfg = plan.cfg
+        self.names = plan.links
+
+    def bind(self, engine: Engine, index: SensorIndex) -> None:
+        """Set the engine and the sensor's columns. Called once, by the simulation."""
+        super().bind(engine, index)
+        # The first request of an acceleration field computes it anew, so it is made here.
+        engine.acceleration("sensordata")
+
+    @property
+    def observe(self) -> bool:
+        """Whether ``obs["sensor"]`` holds its data."""
+        return self.cfg.observe
+
+    @property
+    def body_ids(self) -> NDArray[np.int64]:
+        """(n,) MuJoCo's bodies of the links it is fixed on."""
+        model = self.engine.model
+        return np.array([model.body(name).id for name in self.plan.bodies], np.int64)
+
+    def get_data(self) -> dict[str, torch.Tensor]:
+        """Return what ``obs["sensor"][uid]`` holds: float32 tensors (N, ...)."""
+        raise NotImplementedError
+
+    def _now(self) -> F64:
+        """(N, ...) its numbers at the present poses and velocities: a view, do not keep."""
+        index = self.binding.index
+        rows = self.engine.derived("sensordata")[:, index.columns]
+        return rows.reshape(len(rows), *index.shape)
+
+    def _last(self) -> F64:
+        """(N, ...) its numbers of the last physics step, or of the last reset: a view."""
+        index = self.binding.index
+        rows = self.engine.acceleration("sensordata")[:, index.columns]
+        return rows.reshape(len(rows), *index.shape)
+
+
+def as_tensor(array: F64) -> torch.Tensor:
+    """A float32 tensor of its own."""
+    return torch.from_numpy(array.astype(np.float32))
+
+
+class ContactSensor(BaseSensor):
+    """Contacts of n links with anything, or with the entity that the config names.
+
+    Contacts belong to the acceleration stage: they are those of the last physics step, and after a
+    reset those of the state that it left. Shapes that collide with nothing report nothing.
+    """
+
+    def read_found(self) -> NDArray[np.bool_]:
+        """(N, n) whether each link is touched."""
+        found = self._last()[..., 0] > 0
+        touched: NDArray[np.bool_] = found[:, :, 0]
+        for other in range(1, found.shape[2]):
+            touched = touched | found[:, :, other]
+        return touched
+
+    def read_force(self) -> F64:
+        """(N, n, 3) N: net force that contacts exert on each link, world axes."""
+        forces = self._last()[..., 1:]
+        # MuJoCo reports what the link exerts on the other.
+        net: F64 = 0.0 - forces[:, :, 0]
+        for other in range(1, forces.shape[2]):
+            net -= forces[:, :, other]
+        return net
+
+    def get_data(self) -> dict[str, torch.Tensor]:
+        """``found`` (N, n), 1 or 0, and ``force`` (N, n, 3) in N, world axes."""
+        return {
+            "found": torch.from_numpy(self.read_found().astype(np.float32)),
+            "force": as_tensor(self.read_force()),
+        }
+
+
+class ForceTorqueSensor(BaseSensor):
+    """Force and torque between n links and their parents, read at each link's origin.
+
+    They belong to the acceleration stage: those of the last physics step, and after a reset those
+    of the state that it left. They are what the parent exerts on the link: at rest, upwards as much
+    as the link and all it carries weigh.
+    """
+
+    def read_force(self) -> F64:
+        """(N, n, 3) N, link axes."""
+        return self._last()[..., 0:3].copy()
+
+    def read_torque(self) -> F64:
+        """(N, n, 3) N m about the link's origin, link axes."""
+        return self._last()[..., 3:6].copy()
+
+    def get_data(self) -> dict[str, torch.Tensor]:
+        """``force`` (N, n, 3) and ``torque`` (N, n, 3)."""
+        return {"force": as_tensor(self.read_force()), "torque": as_tensor(self.read_torque())}
+
+
+_DOWN = np.array([0.0, 0.0, -1.0])
+
+
+class ImuSensor(BaseSensor):
+    """An inertial measurement unit without noise; its axes are the link's, turned by the config.
+
+    Orientation and angular velocity are those of the present state. The specific force belongs to
+    the acceleration stage: it is that of the last physics step, and after a reset that of the state
+    that it left.
+    """
+
+    def read_orientation(self) -> F64:
+        """(N, 4) wxyz: sensor axes in the world."""
+        return self._now()[:, 0:4].copy()
+
+    def read_angular_velocity(self) -> F64:
+        """(N, 3) rad/s, sensor axes."""
+        return self._now()[:, 4:7].copy()
+
+    def read_acceleration(self) -> F64:
+        """(N, 3) m/s^2 specific force (acceleration minus gravity's), sensor axes.
+
+        At rest it is 9.81 upwards, in free fall 0.
+        """
+        return self._last()[:, 7:10].copy()
+
+    def read_projected_gravity(self) -> F64:
+        """(N, 3) unit vector that points down in the world, sensor axes; upright (0, 0, -1)."""
+        quat = self.read_orientation()
+        down: F64 = quat_rotate(quat_conjugate(quat), np.broadcast_to(_DOWN, (len(quat), 3)))
+        return down
+
+    def get_data(self) -> dict[str, torch.Tensor]:
+        """Return the four readings.
+
+        ``orientation`` (N, 4), ``angular_velocity``, ``acceleration`` and ``projected_gravity``
+        (N, 3) each.
+        """
+        return {
+            "orientation": as_tensor(self.read_orientation()),
+            "angular_velocity": as_tensor(self.read_angular_velocity()),
+            "acceleration": as_tensor(self.read_acceleration()),
+            "projected_gravity": as_tensor(self.read_projected_gravity()),
+        }

@@ -1,0 +1,135 @@
+"""How the arrays of a run are stored one after another, without what can be told from others.
+
+* Arrays of one type with equal bytes are stored once.
+* float64 arrays whose values are all float32 ones (actions of a policy) are stored as float32.
+* A float64 array that differs from such a one, or from any other, in a few numbers only (controls
+  from the actions they follow) is stored as the exclusive or of both: zeros, mostly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.recording.log_error import LARGEST_CHUNK, DamageError
+
+__all__ = ["DTYPES", "Place", "load", "store"]
+
+DTYPES = {name: np.dtype(name) for name in ("<f8", "<f4", "<i8", "<u8", "|b1")}
+_F4, _F8 = DTYPES["<f4"], DTYPES["<f8"]
+_SMALLEST = 64
+"""Bytes; smaller arrays are stored as they are."""
+_SAMPLE = 32
+_NOT_SINGLE = np.uint64(2**29 - 1)
+"""Bits of the mantissa that a float32 has not."""
+
+
+class Place(NamedTuple):
+    """Where an array is stored, and how.
+
+    Attributes:
+        offset: Of its bytes.
+        single: Whether they are float32.
+        base: Offset of the array that it differs from; None if the bytes are its own.
+        base_single: Whether those are float32.
+    """
+
+    offset: int
+    single: bool = False
+    base: int | None = None
+    base_single: bool = False
+
+
+def store(arrays: Sequence[tuple[str, bytes]]) -> tuple[list[Place], list[bytes]]:
+    """Place arrays one after another.
+
+    Args:
+        arrays: dtype and bytes of each.
+
+    Returns:
+        Where each is, and the bytes that are stored.
+    """
+    places: list[Place | None] = [None] * len(arrays)
+    stored: dict[int, list[tuple[int, Place]]] = {}  # by size: number of the array, and its place
+    parts: list[bytes] = []
+    end = 0
+    singles = [_single(*array) for array in arrays]
+    for number in sorted(range(len(arrays)), key=lambda k: singles[k] is None):
+        dtype, data = arrays[number]
+        alike = stored.setdefault(len(data), []) if len(data) >= _SMALLEST else []
+        same = next((place for other, place in alike if arrays[other] == arrays[number]), None)
+        if same is not None:
+            places[number] = same
+            continue
+        written, place = data, Place(end)
+        single = singles[number]
+        if single is not None:
+            written, place = single, Place(end, single=True)
+        elif dtype == "<f8":
+            for other, base in alike:
+                if base.base is None and arrays[other][0] == dtype:
+                    mask = np.bitwise_xor(_words(data), _words(arrays[other][1]))
+                    if np.count_nonzero(mask) <= len(mask) // 4:
+                        written = mask.tobytes()
+                        place = Place(end, False, base.offset, base.single)
+                        break
+        places[number] = place
+        alike.append((number, place))
+        parts.append(written)
+        end += len(written)
+    return [place for place in places if place is not None], parts
+
+
+def _words(data: bytes) -> NDArray[np.uint64]:
+    return np.frombuffer(data, np.uint64)
+
+
+def _single(dtype: str, data: bytes) -> bytes | None:
+    """The array as float32, if that keeps every bit of it."""
+    if dtype != "<f8" or len(data) < _SMALLEST:
+        return None
+    words = _words(data)
+    if (words[:_SAMPLE] & _NOT_SINGLE).any() or (words & _NOT_SINGLE).any():
+        return None
+    with np.errstate(over="ignore", invalid="ignore"):
+        single = np.frombuffer(data, _F8).astype(_F4)
+    return single.tobytes() if single.astype(_F8).tobytes() == data else None
+
+
+def load(name: str, dtype: str, shape: tuple[int, ...], place: Place, data: memoryview) -> Any:
+    """An array out of the stored bytes, which it shares if they are its own.
+
+    Args:
+        name: For messages.
+        dtype: Its type.
+        shape: Its shape.
+        place: Where it is.
+        data: What was stored.
+
+    Raises:
+        DamageError: If it is not there.
+    """
+    if (place.single or place.base is not None) and dtype != "<f8":
+        raise DamageError(f"array {name!r} of type {dtype!r} is stored as float64")
+    values = _load(name, dtype, shape, place.offset, place.single, data)
+    if place.base is not None:
+        base = _load(name, dtype, shape, place.base, place.base_single, data)
+        values = np.bitwise_xor(values.view(np.uint64), base.view(np.uint64)).view(_F8)
+    return values.reshape(shape)
+
+
+def _load(
+    name: str, dtype: str, shape: tuple[int, ...], offset: int, single: bool, data: memoryview
+) -> NDArray[Any]:
+    kind, size = _F4 if single else DTYPES[dtype], 1
+    for length in shape:  # Python's numbers: no product overflows
+        size *= length
+    if offset + size * kind.itemsize > min(len(data), LARGEST_CHUNK):
+        raise DamageError(f"array {name!r} of shape {shape} is not in the message")
+    flat = np.frombuffer(data, kind, size, offset)
+    if dtype == "|b1":
+        flat = flat.view(np.uint8) != 0  # whatever byte is there
+    return flat.astype(_F8) if single else flat

@@ -1,0 +1,93 @@
+"""What pydantic says of a value, in words: one message for the errors at one place.
+
+Callers give the place its path, and know which keys are allowed there.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["ErrorDetails", "show_value", "unknown_key", "what_is_wrong"]
+
+ErrorDetails = Mapping[str, Any]
+"""One entry of `ValidationError.errors()`."""
+
+_KINDS = {
+    "int": "an integer",
+    "float": "a number",
+    "string": "text",
+    "bool": "true or false",
+    "dict": "a map",
+    "dataclass": "a map",
+    "list": "a list",
+    "tuple": "a list",
+}
+_LIMITS = {
+    "greater_than": ("gt", "greater than"),
+    "greater_than_equal": ("ge", "at least"),
+    "less_than": ("lt", "less than"),
+    "less_than_equal": ("le", "at most"),
+}
+_LONGEST = 60
+
+
+def what_is_wrong(
+    errors: Sequence[ErrorDetails], patterns: Mapping[str, str] | None = None
+) -> tuple[str, str]:
+    """Return the message and the hint for the errors of one value.
+
+    Args:
+        errors: At least one: each member of a union reports its own.
+        patterns: Regular expression -> what matches it, in words.
+
+    Returns:
+        ``must be at least 1, got 0``, ``expected a number or 'auto', got 'x'``; and
+        ``Did you mean 'y'?`` or nothing.
+    """
+    error = errors[0]
+    kind, value, context = error["type"], error["input"], error.get("ctx", {})
+    if kind == "missing":
+        return "missing value: it must be set", ""
+    if kind in _LIMITS:
+        key, words = _LIMITS[kind]
+        return f"must be {words} {context[key]}, got {show_value(value)}", ""
+    if kind in ("value_error", "assertion_error"):
+        message = str(error["msg"]).partition("error, ")[2] or str(error["msg"])
+        return f"{message[:1].lower()}{message[1:]}, got {show_value(value)}", ""
+    expected = [_expected(e, patterns or {}) for e in errors if e["type"] != "callable_type"]
+    choices = [c for e in errors for c in _choices(e)]
+    hint = did_you_mean(value, choices).strip() if isinstance(value, str) else ""
+    wanted = " or ".join(dict.fromkeys(expected))
+    return f"expected {wanted}, got {show_value(value)}{'.' if hint else ''}", hint
+
+
+def unknown_key(name: str, allowed: Sequence[str]) -> tuple[str, str]:
+    """Return the message and the hint for a key that is not allowed where it stands."""
+    return f"unknown key; allowed: {', '.join(allowed)}.", did_you_mean(name, allowed).strip()
+
+
+def show_value(value: Any) -> str:
+    """Return a value as YAML's reader would know it, shortened to one line."""
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    text = repr(value)
+    return text if len(text) <= _LONGEST else text[: _LONGEST - 3] + "..."
+
+
+def _expected(error: ErrorDetails, patterns: Mapping[str, str]) -> str:
+    if error["type"] == "literal_error":
+        choices = [repr(choice) for choice in _choices(error)]
+        return choices[0] if len(choices) == 1 else f"one of {', '.join(choices)}"
+    if error["type"] == "string_pattern_mismatch":
+        pattern = error["ctx"]["pattern"]
+        return patterns.get(pattern, f"text like {pattern}")
+    kind: str = error["type"].rsplit("_", 1)[0]
+    return _KINDS.get(kind, str(error["msg"]))
+
+
+def _choices(error: ErrorDetails) -> list[str]:
+    return re.findall(r"'([^']*)'", error.get("ctx", {}).get("expected", ""))

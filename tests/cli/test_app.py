@@ -1,0 +1,78 @@
+import dataclasses
+import importlib
+import re
+
+import pytest
+
+import embodichain
+from embodichain.cli import main
+from embodichain.cli.app import EVERYDAY_KEYS, VERBS
+from embodichain.config.schema import RootCfg
+
+
+@pytest.mark.parametrize("arguments", [[], ["--help"], ["-h"], ["help"]])
+def test_overview_names_every_verb(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 0
+    text = capsys.readouterr().out
+    assert all(re.search(rf"^  {verb} +\w", text, re.MULTILINE) for verb in VERBS)
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith(f"embodichain {embodichain.__version__} (Python ")
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_help_of_every_verb_shows_its_options_and_examples(
+    verb: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([verb, "--help"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith(f"Usage: embodichain {verb} ")
+    assert VERBS[verb] in " ".join(text.split())
+    assert "--json" in text
+    module = importlib.import_module(f"embodichain.cli.{verb.replace('-', '_')}")
+    assert module.command.examples
+    for example, what in module.command.examples:
+        assert f"embodichain {example}" in text
+        assert what in text
+
+
+def test_keys_that_help_names_exist() -> None:
+    assert set(EVERYDAY_KEYS) <= {field.name for field in dataclasses.fields(RootCfg)}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["ru"], "no such verb: 'ru'. Did you mean 'run'? There are: run, train, "),
+        (["zzz"], "no such verb: 'zzz'. There are: run, train, "),
+        (["--verbose"], "No such option '--verbose'. Did you mean '--version'?"),
+        (["task=reach", "seed=1"], "a verb comes first: embodichain run task=reach seed=1"),
+        (["-m", "seed=1,2"], "a verb comes first: embodichain run -m seed=1,2"),
+        (["run", "--qiet"], "No such option '--qiet'. Did you mean '--quiet'?"),
+        (["list", "tasks", "--jsn"], "No such option '--jsn'. Did you mean '--json'?"),
+        (["list"], "list what? One of: tasks, robots, terms"),
+        (["list", "task"], "nothing called 'task' to list. Did you mean 'tasks'?"),
+        (["list", "tasks", "robots"], "Got unexpected extra argument (robots)"),
+        (["run", "one", "two"], "one task at a time: one, two."),
+        (["-sc", "instal=bash"], "-sc takes install=SHELL or uninstall=SHELL"),
+        (["bench", "task=reach", "num_envs=1,x"], "num_envs: must be one or more positive"),
+        (["bench", "task=reach", "--rounds", "0"], "--rounds must be at least 1, got 0"),
+        (
+            ["bench", "task=reach", "--rounds", "many"],
+            "Invalid value for '--rounds': 'many' is not",
+        ),
+        (["replay"], "Missing argument 'FILE'."),
+    ],
+)
+def test_what_was_mistyped_is_named_with_exit_code_2(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    out, err = capsys.readouterr()
+    assert err.startswith(f"error: {message}")
+    assert "Traceback" not in err
+    assert out == ""

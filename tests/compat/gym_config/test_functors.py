@@ -1,0 +1,28 @@
+"""Every functor that EmbodiChain documents is a term here with its parameters, or is listed."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from embodichain.compat.gym_config.conversion import convert
+from embodichain.lab.gym.envs.managers.registry import TERMS
+
+FUNCTORS = yaml.safe_load(Path(__file__).with_name("functors.yaml").read_text())
+
+
+@pytest.mark.parametrize(("kind", "name"), [(k, n) for k in FUNCTORS for n in FUNCTORS[k]])
+def test_functor_is_a_term_or_listed(kind: str, name: str) -> None:
+    params = dict.fromkeys(FUNCTORS[kind][name], 1)
+    functor = {"func": name, "params": params}
+    conversion = convert({"robot": {"fpath": "a.urdf"}, "env": {f"{kind}s": {"it": functor}}})
+    assert conversion.problems == ()
+    listed = {note.path for note in conversion.notes}
+    made = conversion.task.get(f"{kind}s")
+    if made is None:
+        assert listed == {f"env.{kind}s.it"}
+        return
+    known = TERMS[kind][name].params  # type: ignore[index]
+    given = made["it"].get("params", {})
+    assert set(given) <= set(known)
+    assert {f"env.{kind}s.it.params.{key}" for key in set(params) - set(given)} == listed
