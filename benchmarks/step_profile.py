@@ -18,16 +18,16 @@ from benchmarks.machine import table, write_json
 
 SIZES = (1, 8, 64, 1024)
 PARTS = {
-    "check the action": ("_receive",),
+    "check the action": ("_check_action",),
     "action terms, write targets": ("_act",),
     "physics": ("sim", "update"),
     "hook after physics": ("_update_sim_state",),
     "events": ("event_manager", "step"),
     "observation": ("_observe",),
-    "terminations, metrics, info": ("_judge",),
-    "rewards": ("_reward",),
-    "divergence": ("_contain",),
-    "who is done": ("_ends",),
+    "terminations, metrics, info": ("_judge", "info"),
+    "rewards": ("_judge", "reward"),
+    "divergence": ("_judge", "diverged"),
+    "time limits": ("episodes", "over"),
     "automatic resets": ("_autoreset",),
 }
 """What is timed, in the order of a step, and where it hangs on the environment."""

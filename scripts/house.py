@@ -206,7 +206,7 @@ def walk_event() -> Walk:
     """A term that randomizes a mass: checked, built, fired."""
     import embodichain
 
-    params = "{entity_cfg: {uid: ur10}, mass: [0.9, 1.1], operation: scale}"
+    params = "{of: {uid: ur10}, mass: [0.9, 1.1], operation: scale}"
     event = f"{{mass: {{func: randomize, mode: reset, params: {params}}}}}"
     env = embodichain.make("random_reach", num_envs=4, overrides=[f"++task.events={event}"])
     env.reset(seed=0)

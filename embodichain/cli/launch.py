@@ -1,7 +1,7 @@
 """From the command line of `run` and `train` to jobs.
 
-A single job is composed with Hydra's compose API and executed here. Sweeps, ``--cfg`` and ``--info``
-go through Hydra's own `main`.
+A single job is composed with Hydra's compose API and executed here. Sweeps, ``--cfg`` and
+``--info`` go through Hydra's own `main`.
 """
 
 from __future__ import annotations

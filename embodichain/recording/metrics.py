@@ -32,7 +32,7 @@ def read_metrics(
         rows = [message.FromString(bytes(data)) for _, data in found]
     except (DecodeError, TypeError, ValueError) as error:
         raise LogError(f"{reader.path}: a message of {topic} is damaged: {error}") from error
-    times = np.array([time_ns for time_ns, _ in found], np.int64)
+    times = np.array([time_ns for time_ns, _ in found], np.uint64).astype(np.int64)
     values = {name: np.array([getattr(row, name) for row in rows], np.float64) for name in names}
     return (times - header.start_ns) // header.period_ns, values
 

@@ -58,6 +58,9 @@ def what_is_wrong(
     if kind in ("value_error", "assertion_error"):
         message = str(error["msg"]).partition("error, ")[2] or str(error["msg"])
         return f"{message[:1].lower()}{message[1:]}, got {show_value(value)}", ""
+    if kind in ("too_short", "too_long"):
+        message = str(error["msg"])
+        return f"{message[:1].lower()}{message[1:]}, got {show_value(value)}", ""
     expected = [_expected(e, patterns or {}) for e in errors if e["type"] != "callable_type"]
     choices = [c for e in errors for c in _choices(e)]
     hint = did_you_mean(value, choices).strip() if isinstance(value, str) else ""
@@ -86,7 +89,7 @@ def _expected(error: ErrorDetails, patterns: Mapping[str, str]) -> str:
         pattern = error["ctx"]["pattern"]
         return patterns.get(pattern, f"text like {pattern}")
     kind: str = error["type"].rsplit("_", 1)[0]
-    return _KINDS.get(kind, str(error["msg"]))
+    return _KINDS.get(kind, str(error["msg"]).removeprefix("Input should be "))
 
 
 def _choices(error: ErrorDetails) -> list[str]:

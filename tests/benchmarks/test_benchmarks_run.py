@@ -40,6 +40,16 @@ def test_step_speed(tmp_path):
     assert "host" not in facts["machine"]
 
 
+def test_small_batches(tmp_path):
+    table, facts = run(
+        "small_batches", "--rounds=1", "--steps=4", "--sizes", "1", "2", "--large=4",
+        out=tmp_path / "raw.json",
+    )  # fmt: skip
+    assert list(facts["sb3"]) == ["1", "2"] and facts["num_envs_large"] == 4
+    assert set(facts["beyond_physics"]) == {"reach", "quadruped_velocity"}
+    assert "speed over DummyVecEnv" in table and "reach at N=4 over the floor" in table
+
+
 def test_log_cost(tmp_path):
     table, facts = run(
         "log_cost", "--pairs=3", "--case", "2", "4", "--case", "3", "1", "--seconds=0",

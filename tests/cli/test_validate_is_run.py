@@ -1,8 +1,8 @@
 """`run` refuses a config exactly if `validate` does, and says the same of it.
 
 Tried on the table of bad configs, and on every registered term: the parameters of its example are
-spoiled, all terms of a kind at once. What the config alone shows is taken out first, so that the
-constructors of the rest see what they get.
+spoiled, all terms of a kind at once; a term of several kinds is tried as one of them. What the
+config alone shows is taken out first, so that the constructors of the rest see what they get.
 """
 
 from collections.abc import Callable
@@ -139,14 +139,14 @@ def test_every_registered_term_has_an_example() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", SPOILED)
-@pytest.mark.parametrize("kind", SECTION_OF)
+@pytest.mark.parametrize("kind", sorted({entry.kinds[0] for entry in ENTRIES}))
 def test_every_term_with_spoiled_parameters(
     kind: str, how: str, tmp_path: Path, capsys: Any
 ) -> None:
     section = SECTION_OF[kind]
     terms: dict[str, Params] = {}
     for entry in ENTRIES:
-        if kind in entry.kinds:
+        if kind == entry.kinds[0]:
             terms[entry.name] = example_of(entry, kind)
             terms[entry.name]["params"] = SPOILED[how](terms[entry.name].get("params", {}))
     lines = ["task=everything", "max_steps=1", "num_envs=2", "seed=1", "quiet=true", "record=none"]

@@ -514,14 +514,13 @@ BAD = {
         old="      threshold: 0.05\n",
     ),
     "wrong type of a parameter": bad(
-        "conf/task/mine.yaml:30: task.rewards.near.params.threshold: input should be a "
-        "valid number, unable to parse string as a number, got 'near'",
+        "conf/task/mine.yaml:30: task.rewards.near.params.threshold: expected a number, got 'near'",
         old="      threshold: 0.05",
         new="      threshold: near",
     ),
     "bad range of a parameter": bad(
-        "conf/task/mine.yaml:30: task.rewards.near.params.threshold: input should be "
-        "greater than 0, got -1",
+        "conf/task/mine.yaml:30: task.rewards.near.params.threshold: must be "
+        "greater than 0.0, got -1",
         old="      threshold: 0.05",
         new="      threshold: -1",
     ),

@@ -165,7 +165,7 @@ def test_files_are_left_to_who_can_read_them(path: str) -> None:
         (
             {"func": "random_around_home", "params": {"range": -1}},
             "policy.params.range",
-            "greater than or equal to 0",
+            "at least 0",
         ),
         (3, "policy", "is not callable"),
         (lambda obs: None, "policy", "must take (obs, env, ...) first"),

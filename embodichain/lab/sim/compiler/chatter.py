@@ -26,14 +26,12 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.cfg import SimulationManagerCfg
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.drive_cfg import NO_LIMIT, FileFirst, JointDrivePropertiesCfg
 from embodichain.utils.random import RandomStreams
 
 __all__ = [
     "DriveChange",
     "PhysicsStep",
     "drawn_joints",
-    "may_chatter",
     "physics_step",
     "quiet_armature",
 ]
@@ -57,18 +55,6 @@ class PhysicsStep:
 def physics_step(cfg: SimulationManagerCfg) -> PhysicsStep:
     """The time step and integrator of a simulation."""
     return PhysicsStep(float(cfg.physics_dt), cfg.physics_config.integrator)
-
-
-def may_chatter(
-    cfg: JointDrivePropertiesCfg, step: PhysicsStep, changes: Sequence[DriveChange]
-) -> bool:
-    """Whether a drive may have a limit, or a damper that is integrated explicitly."""
-    if step.integrator not in _IMPLICIT or any(c.quantity == "max_effort" for c in changes):
-        return True
-    limit = cfg.max_effort
-    if isinstance(limit, FileFirst):  # an MJCF's limit, if drives take the place of its actuators
-        return not (isinstance(cfg.stiffness, FileFirst) and isinstance(cfg.damping, FileFirst))
-    return isinstance(limit, (str, Mapping)) or limit < NO_LIMIT
 
 
 @dataclass(frozen=True)

@@ -73,7 +73,7 @@ def test_every_mistake_is_found_at_once() -> None:
     assert found[4] == (
         "events.b.params.entity_cfg: missing; event term 'randomize_rigid_object_pose' needs it"
     )
-    assert found[6].startswith("rewards.near.params.threshold: input should be greater than 0")
+    assert found[6].startswith("rewards.near.params.threshold: must be greater than 0")
     assert found[5].startswith("commands.velocity.func: unknown command term 'uniform_velocty'")
 
 
@@ -82,7 +82,7 @@ def test_every_mistake_is_found_at_once() -> None:
     [
         ({"entity_cfg": "cube"}, "entity_cfg", "got 'cube'"),
         ({"entity_cfg": {"uid": "cube", "link_name": "x"}}, "entity_cfg.link_name", "unknown key"),
-        ({"entity_cfg": {"uid": 3}}, "entity_cfg.uid", "valid string, got 3"),
+        ({"entity_cfg": {"uid": 3}}, "entity_cfg.uid", "expected text, got 3"),
         ({**CUBE, "to_matrix": "perhaps"}, "to_matrix", "got 'perhaps'"),
     ],
 )
@@ -231,7 +231,7 @@ def test_a_key_of_a_nested_parameter_has_its_closest_match() -> None:
     found = problems(commands={"v": CommandCfg(func="uniform_velocity", params=params)})
     assert found == [
         "commands.v.params.ranges.lin_vel: unknown key; allowed: lin_vel_x, lin_vel_y, ang_vel_z, "
-        "heading Did you mean 'lin_vel_x'?"
+        "heading. Did you mean 'lin_vel_x'?"
     ]
 
 
@@ -265,14 +265,14 @@ PARAM = {
         (
             "modify_term_param",
             {**PARAM, "section": "reward"},
-            "section: input should be 'commands', 'events'",
+            "section: expected one of 'commands', 'events'",
         ),
         ("modify_term_param", {**PARAM, "term_name": "far"}, "term_name: there is no 'far'"),
         ("modify_term_param", {**PARAM, "param": "treshold"}, "param: there is no 'treshold'"),
         (
             "modify_term_param",
             {**PARAM, "value": -1.0},
-            "value: threshold: input should be greater than 0, got -1.0",
+            "value: threshold: must be greater than 0.0, got -1.0",
         ),
         (
             "modify_term_param",

@@ -73,7 +73,7 @@ def test_a_resolved_entity_stays(env) -> None:
         ({"uid": "ur10", "body_ids": [-1]}, "body_ids", ["links", "[-1]"]),
         ({"uid": "cube", "joint_names": "a"}, "joint_names", ["without joints"]),
         ({"uid": "cube", "link_names": "lid"}, "link_names", ["no link of 'cube'"]),
-        ({"uid": "cube", "joint": "a"}, "joint", ["nexpected"]),
+        ({"uid": "cube", "joint": "a"}, "joint", ["unknown key", "Did you mean 'joint_ids'?"]),
     ],
 )
 def test_what_matches_nothing(env, cfg, path, parts) -> None:

@@ -171,7 +171,7 @@ def test_joint_positions_that_are_absolute_stay_within_limits(make) -> None:
     [
         (joints(position_range={"Jont1": [0, 1]}), "q.params.position_range.Jont1", "'Joint1'?"),
         (joints(names=[]), "q.params.entity_cfg.joint_names", "picks no joint"),
-        (velocity(rel_standing_envs=1.5), "v.params.rel_standing_envs", "less than or equal to 1"),
+        (velocity(rel_standing_envs=1.5), "v.params.rel_standing_envs", "at most 1"),
         (velocity([1.0, -1.0]), "v.params.ranges.heading", "low 1.0 exceeds high -1.0"),
     ],
 )

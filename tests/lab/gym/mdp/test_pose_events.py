@@ -224,7 +224,7 @@ def test_a_restored_environment_has_its_targets(make) -> None:
         ),
         (
             event("randomize_rigid_object_pose", **ARM, physics_update_step=-2),
-            "greater than or equal to -1",
+            "at least -1",
         ),
         (
             event("randomize_robot_eef_pose", entity_cfg={"uid": "cube"}),

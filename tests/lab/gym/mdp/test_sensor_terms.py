@@ -253,7 +253,7 @@ def test_feet_slide_by_their_speed_in_the_plane_while_they_touch(make) -> None:
         (
             "metrics",
             MetricCfg(func="contact_forces", params={"sensor": "contacts", "threshold": -1.0}),
-            "greater than or equal to 0",
+            "at least 0",
         ),
     ],
 )

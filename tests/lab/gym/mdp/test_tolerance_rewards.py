@@ -101,7 +101,7 @@ def test_actions_are_averaged(make) -> None:
     [
         ({"bounds": [2.0, 1.0]}, "bounds: low 2.0 exceeds high 1.0"),
         ({"bounds": [0.0, math.nan]}, "bounds: a bound is not a number"),
-        ({"bounds": [0.0, 1.0], "margin": -1}, "margin: .*greater than or equal to 0"),
+        ({"bounds": [0.0, 1.0], "margin": -1}, "margin: .*at least 0"),
         ({"bounds": [0.0, 1.0], "sigmoid": "gauss"}, "sigmoid: .*'gaussian'"),
         ({"bounds": [0.0, 1.0], "value_at_margin": 1.0}, "value_at_margin: .*less than 1"),
         ({"bounds": [0.0, 1.0], "value_at_margin": 0.0}, "value_at_margin: must lie in"),

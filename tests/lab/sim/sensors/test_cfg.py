@@ -36,7 +36,7 @@ def test_the_type_chooses_the_class(kind, cls):
         ({"sensor_type": "im"}, "sensor_type", "Did you mean 'imu'"),
         ({}, "sensor_type", "unknown sensor_type ''"),
         ({"sensor_type": "imu", "agianst": {}}, "agianst", "unknown key"),
-        ({"sensor_type": "contact", "entity_cfg": {"uid": 3}}, "entity_cfg.uid", "string"),
+        ({"sensor_type": "contact", "entity_cfg": {"uid": 3}}, "entity_cfg.uid", "expected text"),
     ],
 )
 def test_a_wrong_config_is_refused_with_what_exists(given, path, match):

@@ -33,6 +33,7 @@ from embodichain.lab.gym.envs.managers.term import ActionTerm, CommandTerm
 from embodichain.lab.sim.sensors.cfg import readings
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
+from embodichain.utils.type_errors import unknown_key, what_is_wrong
 
 __all__ = [
     "CheckedTerm",
@@ -259,7 +260,7 @@ def check_params(
             try:
                 values[key] = _convert(_meant(key, hint, value), value)
             except ValidationError as error:
-                problems += [_problem(f"{path}.{name}", e, hint) for e in error.errors()]
+                problems += _problems_of(error, f"{path}.{name}", hint)
     for name, parameter in spec.params.items():
         if parameter.default is inspect.Parameter.empty and name not in meant.values():
             message = f"missing; {spec.label} needs it"
@@ -292,18 +293,20 @@ def _adapter(hint: Any) -> TypeAdapter[Any] | None:
         return None
 
 
-def _problem(path: str, error: Any, hint: Any) -> Problem:
-    """One of pydantic's errors as a line with what was found."""
-    tail = "".join(f".{part}" for part in error["loc"] if part not in FORMS)
-    message = error["msg"].removeprefix("Value error, ")
-    message = message[:1].lower() + message[1:]
-    if error["type"] == "unexpected_keyword_argument":
-        fields = _fields(hint)
-        hint = did_you_mean(str(error["loc"][-1]), fields).strip()
-        return Problem(path + tail, f"unknown key; allowed: {', '.join(fields)}", hint)
-    if error["type"] != "missing":
-        message += f", got {error['input']!r}"
-    return Problem(path + tail, message)
+def _problems_of(error: ValidationError, path: str, hint: Any) -> list[Problem]:
+    """Pydantic's errors as problems, one for each place; a union's members each report."""
+    places: dict[str, list[Any]] = {}
+    for details in error.errors(include_url=False):
+        tail = "".join(f".{part}" for part in details["loc"] if part not in FORMS)
+        places.setdefault(path + tail, []).append(details)
+    problems: list[Problem] = []
+    for place, found in places.items():
+        if found[0]["type"] == "unexpected_keyword_argument":
+            message, advice = unknown_key(str(found[0]["loc"][-1]), _fields(hint))
+        else:
+            message, advice = what_is_wrong(found)
+        problems.append(Problem(place, message, advice))
+    return problems
 
 
 def _fields(hint: Any) -> list[str]:

@@ -13,10 +13,11 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from pydantic import GetCoreSchemaHandler, TypeAdapter, ValidationError
+from pydantic import GetCoreSchemaHandler
 
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.from_dict import from_dict
 from embodichain.utils.math import cross, quat_conjugate, quat_multiply, quat_rotate
 
 if TYPE_CHECKING:
@@ -410,9 +411,5 @@ def resolve_entity(
 
 
 def _from_mapping(cfg: Mapping[str, Any]) -> SceneEntityCfg:
-    try:
-        return TypeAdapter(SceneEntityCfg).validate_python(dict(cfg))
-    except ValidationError as error:
-        raise ConfigError(
-            [Problem(".".join(map(str, e["loc"])), e["msg"]) for e in error.errors()]
-        ) from error
+    found: SceneEntityCfg = from_dict(SceneEntityCfg, dict(cfg))
+    return found
