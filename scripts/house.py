@@ -53,7 +53,7 @@ def circles(package: str = "embodichain") -> list[list[str]]:
 
     Packages' ``__init__`` files count as modules.
     """
-    graph = grimp.build_graph("embodichain", cache_dir=None)
+    graph = grimp.build_graph(package.partition(".")[0], cache_dir=None)
     modules = sorted(m for m in graph.modules if m == package or m.startswith(f"{package}."))
     number = {module: i for i, module in enumerate(modules)}
     edges = [
@@ -74,18 +74,19 @@ def circles(package: str = "embodichain") -> list[list[str]]:
 
 
 def private_accesses() -> list[str]:
-    """Every ``thing._name`` that its module does not define, as ``file:line: thing._name``."""
-    found = []
-    for path in sources("embodichain", "tasks"):
-        tree = ast.parse(path.read_text())
-        own = set(_defined(tree))
-        for node in ast.walk(tree):
-            if not isinstance(node, ast.Attribute) or not _is_private(node.attr):
-                continue
-            if node.attr in own or _is_self(node.value):
-                continue
-            found.append(f"{path.relative_to(REPO)}:{node.lineno}: {ast.unparse(node)}")
-    return found
+    """Every ``thing._name`` of another module of the package, as ``file:line: thing._name``."""
+    trees = {path: ast.parse(path.read_text()) for path in sources("embodichain", "tasks")}
+    own = {path: set(_defined(tree)) for path, tree in trees.items()}
+    ours = set().union(*own.values())
+    return [
+        f"{path.relative_to(REPO)}:{node.lineno}: {ast.unparse(node)}"
+        for path, tree in trees.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute)
+        and _is_private(node.attr)
+        and node.attr in ours - own[path]
+        and not _is_self(node.value)
+    ]
 
 
 def _is_private(name: str) -> bool:
@@ -205,9 +206,9 @@ def walk_event() -> Walk:
     """A term that randomizes a mass: checked, built, fired."""
     import embodichain
 
-    params = "{of: {uid: cube}, mass: [1, 2]}"
-    event = f"{{func: randomize, mode: reset, params: {params}}}"
-    env = embodichain.make("push_cube", num_envs=4, overrides=[f"++task.events={{mass: {event}}}"])
+    params = "{of: {uid: ur10}, mass: [0.9, 1.1], operation: scale}"
+    event = f"{{mass: {{func: randomize, mode: reset, params: {params}}}}}"
+    env = embodichain.make("random_reach", num_envs=4, overrides=[f"++task.events={event}"])
     env.reset(seed=0)
     events = env.event_manager
     walk = Walk()

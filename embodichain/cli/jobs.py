@@ -1,8 +1,4 @@
-"""Jobs: one run or training with its checked config, its folder and its log file.
-
-`start` turns what was typed for `run` and `train` into jobs: one, called here with a config from
-Hydra's compose, or what Hydra's own `main` is asked for: a sweep, `--cfg`, `--info`.
-"""
+"""A job: one run or training with its checked config, its folder and its log file."""
 
 from __future__ import annotations
 
@@ -13,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from embodichain.cli.app import job_options, split_overrides
 from embodichain.cli.logs import label_lines, log_to
 from embodichain.cli.process import StopFlag
 from embodichain.utils.errors import ConfigError
@@ -23,7 +18,7 @@ if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
     from embodichain.config.schema import RootCfg
 
-__all__ = ["FRESH", "LOG_FILE", "Body", "Job", "Verb", "execute", "resolved_job", "start"]
+__all__ = ["FRESH", "LOG_FILE", "Body", "Job", "Verb", "execute", "resolved_job"]
 
 LOG_FILE = "run.log"
 FRESH: dict[str, Any] = {
@@ -77,48 +72,6 @@ def resolved_job(composed: Composed, verb: Verb) -> Resolved:
         with resolved.locating():
             check_training(resolved)
     return resolved
-
-
-def start(verb: Verb, body: Body, options: Any, typed: Sequence[str]) -> None:
-    """Do one job, or give Hydra's `main` what is its.
-
-    The config of every job is checked before the first starts.
-
-    Args:
-        verb: Whose jobs they are.
-        body: What a job does.
-        options: Of the command line.
-        typed: The command line, for `command.txt`.
-
-    Raises:
-        ConfigError: Wrong flags, or mistakes in the config of any job: nothing has started.
-    """
-    from embodichain.config.composed import compose
-    from embodichain.config.search_path import user_configs
-
-    overrides = [*split_overrides(options.words), *job_options(options)]
-    if options.gym_config is not None:
-        from embodichain.config.gym_config import override_of
-
-        overrides.append(override_of(options.gym_config))
-    prints = options.cfg is not None or options.info is not None
-    hydras = any(line.lstrip("+~").startswith(("hydra.", "hydra/")) for line in overrides)
-    resumes = any(line.lstrip("+").startswith("resume=") for line in overrides)
-    with user_configs(options.config_dir):
-        if verb == "train" and resumes:
-            from embodichain.cli.resuming import resolve_resumed
-
-            if options.multirun or prints or hydras:
-                raise ConfigError(
-                    "resume goes on with one training: no --multirun, no key of Hydra's"
-                )
-            execute(resolve_resumed(overrides), body, typed)
-        elif prints or options.multirun or hydras:
-            from embodichain.cli.sweeping import call_hydra
-
-            call_hydra(verb, body, options, overrides, typed)
-        else:
-            execute(resolved_job(compose(overrides, verb), verb), body, typed)
 
 
 def execute(

@@ -19,7 +19,8 @@ from embodichain.cli.attach import (
     policy_of,
 )
 from embodichain.cli.exits import Interrupted
-from embodichain.cli.jobs import Job, start
+from embodichain.cli.jobs import Job
+from embodichain.cli.launch import start
 from embodichain.cli.output import print_json, to_json
 from embodichain.cli.process import StopFlag, started
 from embodichain.cli.progress import ProgressDisplay

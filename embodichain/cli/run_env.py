@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from embodichain.cli.app import common, overrides, typed, verb
-from embodichain.cli.jobs import start
+from embodichain.cli.launch import start
 from embodichain.cli.run import run_job
 from embodichain.compat.gym_utils import RENDERERS
 from embodichain.utils.errors import ConfigError

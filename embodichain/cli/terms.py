@@ -368,11 +368,18 @@ with a [shape](#shapes) where it has several columns or is to become a kernel or
 section of the task says which of them it is; an observation takes the columns as they are.
 
 ```yaml
+description: A quantity in each section.
+robot: {uid: ur10, fpath: UniversalRobots/UR10/UR10.urdf, init_pos: [0, 0, 1]}
+objects:
+  goal: {shape: {shape_type: Sphere, radius: 0.02}, body_type: static, init_pos: [0.6, 0.3, 1]}
 rewards:
-  reach: {func: distance, shape: {tanh: 0.1}, params: {from: {uid: cube}, to: {uid: goal}}}
+  reach:
+    func: distance
+    shape: {tanh: 0.1}
+    params: &pair {from: {uid: ur10, link_names: [ee_link]}, to: {uid: goal}}
   effort: {func: joint_effort, shape: l2, weight: -1.0e-5, params: {of: {uid: ur10}}}
 metrics:
-  success: {func: distance, shape: {below: 0.05}, params: {from: {uid: cube}, to: {uid: goal}}}
+  success: {func: distance, shape: {below: 0.05}, params: *pair}
 observations:
   qvel: {func: joint_velocity, scale: 0.1, params: {of: {uid: ur10}}}
 ```

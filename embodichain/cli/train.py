@@ -12,7 +12,8 @@ from embodichain.cli.app import jobs, typed, verb
 from embodichain.cli.attach import attach_viewer, check_attachments, film_job
 from embodichain.cli.evaluating import Asked, brief_rows, evaluate_job, evaluation_config
 from embodichain.cli.exits import Interrupted
-from embodichain.cli.jobs import Job, start
+from embodichain.cli.jobs import Job
+from embodichain.cli.launch import start
 from embodichain.cli.output import print_facts, print_json
 from embodichain.cli.process import StopFlag, started
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 import yaml
 
-from embodichain.cli.term_entries import all_entries
+from embodichain.cli.terms import all_entries
 from embodichain.lab.gym.envs.managers.aliases import AliasSpec
 from tests.helpers.example_scene import environment
 

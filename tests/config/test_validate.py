@@ -41,8 +41,9 @@ def test_every_file_is_right_where_it_lies(file: Path) -> None:
     assert found == []
 
 
-def test_the_tutorial_fits_in_forty_lines() -> None:
-    assert len((CONF / "task" / "random_reach.yaml").read_text().splitlines()) <= 40
+def test_the_tutorial_fits_on_a_page() -> None:
+    """In block style, one setting a line."""
+    assert len((CONF / "task" / "random_reach.yaml").read_text().splitlines()) <= 60
 
 
 def test_a_task_file_anywhere(empty_cwd: Path) -> None:
