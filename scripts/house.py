@@ -137,11 +137,12 @@ class Walk:
     def traced(self, until: Callable[[CodeType], bool] | None = None) -> Iterator[None]:
         """Count within the block, or until a function that ``until`` picks returns."""
         self._until = until
+        before = sys.gettrace()  # of a debugger, or of coverage
         sys.settrace(self._call)
         try:
             yield
         finally:
-            sys.settrace(None)
+            sys.settrace(before)
 
     def _call(self, frame: FrameType, event: str, arg: Any) -> Any:
         code = frame.f_code

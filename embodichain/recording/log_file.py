@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -46,12 +47,22 @@ _library: Any = mcap.writer
 _library.zstandard = _FastZstd  # it takes no level
 
 
+_CHUNK = b"\x06"
+"""Opcode of a chunk; `mcap.writer` writes a chunk in one call, and its message indexes after it."""
+
+
 class _Appended:
-    """A new file that is written without a buffer: what fails to be written must not come again."""
+    """A new file that is written without a buffer: what fails to be written must not come again.
+
+    Attributes:
+        descriptor: The open file.
+        size: Bytes in it.
+        chunks: Chunks that are in it as a whole.
+    """
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
-        self.size = 0
+        self.size = self.chunks = 0
 
     def write(self, data: bytes) -> int:
         """Append all bytes.
@@ -64,6 +75,7 @@ class _Appended:
             done = os.write(self.descriptor, left)  # a disk that is nearly full takes a part
             self.size += done
             left = left[done:]
+        self.chunks += data[:1] == _CHUNK
         return len(data)
 
     def tell(self) -> int:
@@ -172,10 +184,8 @@ class LogFile:
             raise OSError(errno.EMSGSIZE, f"a message of {len(data)} bytes fits into no chunk")
         if last_step is not None:
             self._last_step = last_step
-        size = self._stream.size
-        self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
-        if self._stream.size != size:  # a chunk was finished, this message included
-            self._readable_step = self._last_step
+        with self._counting_chunks():
+            self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
 
     def send(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> None:
         """Write messages of one moment, each with its topic."""
@@ -188,9 +198,22 @@ class LogFile:
         Raises:
             OSError: If it cannot be written, or was removed.
         """
-        self._writer.flush()
-        self._readable_step = self._last_step
+        with self._counting_chunks():
+            self._writer.flush()
         self._check_place()
+
+    @contextmanager
+    def _counting_chunks(self) -> Iterator[None]:
+        """Within it, a chunk that is written whole makes everything so far readable.
+
+        What fails to be written after the chunk, such as its index, does not change that.
+        """
+        stream, chunks = self._stream, self._stream.chunks
+        try:
+            yield
+        finally:
+            if stream.chunks != chunks:
+                self._readable_step = self._last_step
 
     def put_beside(self, name: str, text: str) -> None:
         """Write a small file beside the log, unless there is one of that name."""
@@ -233,8 +256,8 @@ class LogFile:
         return old.size
 
     def _finish(self) -> None:
-        self._writer.finish()
-        self._readable_step = self._last_step
+        with self._counting_chunks():
+            self._writer.finish()
         self._check_place()
 
     def finish(self) -> int:

@@ -88,8 +88,8 @@ def test_an_evaluation_may_have_its_own_seed_number_and_noise(
     found, err = played(
         capsys, "eval", str(trained), "episodes=1", "task.rewards.distance.weight=-3", *KEYS
     )
-    assert found["changed"] == ["task.rewards.distance.weight 1 -> -3"]
-    assert "changed since training: task.rewards.distance.weight 1 -> -3" in err
+    assert found["changed"] == ["task.rewards.distance.weight -1 -> -3"]
+    assert "changed since training: task.rewards.distance.weight -1 -> -3" in err
 
 
 @pytest.mark.parametrize("file", ["checkpoints/final.zip", "policy.onnx"])

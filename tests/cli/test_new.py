@@ -251,7 +251,7 @@ def test_a_file_with_actuators_is_driven_by_them(capsys: pytest.CaptureFixture[s
     assert arm["robot"]["drive_pros"] == hand["robot"]["drive_pros"] == {"stiffness": "file"}
     assert arm["actions"]["arm"]["func"] == "default_offset_joint_position"
     assert hand["actions"]["ctrl"]["func"] == "actuator_ctrl"
-    assert main(["new", "task", "mine", "--python", "--robot", "hand.xml"]) == 2
+    assert main(["new", "task", "my_class", "--python", "--robot", "hand.xml"]) == 2
     assert "these joints have no position servo: right_coupler_joint" in capsys.readouterr().err
 
 

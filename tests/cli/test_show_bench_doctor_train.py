@@ -43,7 +43,9 @@ def test_show_tells_what_is_built(capsys: pytest.CaptureFixture[str]) -> None:
     terms = {row["term"]: row for row in data["observations"]}
     assert (terms["to_goal"]["shape"], terms["qvel"]["scale"]) == ("(3,)", 0.1)
     assert data["actions"][0]["shape"] == "(6,)"
-    assert data["actions"][0]["params"] == "{entity_cfg: {uid: ur10}, scale: 0.6, clip: [-1, 1]}"
+    assert data["actions"][0]["params"] == (
+        "{entity_cfg: {uid: ur10}, centre: home, scale: 0.6, clip: [-1, 1]}"
+    )
     assert [row["moves"] for row in data["action vector"]][:2] == ["arm/Joint1", "arm/Joint2"]
     assert [row["term"] for row in data["rewards"]] == ["distance", "near"]
     assert [(row["columns"], row["entry"]) for row in data["observation vector"]] == [

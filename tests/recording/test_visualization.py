@@ -46,7 +46,7 @@ def test_viser_is_the_page_of_the_web_viewer(caplog: pytest.LogCaptureFixture) -
 @pytest.mark.parametrize("cfg", [None, VisualizationCfg()])
 def test_nothing_is_served_unless_it_is_asked_for(cfg: VisualizationCfg | None) -> None:
     env = _env(cfg)
-    assert env.observers == []
+    assert list(env.observers) == []
     env.close()
 
 

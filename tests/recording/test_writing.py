@@ -263,6 +263,7 @@ INTERRUPTED = """
 import signal, sys, threading, os
 from embodichain.recording import McapRecorder, log_file
 from tests.recording.scene import SmallEnv
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run in background
 env = SmallEnv()
 recorder = McapRecorder(sys.argv[1], env)
 env.add_observer(recorder)

@@ -118,7 +118,7 @@ class ObservationLayout:
         """
         columns = self.columns.get(path)
         if columns is None:
-            obs.others[path] = value if isinstance(value, torch.Tensor) else torch.tensor(value)
+            obs.set_other(path, value if isinstance(value, torch.Tensor) else torch.tensor(value))
             return
         array = as_array(value)
         if array.shape[1:] != self.shapes[path]:
@@ -141,11 +141,14 @@ class ObservationLayout:
                 leaf = obs.others[path]
             else:
                 continue
-            level = top
-            for name in path[:-1]:
-                level = level.setdefault(name, TensorMapping(batch_size=obs.batch_size)).entries
-            level[path[-1]] = leaf
+            _insert(top, path, leaf, obs.batch_size)
         return top
+
+
+def _insert(tree: dict[str, Any], path: Path, leaf: torch.Tensor, batch_size: torch.Size) -> None:
+    for name in path[:-1]:
+        tree = tree.setdefault(name, TensorMapping(batch_size=batch_size)).entries
+    tree[path[-1]] = leaf
 
 
 class Observation(TensorMapping):
@@ -178,6 +181,15 @@ class Observation(TensorMapping):
         found = Observation(self.layout, rows)
         found.others.update(self.others)
         return found
+
+    def set_other(self, path: Path, value: torch.Tensor) -> None:
+        """Set an entry that is not in the array; terms may have read others already."""
+        packed = self.packed
+        self.others[path] = value
+        if self._tree is not None:
+            _insert(self._tree, path, value, self.batch_size)
+            if packed:
+                self._views = [leaf for _, leaf in leaves_of(self._tree)]
 
     @property
     def entries(self) -> dict[str, Any]:

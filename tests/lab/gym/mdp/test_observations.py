@@ -212,7 +212,7 @@ def test_normalized_joint_data(make) -> None:
         ({"joint_ids": [9]}, r"of which there are 6, numbered from 0; got \[9\]"),
         ({"control_parts": "hand"}, "no control part of 'ur10' matches 'hand'"),
         ({"control_parts": "hand", "joint_ids": [1]}, "give either"),
-        ({"limit": "limits"}, "'qpos_limits', 'qvel_limits' or 'qf_limits'"),
+        ({"limit": "limits"}, "'qpos_limits', 'qvel_limits', 'qf_limits'"),
     ],
 )
 def test_wrong_normalization(make, params, part) -> None:

@@ -93,7 +93,7 @@ def test_binary(hand) -> None:
             "no meaning in mode binary",
         ),
         ({"joints": "wheel"}, "use_joint_limits", "need limits"),
-        ({"command_mode": "both"}, "command_mode", "'continuous' or 'binary'"),
+        ({"command_mode": "both"}, "command_mode", "'continuous', 'binary'"),
         ({"lower_command": {"thumb": 1.0}, "upper_command": 1.0}, "lower_command.thumb", "thumb"),
     ],
 )

@@ -234,7 +234,7 @@ def test_an_impulse_begins_and_ends(make) -> None:
     [
         (
             event("reset_root_state_uniform", **CUBE, pose_range={"w": [0, 1]}),
-            "should be 'x', 'y', 'z', 'roll', 'pitch' or 'yaw'",
+            "expected one of 'x', 'y', 'z', 'roll', 'pitch', 'yaw'",
         ),
         (event("reset_root_state_uniform", **CUBE, pose_range={"x": [1, 0]}), "low 1.0 exceeds"),
         (
