@@ -155,18 +155,18 @@ class LogWriter:
             data = encode_ends(step, ends, self._sums, episode_ids)
             self.file.write(EPISODE_TOPIC, self._time_of(step), data)
 
-    def run(self, run: PendingRun) -> None:
-        """Write a run, with the ends of episodes and what viewers show of its time."""
-        if run.kinds and self._header.state != "none":
-            steps = [[arrays for _, arrays in step] for step in run.steps]
-            data = pack_run(run.first, run.kinds, steps)
-            whole = run.kinds[-1].kind == "step"
-            last = run.end - 1 if whole else None
-            self.file.write(STEPS_TOPIC, self._time_of(run.first), data, last)
-        for number, calls in enumerate(run.steps, run.first):
-            kind, arrays = calls[-1]
-            if kind.kind == "step":
-                self._add(number, arrays[1], arrays[4])
+    def write(self, runs: Sequence[PendingRun]) -> None:
+        """Write runs, with the ends of episodes and what viewers show of their time."""
+        for run in runs:
+            if run.kinds and self._header.state != "none":
+                steps = [[arrays for _, arrays in step] for step in run.steps]
+                data = pack_run(run.first, run.kinds, steps)
+                last = run.end - 1 if run.kinds[-1].kind == "step" else None
+                self.file.write(STEPS_TOPIC, self._time_of(run.first), data, last)
+            for number, calls in enumerate(run.steps, run.first):
+                kind, arrays = calls[-1]
+                if kind.kind == "step":
+                    self._add(number, arrays[1], arrays[4])
         self.views.write(self.file)
 
     def flush(self) -> None:

@@ -32,7 +32,7 @@ from embodichain.recording.gather import OUTCOMES, first_step, gather
 from embodichain.recording.header import Header
 from embodichain.recording.log_error import DamageError, LogError
 from embodichain.recording.metrics import read_metrics
-from embodichain.recording.model_columns import Column, state_columns
+from embodichain.recording.columns import Column, state_columns
 from embodichain.recording.recorded_model import approximate_model, exact_model, model_to_simulate
 from embodichain.recording.simulation import Simulation
 from embodichain.recording.trajectory import Rows, Span, outcomes, runs

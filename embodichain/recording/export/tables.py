@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from embodichain.recording.api import Log
 from embodichain.recording.export.formats import Part, required
-from embodichain.recording.model_columns import Column
+from embodichain.recording.columns import Column
 
 __all__ = ["about", "write_csv", "write_npz", "write_parquet"]
 
