@@ -60,7 +60,8 @@ def quat_multiply(a: F64, b: F64) -> F64:
 
 def quat_conjugate(q: F64) -> F64:
     """Inverse rotation of unit wxyz quaternions, (..., 4)."""
-    return q * _CONJUGATE
+    conjugate: F64 = q * _CONJUGATE
+    return conjugate
 
 
 def cross(a: F64, b: F64) -> F64:
