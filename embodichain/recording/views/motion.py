@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.engine.base import F64
-from embodichain.lab.sim.engine.layout import row_layout
+from embodichain.lab.sim.engine.api import row_layout
 from embodichain.recording.views.messages import FrameTransforms, JointStates, set_time
 
 __all__ = ["Frames", "Joints", "frame_names", "scalar_joints"]

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex, Write
-from embodichain.lab.sim.engine.layout import row_layout
+from embodichain.lab.sim.engine.api import row_layout
 from embodichain.recording.options import RecordLike
 from embodichain.recording.views.layout import pitch_of, places
 from embodichain.recording.views.log_lines import ending_text, event_text, ids_text, log_line
