@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.body_motion import origin_velocities
 from embodichain.lab.sim.objects._arrays import (
     as_env_ids,
     columns_of,
@@ -19,7 +20,7 @@ from embodichain.lab.sim.objects.articulation_data import ArticulationData
 from embodichain.lab.sim.objects.drives import GAINS, Drives
 from embodichain.lab.sim.objects.entity import BatchEntity
 from embodichain.lab.sim.unavailable import not_available
-from embodichain.utils.math import cross, pose_to_matrix
+from embodichain.utils.math import pose_to_matrix
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -417,24 +418,15 @@ class Articulation(BatchEntity):
         return np.concatenate([pos, self.engine.derived("xquat")[:, bodies]], axis=-1)
 
     def velocity_of(self, bodies: int | Ids) -> F64:
-        """(N, 6) linear velocity of a body's origin, then angular, world axes; or (N, k, 6).
-
-        MuJoCo's `cvel` is (angular, linear) at the centre of mass of the kinematic tree; moved to
-        the origin by v = v_com + w x (origin - com).
-        """
-        engine = self.engine
-        cvel = engine.derived("cvel")[:, bodies]
-        com = engine.derived("subtree_com")[:, engine.model.body_rootid[bodies]]
-        arm = engine.derived("xpos")[:, bodies] - com
-        angular = cvel[..., :3]
-        return np.concatenate([cvel[..., 3:] + cross(angular, arm), angular], axis=-1)
+        """(N, 6) linear velocity of a body's origin, then angular, world axes; or (N, k, 6)."""
+        return np.concatenate(origin_velocities(self.engine, bodies), axis=-1)
 
     def get_link_pose(
         self, link_name: str, env_ids: Any = None, to_matrix: bool = False
     ) -> torch.Tensor:
         """Pose of a link in the environment's frame, (n, 7) or (n, 4, 4)."""
-        pose = to_tensor(self.pose_of(self.body_of(link_name))[self._rows(env_ids)])
-        return pose_to_matrix(pose) if to_matrix else pose
+        pose = self.pose_of(self.body_of(link_name))[self._rows(env_ids)]
+        return to_tensor(pose_to_matrix(pose) if to_matrix else pose)
 
     def get_link_vel(self, link_name: str, env_ids: Any = None) -> torch.Tensor:
         """(n, 6) linear velocity of the link's origin, then angular velocity, world axes."""

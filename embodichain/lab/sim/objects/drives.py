@@ -264,10 +264,10 @@ class Drives:
             seconds: Since the last target; they start from the targets now.
             ids: (n,) environments, or None for all.
         """
+        if self.max_velocity.min(initial=NO_LIMIT) >= NO_LIMIT:
+            return target
         where = _at(ids, joints)
         reach = self.max_velocity[where] * seconds
-        if (reach >= NO_LIMIT * seconds).all():
-            return target
         now = self.read_target_qpos()[where]
         moved: F64 = np.minimum(np.maximum(target, now - reach), now + reach)
         return moved

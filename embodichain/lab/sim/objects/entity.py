@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 import torch
 
+from embodichain.lab.sim.body_motion import BodyMotion
 from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows, to_tensor
 from embodichain.utils.math import matrix_to_pose, normalize_quat, pose_to_matrix
 
@@ -98,19 +99,12 @@ class BatchEntity(Handle["EntityIndex"]):
     def __init__(self, cfg: ObjectBaseCfg, uid: str, host: Host) -> None:
         super().__init__(uid, host)
         self.cfg = cfg
-        self._pose: tuple[F64, F64] | None = None
-
-    def bind(self, engine: Engine, index: EntityIndex) -> None:
-        """Set the engine and the entity's indices. Called once, by the simulation."""
-        super().bind(engine, index)
-        if index.mocap_id >= 0 or index.free_qpos_adr >= 0:
-            pos, pos_columns, quat, quat_columns = self._pose_columns()
-            self._pose = engine.state(pos)[:, pos_columns], engine.state(quat)[:, quat_columns]
+        self._motions: dict[int, BodyMotion] = {}
 
     def destroy(self) -> None:
-        """Drop the references to the engine and its arrays."""
+        """Drop the references to the engine."""
         super().destroy()
-        self._pose = None
+        self._motions.clear()
 
     @property
     def entity(self) -> EntityIndex:
@@ -190,10 +184,15 @@ class BatchEntity(Handle["EntityIndex"]):
 
     def read_pose(self) -> tuple[F64, F64]:
         """Root position (N, 3) and wxyz orientation (N, 4): live views, do not write or keep."""
-        body = self.index.root_body_id  # compiles
-        if self._pose is not None:
-            return self._pose
-        return self.engine.derived("xpos")[:, body], self.engine.derived("xquat")[:, body]
+        root = self.motion(self.index.root_body_id)
+        return root.position(), root.orientation()
+
+    def motion(self, body: int) -> BodyMotion:
+        """Motion of a body of the entity, by MuJoCo's id: one object for all who read it."""
+        found = self._motions.get(body)
+        if found is None:
+            found = self._motions[body] = BodyMotion(self.engine, self.index, body)
+        return found
 
     def get_local_pose(self, to_matrix: bool = False) -> torch.Tensor:
         """Return the root pose in the environment's own frame, float32.
@@ -202,8 +201,8 @@ class BatchEntity(Handle["EntityIndex"]):
             to_matrix: Whether to return (N, 4, 4) matrices instead of (N, 7) vectors
                 (x, y, z, qw, qx, qy, qz).
         """
-        pose = to_tensor(np.concatenate(self.read_pose(), axis=1))
-        return pose_to_matrix(pose) if to_matrix else pose
+        pose = np.concatenate(self.read_pose(), axis=1)
+        return to_tensor(pose_to_matrix(pose) if to_matrix else pose)
 
     def set_local_pose(self, pose: Any, env_ids: Any = None) -> None:
         """Set the root pose in the environment's own frame.
