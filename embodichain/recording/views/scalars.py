@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.term_rows import TermRows
+from embodichain.lab.gym.envs.managers.value_managers import TermRows
 from embodichain.recording.schema import scalars_class, scalars_descriptor_set
 
 if TYPE_CHECKING:
