@@ -50,9 +50,7 @@ _NO_LIMIT = 1e10
 
 
 @register_term("observation")
-def get_object_pose(
-    env: TermContext, obs: Any, entity_cfg: Body, to_matrix: bool = True
-) -> torch.Tensor:
+def get_object_pose(env: TermContext, obs: Any, entity_cfg: Body, to_matrix: bool = True) -> F64:
     """Pose of an object, a robot's root, or the picked link, in the environment's frame.
 
     EmbodiChain's observation of the same name; an unknown uid is an error here, not zeros.
@@ -64,14 +62,14 @@ def get_object_pose(
     Example:
         ``{func: get_object_pose, params: {entity_cfg: {uid: cube}, to_matrix: false}}``
     """
-    pose = entity_cfg.pose()
+    pose = np.concatenate([entity_cfg.position(), entity_cfg.orientation()], axis=1)
     return pose_to_matrix(pose) if to_matrix else pose
 
 
 @register_term("observation")
 def get_rigid_object_pose(
     env: TermContext, obs: Any, entity_cfg: Body, to_matrix: bool = True
-) -> torch.Tensor:
+) -> F64:
     """EmbodiChain's older name of `get_object_pose`.
 
     Args:

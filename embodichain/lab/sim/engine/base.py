@@ -77,6 +77,8 @@ class Engine(Protocol):
     rows changed since.
     """
 
+    version: int
+    """Rises with everything that may change positions, velocities or the model."""
     model: mujoco.MjModel
     num_envs: int
     listeners: list[EngineListener]

@@ -66,6 +66,7 @@ class CpuEngine(Engine):
         hidden = bool(model.opt.enableflags & _HIDDEN_STATE) or model.nplugin > 0
         self.model = model
         self.num_envs = num_envs
+        self.version = 0
         self.num_threads = min(threads, num_envs)
         self.persistent = hidden if persistent is None else persistent
         self.listeners: list[EngineListener] = []
@@ -256,6 +257,7 @@ class CpuEngine(Engine):
         self.set_const(self._fields.take_stale())
 
     def _mark(self, env_ids: EnvIndex | None) -> None:
+        self.version += 1
         self._any_dirty = True
         if env_ids is None:
             self._all_dirty = True

@@ -431,8 +431,8 @@ class Articulation(BatchEntity):
         """Pose of a link in the environment's frame, (n, 7) or (n, 4, 4)."""
         body = self.body_of(link_name)
         ids, _ = self._ids(env_ids)
-        pose = to_tensor(self.links.pose(body) if ids is None else self.links.pose(body)[ids])
-        return pose_to_matrix(pose) if to_matrix else pose
+        pose = self.links.pose(body) if ids is None else self.links.pose(body)[ids]
+        return to_tensor(pose_to_matrix(pose) if to_matrix else pose)
 
     def get_link_vel(self, link_name: str, env_ids: Any = None) -> torch.Tensor:
         """(n, 6) linear velocity of the link's origin, then angular velocity, world axes."""

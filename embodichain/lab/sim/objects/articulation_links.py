@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.body_motion import origin_velocities
 from embodichain.lab.sim.objects._arrays import columns_of
-from embodichain.utils.math import cross
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -59,17 +59,8 @@ class ArticulationLinks:
         return np.concatenate([pos, quat], axis=1)
 
     def velocity(self, body: int) -> F64:
-        """(N, 6) linear velocity of a body's origin, then angular velocity, world axes.
-
-        MuJoCo's `cvel` is (angular, linear) at the centre of mass of the kinematic tree; moved to
-        the origin by v = v_com + w x (origin - com).
-        """
-        engine = self._binding.engine
-        cvel = engine.derived("cvel")[:, body]
-        com = engine.derived("subtree_com")[:, int(engine.model.body_rootid[body])]
-        arm = engine.derived("xpos")[:, body] - com
-        angular = cvel[:, :3]
-        return np.concatenate([cvel[:, 3:] + cross(angular, arm), angular], axis=1)
+        """(N, 6) linear velocity of a body's origin, then angular velocity, world axes."""
+        return np.concatenate(origin_velocities(self._binding.engine, body), axis=1)
 
     def masses(self, bodies: NDArray[np.int64]) -> NDArray[np.float64]:
         """(N, k) kg."""

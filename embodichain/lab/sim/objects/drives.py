@@ -158,10 +158,10 @@ class Drives:
             seconds: Since the last target; they start from the targets now.
             ids: (n,) environments, or None for all.
         """
+        if self.max_velocity.min(initial=NO_LIMIT) >= NO_LIMIT:
+            return target
         rows = slice(None) if ids is None else ids[:, None]
         reach = self.max_velocity[rows, joints] * seconds
-        if (reach >= NO_LIMIT * seconds).all():
-            return target
         now = self.read_target_qpos()[rows, joints]
         return np.minimum(np.maximum(target, now - reach), now + reach)
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
+from embodichain.lab.sim.body_motion import BodyMotion
 from embodichain.lab.sim.host import Handle, Host
 from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows, to_tensor
 from embodichain.utils.math import matrix_to_pose, normalize_quat, pose_to_matrix
@@ -31,6 +32,7 @@ class BatchEntity(Handle["EntityIndex"]):
     def __init__(self, cfg: ObjectBaseCfg, uid: str, host: Host) -> None:
         super().__init__(uid, host)
         self.cfg = cfg
+        self._motions: dict[int, BodyMotion] = {}
 
     @property
     def entity(self) -> EntityIndex:
@@ -94,19 +96,15 @@ class BatchEntity(Handle["EntityIndex"]):
 
     def read_pose(self) -> tuple[F64, F64]:
         """Root position (N, 3) and wxyz orientation (N, 4): live views, do not write or keep."""
-        engine, index = self.engine, self.entity
-        if index.mocap_id >= 0:
-            p, q = 3 * index.mocap_id, 4 * index.mocap_id
-            return (
-                engine.state("mocap_pos")[:, p : p + 3],
-                engine.state("mocap_quat")[:, q : q + 4],
-            )
-        start = index.free_qpos_adr
-        if start >= 0:
-            qpos = engine.state("qpos")
-            return qpos[:, start : start + 3], qpos[:, start + 3 : start + 7]
-        body = index.root_body_id
-        return engine.derived("xpos")[:, body], engine.derived("xquat")[:, body]
+        root = self.motion(self.entity.root_body_id)
+        return root.position(), root.orientation()
+
+    def motion(self, body: int) -> BodyMotion:
+        """Motion of a body of the entity, by MuJoCo's id: one object for all who read it."""
+        found = self._motions.get(body)
+        if found is None:
+            found = self._motions[body] = BodyMotion(self.engine, self.entity, body)
+        return found
 
     def get_local_pose(self, to_matrix: bool = False) -> torch.Tensor:
         """Return the root pose in the environment's own frame, float32.
@@ -115,8 +113,8 @@ class BatchEntity(Handle["EntityIndex"]):
             to_matrix: Whether to return (N, 4, 4) matrices instead of (N, 7) vectors
                 (x, y, z, qw, qx, qy, qz).
         """
-        pose = to_tensor(np.concatenate(self.read_pose(), axis=1))
-        return pose_to_matrix(pose) if to_matrix else pose
+        pose = np.concatenate(self.read_pose(), axis=1)
+        return to_tensor(pose_to_matrix(pose) if to_matrix else pose)
 
     def set_local_pose(self, pose: Any, env_ids: Any = None) -> None:
         """Set the root pose in the environment's own frame.

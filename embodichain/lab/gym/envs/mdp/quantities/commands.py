@@ -20,8 +20,8 @@ from embodichain.lab.gym.envs.managers.param_types import (
     VelocityCommand,
 )
 from embodichain.lab.gym.envs.managers.registry import quantity
-from embodichain.lab.gym.envs.managers.scene_entity import Frame
 from embodichain.lab.gym.envs.mdp._rows import angle_between, norm
+from embodichain.lab.sim.body_motion import Frame
 from embodichain.utils.math import quat_multiply, quat_rotate
 
 if TYPE_CHECKING:

@@ -19,9 +19,9 @@ from embodichain.lab.gym.envs.managers.param_types import (
     PlanarCommand,
 )
 from embodichain.lab.gym.envs.managers.registry import quantity
-from embodichain.lab.gym.envs.managers.scene_entity import origin_velocities
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._rows import norm, total
+from embodichain.lab.sim.body_motion import origin_velocities
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
