@@ -11,8 +11,7 @@ from pydantic import Field
 
 from embodichain.compat.terms._targets import pick_joints, tool_of
 from embodichain.compat.terms._targets import target_position as stored_position
-from embodichain.lab.gym.envs.managers.param_types import Range
-from embodichain.lab.gym.envs.managers.references import Body, Joints
+from embodichain.lab.gym.envs.managers.param_types import Body, Joints, Range
 from embodichain.lab.gym.envs.managers.registry import quantity, register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
