@@ -107,22 +107,6 @@ class Articulation(BatchEntity):
 
     # -- names ---------------------------------------------------------------------------------
 
-    def find_joints(self, patterns: str | Sequence[str]) -> list[int]:
-        """Indices of joints whose names a regex matches in full, in joint order.
-
-        Raises:
-            ValueError: If a pattern matches nothing; lists the joints.
-        """
-        return names_matching(patterns, self.joint_names, f"joint of {self.uid}")
-
-    def find_links(self, patterns: str | Sequence[str]) -> list[int]:
-        """Indices of links whose names a regex matches in full; see `find_joints`."""
-        return names_matching(patterns, self.link_names, f"link of {self.uid}")
-
-    def find_actuators(self, patterns: str | Sequence[str]) -> list[int]:
-        """Indices of controls whose names a regex matches in full; see `find_joints`."""
-        return names_matching(patterns, self.actuator_names, f"actuator of {self.uid}")
-
     def get_joint_ids(self, name: str | None = None, remove_mimic: bool = False) -> list[int]:
         """Joint indices of a control part, or of the whole articulation.
 
@@ -335,11 +319,19 @@ class Articulation(BatchEntity):
         """
         return to_tensor(self.parsed.ctrl_limits)
 
+    def find_actuators(self, patterns: str | Sequence[str]) -> list[int]:
+        """Indices of controls whose names a regex matches in full, in their order.
+
+        Raises:
+            ValueError: If a pattern matches nothing; lists the controls.
+        """
+        return names_matching(patterns, self.actuator_names, f"actuator of {self.uid}")
+
     def _picked(self, actuator_ids: Any, names: str | Sequence[str] | None) -> Ids:
+        count = len(self.actuator_names)
         if names is not None:
             actuator_ids = self.find_actuators(names)
-        count = len(self.actuator_names)
-        if actuator_ids is None:
+        elif actuator_ids is None:
             return np.arange(count)
         return self._indices(actuator_ids, count, "actuator_ids")
 
