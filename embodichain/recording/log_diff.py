@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from embodichain.recording.api import Log
 from embodichain.recording.block import DRAWN, Call, CallKind, Run
+from embodichain.recording.columns import Moved, state_columns
 from embodichain.recording.hashing import row_hashes
 from embodichain.recording.log_error import LogError
-from embodichain.recording.columns import Moved, state_columns
 from embodichain.recording.trajectory import runs
 
 __all__ = ["DiffReport", "LogDifference", "diff"]

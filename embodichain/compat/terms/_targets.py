@@ -120,7 +120,7 @@ def tool_of(
         if part_name is not None:
             raise ConfigError([Problem("part_name", "give either end_effector_cfg or this")])
         return end_effector_cfg
-    from embodichain.lab.gym.envs.mdp._kinematics import tool_links
+    from embodichain.lab.gym.envs.mdp._ik import tool_links
 
     if env.robot is None:
         raise ConfigError([Problem("end_effector_cfg", "the task has no robot: give a link")])

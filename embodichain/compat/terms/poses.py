@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from embodichain.compat.terms._alias import alias
-from embodichain.lab.gym.envs.mdp.events.object_pose import RandomizePose
+from embodichain.lab.gym.envs.mdp.events.placing import RandomizePose
 from embodichain.utils.errors import ConfigError, Problem
 
 _OPTIONS = (
