@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -60,14 +60,14 @@ class Queue:
     """
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[int, Sequence[tuple[str, bytes]]]] = deque()
+        self._waiting: deque[tuple[int, Iterable[tuple[str, bytes]]]] = deque()
         self._channels: deque[tuple[str, str, bytes | None]] = deque()
 
     def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
         """Declare a channel: see `LogFile.channel`."""
         self._channels.append((topic, schema, data))
 
-    def send(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> None:
+    def send(self, time_ns: int, messages: Iterable[tuple[str, bytes]]) -> None:
         """Have messages of one moment written, each with its topic."""
         self._waiting.append((time_ns, messages))
 

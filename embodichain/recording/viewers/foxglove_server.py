@@ -6,7 +6,7 @@ It knows topics, schemas and subscriptions. Needs foxglove-sdk.
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 from embodichain.recording.schema import descriptor_set
@@ -96,7 +96,7 @@ class FoxgloveServer:
             context=self._context,
         )
 
-    def send(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> None:
+    def send(self, time_ns: int, messages: Iterable[tuple[str, bytes]]) -> None:
         """Send messages to their subscribers.
 
         Raises:
