@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from embodichain.lab.gym.envs.cfg import EventCfg
+from embodichain.lab.gym.envs.managers.aliases import AliasSpec
 from embodichain.lab.gym.envs.managers.registry import TERMS
 from embodichain.lab.sim.compiler.chatter import DriveChange
 
@@ -32,6 +33,9 @@ def drive_changes(events: Mapping[str, EventCfg]) -> dict[str, list[DriveChange]
         params: Mapping[str, Any] = event.params
         if known is not None:
             params = {meant: params[name] for name, meant in known.written(params).items()}
+        if isinstance(known, AliasSpec):
+            own = {key: params[name] for key, name in known.names.items() if name in params}
+            params = {**params, **own}
         entities = params.get("entity_cfgs") or [params.get("entity_cfg")]
         for param, quantity in ranges.items():
             bounds = _bounds(params.get(param))
