@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.references import Reference
+from embodichain.lab.gym.envs.managers.param_types import Reference
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -150,7 +150,7 @@ def tool_of(
         if part_name is not None:
             raise ConfigError([Problem("part_name", "give either end_effector_cfg or this")])
         return end_effector_cfg
-    from embodichain.lab.gym.envs.mdp._kinematics import tool_links
+    from embodichain.lab.gym.envs.mdp._ik import tool_links
 
     if env.robot is None:
         raise ConfigError([Problem("end_effector_cfg", "the task has no robot: give a link")])

@@ -11,8 +11,7 @@ from pydantic import Field
 
 from embodichain.compat.terms._targets import joints_of, tool_of
 from embodichain.compat.terms._targets import target_position as stored_position
-from embodichain.lab.gym.envs.managers.param_types import Range
-from embodichain.lab.gym.envs.managers.references import Body, Joints
+from embodichain.lab.gym.envs.managers.param_types import Body, Joints, Range
 from embodichain.lab.gym.envs.managers.registry import quantity, register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
@@ -50,9 +49,7 @@ _NO_LIMIT = 1e10
 
 
 @register_term("observation")
-def get_object_pose(
-    env: TermContext, obs: Any, entity_cfg: Body, to_matrix: bool = True
-) -> torch.Tensor:
+def get_object_pose(env: TermContext, obs: Any, entity_cfg: Body, to_matrix: bool = True) -> F64:
     """Pose of an object, a robot's root, or the picked link, in the environment's frame.
 
     EmbodiChain's observation of the same name; an unknown uid is an error here, not zeros.
@@ -64,7 +61,7 @@ def get_object_pose(
     Example:
         ``{func: get_object_pose, params: {entity_cfg: {uid: cube}, to_matrix: false}}``
     """
-    pose = entity_cfg.pose()
+    pose = np.concatenate([entity_cfg.position(), entity_cfg.orientation()], axis=1)
     return pose_to_matrix(pose) if to_matrix else pose
 
 

@@ -21,7 +21,7 @@ from embodichain.lab.gym.envs.managers.param_types import (
     ScaleRange,
 )
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.mdp._draws import Operation
+from embodichain.lab.gym.envs.mdp._model_fields import Operation
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["ACTIONS", "EVENTS", "OBSERVATIONS", "VALUES"]

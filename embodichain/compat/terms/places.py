@@ -9,11 +9,10 @@ import numpy as np
 from pydantic import Field
 
 from embodichain.compat.terms._targets import RigidObject, asset_of, stored
-from embodichain.lab.gym.envs.managers.drawing import Uniform
 from embodichain.lab.gym.envs.managers.param_types import Box2, Box3, Finite, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.mdp._ik import Reach
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, pose_to_matrix, quat_multiply

@@ -12,8 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from embodichain.compat.terms._targets import joints_of, target_position, tool_of
-from embodichain.lab.gym.envs.managers.param_types import NonNegative, Positive
-from embodichain.lab.gym.envs.managers.references import Body
+from embodichain.lab.gym.envs.managers.param_types import Body, NonNegative, Positive
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp import _kernels
