@@ -5,9 +5,9 @@ Checks of environment indices, shapes, devices and finiteness live here, once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self, overload
 
 import numpy as np
 import torch
@@ -16,19 +16,20 @@ from numpy.typing import NDArray
 from embodichain.lab.sim.compiler.names import match
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    import mujoco
+
+    from embodichain.lab.sim.engine.api import F64, Columns, EnvIndex
 
 __all__ = [
-    "Columns",
+    "TensorRead",
     "all_finite",
     "as_env_ids",
     "as_rows",
-    "bool_rows",
     "columns_of",
+    "field_values",
+    "names_matching",
     "to_tensor",
 ]
-
-Columns = slice | NDArray[np.int64]
 
 
 def all_finite(values: NDArray[np.floating[Any]]) -> bool:
@@ -40,6 +41,41 @@ def all_finite(values: NDArray[np.floating[Any]]) -> bool:
 def to_tensor(array: NDArray[Any]) -> torch.Tensor:
     """Return a float32 tensor that shares nothing with ``array``."""
     return torch.from_numpy(array.astype(np.float32))
+
+
+class TensorRead:
+    """An attribute of a class with an ``owner``: a fresh float32 tensor of what is read from it."""
+
+    def __init__(self, read: Callable[[Any], NDArray[Any]]) -> None:
+        self._read = read
+
+    @overload
+    def __get__(self, instance: None, cls: type) -> Self: ...
+
+    @overload
+    def __get__(self, instance: Any, cls: type) -> torch.Tensor: ...
+
+    def __get__(self, instance: Any, cls: type) -> Self | torch.Tensor:
+        return self if instance is None else to_tensor(self._read(instance.owner))
+
+
+def field_values(
+    model: mujoco.MjModel, fields: Mapping[str, NDArray[Any]], name: str, columns: Columns
+) -> tuple[F64, F64]:
+    """Columns (k,) of a flattened model field, and the same as compiled.
+
+    Args:
+        model: As compiled.
+        fields: Name -> (size,) values; absent ones are as compiled.
+        name: The field.
+        columns: (k,) of it.
+    """
+    compiled = getattr(model, name)
+    now, before = (
+        np.asarray(values, np.float64).reshape(-1)[columns]
+        for values in (fields.get(name, compiled), compiled)
+    )
+    return now, before
 
 
 def columns_of(ids: Sequence[int] | NDArray[Any]) -> Columns:
@@ -122,16 +158,6 @@ def as_rows(
     if finite and not all_finite(array):
         bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
         raise ValueError(f"{what} is not finite in rows {bad[:8].tolist()}")
-    return array
-
-
-def bool_rows(values: Any, rows: int, what: str) -> NDArray[np.bool_]:
-    """Return values as (rows,) booleans; raises ValueError for another shape or type."""
-    if isinstance(values, torch.Tensor):
-        values = values.detach().cpu().numpy()
-    array = np.asarray(values)
-    if array.shape != (rows,) or array.dtype != np.bool_:
-        raise ValueError(f"{what} must be booleans of shape ({rows},), got {array.shape}")
     return array
 
 

@@ -160,4 +160,4 @@ def _velocities(asset: Any) -> list[F64]:
     if not hasattr(asset, "parsed"):
         return [read_root_velocity(asset)]
     bodies = asset.entity.body_ids
-    return [asset.link_velocity(int(body)).numpy().astype(np.float64) for body in bodies]
+    return [asset.velocity_of(int(body)) for body in bodies]
