@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
-from embodichain.lab.sim.engine.base import EnvIndex, Write
+from embodichain.lab.sim.engine.api import EnvIndex, Write
 from embodichain.recording.options import RecordOptions, check_options
 from embodichain.recording.viewers.foxglove_server import DEFAULT_PORT, FoxgloveServer
 from embodichain.recording.views.views import Views

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.viewers.controls import Controls, Facts, Setup
 from embodichain.utils.errors import ConfigError, Problem
 

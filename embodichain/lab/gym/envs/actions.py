@@ -16,7 +16,7 @@ from embodichain.utils.tensor_mapping import leaves_of
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.action_manager import ActionManager
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.objects.robot import Robot
     from embodichain.lab.sim.types import EnvAction
 

@@ -46,7 +46,7 @@ from embodichain.utils.errors import ConfigError
 from embodichain.utils.random import RandomStreams, first_seed
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["BaseEnv", "EmbodiedEnv"]
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.gym.envs.managers.value_managers import MetricManager, TerminationManager
     from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.utils.random import RandomStreams
 

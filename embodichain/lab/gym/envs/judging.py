@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.drawing import CommandManager
     from embodichain.lab.gym.envs.managers.manager import CurriculumManager
     from embodichain.lab.gym.envs.observation import Observation
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.engine.cpu import CpuEngine
     from embodichain.lab.sim.types import EnvObs
 

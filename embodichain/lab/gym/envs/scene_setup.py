@@ -16,6 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from embodichain.lab.gym.envs.cfg import NO_LIMIT, ActionTermCfg, EnvCfg, EventCfg, SceneEntityCfg
+from embodichain.lab.gym.envs.managers.aliases import AliasSpec
 from embodichain.lab.gym.envs.managers.check import check_terms
 from embodichain.lab.gym.envs.managers.param_types import NamedEntity
 from embodichain.lab.gym.envs.managers.registry import SECTIONS, TERMS
@@ -315,6 +316,9 @@ def drive_changes(events: Mapping[str, EventCfg]) -> dict[str, list[DriveChange]
         if spec is not None:
             func = spec.func
             params = {meant: params[name] for name, meant in spec.written(params).items()}
+        if isinstance(spec, AliasSpec):
+            own = {key: params[name] for key, name in spec.names.items() if name in params}
+            params = {**params, **own}
         entities = params.get("entity_cfgs") or [params.get("entity_cfg")]
         for param, quantity in getattr(func, "drive_ranges", {}).items():
             bounds = _bounds(params.get(param))

@@ -5,9 +5,9 @@ Checks of environment indices, shapes, devices and finiteness live here, once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Self, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, Columns, EnvIndex
 
 __all__ = [
-    "TensorRead",
     "all_finite",
     "as_env_ids",
     "as_rows",
@@ -41,22 +40,6 @@ def all_finite(values: NDArray[np.floating[Any]]) -> bool:
 def to_tensor(array: NDArray[Any]) -> torch.Tensor:
     """Return a float32 tensor that shares nothing with ``array``."""
     return torch.from_numpy(array.astype(np.float32))
-
-
-class TensorRead:
-    """An attribute of a class with an ``owner``: a fresh float32 tensor of what is read from it."""
-
-    def __init__(self, read: Callable[[Any], NDArray[Any]]) -> None:
-        self._read = read
-
-    @overload
-    def __get__(self, instance: None, cls: type) -> Self: ...
-
-    @overload
-    def __get__(self, instance: Any, cls: type) -> torch.Tensor: ...
-
-    def __get__(self, instance: Any, cls: type) -> Self | torch.Tensor:
-        return self if instance is None else to_tensor(self._read(instance.owner))
 
 
 def field_values(

@@ -107,22 +107,6 @@ class Articulation(BatchEntity):
 
     # -- names ---------------------------------------------------------------------------------
 
-    def find_joints(self, patterns: str | Sequence[str]) -> list[int]:
-        """Indices of joints whose names a regex matches in full, in joint order.
-
-        Raises:
-            ValueError: If a pattern matches nothing; lists the joints.
-        """
-        return names_matching(patterns, self.joint_names, f"joint of {self.uid}")
-
-    def find_links(self, patterns: str | Sequence[str]) -> list[int]:
-        """Indices of links whose names a regex matches in full; see `find_joints`."""
-        return names_matching(patterns, self.link_names, f"link of {self.uid}")
-
-    def find_actuators(self, patterns: str | Sequence[str]) -> list[int]:
-        """Indices of controls whose names a regex matches in full; see `find_joints`."""
-        return names_matching(patterns, self.actuator_names, f"actuator of {self.uid}")
-
     def get_joint_ids(self, name: str | None = None, remove_mimic: bool = False) -> list[int]:
         """Joint indices of a control part, or of the whole articulation.
 
@@ -335,11 +319,19 @@ class Articulation(BatchEntity):
         """
         return to_tensor(self.parsed.ctrl_limits)
 
+    def find_actuators(self, patterns: str | Sequence[str]) -> list[int]:
+        """Indices of controls whose names a regex matches in full, in their order.
+
+        Raises:
+            ValueError: If a pattern matches nothing; lists the controls.
+        """
+        return names_matching(patterns, self.actuator_names, f"actuator of {self.uid}")
+
     def _picked(self, actuator_ids: Any, names: str | Sequence[str] | None) -> Ids:
+        count = len(self.actuator_names)
         if names is not None:
             actuator_ids = self.find_actuators(names)
-        count = len(self.actuator_names)
-        if actuator_ids is None:
+        elif actuator_ids is None:
             return np.arange(count)
         return self._indices(actuator_ids, count, "actuator_ids")
 
@@ -381,11 +373,11 @@ class Articulation(BatchEntity):
     def write_ctrl(
         self, values: F64, which: Ids, ids: EnvIndex | None = None, seconds: float | None = None
     ) -> None:
-        """Set controls (n, k) from checked arrays.
+        """Set controls (n, k) from checked arrays, in the actuators' units.
 
         Args:
-            values: In the actuators' units.
-            which: (k,) controls: the file's actuators in their order, then those of drives.
+            values: The controls.
+            which: (k,) indices: the file's actuators in their order, then those of drives.
             ids: (n,) environments, or None for all.
             seconds: If given, targets of drives move within their `max_velocity` times it.
         """
@@ -449,13 +441,9 @@ class Articulation(BatchEntity):
     def write_mass(
         self, mass: F64, bodies: Ids, ids: EnvIndex | None, inertia: bool = True
     ) -> None:
-        """Set masses (n, k) in kg of bodies (k,) from checked arrays; inertias scale with them.
+        """Set masses (n, k) in kg of MuJoCo's bodies (k,) from checked arrays.
 
-        Args:
-            mass: Positive.
-            bodies: MuJoCo body ids.
-            ids: (n,) environments, or None for all.
-            inertia: False leaves inertias as they are.
+        Inertias scale with the masses, unless ``inertia`` is False.
         """
         self.engine.write_model("body_mass", mass, ids, columns_of(bodies))
         if inertia:

@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from embodichain.lab.sim.objects._arrays import TensorRead
+from embodichain.lab.sim.objects.entity import TensorRead, TensorReads
 
 __all__ = ["ArticulationData"]
 
 
-class ArticulationData:
+class ArticulationData(TensorReads):
     """Reads of an articulation: every attribute is a fresh float32 tensor.
 
     D joints in qpos order, L links. Limits and gains are known as soon as the articulation is
     added; the rest compiles the scene. Poses are in the environment's frame, velocities those of
     origins, linear then angular, in world axes.
-
-    Args:
-        owner: The `Articulation`.
     """
-
-    def __init__(self, owner: Any) -> None:
-        self.owner = owner
 
     qpos = TensorRead(lambda a: a.read_qpos())
     """(N, D) rad or m."""

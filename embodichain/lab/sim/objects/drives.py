@@ -1,9 +1,14 @@
 """`Drives`: gains and targets of an articulation's PD drives, and its joints' limits.
 
 A drive is one actuator, whose force is ``clip(kp (target - q) - kd qvel, -effort, effort)``: what
-`drive_pros` adds, or a servo of the file (in units of its own: see `Transmission`). A velocity
-target adds ``kd target_qvel`` and enters the control as ``target + (kd / kp) target_qvel``. Without
-stiffness the control is the velocity target itself.
+`drive_pros` adds, or a servo of the file. A velocity target adds ``kd target_qvel`` and enters the
+control as ``target + (kd / kp) target_qvel``. Without stiffness the control is the velocity target
+itself.
+
+A servo of an MJCF file has a gear, ``length = gear * q``, and its control may be in other units
+than its length: ``ctrl = scale * target``. With the joint's stiffness k, damping d and control gain
+g (``force = g * target - k * q - d * qvel``), those of the actuator are ``k / gear**2``,
+``d / gear**2`` and ``g / (gear * scale)``. Drives of `drive_pros` have gear and scale 1.
 """
 
 from __future__ import annotations
@@ -18,7 +23,6 @@ from embodichain.lab.sim.drive_cfg import NO_LIMIT
 from embodichain.lab.sim.objects._arrays import columns_of, field_values
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.compiler.actuators import Servos
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation
     from embodichain.lab.sim.compiler.index import EntityIndex
     from embodichain.lab.sim.engine.api import F64, Columns, EnvIndex
@@ -36,58 +40,6 @@ _JOINT_FIELDS = {
     "armature": "dof_armature",
 }
 _SAVED = (*GAINS, "joint_damping", "strength", "target_qvel")
-
-
-class Transmission:
-    """Converts numbers of D joints, each method for some of them (k,), to their actuators'.
-
-    A servo of an MJCF file has a gear, ``length = gear * q``, and its control may be in other units
-    than its length: ``ctrl = scale * target``. With the joint's stiffness k, damping d and control
-    gain g (``force = g * target - k * q - d * qvel``), those of the actuator are ``k / gear**2``,
-    ``d / gear**2`` and ``g / (gear * scale)``. Drives of `drive_pros` have gear and scale 1.
-
-    Attributes:
-        scales: Whether a control is something else than a target anywhere.
-    """
-
-    def __init__(self, servos: Servos) -> None:
-        self._gear, self._scale, self._shares = servos.gear, servos.scale, servos.shares
-        self.scales = bool((self._scale != 1).any())
-
-    def control(self, target: F64, joints: Joints) -> F64:
-        """(n, k) controls of targets."""
-        return target * self._scale[joints]
-
-    def target(self, control: F64, joints: Joints) -> F64:
-        """(n, k) targets of controls."""
-        return control / self._scale[joints]
-
-    def gain(self, gain: F64, joints: Joints) -> F64:
-        """(n, k) ``gainprm[0]`` of control gains."""
-        return gain / (self._gear * self._scale)[joints]
-
-    def feedback(self, gain: F64, joints: Joints) -> F64:
-        """(n, k) ``-biasprm[1]`` of stiffness, ``-biasprm[2]`` of damping."""
-        return gain / self._gear[joints] ** 2
-
-    def feedback_of(self, bias: F64, joints: Joints) -> F64:
-        """(k,) stiffness or damping of ``biasprm``."""
-        return np.abs(bias) * self._gear[joints] ** 2
-
-    def force_range(self, effort: F64, joints: Joints) -> tuple[F64, F64]:
-        """(n, k) lower and upper ``forcerange`` of effort limits; a file's may be uneven."""
-        most = effort / np.abs(self._gear[joints])
-        low, high = self._shares[joints].T
-        return -most * low, most * high
-
-    def larger_side(self, joints: Joints) -> Joints:
-        """(k,) column of ``forcerange`` that is the limit itself: 1, or 0."""
-        low, high = self._shares[joints].T
-        return np.where(high >= low, 1, 0)
-
-    def effort_of(self, bound: F64, joints: Joints) -> F64:
-        """(k,) effort limit of the larger side of ``forcerange``."""
-        return np.abs(bound) * np.abs(self._gear[joints])
 
 
 class JointLimits:
@@ -137,6 +89,8 @@ class JointLimits:
 class Drives:
     """Gains and targets of D joints in N environments.
 
+    Methods take checked arrays: joints are (k,) indices, ids (n,) environments or None for all N.
+
     Args:
         handle: The articulation.
         parsed: Its compiled gains and limits.
@@ -175,7 +129,9 @@ class Drives:
         self._joint_of_control: Joints = np.arange(0)  # column in ``ctrl`` -> joint, or -1
         self._springless = False  # whether a drive has no stiffness: its control is a velocity
         self._limits_vary = False  # whether environments differ in which efforts are limited
-        self._transmission = Transmission(parsed.servos)
+        servos = parsed.servos
+        self._gear, self._scale, self._shares = servos.gear, servos.scale, servos.shares
+        self._scaled = bool((servos.scale != 1).any())  # whether a control is in other units
 
     def bind(self) -> None:
         """Look up which joints have a drive; called once the scene is compiled."""
@@ -207,14 +163,7 @@ class Drives:
     def write_target_qpos(
         self, target: F64, joints: Joints, columns: Columns, ids: EnvIndex | None
     ) -> None:
-        """Set position targets (n, k), clamped to the joints' limits.
-
-        Args:
-            target: (n, k) finite values.
-            joints: (k,) joint indices.
-            columns: Their columns in ``ctrl``.
-            ids: (n,) environments, or None for all.
-        """
+        """Set finite position targets (n, k), clamped to the limits, in columns of ``ctrl``."""
         clamped = self.limits.clamp(target, joints, ids)
         if self._mixes:
             clamped = self._control(clamped, _at(ids, joints))
@@ -225,11 +174,12 @@ class Drives:
     @property
     def _mixes(self) -> bool:
         """Whether a control is something else than the position target."""
-        return self.has_velocity_target or self._springless or self._transmission.scales
+        return self.has_velocity_target or self._springless or self._scaled
 
     def _control(self, target: F64, where: Any) -> F64:
         """Controls of position targets (n, k) and of the velocity targets there."""
-        return self._transmission.control(self._mixed(target, where), where[1])
+        control: F64 = self._mixed(target, where) * self._scale[where[1]]
+        return control
 
     def _mixed(self, target: F64, where: Any) -> F64:
         """The same, as if the actuator were the joint itself."""
@@ -247,7 +197,7 @@ class Drives:
         control = engine.state("ctrl")[:, index.ctrl_ids[driven]]
         if self._mixes:
             where = (slice(None), driven)
-            control = self._transmission.target(control, driven)
+            control = control / self._scale[driven]
             lead = self._mixed(np.zeros_like(control), where)
             control = np.where(self.stiffness[where] > 0, control - lead, out[where])
         out[:, driven] = control
@@ -256,14 +206,7 @@ class Drives:
     def within_rate(
         self, target: F64, joints: Joints, seconds: float, ids: EnvIndex | None = None
     ) -> F64:
-        """Position targets (n, k) as far as `max_velocity` lets them move in some time.
-
-        Args:
-            target: (n, k) wanted.
-            joints: (k,) joint indices.
-            seconds: Since the last target; they start from the targets now.
-            ids: (n,) environments, or None for all.
-        """
+        """Position targets (n, k) as far as `max_velocity` lets them move from now in a time."""
         if self.max_velocity.min(initial=NO_LIMIT) >= NO_LIMIT:
             return target
         where = _at(ids, joints)
@@ -300,7 +243,7 @@ class Drives:
         Args:
             control: In the actuators' units.
             columns: (k,) columns in ``ctrl``.
-            ids: (n,) environments, or None for all.
+            ids: The environments.
             seconds: If given, targets keep to `max_velocity` (see `within_rate`).
         """
         drives = np.flatnonzero(self._joint_of_control[columns] >= 0)
@@ -310,7 +253,7 @@ class Drives:
         out = control.astype(np.float64)
         where, given = _at(ids, joints), out[:, drives]
         stiff = self.stiffness[where] > 0
-        target = asked = self._transmission.target(given, joints)
+        target = asked = given / self._scale[joints]
         if seconds is not None:
             most = self.max_velocity[where]
             slow = self.within_rate(target, joints, seconds, ids)
@@ -320,8 +263,8 @@ class Drives:
             self._note_velocities()
         clamped = self.limits.clamp(target, joints, ids)
         target = np.where(stiff & self.parsed.driven[joints], clamped, target)
-        control = self._transmission.control(target, joints)
-        out[:, drives] = np.where(target == asked, given, control)  # unchanged to the bit
+        changed = target * self._scale[joints]
+        out[:, drives] = np.where(target == asked, given, changed)  # the others to the bit
         return out
 
     def clear(self, ids: EnvIndex | None) -> None:
@@ -349,13 +292,9 @@ class Drives:
     # -- gains -----------------------------------------------------------------------------------
 
     def put(self, name: str, values: F64, ids: EnvIndex | None, joints: Joints) -> None:
-        """Set one property (n, k) from checked arrays.
+        """Set one of the attributes, by name, to values (n, k) that are not negative.
 
-        Args:
-            name: An attribute of this class: ``stiffness``, ``friction``...
-            values: Not negative; `max_effort` from `NO_LIMIT` on is none.
-            ids: (n,) environments, or None for all.
-            joints: (k,) joint indices.
+        A `max_effort` of at least `NO_LIMIT` is no limit.
 
         Raises:
             ValueError: If a joint has no drive.
@@ -386,16 +325,17 @@ class Drives:
                 self._write_efforts(index.actuator_ids[joints], where, ids)
 
     def _write_gains(self, actuators: Joints, where: Any, ids: EnvIndex | None) -> None:
-        engine, model, units = self._handle.engine, self._handle.engine.model, self._transmission
+        engine, model, joints = self._handle.engine, self._handle.engine.model, where[1]
         spring = self.stiffness[where] * self.strength[where]
         damper = self.damping[where] * self.strength[where]
-        gain = units.gain(np.where(spring > 0, spring, damper), where[1])
+        gear, scale = self._gear[joints], self._scale[joints]
+        gain = np.where(spring > 0, spring, damper) / (gear * scale)
         columns = actuators * model.actuator_gainprm.shape[1]
         engine.write_model("actuator_gainprm", gain, ids, columns_of(columns))
         columns = actuators * model.actuator_biasprm.shape[1]
         for offset, value in ((1, spring), (2, damper)):
-            feedback = -units.feedback(value, where[1])
-            engine.write_model("actuator_biasprm", feedback, ids, columns_of(columns + offset))
+            columns_now = columns_of(columns + offset)
+            engine.write_model("actuator_biasprm", -(value / gear**2), ids, columns_now)
 
     def _write_efforts(self, actuators: Joints, where: Any, ids: EnvIndex | None) -> None:
         engine = self._handle.engine
@@ -410,7 +350,9 @@ class Drives:
         elif not compiled.any():
             return
         finite = np.where(limited, limit * self.strength[where], 0.0)
-        for side, bound in enumerate(self._transmission.force_range(finite, where[1])):
+        most = finite / np.abs(self._gear[where[1]])
+        low, high = self._shares[where[1]].T  # the range of a file's actuator may be uneven
+        for side, bound in ((0, -most * low), (1, most * high)):
             engine.write_model("actuator_forcerange", bound, ids, columns_of(2 * actuators + side))
 
     def put_limit(
@@ -431,17 +373,17 @@ class Drives:
         is what scaled them; else it is taken as 1.
 
         Args:
-            ids: (n,) environments, or None for all.
-            fields: Model fields, (size,) each, of all these environments; absent ones are as
-                compiled.
+            ids: The environments.
+            fields: Model fields, (size,) each, of all of them; absent ones are as compiled.
         """
         model, index, parsed = self._handle.engine.model, self._handle.index, self.parsed
-        units, driven = self._transmission, self.joints
+        driven, gear = self.joints, self._gear[self.joints]
 
-        def read(name: str, columns: Joints, declared: Any, unit: Any = None) -> F64:
-            """(k,) columns of a field, in the unit of ``declared``; that where nothing changed."""
+        def read(name: str, columns: Joints, declared: Any, unit: Any = 1.0) -> F64:
+            """(k,) columns of a field times a unit; where nothing changed, ``declared``."""
             now, compiled = field_values(model, fields, name, columns)
-            return np.where(now == compiled, declared, now if unit is None else unit(now, driven))
+            found: F64 = np.where(now == compiled, declared, now * unit)
+            return found
 
         every = np.arange(len(index.dof_adr))
         for name, field in _JOINT_FIELDS.items():
@@ -456,10 +398,11 @@ class Drives:
         bias = model.actuator_biasprm.shape[1] * actuators
         springs, dampers = parsed.stiffness[driven], parsed.damping[driven]
         most = parsed.max_effort[driven]
-        stiffness = read("actuator_biasprm", bias + 1, springs, units.feedback_of)
-        damping = read("actuator_biasprm", bias + 2, dampers, units.feedback_of)
-        bounds = 2 * actuators + units.larger_side(driven)
-        effort = read("actuator_forcerange", bounds, most, units.effort_of)
+        stiffness = read("actuator_biasprm", bias + 1, springs, -(gear**2))
+        damping = read("actuator_biasprm", bias + 2, dampers, -(gear**2))
+        low, high = self._shares[driven].T
+        larger = 2 * actuators + np.where(high >= low, 1, 0)  # the side that is the limit itself
+        effort = np.abs(read("actuator_forcerange", larger, most, gear))
         limited = read("actuator_forcelimited", actuators, -1.0)
         effort = np.where(limited == 0, 10 * NO_LIMIT, effort)
         finite = (most > 0) & (most < NO_LIMIT)

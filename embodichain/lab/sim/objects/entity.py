@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, overload
 
 import numpy as np
 import torch
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
     from embodichain.lab.sim.host import Host
 
-__all__ = ["BatchEntity", "Handle"]
+__all__ = ["BatchEntity", "Handle", "TensorRead", "TensorReads"]
 
 Index = TypeVar("Index")
 
@@ -85,6 +86,33 @@ class Handle(Generic[Index]):
         """Index of the rows of environments."""
         ids = as_env_ids(env_ids, self.num_instances)
         return slice(None) if ids is None else ids
+
+
+class TensorRead:
+    """An attribute of `TensorReads`: a fresh float32 tensor of numbers that a handle reads."""
+
+    def __init__(self, read: Callable[[Any], NDArray[Any]]) -> None:
+        self._read = read
+
+    @overload
+    def __get__(self, instance: None, cls: type) -> Self: ...
+
+    @overload
+    def __get__(self, instance: TensorReads, cls: type) -> torch.Tensor: ...
+
+    def __get__(self, instance: TensorReads | None, cls: type) -> Self | torch.Tensor:
+        return self if instance is None else to_tensor(self._read(instance.owner))
+
+
+class TensorReads:
+    """Reads of a handle, each a `TensorRead`.
+
+    Args:
+        owner: The handle.
+    """
+
+    def __init__(self, owner: BatchEntity) -> None:
+        self.owner = owner
 
 
 class BatchEntity(Handle["EntityIndex"]):
@@ -154,33 +182,21 @@ class BatchEntity(Handle["EntityIndex"]):
         array[:, 3:] = normalize_quat(array[:, 3:])
         return array, ids
 
-    def _pose_columns(self) -> tuple[str, slice, str, slice]:
-        """Field and columns of the root's position, then of its orientation."""
-        index = self.index
-        if index.mocap_id >= 0:
-            fields, pos, quat = ("mocap_pos", "mocap_quat"), 3 * index.mocap_id, 4 * index.mocap_id
-        elif index.free_qpos_adr >= 0:
-            fields, pos, quat = ("qpos", "qpos"), index.free_qpos_adr, index.free_qpos_adr + 3
-        else:
-            body = index.root_body_id
-            fields, pos, quat = ("body_pos", "body_quat"), 3 * body, 4 * body
-        return fields[0], slice(pos, pos + 3), fields[1], slice(quat, quat + 4)
-
     def write_pose(
         self, pos: F64, quat: F64 | None = None, env_ids: EnvIndex | None = None
     ) -> None:
-        """Set the root pose from checked numpy arrays.
-
-        Args:
-            pos: (n, 3) metres in the environment's frame.
-            quat: (n, 4) unit wxyz, or None to leave the orientation.
-            env_ids: (n,) sorted unique int64, or None for all.
-        """
-        pos_field, pos_columns, quat_field, quat_columns = self._pose_columns()
-        write = self.engine.write_model if pos_field == "body_pos" else self.engine.write
-        write(pos_field, pos, env_ids, pos_columns)
+        """Set the root position (n, 3) and, if given, orientation (n, 4) from checked arrays."""
+        index, write = self.index, self.engine.write
+        if index.mocap_id >= 0:
+            fields, starts = ("mocap_pos", "mocap_quat"), (3 * index.mocap_id, 4 * index.mocap_id)
+        elif index.free_qpos_adr >= 0:
+            fields, starts = ("qpos", "qpos"), (index.free_qpos_adr, index.free_qpos_adr + 3)
+        else:
+            write, body = self.engine.write_model, index.root_body_id
+            fields, starts = ("body_pos", "body_quat"), (3 * body, 4 * body)
+        write(fields[0], pos, env_ids, slice(starts[0], starts[0] + 3))
         if quat is not None:
-            write(quat_field, quat, env_ids, quat_columns)
+            write(fields[1], quat, env_ids, slice(starts[1], starts[1] + 4))
 
     def read_pose(self) -> tuple[F64, F64]:
         """Root position (N, 3) and wxyz orientation (N, 4): live views, do not write or keep."""
@@ -195,12 +211,7 @@ class BatchEntity(Handle["EntityIndex"]):
         return found
 
     def get_local_pose(self, to_matrix: bool = False) -> torch.Tensor:
-        """Return the root pose in the environment's own frame, float32.
-
-        Args:
-            to_matrix: Whether to return (N, 4, 4) matrices instead of (N, 7) vectors
-                (x, y, z, qw, qx, qy, qz).
-        """
+        """Root pose in the environment's frame: (N, 7) x, y, z, qw, qx, qy, qz, or (N, 4, 4)."""
         pose = np.concatenate(self.read_pose(), axis=1)
         return to_tensor(pose_to_matrix(pose) if to_matrix else pose)
 

@@ -10,11 +10,11 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.compiler.rigid_math import inertia_about_axes
-from embodichain.lab.sim.objects._arrays import TensorRead, as_env_ids, field_values, to_tensor
-from embodichain.lab.sim.objects.entity import BatchEntity
+from embodichain.lab.sim.objects._arrays import as_env_ids, field_values, to_tensor
+from embodichain.lab.sim.objects.entity import BatchEntity, TensorRead, TensorReads
 from embodichain.lab.sim.objects.solid import Solid
 from embodichain.lab.sim.unavailable import not_available
-from embodichain.utils.math import quat_conjugate, quat_rotate
+from embodichain.utils.math import quat_conjugate, quat_rotate, rotate
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import RigidObjectCfg
@@ -25,17 +25,11 @@ if TYPE_CHECKING:
 __all__ = ["RigidBodyData", "RigidObject"]
 
 
-class RigidBodyData:
+class RigidBodyData(TensorReads):
     """Reads of one body: every attribute is a fresh float32 tensor.
 
     Velocities and accelerations are those of the body's origin, in world axes.
-
-    Args:
-        owner: The `RigidObject`.
     """
-
-    def __init__(self, owner: Any) -> None:
-        self.owner = owner
 
     pose = TensorRead(lambda body: np.concatenate(body.read_pose(), axis=1))
     """(N, 7) x, y, z, qw, qx, qy, qz in the environment's frame."""
@@ -83,6 +77,7 @@ class RigidObject(BatchEntity):
         self._declared_damping = np.array([attrs.linear_damping, attrs.angular_damping], np.float64)
         self._damping: F64 = np.tile(self._declared_damping, (count, 1))  # 1/s
         self._scale: F64 = np.ones((count, 3))  # over the compiled size
+        self._zeros: F64 = np.zeros((count, 3))
         self._mass0 = 0.0
         self._inertia: F64 = np.zeros((count, 3))  # at the compiled mass and the present scale
         self._solid: Solid | None = None
@@ -134,22 +129,18 @@ class RigidObject(BatchEntity):
 
     def read_velocity(self) -> tuple[F64, F64]:
         """Linear and angular velocity, (N, 3) each, world axes; zeros unless dynamic."""
-        return self._in_world(self.engine.state("qvel"))
+        if self._dofs is None:
+            return self._zeros, self._zeros
+        root = self.motion(self.index.root_body_id)
+        return root.linear_velocity(), root.angular_velocity()
 
     def read_acceleration(self) -> tuple[F64, F64]:
         """Linear and angular acceleration of the last physics step, (N, 3) each, world axes."""
         if self._dofs is None:
-            return self._in_world(self.engine.state("qvel"))
-        return self._in_world(self.engine.acceleration("qacc"))
-
-    def _in_world(self, values: F64) -> tuple[F64, F64]:
-        dofs = self._dofs
-        if dofs is None:
-            zero = np.zeros((self.num_instances, 3))
-            return zero, zero
-        # A free joint's angular velocity is in the body's frame, its linear one in the world's.
-        linear, angular = values[:, dofs][:, :3], values[:, dofs][:, 3:]
-        return linear, quat_rotate(self.read_pose()[1], angular)
+            return self._zeros, self._zeros
+        qacc = self.engine.acceleration("qacc")[:, self._dofs]
+        # A free joint's angular part is in the body's axes, its linear one in the world's.
+        return qacc[:, :3], rotate(self.motion(self.index.root_body_id).axes(), qacc[:, 3:])
 
     def set_velocity(self, lin_vel: Any = None, ang_vel: Any = None, env_ids: Any = None) -> None:
         """Set velocities of a dynamic body.
@@ -233,12 +224,9 @@ class RigidObject(BatchEntity):
         self.write_mass(new[:, 0], ids)
 
     def write_mass(self, mass: F64, ids: EnvIndex | None, inertia: bool = True) -> None:
-        """Set the mass from checked arrays, and with it inertia and damping.
+        """Set the mass (n,) in kg from checked arrays, and with it damping.
 
-        Args:
-            mass: (n,) kg, positive.
-            ids: (n,) environments, or None for all.
-            inertia: False leaves the inertia as it is: another distribution of mass.
+        The inertia scales with it, unless ``inertia`` is False: another distribution of mass.
         """
         moments = self._inertia[slice(None) if ids is None else ids]
         self._write_inertia(ids, mass, moments * (mass / self._mass0)[:, None], inertia)
@@ -333,12 +321,9 @@ class RigidObject(BatchEntity):
         return self._solid
 
     def write_scale(self, scale: F64, ids: EnvIndex | None, fixed_density: bool = True) -> None:
-        """Scale the declared shape by checked factors, and mass and inertia with it.
+        """Scale the declared shape by checked factors (n, 3) along its axes, and its inertia.
 
-        Args:
-            scale: (n, 3) along the shape's own axes.
-            ids: (n,) environments, or None for all.
-            fixed_density: Whether the mass follows the volume; else it is the compiled one.
+        The mass follows the volume if the density is fixed; else it is the compiled one.
         """
         solid, where = self.solid, self._rows(ids)
         size, volume, moments = solid.scaled(scale)
@@ -414,8 +399,7 @@ class RigidObject(BatchEntity):
 
         Args:
             ids: (n,) environments, or None for all.
-            fields: Model fields, (size,) each, of all these environments; absent ones are as
-                compiled.
+            fields: Model fields, (size,) each, of all of them; absent ones are as compiled.
         """
         where, model = self._rows(ids), self.engine.model
         mass, _ = field_values(model, fields, "body_mass", self._columns(1))
