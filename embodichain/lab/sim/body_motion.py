@@ -11,7 +11,7 @@ from embodichain.utils.math import cross, quat_to_matrix, rotate, rotate_back
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.index import EntityIndex
-    from embodichain.lab.sim.engine.base import F64, Engine
+    from embodichain.lab.sim.engine.api import F64, Engine
 
 __all__ = ["BodyMotion", "Frame", "origin_velocities"]
 

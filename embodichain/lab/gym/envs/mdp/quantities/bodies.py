@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.param_types import Positive, Vec3
-from embodichain.lab.gym.envs.managers.references import Body
+from embodichain.lab.gym.envs.managers.param_types import Body, Positive, Vec3
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.mdp import _kernels
 from embodichain.lab.gym.envs.mdp._rotations import (

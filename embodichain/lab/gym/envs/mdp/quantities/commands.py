@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.param_types import Positive
-from embodichain.lab.gym.envs.managers.references import (
+from embodichain.lab.gym.envs.managers.param_types import (
     Body,
     Command,
     PlanarCommand,
     PoseCommand,
     PositionCommand,
+    Positive,
     VelocityCommand,
 )
 from embodichain.lab.gym.envs.managers.registry import quantity

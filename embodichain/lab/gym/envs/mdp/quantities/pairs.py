@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.param_types import Angle, Positive
-from embodichain.lab.gym.envs.managers.references import Body
+from embodichain.lab.gym.envs.managers.param_types import Angle, Body, Positive
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.mdp._rotations import Rotation, as_rotation, pose_matrix
 from embodichain.lab.gym.envs.mdp._rows import angle_between, norm

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.param_types import NonNegative
-from embodichain.lab.gym.envs.managers.references import (
+from embodichain.lab.gym.envs.managers.param_types import (
     ContactOf,
     ForceTorqueOf,
     ImuOf,
+    NonNegative,
     PlanarCommand,
 )
 from embodichain.lab.gym.envs.managers.registry import quantity
