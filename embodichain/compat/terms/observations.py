@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 else:
     torch = lazy_loader.load("torch")
 

@@ -23,7 +23,7 @@ from embodichain.utils.math import quat_conjugate, quat_multiply
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
     "IncrementalDistanceToTarget",

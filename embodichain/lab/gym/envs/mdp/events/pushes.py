@@ -22,7 +22,7 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["ApplyBodyImpulse", "ApplyExternalForceTorque", "EpisodeTimer", "PushBySettingVelocity"]
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from embodichain.lab.gym.envs.cfg import NO_LIMIT
 from embodichain.lab.gym.envs.managers.param_types import Finite, Positive
 from embodichain.lab.gym.envs.managers.registry import quantity, register_term
 from embodichain.lab.gym.envs.managers.term import Term
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
     Mask = NDArray[np.bool_]
 
@@ -43,7 +44,6 @@ __all__ = [
 ]
 
 Info = dict[str, Any]
-_NEVER = 2**31 - 1
 
 
 @quantity(name="action")
@@ -154,7 +154,7 @@ class _Clock(Term):
         Raises:
             ConfigError: If the task has no limit.
         """
-        if self._env.max_episode_steps == _NEVER:
+        if self._env.max_episode_steps == NO_LIMIT:
             message = "the task has no time limit (max_episode_steps: -1): nothing remains"
             raise ConfigError([Problem("", message)])
         return self._env.max_episode_steps * self._env.step_dt

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["AllOf", "AnyOf", "HeldFor", "ProductOf"]
 

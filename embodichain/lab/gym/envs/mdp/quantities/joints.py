@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
     "joint_effort",

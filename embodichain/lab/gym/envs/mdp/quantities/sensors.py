@@ -25,7 +25,7 @@ from embodichain.lab.sim.body_motion import origin_velocities
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = [
     "FeetAirTime",
