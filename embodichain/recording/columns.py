@@ -15,7 +15,7 @@ from typing import NamedTuple
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.engine.api import F64
 
 __all__ = ["Column", "Moved", "Ranges", "column_name", "moved_ranges", "state_columns"]
 

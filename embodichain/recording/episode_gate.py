@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from embodichain.lab.gym.envs.observers import EventRecord
-from embodichain.lab.sim.engine.base import EnvIndex
+from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["EpisodeGate"]
 

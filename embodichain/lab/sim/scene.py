@@ -41,7 +41,6 @@ class Scene:
         robots, articulations, rigid_objects, lights, sensors: Handles by uid; `articulations` are
             those that are no robots.
         compiled: The model and where each entity is in it; None before `compile`.
-        drive_changes: What events may draw for the drives and links of articulations, by uid.
     """
 
     def __init__(self, cfg: SimulationManagerCfg) -> None:
@@ -52,7 +51,6 @@ class Scene:
         self.rigid_objects: dict[str, RigidObject] = {}
         self.lights: dict[str, Light] = {}
         self.sensors: dict[str, BaseSensor] = {}
-        self.drive_changes: Mapping[str, Sequence[DriveChange]] = {}
         self.compiled: CompiledScene | None = None
 
     @property
@@ -83,10 +81,17 @@ class Scene:
             raise ConfigError([Problem(uid, f"uid {uid!r} is taken; taken: {self.uids}")])
         return uid
 
-    def parse(self, cfg: ArticulationCfg) -> ParsedArticulation:
-        """Read the file of an articulation that is to be added; raises as `claim` does."""
+    def parse(
+        self, cfg: ArticulationCfg, changes: Mapping[str, Sequence[DriveChange]]
+    ) -> ParsedArticulation:
+        """Read the file of an articulation that is to be added; raises as `claim` does.
+
+        Args:
+            cfg: The articulation.
+            changes: What events may draw for drives and links, by uid.
+        """
         uid = self.claim(cfg)
-        wanted = uid, cfg, physics_step(self._cfg), self.drive_changes.get(uid, ())
+        wanted = uid, cfg, physics_step(self._cfg), changes.get(uid, ())
         return self._prepared.take_articulation(*wanted) or parse_articulation(*wanted)
 
     def plan_sensor(self, cfg: SensorCfg | CameraCfg) -> SensorPlan:

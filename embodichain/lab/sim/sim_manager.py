@@ -92,6 +92,8 @@ class SimulationManager:
         instance_id: The simulation's number among those of this process.
         robots, articulations, rigid_objects, lights, sensors: What was added, by uid;
             `articulations` are those that are no robots.
+        drive_changes: What events may draw for the drives and links of articulations, by uid.
+        physics_seconds: Wall time that physics steps took so far, in `update`.
 
     Raises:
         ConfigError: If there is no environment.
@@ -106,6 +108,7 @@ class SimulationManager:
             raise ConfigError([Problem("num_envs", f"must be at least 1, got {self.num_envs}")])
         self.instance_id = max(_instances, default=-1) + 1
         _instances[self.instance_id] = weakref.ref(self)
+        self.drive_changes: Mapping[str, Sequence[DriveChange]] = {}
         self._scene = Scene(self.sim_config)
         self.robots = self._scene.robots
         self.articulations = self._scene.articulations
@@ -119,7 +122,6 @@ class SimulationManager:
         self._viewer: NativeViewer | None = None
         self._physics_enabled = True
         self.physics_seconds = 0.0
-        """Wall time that physics steps took so far, in `update`."""
 
     @property
     def arena_offsets(self) -> torch.Tensor:
@@ -141,13 +143,13 @@ class SimulationManager:
             ConfigError: If the file or a value in the config is wrong.
             RuntimeError: If the scene is compiled already.
         """
-        robot = Robot(cfg, self._scene.parse(cfg), self)
+        robot = Robot(cfg, self._scene.parse(cfg, self.drive_changes), self)
         self.robots[robot.uid] = robot
         return robot
 
     def add_articulation(self, cfg: ArticulationCfg) -> Articulation:
         """Add an articulation without control parts; see `add_robot`."""
-        articulation = Articulation(cfg, self._scene.parse(cfg), self)
+        articulation = Articulation(cfg, self._scene.parse(cfg, self.drive_changes), self)
         self.articulations[articulation.uid] = articulation
         return articulation
 
@@ -182,15 +184,6 @@ class SimulationManager:
             RuntimeError: If the scene is compiled already.
         """
         return self._scene.remove(uid)
-
-    @property
-    def drive_changes(self) -> Mapping[str, Sequence[DriveChange]]:
-        """What events may draw for the drives and links of articulations, by uid."""
-        return self._scene.drive_changes
-
-    @drive_changes.setter
-    def drive_changes(self, changes: Mapping[str, Sequence[DriveChange]]) -> None:
-        self._scene.drive_changes = changes
 
     # -- finding -------------------------------------------------------------------------------
 

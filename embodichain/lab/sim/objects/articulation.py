@@ -373,11 +373,11 @@ class Articulation(BatchEntity):
     def write_ctrl(
         self, values: F64, which: Ids, ids: EnvIndex | None = None, seconds: float | None = None
     ) -> None:
-        """Set controls (n, k) from checked arrays.
+        """Set controls (n, k) from checked arrays, in the actuators' units.
 
         Args:
-            values: In the actuators' units.
-            which: (k,) controls: the file's actuators in their order, then those of drives.
+            values: The controls.
+            which: (k,) indices: the file's actuators in their order, then those of drives.
             ids: (n,) environments, or None for all.
             seconds: If given, targets of drives move within their `max_velocity` times it.
         """
@@ -441,13 +441,9 @@ class Articulation(BatchEntity):
     def write_mass(
         self, mass: F64, bodies: Ids, ids: EnvIndex | None, inertia: bool = True
     ) -> None:
-        """Set masses (n, k) in kg of bodies (k,) from checked arrays; inertias scale with them.
+        """Set masses (n, k) in kg of MuJoCo's bodies (k,) from checked arrays.
 
-        Args:
-            mass: Positive.
-            bodies: MuJoCo body ids.
-            ids: (n,) environments, or None for all.
-            inertia: False leaves inertias as they are.
+        Inertias scale with the masses, unless ``inertia`` is False.
         """
         self.engine.write_model("body_mass", mass, ids, columns_of(bodies))
         if inertia:

@@ -89,6 +89,8 @@ class JointLimits:
 class Drives:
     """Gains and targets of D joints in N environments.
 
+    Methods take checked arrays: joints are (k,) indices, ids (n,) environments or None for all N.
+
     Args:
         handle: The articulation.
         parsed: Its compiled gains and limits.
@@ -161,14 +163,7 @@ class Drives:
     def write_target_qpos(
         self, target: F64, joints: Joints, columns: Columns, ids: EnvIndex | None
     ) -> None:
-        """Set position targets (n, k), clamped to the joints' limits.
-
-        Args:
-            target: (n, k) finite values.
-            joints: (k,) joint indices.
-            columns: Their columns in ``ctrl``.
-            ids: (n,) environments, or None for all.
-        """
+        """Set finite position targets (n, k), clamped to the limits, in columns of ``ctrl``."""
         clamped = self.limits.clamp(target, joints, ids)
         if self._mixes:
             clamped = self._control(clamped, _at(ids, joints))
@@ -211,14 +206,7 @@ class Drives:
     def within_rate(
         self, target: F64, joints: Joints, seconds: float, ids: EnvIndex | None = None
     ) -> F64:
-        """Position targets (n, k) as far as `max_velocity` lets them move in some time.
-
-        Args:
-            target: (n, k) wanted.
-            joints: (k,) joint indices.
-            seconds: Since the last target; they start from the targets now.
-            ids: (n,) environments, or None for all.
-        """
+        """Position targets (n, k) as far as `max_velocity` lets them move from now in a time."""
         if self.max_velocity.min(initial=NO_LIMIT) >= NO_LIMIT:
             return target
         where = _at(ids, joints)
@@ -255,7 +243,7 @@ class Drives:
         Args:
             control: In the actuators' units.
             columns: (k,) columns in ``ctrl``.
-            ids: (n,) environments, or None for all.
+            ids: The environments.
             seconds: If given, targets keep to `max_velocity` (see `within_rate`).
         """
         drives = np.flatnonzero(self._joint_of_control[columns] >= 0)
@@ -304,13 +292,9 @@ class Drives:
     # -- gains -----------------------------------------------------------------------------------
 
     def put(self, name: str, values: F64, ids: EnvIndex | None, joints: Joints) -> None:
-        """Set one property (n, k) from checked arrays.
+        """Set one of the attributes, by name, to values (n, k) that are not negative.
 
-        Args:
-            name: An attribute of this class: ``stiffness``, ``friction``...
-            values: Not negative; `max_effort` from `NO_LIMIT` on is none.
-            ids: (n,) environments, or None for all.
-            joints: (k,) joint indices.
+        A `max_effort` of at least `NO_LIMIT` is no limit.
 
         Raises:
             ValueError: If a joint has no drive.
@@ -389,9 +373,8 @@ class Drives:
         is what scaled them; else it is taken as 1.
 
         Args:
-            ids: (n,) environments, or None for all.
-            fields: Model fields, (size,) each, of all these environments; absent ones are as
-                compiled.
+            ids: The environments.
+            fields: Model fields, (size,) each, of all of them; absent ones are as compiled.
         """
         model, index, parsed = self._handle.engine.model, self._handle.index, self.parsed
         driven, gear = self.joints, self._gear[self.joints]

@@ -185,13 +185,7 @@ class BatchEntity(Handle["EntityIndex"]):
     def write_pose(
         self, pos: F64, quat: F64 | None = None, env_ids: EnvIndex | None = None
     ) -> None:
-        """Set the root pose from checked numpy arrays.
-
-        Args:
-            pos: (n, 3) metres in the environment's frame.
-            quat: (n, 4) unit wxyz, or None to leave the orientation.
-            env_ids: (n,) sorted unique int64, or None for all.
-        """
+        """Set the root position (n, 3) and, if given, orientation (n, 4) from checked arrays."""
         index, write = self.index, self.engine.write
         if index.mocap_id >= 0:
             fields, starts = ("mocap_pos", "mocap_quat"), (3 * index.mocap_id, 4 * index.mocap_id)
@@ -217,12 +211,7 @@ class BatchEntity(Handle["EntityIndex"]):
         return found
 
     def get_local_pose(self, to_matrix: bool = False) -> torch.Tensor:
-        """Return the root pose in the environment's own frame, float32.
-
-        Args:
-            to_matrix: Whether to return (N, 4, 4) matrices instead of (N, 7) vectors
-                (x, y, z, qw, qx, qy, qz).
-        """
+        """Root pose in the environment's frame: (N, 7) x, y, z, qw, qx, qy, qz, or (N, 4, 4)."""
         pose = np.concatenate(self.read_pose(), axis=1)
         return to_tensor(pose_to_matrix(pose) if to_matrix else pose)
 

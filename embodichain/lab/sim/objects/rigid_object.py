@@ -224,12 +224,9 @@ class RigidObject(BatchEntity):
         self.write_mass(new[:, 0], ids)
 
     def write_mass(self, mass: F64, ids: EnvIndex | None, inertia: bool = True) -> None:
-        """Set the mass from checked arrays, and with it inertia and damping.
+        """Set the mass (n,) in kg from checked arrays, and with it damping.
 
-        Args:
-            mass: (n,) kg, positive.
-            ids: (n,) environments, or None for all.
-            inertia: False leaves the inertia as it is: another distribution of mass.
+        The inertia scales with it, unless ``inertia`` is False: another distribution of mass.
         """
         moments = self._inertia[slice(None) if ids is None else ids]
         self._write_inertia(ids, mass, moments * (mass / self._mass0)[:, None], inertia)
@@ -324,12 +321,9 @@ class RigidObject(BatchEntity):
         return self._solid
 
     def write_scale(self, scale: F64, ids: EnvIndex | None, fixed_density: bool = True) -> None:
-        """Scale the declared shape by checked factors, and mass and inertia with it.
+        """Scale the declared shape by checked factors (n, 3) along its axes, and its inertia.
 
-        Args:
-            scale: (n, 3) along the shape's own axes.
-            ids: (n,) environments, or None for all.
-            fixed_density: Whether the mass follows the volume; else it is the compiled one.
+        The mass follows the volume if the density is fixed; else it is the compiled one.
         """
         solid, where = self.solid, self._rows(ids)
         size, volume, moments = solid.scaled(scale)
@@ -405,8 +399,7 @@ class RigidObject(BatchEntity):
 
         Args:
             ids: (n,) environments, or None for all.
-            fields: Model fields, (size,) each, of all these environments; absent ones are as
-                compiled.
+            fields: Model fields, (size,) each, of all of them; absent ones are as compiled.
         """
         where, model = self._rows(ids), self.engine.model
         mass, _ = field_values(model, fields, "body_mass", self._columns(1))
