@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.engine.api import F64
 
 __all__ = ["INPUTS", "Ranges", "column_name", "moved_ranges", "take", "width_of"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from embodichain.lab.gym.envs.observers import EventRecord
-from embodichain.lab.sim.engine.base import EnvIndex
+from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["EpisodeGate"]
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.arrays import LogArrays
 from embodichain.recording.block import CallKind, Run
 from embodichain.recording.chunks import LogReader

@@ -14,7 +14,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.base import EnvIndex
+from embodichain.lab.sim.engine.api import EnvIndex
 from embodichain.recording.arrays import LogArrays
 from embodichain.recording.attachments import MODEL
 from embodichain.recording.chunks import LogReader

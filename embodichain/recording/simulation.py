@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.base import F64, EnvIndex
+from embodichain.lab.sim.engine.api import F64, EnvIndex
 from embodichain.lab.sim.engine.cpu import CpuEngine
 from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS
 from embodichain.recording.block import Call, Run

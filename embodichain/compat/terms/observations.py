@@ -9,7 +9,7 @@ import lazy_loader
 import numpy as np
 from pydantic import Field
 
-from embodichain.compat.terms._targets import pick_joints, tool_of
+from embodichain.compat.terms._targets import joints_of, tool_of
 from embodichain.compat.terms._targets import target_position as stored_position
 from embodichain.lab.gym.envs.managers.param_types import Body, Joints, Range
 from embodichain.lab.gym.envs.managers.registry import quantity, register_term
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 else:
     torch = lazy_loader.load("torch")
 
@@ -35,7 +35,6 @@ __all__ = [
     "get_object_body_scale",
     "get_object_pose",
     "get_object_uid",
-    "get_rigid_object_pose",
     "get_rigid_object_velocity",
     "target_position",
 ]
@@ -66,22 +65,6 @@ def get_object_pose(env: TermContext, obs: Any, entity_cfg: Body, to_matrix: boo
     return pose_to_matrix(pose) if to_matrix else pose
 
 
-@register_term("observation")
-def get_rigid_object_pose(
-    env: TermContext, obs: Any, entity_cfg: Body, to_matrix: bool = True
-) -> F64:
-    """EmbodiChain's older name of `get_object_pose`.
-
-    Args:
-        entity_cfg: The entity.
-        to_matrix: True gives (N, 4, 4), False (N, 7): x, y, z, qw, qx, qy, qz (metres, wxyz).
-
-    Example:
-        ``{func: get_rigid_object_pose, params: {entity_cfg: {uid: cube}}}``
-    """
-    return get_object_pose(env, obs, entity_cfg, to_matrix)
-
-
 @quantity("observation")
 def get_rigid_object_velocity(env: TermContext, entity_cfg: Body) -> F64:
     """(N, 6) linear velocity in m/s, then angular in rad/s, world axes; zeros unless dynamic.
@@ -102,8 +85,8 @@ class GetRobotEefPose:
     """Pose of the robot's tool in the environment's frame: (N, 4, 4), or (N, 3) metres.
 
     EmbodiChain's observation of the same name. The tool is the tool point that the robot's
-    `solver_cfg` gives the part, else the last link that hangs from the part's last joint; it is
-    read off the simulation, which is the forward kinematics.
+    `solver_cfg` gives the part, else the last link that hangs from the part's last joint; its pose
+    is the simulation's, the forward kinematics.
 
     Args:
         part_name: A control part of the task's robot; None is the whole robot.
@@ -131,8 +114,8 @@ class GetRobotEefPose:
 def target_position(env: TermContext, target_pose_key: str = "goal_pose") -> F64:
     """(N, 3) position in metres of the poses that an event stores as ``env.<target_pose_key>``.
 
-    EmbodiChain's observation of the same name. `randomize_target_pose` writes such poses; where
-    nothing has, that is an error at the first reset, not zeros.
+    EmbodiChain's observation of the same name. `randomize_target_pose` writes such poses; without
+    them the first reset is an error.
 
     Args:
         target_pose_key: The attribute, poses (N, 4, 4).
@@ -184,7 +167,7 @@ class GetRigidObjectPhysicsAttributes(Term):
 
     ``mass`` (kg), ``friction`` (sliding), ``damping`` (linear, angular, 1/s) and ``inertia`` (three
     principal moments, kg m^2): (N, 7) with all of them. EmbodiChain's observation of the same name
-    gives a nested dictionary; here it is one vector, that a learner can take.
+    gives a nested dictionary; here it is one vector.
 
     Args:
         entity_cfg: The object.
@@ -219,8 +202,8 @@ def get_articulation_joint_drive(
 
     K columns of the picked joints for each property: stiffness (N m/rad), damping (N m s/rad),
     max_effort (N m), max_velocity (rad/s), friction (N m), armature (kg m^2); N, m and kg for
-    slides. What has no limit reads 1e10, as EmbodiChain writes it. EmbodiChain's observation of the
-    same name gives a nested dictionary; here it is one vector, that a learner can take.
+    slides. 1e10 is no limit, as in EmbodiChain. EmbodiChain's observation of the
+    same name gives a nested dictionary; here it is one vector.
 
     Args:
         entity_cfg: The robot; its joint names or control parts pick joints.
@@ -272,7 +255,7 @@ class NormalizeRobotJointData(Term):
         active = list(env.active_joint_ids)
         self._columns = _active_columns(env, active, joint_ids, control_parts)
         self._width = len(active)
-        self._of = pick_joints(env, None, None, [active[column] for column in self._columns])
+        self._of = joints_of(env, joint_ids=[active[column] for column in self._columns])
         self._ids = np.asarray(self._of.joint_ids, np.int64)
         self._positions = limit == "qpos_limits"
         most: F64 = np.asarray(getattr(self._of.asset.parsed, limit), np.float64)[self._ids]

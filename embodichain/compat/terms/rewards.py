@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from pydantic import Field
 
-from embodichain.compat.terms._targets import pick_joints, target_position, tool_of
+from embodichain.compat.terms._targets import joints_of, target_position, tool_of
 from embodichain.lab.gym.envs.managers.param_types import Body, NonNegative, Positive
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
@@ -23,12 +23,11 @@ from embodichain.utils.math import quat_conjugate, quat_multiply
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
     "IncrementalDistanceToTarget",
     "JointLimitPenalty",
-    "JointVelocityPenalty",
     "ReachingBehindObject",
     "distance_between_objects",
     "distance_to_target",
@@ -60,7 +59,7 @@ def distance_between_objects(
     Args:
         source_entity_cfg: An entity, or a link of one.
         target_entity_cfg: Likewise.
-        exponential: Whether to use the second formula, which lies in (0, 1].
+        exponential: Whether to use the second formula, whose values are in (0, 1].
         sigma: Its width in metres.
         use_xy_only: Whether heights are ignored.
 
@@ -93,7 +92,7 @@ def distance_to_target(
     Args:
         source_entity_cfg: An entity, or a link of one.
         target_pose_key: The attribute of the environment with the poses, (N, 4, 4).
-        exponential: Whether to use the second formula, which lies in (0, 1].
+        exponential: Whether to use the second formula, whose values are in (0, 1].
         sigma: Its width in metres.
         use_xy_only: Whether heights are ignored.
 
@@ -110,7 +109,7 @@ class IncrementalDistanceToTarget(Rate):
     """w tanh(tanh_scale (d_before - d)): positive for coming closer; 0 in an episode's first step.
 
     d is the distance in metres to a pose that an event stores, w one of two weights. EmbodiChain's
-    reward of the same name, whose memory survives resets and pays for the jump; this one forgets.
+    reward of the same name keeps d_before over a reset; this term does not.
 
     Args:
         source_entity_cfg: An entity, or a link of one.
@@ -154,7 +153,7 @@ class ReachingBehindObject:
     the object to its target (0 where they coincide). EmbodiChain's reward of the same name.
 
     Args:
-        object_cfg: What is to be pushed.
+        object_cfg: The object to push.
         target_pose_key: The attribute of the environment with the target poses, (N, 4, 4).
         behind_offset: Metres.
         height_offset: Metres.
@@ -205,8 +204,8 @@ def object_goal_distance(
     general form is `product_of` `height` and `distance`.
 
     Args:
-        object_cfg: What is carried.
-        goal_cfg: Where to.
+        object_cfg: The object.
+        goal_cfg: The goal.
         std: Metres: where the value has fallen to 0.24.
         minimal_height: Metres above z = 0 of the object's origin.
 
@@ -239,35 +238,6 @@ def orientation_alignment(
     return 2.0 * w * w - 1.0  # the trace of a rotation is 4 w^2 - 1
 
 
-@quantity("reward", "metric", name="joint_velocity_penalty")
-class JointVelocityPenalty:
-    """-|qvel|, the Euclidean norm over the picked joints, rad/s. EmbodiChain's of the same name.
-
-    Args:
-        robot_uid: The robot; None is the task's own.
-        joint_ids: Its joints; None is all active ones.
-        part_name: One of its control parts, instead of `joint_ids`.
-        entity_cfg: Robot and joints by name, instead of all three (ours).
-
-    Example:
-        ``{func: joint_velocity_penalty, weight: 0.01, params: {robot_uid: ur10}}``
-    """
-
-    def __init__(
-        self,
-        env: TermContext,
-        robot_uid: str | None = None,
-        joint_ids: list[int] | None = None,
-        part_name: str | None = None,
-        entity_cfg: ResolvedEntity | None = None,
-    ) -> None:
-        self._joints = pick_joints(env, entity_cfg, robot_uid, joint_ids, part_name)
-
-    def __call__(self) -> F64:
-        """(N,), not positive."""
-        return -norm(self._joints.qvel())
-
-
 @quantity("reward", "metric", name="joint_limit_penalty")
 class JointLimitPenalty:
     """-sum max(0, margin - x), x the distance to the nearer limit as a share of the range.
@@ -292,7 +262,7 @@ class JointLimitPenalty:
         margin: Annotated[float, Field(gt=0, le=0.5)] = 0.1,
         entity_cfg: ResolvedEntity | None = None,
     ) -> None:
-        self._joints = pick_joints(env, entity_cfg, robot_uid, joint_ids)
+        self._joints = joints_of(env, robot_uid, joint_ids, None, entity_cfg)
         self._margin = margin
         self._joints.qpos_limits()
 

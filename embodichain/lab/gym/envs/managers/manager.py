@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = [
     "BuiltTerm",
@@ -79,10 +79,12 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
     if checked is None or problems:
         raise ConfigError(problems)
     spec = checked.spec
-    values = _resolved_values(env, checked, where)
-    parts = spec.meaning(values) if isinstance(spec, AliasSpec) else [(spec, values)]
-    (source, values), steps = parts[0], parts[1:]
-    with _under(where, checked.names):
+    values, names = _resolved_values(env, checked, where), checked.names
+    if isinstance(spec, AliasSpec):
+        names = {**names, **{key: names.get(name, name) for key, name in spec.names.items()}}
+    with _under(where, names):
+        parts = spec.meaning(values, env) if isinstance(spec, AliasSpec) else [(spec, values)]
+        (source, values), steps = parts[0], parts[1:]
         instance = source.func(env, **source.arguments(values)) if source.is_class else None
         shapes = [step.func(env, **step.arguments(given)) for step, given in steps]
     for step, given in checked.shapes:

@@ -17,7 +17,7 @@ from embodichain.utils.errors import ConfigError, Problem
 if TYPE_CHECKING:
     import mujoco
 
-    from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
 else:
     mujoco = lazy_loader.load("mujoco")
 
@@ -93,7 +93,7 @@ def need_object(entity: ResolvedEntity, dynamic: str = "") -> None:
         ConfigError: If it is not.
     """
     if not hasattr(entity.asset, "is_non_dynamic"):
-        message = f"{entity.uid!r} is no rigid object but has joints and links"
+        message = f"{entity.uid!r} is not a rigid object: it has joints and links"
         raise ConfigError([Problem("entity_cfg.uid", message)])
     if dynamic and entity.asset.is_non_dynamic:
         kind = entity.asset.cfg.body_type
