@@ -24,13 +24,16 @@ from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.recording.api import Log
+    from embodichain.recording.episodes import LogEpisode
     from embodichain.recording.header import Header
-    from embodichain.recording.summary import Episode, LogSummary
+    from embodichain.recording.summary import LogSummary
     from embodichain.recording.verification import VerifyReport
     from embodichain.recording.viewers.log_player import Screen
 
 __all__ = ["command"]
 
+_COLUMNS = ("env", "episode", "steps", "total_reward", "terminated", "last_step", "success")
+"""Of the table of episodes."""
 _MOST_EPISODES = 20
 _SIZE = re.compile(r"(\d{1,5})x(\d{1,5})\Z")
 _VIEWERS = ("native", "web")
@@ -124,26 +127,34 @@ def _inspect(path: Path, options: SimpleNamespace) -> int:
     return exits.OK
 
 
-def _is_wanted(episode: Episode, options: SimpleNamespace) -> bool:
+def _is_wanted(episode: LogEpisode, options: SimpleNamespace) -> bool:
     """Whether it is the environment's, the episode, and has a step in [--from, --to)."""
     right_env = options.env is None or episode.env == options.env
     right_episode = options.episode is None or episode.episode == options.episode
-    first = episode.last_step - episode.steps + 1
     after = options.start is None or episode.last_step >= options.start
-    return right_env and right_episode and after and (options.stop is None or first < options.stop)
+    return (
+        right_env
+        and right_episode
+        and after
+        and (options.stop is None or episode.first_step < options.stop)
+    )
 
 
-def _summary_data(summary: LogSummary, episodes: list[Episode]) -> dict[str, Any]:
+def _row(episode: LogEpisode) -> dict[str, Any]:
+    return {name: getattr(episode, name) for name in _COLUMNS}
+
+
+def _summary_data(summary: LogSummary, episodes: list[LogEpisode]) -> dict[str, Any]:
     return {
         **{name: value for name, value in asdict(summary).items() if name != "episodes"},
         "messages": summary.messages,
         "duration_s": summary.duration_s,
         "mean_reward": summary.mean_reward,
-        "episodes": [asdict(episode) for episode in episodes],
+        "episodes": [_row(episode) for episode in episodes],
     }
 
 
-def _print_summary(summary: LogSummary, episodes: list[Episode]) -> None:
+def _print_summary(summary: LogSummary, episodes: list[LogEpisode]) -> None:
     header = summary.header
     started = datetime.fromtimestamp(header.start_ns / 1e9)
     state = "complete" if summary.complete else "INCOMPLETE"
@@ -160,7 +171,7 @@ def _print_summary(summary: LogSummary, episodes: list[Episode]) -> None:
     ]
     print_facts(str(summary.path), facts)
     print_table("channels", [asdict(channel) for channel in summary.channels])
-    print_table("episodes", [asdict(episode) for episode in episodes[:_MOST_EPISODES]])
+    print_table("episodes", [_row(episode) for episode in episodes[:_MOST_EPISODES]])
     if len(episodes) > _MOST_EPISODES:
         sys.stdout.write(f"... and {len(episodes) - _MOST_EPISODES} more: --env, --json\n")
 

@@ -7,10 +7,8 @@ a verb writes into it besides (log, summary, checkpoints) is the verb's.
 from __future__ import annotations
 
 import contextlib
-import importlib.metadata
 import json
 import os
-import platform
 import re
 import shlex
 import sys
@@ -18,29 +16,16 @@ from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
-from embodichain import __version__
 from embodichain.config.frozen import dump_yaml
 from embodichain.config.resolved import Resolved
 from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError
+from embodichain.utils.versions import installed_versions
 
-__all__ = ["adopt", "claim", "find_run", "versions", "write_record"]
+__all__ = ["adopt", "claim", "find_run", "write_record"]
 
 LATEST = "latest"
 _MOST_SUFFIXES = 10_000
-_PACKAGES = (
-    "mujoco",
-    "numpy",
-    "torch",
-    "tensordict",
-    "gymnasium",
-    "stable-baselines3",
-    "hydra-core",
-    "omegaconf",
-    "pydantic",
-    "mcap",
-    "protobuf",
-)
 
 
 def claim(output_root: str | Path, task: str, now: datetime | None = None) -> Path:
@@ -104,7 +89,7 @@ def write_record(folder: Path, resolved: Resolved, argv: Sequence[str] | None = 
         "config.yaml": dump_yaml(resolved.tree),
         "overrides.yaml": dump_yaml(list(resolved.overrides)),
         "command.txt": f"cd {shlex.quote(str(Path.cwd()))}\n{command}\n",
-        "versions.json": json.dumps(versions(), indent=2) + "\n",
+        "versions.json": json.dumps(installed_versions(), indent=2) + "\n",
     }
     for name, text in files.items():
         try:
@@ -128,16 +113,6 @@ def find_run(name: str | Path, output_root: str | Path = "outputs") -> Path:
         there = f" ({Path(output_root) / LATEST} does not exist)" if str(name) == "last" else ""
         raise ConfigError(f"there is no run {str(name)!r}{there}")
     return path.resolve()
-
-
-def versions() -> dict[str, str | None]:
-    """Return the versions of everything that can change a result; None for what is not there."""
-    found: dict[str, str | None] = {"embodichain": __version__, "python": platform.python_version()}
-    for package in _PACKAGES:
-        found[package] = None
-        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
-            found[package] = importlib.metadata.version(package)
-    return found | {"platform": platform.platform(), "machine": platform.machine()}
 
 
 def _make_new(day: Path, name: str) -> Path:

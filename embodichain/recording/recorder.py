@@ -23,8 +23,8 @@ from embodichain.lab.sim.engine.api import EnvIndex, PhysicsEvent, Write
 from embodichain.recording.attachments import attachments_of, model_bytes, model_digest
 from embodichain.recording.block import DRAWN, ArrayKind, CallKind
 from embodichain.recording.columns import Moved
-from embodichain.recording.episode_ends import Ends
 from embodichain.recording.episode_gate import EpisodeGate
+from embodichain.recording.episodes import Ends
 from embodichain.recording.hashing import row_hashes
 from embodichain.recording.header import check_keyframes, header_of
 from embodichain.recording.log_writer import LogWriter, PendingRun, Recorded
