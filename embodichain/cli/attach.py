@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
@@ -91,14 +92,16 @@ def attach_log(run: Job, env: BaseEnv) -> McapRecorder | None:
         return None
     from embodichain.config.frozen import dump_yaml
     from embodichain.config.newest import LOG
-    from embodichain.recording import McapRecorder
+    from embodichain.recording import McapRecorder, RecordOptions
 
+    record = run.root.record
+    options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
     recorder = McapRecorder(
         run.folder / LOG,
         env,
         config=dump_yaml(run.resolved.tree),
         overrides=dump_yaml(list(run.resolved.overrides)),
-        options=run.root.record,
+        options=RecordOptions(**options),
         task=run.resolved.task_name,
     )
     env.add_observer(recorder)

@@ -6,7 +6,6 @@ import json
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import mujoco
@@ -15,7 +14,7 @@ import yaml
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.api import EnvIndex
-from embodichain.recording.arrays import LogArrays
+from embodichain.recording.arrays import OUTCOMES, LogArrays, first_step, gather
 from embodichain.recording.attachments import (
     MODEL,
     approximate_model,
@@ -31,11 +30,15 @@ from embodichain.recording.episodes import (
     episode_of,
     find_episodes,
 )
-from embodichain.recording.events import LogEvent, LogWrite, read_events, read_writes
-from embodichain.recording.gather import OUTCOMES, first_step, gather
+from embodichain.recording.events import (
+    LogEvent,
+    LogWrite,
+    read_events,
+    read_metrics,
+    read_writes,
+)
 from embodichain.recording.header import Header
 from embodichain.recording.log_error import DamageError, LogError
-from embodichain.recording.metrics import read_metrics
 from embodichain.recording.simulation import Simulation
 from embodichain.recording.trajectory import Rows, Span, outcomes, runs
 from embodichain.utils.errors import ConfigError
@@ -73,12 +76,7 @@ class RecordedLog:
         """Return the log."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        tb: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close the file."""
         self.close()
 
