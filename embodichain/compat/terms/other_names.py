@@ -195,7 +195,7 @@ _MASS: Final[Mapping[str, Any]] = {
     "mass": _range("mass_range"),
     "operation": _operation,
 }
-_FRICTION: Final[Mapping[str, P]] = {
+_FRICTION: Final[Mapping[str, Any]] = {
     "friction": P("friction_range"),
     "torsional_friction": P("torsional_range"),
     "rolling_friction": P("rolling_range"),
