@@ -440,8 +440,13 @@ def _term(entry: TermEntry) -> Iterator[str]:
     yield ""
     yield entry.doc.text
     yield ""
+    notes = []
     if entry.kinds and set(entry.kinds) <= set(VALUE_KINDS) and len(entry.kinds) < len(VALUE_KINDS):
-        yield f"For {', '.join(SECTION_OF[kind] for kind in entry.kinds)}."
+        notes.append(f"For {', '.join(SECTION_OF[kind] for kind in entry.kinds)}.")
+    if entry.spec.func.__module__.startswith("embodichain.compat."):
+        notes.append("With the name and parameters of EmbodiChain's.")
+    if notes:
+        yield " ".join(notes)
         yield ""
     rows = entry.parameters()
     if rows:
