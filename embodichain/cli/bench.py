@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from embodichain.cli.app import common, overrides, split_overrides, verb
+from embodichain.cli.app import overrides, split_overrides, verb
 from embodichain.cli.output import print_json, print_table
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -54,18 +54,16 @@ class Result:
     ("bench task=random_reach num_envs=1,64,1024", "three sizes"),
     ("bench task=push_cube num_envs=64 --rounds 3 --json", "quicker, for scripts"),
     keys=True,
+    config_dir=True,
 )
 @overrides("task=NAME [num_envs=1,64,1024] [KEY=VALUE]...")
 @click.option("--rounds", type=int, default=7, help="Rounds of each arm; else 7.")
-@common(config_dir=True)
-def command(
-    words: tuple[str, ...], rounds: int, config_dir: str | None, json: bool, traceback: bool
-) -> None:
+def command(words: tuple[str, ...], rounds: int, json: bool) -> None:
     """Measure every size that was asked for."""
     if rounds < 1:
         raise ConfigError(f"--rounds must be at least 1, got {rounds}")
     sizes, lines = _sizes(split_overrides(words))
-    configs = [_resolved(lines, size, config_dir) for size in sizes]
+    configs = [_resolved(lines, size) for size in sizes]
     results = [asdict(_measure(config, rounds)) for config in configs]
     task = configs[0].task_name
     if json:
@@ -86,11 +84,11 @@ def _sizes(overrides: list[str]) -> tuple[list[int | None], list[str]]:
     return [int(word) for word in words], [o for o in overrides if o not in given]
 
 
-def _resolved(overrides: list[str], size: int | None, config_dir: str | None) -> Any:
+def _resolved(overrides: list[str], size: int | None) -> Any:
     from embodichain.config.resolved import resolve
 
     own = [] if size is None else [f"num_envs={size}"]
-    return resolve([*overrides, *own, "record=none"], "run", config_dir=config_dir)
+    return resolve([*overrides, *own, "record=none"], "run")
 
 
 def _measure(config: Any, rounds: int) -> Result:
@@ -119,7 +117,7 @@ def _arms(env: BaseEnv, config: Any) -> tuple[Callable[[int], None], Callable[[i
     """The environment under actions drawn beforehand, and the bare batch under their controls."""
     from mujoco import batch as mjbatch
 
-    from embodichain.cli.attach import policy_of
+    from embodichain.cli.jobs import policy_of
 
     policy = policy_of(config.root, env)
     obs, _ = env.reset()

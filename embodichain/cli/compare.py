@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from embodichain.cli.app import common, complete_last, verb
+from embodichain.cli.app import complete_last, verb
 from embodichain.cli.output import number, print_json, print_table
 from embodichain.config.newest import CHECKPOINT, newest_run
 from embodichain.utils.errors import ConfigError
@@ -39,8 +39,7 @@ _SHARES = ("success", "eval success")
 )
 @click.argument("runs", nargs=-1, required=True, metavar="RUN...", shell_complete=complete_last)
 @click.option("--output", "-o", metavar="OUT", help="A new picture: .png, .svg, .pdf.")
-@common()
-def command(runs: tuple[str, ...], output: str | None, json: bool, traceback: bool) -> None:
+def command(runs: tuple[str, ...], output: str | None, json: bool) -> None:
     """Print a table of trainings, runs that differ by their seed in one line; draw their curves.
 
     RUN is a folder of a training or of a sweep, or `last`.

@@ -17,8 +17,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
 
-from embodichain.cli import exits
-from embodichain.cli.app import common, verb
+from embodichain.cli import process
+from embodichain.cli.app import verb
 from embodichain.cli.extras import EXTRAS
 from embodichain.cli.output import print_json, print_table
 
@@ -56,15 +56,14 @@ class Check:
     ("doctor", "a table, with what to do where something is missing"),
     ("doctor --json", ""),
 )
-@common()
-def command(json: bool, traceback: bool) -> int:
+def command(json: bool) -> int:
     """Check everything and print it."""
     checks = [check for section in _SECTIONS for check in section()]
     if json:
         print_json({"checks": [asdict(check) for check in checks]})
     else:
         print_table("this machine", [asdict(check) for check in checks])
-    return exits.FAILED if any(check.state == "fail" for check in checks) else exits.OK
+    return process.FAILED if any(check.state == "fail" for check in checks) else process.OK
 
 
 def _versions() -> Iterator[Check]:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from embodichain.cli.app import common, verb
+from embodichain.cli.app import verb
 from embodichain.cli.output import print_json, print_table, wrapped
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
@@ -33,13 +33,11 @@ def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -
     ("list robots", "robot files that a task can name"),
     ("list terms", "functions for events, observations, rewards, ..."),
     ("list terms --markdown", "the same as a page, with parameters and examples"),
+    config_dir=True,
 )
 @click.argument("what", required=False, metavar="tasks|robots|terms", shell_complete=_complete)
 @click.option("--markdown", is_flag=True, help="Terms as the page docs/terms.md.")
-@common(config_dir=True)
-def command(
-    what: str | None, markdown: bool, config_dir: str | None, json: bool, traceback: bool
-) -> None:
+def command(what: str | None, markdown: bool, json: bool) -> None:
     """List what is asked for, as a table or as JSON."""
     lister = _LISTERS.get(what or "")
     if lister is None or what is None:
@@ -54,7 +52,7 @@ def command(
 
         sys.stdout.write(catalogue())
         return
-    rows = lister(config_dir)
+    rows = lister()
     if json:
         print_json({what: rows})
         return
@@ -71,11 +69,11 @@ def _print_list(title: str, lines: list[str]) -> None:
         sys.stdout.write("".join([f"{title}:\n", *folded, "\n"]))
 
 
-def _tasks(config_dir: str | None) -> Rows:
+def _tasks() -> Rows:
     """Every option of the group `task`, wherever it is searched; a broken file is listed too."""
     from embodichain.config.search_path import config_loader
 
-    with config_loader(config_dir) as loader:
+    with config_loader() as loader:
         sources = loader.get_sources()
         names = loader.get_group_options("task")
         places = {n: next(s for s in sources if s.is_config(f"task/{n}")) for n in names}
@@ -100,7 +98,7 @@ def _description(source: ConfigSource, path: str) -> str:
     return str(config.get("description", "")) if isinstance(config, DictConfig) else ""
 
 
-def _robots(config_dir: str | None) -> Rows:
+def _robots() -> Rows:
     from embodichain.data import fault_of, list_robots
 
     return [
@@ -128,7 +126,7 @@ def _absent_robots(rows: Rows) -> list[str]:
     return [way for place, way in ways.items() if place not in found]
 
 
-def _terms(config_dir: str | None) -> Rows:
+def _terms() -> Rows:
     from embodichain.cli.terms import SECTION_OF, all_entries
 
     entries = all_entries()
@@ -145,7 +143,7 @@ def _terms(config_dir: str | None) -> Rows:
     ]
 
 
-_LISTERS: dict[str, Callable[[str | None], Rows]] = {
+_LISTERS: dict[str, Callable[[], Rows]] = {
     "tasks": _tasks,
     "robots": _robots,
     "terms": _terms,

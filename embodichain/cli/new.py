@@ -15,7 +15,7 @@ from typing import Any
 
 import click
 
-from embodichain.cli.app import common, verb
+from embodichain.cli.app import verb
 from embodichain.cli.new_files import Names, task_files
 from embodichain.cli.new_robot import UR10, describe_robot
 from embodichain.cli.output import print_json
@@ -58,10 +58,7 @@ def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -
 @click.argument("name", metavar="NAME")
 @click.option("--python", is_flag=True, help="A class instead of YAML alone.")
 @click.option("--robot", metavar="FILE", help="Its URDF or MJCF: embodichain list robots.")
-@common()
-def command(
-    what: str, name: str, python: bool, robot: str | None, json: bool, traceback: bool
-) -> None:
+def command(what: str, name: str, python: bool, robot: str | None, json: bool) -> None:
     """Write the files and say what to do next.
 
     Raises:

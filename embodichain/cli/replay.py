@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from embodichain.cli import exits
-from embodichain.cli.app import common, log_argument, log_of, verb
-from embodichain.cli.attach import ended_early, show_pictures, warn_if_public
-from embodichain.cli.exits import Interrupted
+from embodichain.cli import process
+from embodichain.cli.app import log_argument, log_of, verb
+from embodichain.cli.jobs import ended_early, film_progress
 from embodichain.cli.output import print_facts, print_json, print_table, say_warnings
-from embodichain.cli.process import StopFlag
-from embodichain.cli.progress import ProgressDisplay
+from embodichain.cli.process import Interrupted, StopFlag
+from embodichain.cli.reporting import ProgressDisplay, warn_if_public
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -55,6 +54,7 @@ _ONLY_WITH = {
     ("replay last --policy zero", "the same episodes with another policy, side by side"),
     ("replay last --video film.mp4 --env 2 --speed 0.5", "film it, at half the speed"),
     ("replay outputs/latest/rollout.mcap --json", "what it contains, for scripts"),
+    quiet=True,
 )
 @log_argument()
 @click.option("--verify", is_flag=True, help="Simulate again and compare.")
@@ -82,7 +82,6 @@ _ONLY_WITH = {
 @click.option("--video", metavar="OUT", help="Write an MP4 of --env, which is else 0.")
 @click.option("--camera", metavar="NAME", help="Film with this camera of the scene.")
 @click.option("--size", metavar="WxH", help="Pixels of the film; else 640x480.")
-@common(quiet=True)
 def command(**kwargs: Any) -> int:
     """Print what is in a log, or verify it."""
     options = SimpleNamespace(**kwargs)
@@ -121,7 +120,7 @@ def _inspect(path: Path, options: SimpleNamespace) -> int:
         print_json(_summary_data(summary, episodes))
     elif not options.quiet:
         _print_summary(summary, episodes)
-    return exits.OK
+    return process.OK
 
 
 def _is_wanted(episode: Episode, options: SimpleNamespace) -> bool:
@@ -190,7 +189,7 @@ def _verify(path: Path, options: SimpleNamespace) -> int:
         print_json(asdict(report))
     elif not options.quiet or not report.ok:
         _print_report(report)
-    return exits.OK if report.ok else exits.FAILED
+    return process.OK if report.ok else process.FAILED
 
 
 def _print_report(report: VerifyReport) -> None:
@@ -225,7 +224,7 @@ def _film(path: Path, options: SimpleNamespace) -> int:
     with Log(path) as log, StopFlag() as stop, display:
         part = options.env or 0, options.episode, options.start, last
         how = speed, size, options.camera
-        filmed = film_log(log, out, *part, *how, show_pictures(display), stop.is_stopped)
+        filmed = film_log(log, out, *part, *how, film_progress(display), stop.is_stopped)
         say_warnings(log.path, log.warnings)
     if not filmed.pictures:
         raise Interrupted(ended_early(stop, filmed, out))
@@ -237,7 +236,7 @@ def _film(path: Path, options: SimpleNamespace) -> int:
         sys.stdout.write(f"{out}: {filmed.pictures} pictures, {nbytes / 1e6:.2f} MB\n")
     if not filmed.whole:
         raise Interrupted(ended_early(stop, filmed, out))
-    return exits.OK
+    return process.OK
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -266,7 +265,7 @@ def _view(path: Path, options: SimpleNamespace) -> int:
             play_log(log, screen, *part, speed, stop.is_stopped)
         finally:
             screen.close()
-    return exits.OK
+    return process.OK
 
 
 def _screen(log: Log, options: SimpleNamespace, stop: StopFlag) -> Screen:

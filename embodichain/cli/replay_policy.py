@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.cli import exits
-from embodichain.cli.attach import policy_of
+from embodichain.cli import process
+from embodichain.cli.jobs import policy_of
 from embodichain.cli.output import print_facts, print_json, print_table, say_warnings
-from embodichain.cli.progress import ProgressDisplay
+from embodichain.cli.reporting import ProgressDisplay
 from embodichain.cli.trained import find_target
 from embodichain.utils.errors import ConfigError
 
@@ -84,7 +84,7 @@ def rerun(path: Path, options: SimpleNamespace) -> int:
         if len(pairs) > _MOST_ROWS:
             sys.stdout.write(f"... and {len(pairs) - _MOST_ROWS} more: --env, --json\n")
         print_facts(str(path), [(name.replace("_", " "), value) for name, value in facts.items()])
-    return exits.OK
+    return process.OK
 
 
 def _wanted(log: Log, options: SimpleNamespace) -> dict[tuple[int, int], LogEpisode]:

@@ -10,8 +10,8 @@ from typing import Any
 
 import click
 
-from embodichain.cli import exits
-from embodichain.cli.app import common, overrides, split_overrides, verb
+from embodichain.cli import process
+from embodichain.cli.app import overrides, split_overrides, verb
 from embodichain.cli.output import print_facts, print_json, print_table, wrapped
 from embodichain.utils.errors import ConfigError
 
@@ -25,13 +25,11 @@ __all__ = ["command"]
     ("show task=reach --config", "only the resolved config, as YAML"),
     ("show task=reach --json", "everything, for scripts"),
     keys=True,
+    config_dir=True,
 )
 @overrides("task=NAME [KEY=VALUE]... | term NAME", "term")
 @click.option("--config", is_flag=True, help="Only the resolved config, as YAML.")
-@common(config_dir=True)
-def command(
-    words: tuple[str, ...], config: bool, config_dir: str | None, json: bool, traceback: bool
-) -> int:
+def command(words: tuple[str, ...], config: bool, json: bool) -> int:
     """Print everything of a task, only its resolved config, or one term.
 
     Raises:
@@ -41,24 +39,24 @@ def command(
         if len(words) != 2 or config:
             raise ConfigError("show term NAME: one name; `embodichain list terms` lists them")
         _show_term(words[1], json=json)
-        return exits.OK
+        return process.OK
     from embodichain.cli.show_task import for_people, task_tables
     from embodichain.config.frozen import dump_yaml, thaw
     from embodichain.config.resolved import resolve
 
-    resolved = resolve(split_overrides(words), "run", config_dir=config_dir)
+    resolved = resolve(split_overrides(words), "run")
     text = dump_yaml(resolved.tree)
     if config:
         if json:
             print_json({"config": thaw(resolved.tree)})
         else:
             sys.stdout.write(text)
-        return exits.OK
+        return process.OK
     facts = task_tables(resolved)
     if json:
         notes = {"notes": [note.as_dict() for note in resolved.notes]} if resolved.notes else {}
         print_json({"task": resolved.task_name, "config": thaw(resolved.tree), **notes, **facts})
-        return exits.OK
+        return process.OK
     sys.stdout.write(f"# {resolved.task_name}, resolved\n{text}\n")
     for note in resolved.notes:
         sys.stdout.write(f"note: {note}\n")
@@ -67,7 +65,7 @@ def command(
             print_facts(title, rows.items())
         else:
             print_table(title, for_people(title, rows))
-    return exits.OK
+    return process.OK
 
 
 def _show_term(name: str, *, json: bool) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from embodichain.cli.app import common, log_argument, log_of, verb
+from embodichain.cli.app import log_argument, log_of, verb
 from embodichain.cli.output import print_json, say_warnings
 from embodichain.utils.errors import ConfigError
 
@@ -37,16 +37,8 @@ _MAGIC = b"\x89MCAP0\r\n"
 @click.option("--host", default="127.0.0.1", help="Of --serve.")
 @click.option("--port", type=int, metavar="N", help="Of --serve; 8765.")
 @click.option("--speed", type=float, default=1.0, metavar="X", help="Of --serve; 1.")
-@common()
 def command(
-    file: str,
-    opens: bool,
-    serve: bool,
-    host: str,
-    port: int | None,
-    speed: float,
-    json: bool,
-    traceback: bool,
+    file: str, opens: bool, serve: bool, host: str, port: int | None, speed: float, json: bool
 ) -> None:
     """Say how a log is opened; open or play it if asked to."""
     if not speed > 0:
