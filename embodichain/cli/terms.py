@@ -81,7 +81,7 @@ class TermEntry:
 
     @property
     def is_alias(self) -> bool:
-        """Whether it stands for a quantity with a shape."""
+        """Whether it stands for another term."""
         return isinstance(self.spec, AliasSpec)
 
     @property
@@ -138,23 +138,26 @@ def _doc_of(spec: TermSpec) -> TermDoc:
 
 
 def _doc_of_alias(spec: AliasSpec) -> TermDoc:
-    """What an alias stands for, in the words of its quantity and its shapes."""
-    docs = [parse_doc(part.doc) for part in (spec.target, *spec.steps)]
-    examples: list[dict[str, Any]] = [yaml.safe_load(doc.example) for doc in docs]
-    example: dict[str, Any] = {"func": spec.name}
-    params: dict[str, Any] = {}
-    for name, (part, key) in spec.exposed.items():
-        given = examples[0].get("params", {})
+    """What an alias stands for, in the words of its target and its shapes."""
+    docs = [parse_doc(part.doc) for part in spec.parts]
+    first: dict[str, Any] = yaml.safe_load(docs[0].example)
+    params: dict[str, Any] = yaml.safe_load(spec.example) if spec.example else {}
+    for name, (part, key) in spec.exposed.items() if not params else ():
+        given = first.get("params", {})
         if part:
-            given = _parameters_of(examples[part]["shape"], spec.steps[part - 1])
+            shape = yaml.safe_load(docs[part].example)["shape"]
+            given = _parameters_of(shape, spec.steps[part - 1])
         if key in given:
             params[name] = given[key]
+    example = {k: v for k, v in first.items() if k not in ("shape", "weight", "params")}
+    example["func"] = spec.name
     if params:
         example["params"] = params
     text = yaml.safe_dump(example, default_flow_style=True, sort_keys=False, width=10_000)
+    told = docs[: 1 + len(spec.steps)]
     return TermDoc(
         summary=f"{spec.doc} {docs[0].summary}",
-        text="\n\n".join([spec.doc, *(doc.summary for doc in docs)]),
+        text="\n\n".join([spec.doc, *(doc.summary for doc in told)]),
         params={name: docs[part].params.get(key, "") for name, (part, key) in spec.exposed.items()},
         example=text.strip(),
     )
@@ -386,25 +389,28 @@ observations:
 
 `of`, `from` and `to` may be written `entity_cfg`, `source_entity_cfg` and `target_entity_cfg`, and
 the other way round. [Other names](#other-names), which EmbodiChain, Isaac Lab, mjlab and dm_control
-use, stand for a quantity with a shape.
+use, stand for another term, or for a quantity with a shape.
 """
 _BUILTIN = "embodichain."
 _QUANTITIES = (
     "Serve observations, rewards, terminations and metrics, except where a line says otherwise."
 )
-_OTHERS = "Each has the parameters of what it stands for; words in capitals are its own."
+_OTHERS = """\
+Each has parameters of what it stands for, which `embodichain show term NAME` lists; words in
+capitals are names of its own."""
 
 
 def catalogue() -> str:
     """Return the page. Terms of other packages are not on it."""
     entries = [e for e in all_entries() if e.spec.func.__module__.startswith(_BUILTIN)]
-    aliases = [e for e in entries if e.is_alias]
-    values = [e for e in entries if set(e.kinds) & set(VALUE_KINDS) and not e.is_alias]
+    aliases = [e for e in entries if isinstance(e.spec, AliasSpec) and not e.spec.makers]
+    described = [e for e in entries if e not in aliases]
+    values = [e for e in described if set(e.kinds) & set(VALUE_KINDS)]
     lines = [_HEAD]
     parts: dict[str, list[TermEntry]] = {"quantities": values, "shapes": shape_entries()}
     for kind, section in SECTION_OF.items():
         if kind not in VALUE_KINDS:
-            parts[section] = [e for e in entries if kind in e.kinds]
+            parts[section] = [e for e in described if kind in e.kinds]
     lines += [f"* [{title}](#{title}): {len(found)}" for title, found in parts.items()]
     lines.append(f"* [other names](#other-names): {len(aliases)}")
     for title, found in parts.items():

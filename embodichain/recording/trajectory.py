@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.base import F64, EnvIndex
-from embodichain.lab.sim.engine.layout import as_slice, entries
+from embodichain.lab.sim.engine.api import F64, EnvIndex, entries
 from embodichain.recording.block import Call, CallKind, Run, unpack_run
 from embodichain.recording.chunks import ChunkPlace, LogReader
 from embodichain.recording.header import Header
@@ -158,9 +157,12 @@ def _is_whole_step(call: Call, header: Header) -> bool:
 
 @lru_cache(maxsize=256)
 def columns_of(columns: tuple[int, ...] | None) -> NDArray[np.int64] | slice:
-    """Columns of a call as an index."""
-    found: NDArray[np.int64] | slice
-    found = slice(None) if columns is None else as_slice(np.array(columns, np.int64))
+    """Columns of a call as an index: a slice where they are neighbours (views, no copies)."""
+    if columns is None:
+        return slice(None)
+    found = np.array(columns, np.int64)
+    if len(found) and (np.diff(found) == 1).all():
+        return slice(int(found[0]), int(found[-1]) + 1)
     return found
 
 

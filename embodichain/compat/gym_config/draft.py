@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import PurePosixPath
 from typing import Any
 
-from embodichain.compat.gym_config.vocabulary import HANDLED, As, Vocabulary
+from embodichain.compat.gym_config.vocabulary import HANDLED, Vocabulary
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -81,8 +81,7 @@ class Draft:
                 if value is not None and value != [] and value != {}:  # nothing is left out then
                     self.note(where, rule)
             elif rule is not HANDLED:
-                name = rule.name if isinstance(rule, As) else str(key)
-                self.put((*target, name), value, where)
+                self.put((*target, str(key)), value, where)
         return True
 
     def unknown(self, where: Path, allowed: Mapping[str, Any]) -> None:

@@ -103,7 +103,7 @@ def _urdf(draft: Draft, urdf: Any, preset: str) -> None:
         if isinstance(component, Mapping):
             known = {key: value for key, value in component.items() if key in URDF_COMPONENT}
             for key in component.keys() - known.keys():
-                draft.note((*place, key), "nothing reads it")
+                draft.note((*place, key), "it has no effect")
             components.append(known)
         else:
             draft.refuse(place, f"expected a map, got {component!r}")
@@ -148,6 +148,8 @@ def _parts_of_articulation(
         convert_attrs(draft, data["attrs"], (*source, "attrs"), (*target, "attrs"))
     root, where = data.get("root_props"), (*source, "root_props")
     if root is not None and draft.carry(root, where, target, ROOT_PROPS):
+        if "fixed_base" in root:
+            draft.put((*target, "fix_base"), root["fixed_base"], (*where, "fixed_base"))
         collides = root.get("self_collision_enabled")
         if collides is not None:
             name = (*where, "self_collision_enabled")

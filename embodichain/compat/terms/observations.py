@@ -9,10 +9,9 @@ import lazy_loader
 import numpy as np
 from pydantic import Field
 
-from embodichain.compat.terms._targets import pick_joints, tool_of
+from embodichain.compat.terms._targets import joints_of, tool_of
 from embodichain.compat.terms._targets import target_position as stored_position
-from embodichain.lab.gym.envs.managers.param_types import Range
-from embodichain.lab.gym.envs.managers.references import Body, Joints
+from embodichain.lab.gym.envs.managers.param_types import Body, Joints, Range
 from embodichain.lab.gym.envs.managers.registry import quantity, register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
@@ -36,7 +35,6 @@ __all__ = [
     "get_object_body_scale",
     "get_object_pose",
     "get_object_uid",
-    "get_rigid_object_pose",
     "get_rigid_object_velocity",
     "target_position",
 ]
@@ -51,9 +49,7 @@ _NO_LIMIT = 1e10
 
 
 @register_term("observation")
-def get_object_pose(
-    env: TermContext, obs: Any, entity_cfg: Body, to_matrix: bool = True
-) -> torch.Tensor:
+def get_object_pose(env: TermContext, obs: Any, entity_cfg: Body, to_matrix: bool = True) -> F64:
     """Pose of an object, a robot's root, or the picked link, in the environment's frame.
 
     EmbodiChain's observation of the same name; an unknown uid is an error here, not zeros.
@@ -65,24 +61,8 @@ def get_object_pose(
     Example:
         ``{func: get_object_pose, params: {entity_cfg: {uid: cube}, to_matrix: false}}``
     """
-    pose = entity_cfg.pose()
+    pose = np.concatenate([entity_cfg.position(), entity_cfg.orientation()], axis=1)
     return pose_to_matrix(pose) if to_matrix else pose
-
-
-@register_term("observation")
-def get_rigid_object_pose(
-    env: TermContext, obs: Any, entity_cfg: Body, to_matrix: bool = True
-) -> torch.Tensor:
-    """EmbodiChain's older name of `get_object_pose`.
-
-    Args:
-        entity_cfg: The entity.
-        to_matrix: True gives (N, 4, 4), False (N, 7): x, y, z, qw, qx, qy, qz (metres, wxyz).
-
-    Example:
-        ``{func: get_rigid_object_pose, params: {entity_cfg: {uid: cube}}}``
-    """
-    return get_object_pose(env, obs, entity_cfg, to_matrix)
 
 
 @quantity("observation")
@@ -275,7 +255,7 @@ class NormalizeRobotJointData(Term):
         active = list(env.active_joint_ids)
         self._columns = _active_columns(env, active, joint_ids, control_parts)
         self._width = len(active)
-        self._of = pick_joints(env, None, None, [active[column] for column in self._columns])
+        self._of = joints_of(env, joint_ids=[active[column] for column in self._columns])
         self._ids = np.asarray(self._of.joint_ids, np.int64)
         self._positions = limit == "qpos_limits"
         most: F64 = np.asarray(getattr(self._of.asset.parsed, limit), np.float64)[self._ids]

@@ -8,12 +8,11 @@ import lazy_loader
 import numpy as np
 from pydantic import Field
 
-from embodichain.compat.terms._stored import asset_of, stored
-from embodichain.lab.gym.envs.managers.drawing import Uniform
+from embodichain.compat.terms._targets import RigidObject, asset_of, stored
 from embodichain.lab.gym.envs.managers.param_types import Box2, Box3, Finite, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.mdp._ik import Reach
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, pose_to_matrix, quat_multiply
@@ -69,14 +68,13 @@ class SampleRigidObjectPoseFromWorkspace(Term):
         self,
         env: TermContext,
         robot_cfg: ResolvedEntity,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: RigidObject,
         position_bounds: Box3,
         control_part: str | None = None,
         reference_height: float | None = None,
         rotation_range: Box3 | None = None,
         max_attempts: Annotated[int, Field(ge=1)] = 64,
     ) -> None:
-        asset_of(env, entity_cfg.uid, "entity_cfg.uid", objects_only=True)
         if control_part is not None:
             links = list(robot_cfg.link_names) or None
             picked = {"uid": robot_cfg.uid, "control_parts": control_part, "link_names": links}
@@ -303,13 +301,9 @@ class RandomizeTargetPose(Term):
         reference_entity_cfg: ResolvedEntity | None = None,
         store_key: str = "target_pose",
     ) -> None:
-        for name, wants in (
-            ("relative_position", relative_position),
-            ("relative_rotation", relative_rotation),
-        ):
-            if wants and reference_entity_cfg is None:
-                message = "needs reference_entity_cfg: relative to what?"
-                raise ConfigError([Problem(name, message)])
+        if reference_entity_cfg is None and (relative_position or relative_rotation):
+            name = "relative_position" if relative_position else "relative_rotation"
+            raise ConfigError([Problem(name, "needs reference_entity_cfg: relative to what?")])
         self._env, self._key = env, store_key
         self._reference = reference_entity_cfg
         self._moves, self._turns = relative_position, relative_rotation
@@ -324,9 +318,8 @@ class RandomizeTargetPose(Term):
         pos = self._position(env.event_manager, env_ids)
         quat: F64 = np.tile(np.array([1.0, 0.0, 0.0, 0.0]), (len(pos), 1))
         if self._reference is not None:
-            at, turned = _pose(self._reference)
-            pos = at[where] + pos if self._moves else pos
-            quat = turned[where]
+            pos = self._reference.position()[where] + pos if self._moves else pos
+            quat = self._reference.orientation()[where]
         if self._rotation is not None:
             turn = euler_xyz_to_quat(self._rotation(env.event_manager, env_ids))
             quat = quat_multiply(quat, turn) if self._turns else turn
@@ -343,12 +336,3 @@ class RandomizeTargetPose(Term):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         setattr(self._env, self._key, state["poses"].clone())
-
-
-def _pose(entity: ResolvedEntity) -> tuple[F64, F64]:
-    """Position (N, 3) and orientation (N, 4) of the picked link, else of the root."""
-    if entity.link_body is None:
-        found: tuple[F64, F64] = entity.asset.read_pose()
-        return found
-    engine, body = entity.asset.engine, entity.link_body
-    return engine.derived("xpos")[:, body], engine.derived("xquat")[:, body]

@@ -11,7 +11,7 @@ from embodichain.lab.gym.envs.mdp.events.pushes import EpisodeTimer, PushBySetti
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["PushArticulation"]
 

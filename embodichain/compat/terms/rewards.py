@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from pydantic import Field
 
-from embodichain.compat.terms._targets import pick_joints, target_position, tool_of
-from embodichain.lab.gym.envs.managers.param_types import NonNegative, Positive
-from embodichain.lab.gym.envs.managers.references import Body
+from embodichain.compat.terms._targets import joints_of, target_position, tool_of
+from embodichain.lab.gym.envs.managers.param_types import Body, NonNegative, Positive
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp import _kernels
@@ -29,7 +28,6 @@ if TYPE_CHECKING:
 __all__ = [
     "IncrementalDistanceToTarget",
     "JointLimitPenalty",
-    "JointVelocityPenalty",
     "ReachingBehindObject",
     "distance_between_objects",
     "distance_to_target",
@@ -61,7 +59,7 @@ def distance_between_objects(
     Args:
         source_entity_cfg: An entity, or a link of one.
         target_entity_cfg: Likewise.
-        exponential: Whether to use the second formula, which lies in (0, 1].
+        exponential: Whether to use the second formula, whose values are in (0, 1].
         sigma: Its width in metres.
         use_xy_only: Whether heights are ignored.
 
@@ -94,7 +92,7 @@ def distance_to_target(
     Args:
         source_entity_cfg: An entity, or a link of one.
         target_pose_key: The attribute of the environment with the poses, (N, 4, 4).
-        exponential: Whether to use the second formula, which lies in (0, 1].
+        exponential: Whether to use the second formula, whose values are in (0, 1].
         sigma: Its width in metres.
         use_xy_only: Whether heights are ignored.
 
@@ -240,35 +238,6 @@ def orientation_alignment(
     return 2.0 * w * w - 1.0  # the trace of a rotation is 4 w^2 - 1
 
 
-@quantity("reward", "metric", name="joint_velocity_penalty")
-class JointVelocityPenalty:
-    """-|qvel|, the Euclidean norm over the picked joints, rad/s. EmbodiChain's of the same name.
-
-    Args:
-        robot_uid: The robot; None is the task's own.
-        joint_ids: Its joints; None is all active ones.
-        part_name: One of its control parts, instead of `joint_ids`.
-        entity_cfg: Robot and joints by name, instead of all three (ours).
-
-    Example:
-        ``{func: joint_velocity_penalty, weight: 0.01, params: {robot_uid: ur10}}``
-    """
-
-    def __init__(
-        self,
-        env: TermContext,
-        robot_uid: str | None = None,
-        joint_ids: list[int] | None = None,
-        part_name: str | None = None,
-        entity_cfg: ResolvedEntity | None = None,
-    ) -> None:
-        self._joints = pick_joints(env, entity_cfg, robot_uid, joint_ids, part_name)
-
-    def __call__(self) -> F64:
-        """(N,), not positive."""
-        return -norm(self._joints.qvel())
-
-
 @quantity("reward", "metric", name="joint_limit_penalty")
 class JointLimitPenalty:
     """-sum max(0, margin - x), x the distance to the nearer limit as a share of the range.
@@ -293,7 +262,7 @@ class JointLimitPenalty:
         margin: Annotated[float, Field(gt=0, le=0.5)] = 0.1,
         entity_cfg: ResolvedEntity | None = None,
     ) -> None:
-        self._joints = pick_joints(env, entity_cfg, robot_uid, joint_ids)
+        self._joints = joints_of(env, robot_uid, joint_ids, None, entity_cfg)
         self._margin = margin
         self._joints.qpos_limits()
 

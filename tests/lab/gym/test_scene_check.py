@@ -13,8 +13,7 @@ from embodichain.lab.gym.envs.cfg import (
     RewardCfg,
     SceneEntityCfg,
 )
-from embodichain.lab.gym.envs.drive_changes import drive_changes
-from embodichain.lab.gym.envs.scene_check import describe
+from embodichain.lab.gym.envs.scene_check import describe, drive_changes
 from embodichain.lab.gym.envs.scene_setup import add_declared_robots, add_declared_scene, frozen_cfg
 from embodichain.lab.sim import scene as scene_module
 from embodichain.lab.sim.cfg import (

@@ -22,24 +22,23 @@ from embodichain.lab.gym.envs.actions import ActionCheck, action_space
 from embodichain.lab.gym.envs.autoreset import AutoresetMode
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.divergence import StateDump
-from embodichain.lab.gym.envs.drive_changes import drive_changes
-from embodichain.lab.gym.envs.embodichain_members import EmbodiChainMembers
-from embodichain.lab.gym.envs.env_reads import EnvReads
+from embodichain.lab.gym.envs.env_reads import EmbodiChainMembers, EnvReads
 from embodichain.lab.gym.envs.episodes import Episodes
 from embodichain.lab.gym.envs.hooks import EnvHooks, overridden_hooks
 from embodichain.lab.gym.envs.judging import StepJudge, as_mask, ends, none_set, reset_ids
 from embodichain.lab.gym.envs.managers.action_manager import ActionManager
-from embodichain.lab.gym.envs.managers.base import Manager
-from embodichain.lab.gym.envs.managers.command_manager import CommandManager
-from embodichain.lab.gym.envs.managers.curriculum_manager import CurriculumManager
-from embodichain.lab.gym.envs.managers.event_manager import EventManager
-from embodichain.lab.gym.envs.managers.metric_manager import MetricManager
+from embodichain.lab.gym.envs.managers.drawing import CommandManager, EventManager
+from embodichain.lab.gym.envs.managers.manager import CurriculumManager, Manager
 from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
-from embodichain.lab.gym.envs.managers.reward_manager import RewardManager
-from embodichain.lab.gym.envs.managers.termination_manager import TerminationManager
+from embodichain.lab.gym.envs.managers.value_managers import (
+    MetricManager,
+    RewardManager,
+    TerminationManager,
+)
 from embodichain.lab.gym.envs.observation import Observation
 from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
 from embodichain.lab.gym.envs.observers import Observers, StepRecord
+from embodichain.lab.gym.envs.scene_check import drive_changes
 from embodichain.lab.gym.envs.snapshot import Snapshot, SnapshotSource
 from embodichain.lab.gym.utils.spaces import observation_space
 from embodichain.lab.sim.objects._arrays import as_env_ids

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import gymnasium as gym
 import torch
@@ -18,16 +18,20 @@ from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
+    import torch
+
     from embodichain.lab.gym.envs.cfg import EnvCfg
-    from embodichain.lab.gym.envs.managers.metric_manager import MetricManager
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-    from embodichain.lab.gym.envs.managers.termination_manager import TerminationManager
+    from embodichain.lab.gym.envs.managers.value_managers import MetricManager, TerminationManager
     from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
     from embodichain.lab.sim.engine.base import EnvIndex
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.utils.random import RandomStreams
 
-__all__ = ["EnvReads"]
+__all__ = [
+    "EmbodiChainMembers",
+    "EnvReads",
+]
 
 
 class EnvReads:
@@ -227,3 +231,61 @@ class EnvReads:
         """Tell observers that a term fired, and what it drew."""
         if self.observers:
             self.observers.on_event(EventRecord(term, mode, env_ids, drawn or {}))
+
+
+class _Clock(Protocol):
+    @property
+    def physics_frequency(self) -> float: ...
+
+    @property
+    def control_frequency(self) -> float: ...
+
+    @property
+    def elapsed_steps(self) -> torch.Tensor: ...
+
+
+class EmbodiChainMembers:
+    """Names of EmbodiChain 0.2.1 beside those of `BaseEnv`.
+
+    Attributes:
+        affordance_datas: Values that a task's own code shares; `state_dict` contains only the
+            entries that event terms write.
+        rollout_buffer, action_bank: Always None, `current_rollout_step` 0: learners have buffers
+            of their own, and there are no action banks.
+    """
+
+    affordance_datas: dict[str, Any]
+    rollout_buffer: None = None
+    current_rollout_step: int = 0
+    action_bank: None = None
+
+    def __init__(self) -> None:
+        self.affordance_datas = {}
+        self._camera_group_ids: list[int] = []
+
+    @property
+    def sim_freq(self: _Clock) -> float:
+        """Physics steps a second."""
+        return self.physics_frequency
+
+    @property
+    def control_freq(self: _Clock) -> float:
+        """Control steps a second."""
+        return self.control_frequency
+
+    @property
+    def _elapsed_steps(self: _Clock) -> torch.Tensor:
+        """EmbodiChain's name of `elapsed_steps`."""
+        return self.elapsed_steps
+
+    def add_camera_group_id(self, group_id: int) -> None:
+        """Store a camera group, which EmbodiChain's renderer needs; no effect here."""
+        self._camera_group_ids.append(group_id)
+
+    def set_affordance(self, key: str, value: Any) -> None:
+        """Set a value of `affordance_datas`."""
+        self.affordance_datas[key] = value
+
+    def get_affordance(self, key: str, default: Any = None) -> Any:
+        """Return a value of `affordance_datas`."""
+        return self.affordance_datas.get(key, default)

@@ -14,13 +14,13 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.autoreset import blanked
-from embodichain.lab.gym.envs.managers.dry_run import JudgedEnv, check_shapes
+from embodichain.lab.gym.envs.managers.value_managers import JudgedEnv, check_shapes
 from embodichain.lab.sim.objects._arrays import all_finite, as_env_ids
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.episodes import Episodes
-    from embodichain.lab.gym.envs.managers.command_manager import CommandManager
-    from embodichain.lab.gym.envs.managers.curriculum_manager import CurriculumManager
+    from embodichain.lab.gym.envs.managers.drawing import CommandManager
+    from embodichain.lab.gym.envs.managers.manager import CurriculumManager
     from embodichain.lab.gym.envs.observation import Observation
     from embodichain.lab.sim.types import EnvObs
 

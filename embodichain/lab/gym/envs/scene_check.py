@@ -1,14 +1,20 @@
-"""`describe`: every mistake in a task's scene, found before anything is simulated. No torch."""
+"""`describe`: every mistake in a task's scene, found before anything is simulated. No torch.
+
+`check_references` finds references of terms to entities that do not exist, `drive_changes` which
+drive gains and link masses events may draw.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from embodichain.lab.gym.envs.cfg import EnvCfg
-from embodichain.lab.gym.envs.drive_changes import drive_changes
-from embodichain.lab.gym.envs.managers.scene_references import check_references
+from embodichain.lab.gym.envs.cfg import EnvCfg, EventCfg
+from embodichain.lab.gym.envs.managers.aliases import AliasSpec
+from embodichain.lab.gym.envs.managers.registry import SECTIONS, TERMS
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
     LightCfg,
@@ -19,6 +25,7 @@ from embodichain.lab.sim.cfg import (
 )
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
 from embodichain.lab.sim.compiler.chatter import DriveChange, PhysicsStep, physics_step
+from embodichain.lab.sim.compiler.entity_names import Known, check_reference
 from embodichain.lab.sim.compiler.names import check_uid
 from embodichain.lab.sim.compiler.rigid_objects import check_object
 from embodichain.lab.sim.compiler.robot_bodies import MAX_MASKED
@@ -27,8 +34,148 @@ from embodichain.lab.sim.compiler.scene_sensors import SensorPlan, plan_sensors
 from embodichain.lab.sim.compiler.visuals import GROUND, check_light
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean, listing
 
-__all__ = ["describe"]
+__all__ = [
+    "describe",
+    "drive_changes",
+]
+
+_PICKS = ("joint_names", "control_parts")
+
+
+def drive_changes(events: Mapping[str, EventCfg]) -> dict[str, list[DriveChange]]:
+    """Return what events may draw for each articulation, by uid; malformed parameters are left out.
+
+    Args:
+        events: The task's events.
+    """
+    found: dict[str, list[DriveChange]] = {}
+    for event in events.values():
+        known = TERMS["event"].get(event.func) if isinstance(event.func, str) else None
+        func = known.func if known is not None else event.func
+        ranges: Mapping[str, str] = getattr(func, "drive_ranges", {})
+        params: Mapping[str, Any] = event.params
+        if known is not None:
+            params = {meant: params[name] for name, meant in known.written(params).items()}
+        if isinstance(known, AliasSpec):
+            own = {key: params[name] for key, name in known.names.items() if name in params}
+            params = {**params, **own}
+        entities = params.get("entity_cfgs") or [params.get("entity_cfg")]
+        for param, quantity in ranges.items():
+            bounds = _bounds(params.get(param))
+            for entity in [e for e in entities if e is not None and bounds is not None]:
+                names = _names(entity, quantity, params)
+                change = DriveChange(quantity, names, bounds, _operation(params, quantity))  # type: ignore[arg-type]
+                found.setdefault(str(_get(entity, "uid")), []).append(change)
+    return found
+
+
+def _get(entity: Any, name: str) -> Any:
+    return entity.get(name) if isinstance(entity, Mapping) else getattr(entity, name, None)
+
+
+def _names(entity: Any, quantity: str, params: Mapping[str, Any]) -> tuple[str, ...] | None:
+    if quantity == "mass":
+        given = [params.get("link_names") or _get(entity, "link_names")]
+    else:
+        given = [_get(entity, name) for name in _PICKS]
+    names = [n for value in given if value for n in ([value] if isinstance(value, str) else value)]
+    return tuple(names) or None
+
+
+def _operation(params: Mapping[str, Any], quantity: str) -> Any:
+    if quantity == "strength":  # factors, whatever the operation of the other fields
+        return "abs"
+    default = "add" if quantity == "mass" and params.get("relative") else "abs"
+    return params.get("operation") or default
+
+
+def _bounds(given: Any) -> Any:
+    """[low, high] as a pair, {regex: [low, high]} as a map of pairs; None for anything else."""
+    if isinstance(given, Mapping):
+        pairs = {str(key): _pair(value) for key, value in given.items()}
+        return None if None in pairs.values() else pairs
+    return _pair(given)
+
+
+def _pair(given: Any) -> tuple[float, float] | None:
+    numbers = isinstance(given, Sequence) and all(isinstance(x, (int, float)) for x in given)
+    return (float(given[0]), float(given[1])) if numbers and len(given) == 2 else None
+
+
+_LIGHT_TERMS = frozenset({"randomize_light"})
+"""Terms whose entity is a light."""
+
+_FIELDS = frozenset(
+    {
+        "uid",
+        "joint_names",
+        "link_names",
+        "body_names",
+        "control_parts",
+        "preserve_order",
+        "joint_ids",
+        "body_ids",
+    }
+)
+_KEY = re.compile(r"(.*_)?(entity_cfg|cfg|relative_to)|of|from|to")
+
+
+def check_references(cfg: Any, known: Known, open_scene: bool) -> list[Problem]:
+    """Return every reference to an entity, joint, link or control part that does not exist.
+
+    A parameter is a reference if it is a `SceneEntityCfg`, or a map with nothing but its keys that
+    has ``uid`` or whose own key says so (``of``, ``from``, ``to``, ``..._cfg``, ``relative_to``).
+
+    Args:
+        cfg: The task.
+        known: The declared entities.
+        open_scene: Whether Python code may add entities: an unknown uid is then no mistake.
+    """
+    problems: list[Problem] = []
+    for section in SECTIONS:
+        for name, term in getattr(cfg, section).items():
+            for path, fields in _references(f"{section}.{name}.params", term.params):
+                if term.func in _LIGHT_TERMS:
+                    problems += _check_light(path, str(fields.get("uid") or ""), known, open_scene)
+                else:
+                    problems += check_reference(path, fields, known, open_scene)
+    return problems
+
+
+def _check_light(path: str, uid: str, known: Known, open_scene: bool) -> list[Problem]:
+    lights = [name for name, what in known.items() if what == "light"]
+    if uid in lights or (open_scene and uid and uid not in known):
+        return []
+    message = f"no light is called {uid!r}; there are: {listing(lights, uid)}"
+    return [Problem(f"{path}.uid", message, did_you_mean(uid, lights).strip())]
+
+
+def _references(path: str, params: Any) -> Iterator[tuple[str, dict[str, Any]]]:
+    items: Iterator[tuple[Any, Any]] = iter(())
+    if isinstance(params, Mapping):
+        items = iter(params.items())
+    elif isinstance(params, (list, tuple)):
+        items = iter(enumerate(params))
+    for key, value in items:
+        where = f"{path}.{key}"
+        fields = _fields(str(key), value)
+        if fields is not None:
+            yield where, fields
+        else:
+            yield from _references(where, value)
+
+
+def _fields(key: str, value: Any) -> dict[str, Any] | None:
+    """Return a reference's fields, or None if the value is no reference."""
+    if isinstance(value, Mapping):
+        if ("uid" in value or _KEY.fullmatch(key)) and _FIELDS.issuperset(value):
+            return dict(value)
+        return None
+    if hasattr(value, "uid") and hasattr(value, "joint_names") and hasattr(value, "body_ids"):
+        return {name: getattr(value, name) for name in _FIELDS}
+    return None
 
 
 @dataclass(frozen=True)

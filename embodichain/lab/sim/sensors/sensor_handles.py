@@ -8,13 +8,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.base import F64
-from embodichain.lab.sim.host import Handle, Host
+from embodichain.lab.sim.objects._arrays import to_tensor
+from embodichain.lab.sim.objects.entity import Handle
 from embodichain.utils.math import quat_conjugate, quat_rotate
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.scene_sensors import SensorIndex, SensorPlan
-    from embodichain.lab.sim.engine.base import F64, Engine
+    from embodichain.lab.sim.engine.api import F64, Engine
+    from embodichain.lab.sim.host import Host
     from embodichain.lab.sim.sensors.cfg import SensorCfg
 
 __all__ = ["BaseSensor", "ContactSensor", "ForceTorqueSensor", "ImuSensor"]
@@ -62,20 +63,15 @@ class BaseSensor(Handle["SensorIndex"]):
 
     def _now(self) -> F64:
         """(N, ...) its numbers at the present poses and velocities: a view, do not keep."""
-        index = self.binding.index
+        index = self.index
         rows = self.engine.derived("sensordata")[:, index.columns]
         return rows.reshape(len(rows), *index.shape)
 
     def _last(self) -> F64:
         """(N, ...) its numbers of the last physics step, or of the last reset: a view."""
-        index = self.binding.index
+        index = self.index
         rows = self.engine.acceleration("sensordata")[:, index.columns]
         return rows.reshape(len(rows), *index.shape)
-
-
-def as_tensor(array: F64) -> torch.Tensor:
-    """A float32 tensor of its own."""
-    return torch.from_numpy(array.astype(np.float32))
 
 
 class ContactSensor(BaseSensor):
@@ -105,8 +101,8 @@ class ContactSensor(BaseSensor):
     def get_data(self) -> dict[str, torch.Tensor]:
         """``found`` (N, n), 1 or 0, and ``force`` (N, n, 3) in N, world axes."""
         return {
-            "found": torch.from_numpy(self.read_found().astype(np.float32)),
-            "force": as_tensor(self.read_force()),
+            "found": to_tensor(self.read_found()),
+            "force": to_tensor(self.read_force()),
         }
 
 
@@ -128,7 +124,7 @@ class ForceTorqueSensor(BaseSensor):
 
     def get_data(self) -> dict[str, torch.Tensor]:
         """``force`` (N, n, 3) and ``torque`` (N, n, 3)."""
-        return {"force": as_tensor(self.read_force()), "torque": as_tensor(self.read_torque())}
+        return {"force": to_tensor(self.read_force()), "torque": to_tensor(self.read_torque())}
 
 
 _DOWN = np.array([0.0, 0.0, -1.0])
@@ -170,8 +166,8 @@ class ImuSensor(BaseSensor):
         (N, 3) each.
         """
         return {
-            "orientation": as_tensor(self.read_orientation()),
-            "angular_velocity": as_tensor(self.read_angular_velocity()),
-            "acceleration": as_tensor(self.read_acceleration()),
-            "projected_gravity": as_tensor(self.read_projected_gravity()),
+            "orientation": to_tensor(self.read_orientation()),
+            "angular_velocity": to_tensor(self.read_angular_velocity()),
+            "acceleration": to_tensor(self.read_acceleration()),
+            "projected_gravity": to_tensor(self.read_projected_gravity()),
         }

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import ActionTermCfg
-from embodichain.lab.gym.envs.managers.action_pipeline import ActionPipeline
-from embodichain.lab.gym.envs.managers.base import BuiltTerm, Manager
+from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
+from embodichain.lab.gym.envs.managers.pipeline import ActionPipeline
 from embodichain.lab.gym.envs.managers.term import ActionTerm
 from embodichain.utils.errors import ConfigError, Problem
 

@@ -8,8 +8,7 @@ import numpy as np
 
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.mdp.actions._joint_term import JointTerm
-from embodichain.lab.gym.envs.mdp.actions._per_joint import PerJoint, per_joint
+from embodichain.lab.gym.envs.mdp.actions.joint_action import JointTerm, PerJoint, per_joint
 from embodichain.lab.gym.utils.bounds import finite_limits
 from embodichain.utils.errors import ConfigError, Problem
 

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.managers.drawing import Timer, Uniform
+from embodichain.lab.gym.envs.managers.drawing import Timer
 from embodichain.lab.gym.envs.managers.param_types import Axes6, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.mdp._root_state import (
+from embodichain.lab.gym.envs.managers.term import Term, Uniform
+from embodichain.lab.gym.envs.mdp.events.placing import (
     need_free_root,
     read_root_velocity,
     six_axes,

@@ -18,7 +18,7 @@ from embodichain.utils.video import VideoFile, need_encoder
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["RecordCameraData", "filmed_from"]
 

@@ -13,8 +13,8 @@ from embodichain.lab.gym.envs.managers.param_types import Positive
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.mdp._root_state import read_root_velocity
 from embodichain.lab.gym.envs.mdp._rows import norm
+from embodichain.lab.gym.envs.mdp.events.placing import read_root_velocity
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -160,4 +160,4 @@ def _velocities(asset: Any) -> list[F64]:
     if not hasattr(asset, "parsed"):
         return [read_root_velocity(asset)]
     bodies = asset.entity.body_ids
-    return [asset.link_velocity(int(body)).numpy().astype(np.float64) for body in bodies]
+    return [asset.velocity_of(int(body)) for body in bodies]

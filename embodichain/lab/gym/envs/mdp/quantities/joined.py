@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from embodichain.lab.gym.envs.cfg import ValueCfg
-from embodichain.lab.gym.envs.managers.base import Manager
+from embodichain.lab.gym.envs.managers.manager import Manager
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.utils.errors import ConfigError, Problem

@@ -11,8 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.param_types import Fraction, NonNegative, Positive
-from embodichain.lab.gym.envs.managers.references import Command, Joints
+from embodichain.lab.gym.envs.managers.param_types import (
+    Command,
+    Fraction,
+    Joints,
+    NonNegative,
+    Positive,
+)
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import norm, total
 from embodichain.utils.errors import ConfigError, Problem

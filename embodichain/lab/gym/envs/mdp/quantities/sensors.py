@@ -11,17 +11,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.param_types import NonNegative
-from embodichain.lab.gym.envs.managers.references import (
+from embodichain.lab.gym.envs.managers.param_types import (
     ContactOf,
     ForceTorqueOf,
     ImuOf,
+    NonNegative,
     PlanarCommand,
 )
 from embodichain.lab.gym.envs.managers.registry import quantity
-from embodichain.lab.gym.envs.managers.scene_entity import origin_velocities
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._rows import norm, total
+from embodichain.lab.sim.body_motion import origin_velocities
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
