@@ -57,7 +57,8 @@ _NO_EFFECT: dict[str, tuple[Any, str]] = {
 
 def _flags(function: Any) -> Any:
     """Add EmbodiChain's flags in both spellings, all unset: only what was typed counts."""
-    flags: list[tuple[str, Any, str]] = [("gym_config", str, "EmbodiChain's config of a task: YAML or JSON.")]
+    file = "EmbodiChain's config of a task: YAML or JSON."
+    flags: list[tuple[str, Any, str]] = [("gym_config", str, file)]
     flags += [(name, kind, text) for name, (kind, _, text) in _KEYS.items()]
     flags += [(name, bool, text) for name, text in _SWITCHES.items()]
     flags += [(name, kind, "No effect.") for name, (kind, _) in _NO_EFFECT.items()]

@@ -1,7 +1,7 @@
 """`embodichain validate`: every mistake in a task or a file that `run` would refuse.
 
-What the config alone shows comes first, all of it at once; then one environment is built as a run
-builds it, which needs torch.
+All mistakes of the config are found first; then one environment is built as a run builds it, which
+needs torch.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from embodichain.config.locate import LocatedProblem
     from embodichain.config.resolved import Resolved
 
-__all__ = ["command", "try_out"]
+__all__ = ["command"]
 
 
 @verb(
@@ -44,7 +44,9 @@ def command(words: tuple[str, ...], train: bool, json: bool) -> int:
 
     verb: Verb = "train" if train else "run"
     name = " ".join(words)
-    files = [word for word in words if _is_file(word)]
+    # By the ending, so that a file that is missing is reported as such.
+    endings = (".yaml", ".yml", ".json")
+    files = [word for word in words if "=" not in word and word.endswith(endings)]
     notes: tuple[LocatedProblem, ...] = ()
     problems: tuple[Problem, ...] = ()
     if files and len(words) > 1:
@@ -65,7 +67,7 @@ def command(words: tuple[str, ...], train: bool, json: bool) -> int:
             resolved = resolved_job(composed, verb)
         notes = resolved.notes
         with warnings_on_stderr():
-            try_out(resolved, verb)
+            _try_out(resolved, verb)
     except ConfigError as error:
         problems = error.problems
     if json:
@@ -81,12 +83,7 @@ def command(words: tuple[str, ...], train: bool, json: bool) -> int:
     return process.OK
 
 
-def _is_file(word: str) -> bool:
-    """Whether a word means a file: by its ending, so that a missing one is reported as such."""
-    return "=" not in word and word.endswith((".yaml", ".yml", ".json"))
-
-
-def try_out(resolved: Resolved, verb: Verb) -> None:
+def _try_out(resolved: Resolved, verb: Verb) -> None:
     """Build what the job builds, reset it and take one step.
 
     Files that terms write go to a temporary folder, which is removed; no viewer is opened and no
