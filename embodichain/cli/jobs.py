@@ -104,36 +104,31 @@ class Job:
 
         Args:
             env: The environment, built.
-            realtime: Whether the run keeps to the clock at first while a browser is connected.
-            resets: Whether the page has a button that ends an episode.
+            realtime: Whether the run initially keeps to real time while the viewer is watched.
+            resets: Whether the viewer may end an episode.
         """
         cfg = self.root.viewer
-        where = cfg.host, cfg.port
         if cfg.name == "foxglove":
             from embodichain.recording.viewers.foxglove import FoxgloveView
 
-            shown = self.root.record.view_envs
-            live = FoxgloveView(env, *where, env_id=cfg.env, view_envs=shown, realtime=realtime)
+            shown = sorted({cfg.env, *self.root.record.view_envs})
+            live = FoxgloveView(env, cfg.host, cfg.port, shown, realtime=realtime)
             env.add_observer(live)
-            url = f"{live.url} (Foxglove, Lichtblick: Open connection, Foxglove WebSocket)"
+            url = live.server.url
+            where = f"{url} (Foxglove, Lichtblick: Open connection, Foxglove WebSocket)"
         elif cfg.name == "web":
-            from embodichain.recording.viewers.web import WebView
+            from embodichain.recording.viewers.web import PageOptions, WebView
 
-            view = WebView(
-                *(env, *where),
-                env_id=cfg.env,
-                realtime=realtime,
-                resets=resets,
-                stopped=self.stop.is_stopped,
-            )
+            page = PageOptions(cfg.host, cfg.port, cfg.env, realtime, resets)
+            view = WebView(env, page, stopped=self.stop.is_stopped)
             env.add_observer(view)
-            url = view.url
+            url = where = view.url
         else:
             return
-        _log.info("viewer: %s", url)
+        _log.info("viewer: %s", where)
         if not self.quiet:
-            sys.stderr.write(f"viewer: {url}\n")
-        warn_if_public(cfg.host)
+            sys.stderr.write(f"viewer: {where}\n")
+        warn_if_public(cfg.host, url, controls=cfg.name == "web")
 
     def film(self, log: str | Path | None) -> dict[str, str]:
         """Film what was logged, if the config says so; comes last, when all else is written.
@@ -286,7 +281,7 @@ def check_extras(root: RootCfg) -> None:
 
         need_encoder()
     if root.viewer.name == "foxglove":
-        from embodichain.recording.viewers.foxglove_server import need_sdk
+        from embodichain.recording.viewers.foxglove import need_sdk
 
         need_sdk()
 

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
+from urllib.parse import urlsplit
 
 from embodichain.cli.output import console
 
@@ -160,14 +161,21 @@ def warnings_on_stderr() -> Iterator[None]:
         logging.getLogger().removeHandler(screen)
 
 
-def warn_if_public(host: str) -> None:
-    """Warn on stderr if other machines than this one can reach a viewer."""
+def warn_if_public(host: str, url: str, *, controls: bool) -> None:
+    """Warn on stderr if other machines can reach a viewer.
+
+    Args:
+        host: The address it listens on.
+        url: Where it is; has the port.
+        controls: Whether a viewer can control the run.
+    """
     from embodichain.utils.addresses import is_loopback
 
     if not is_loopback(host):
+        use = " and use its controls" if controls else ""
         sys.stderr.write(
-            f"warning: the viewer listens on {host} and asks nobody who they are: "
-            "everybody who reaches it can look and press its buttons\n"
+            f"warning: the viewer at {host}:{urlsplit(url).port} has no authentication; "
+            f"anyone who can reach this address can watch the run{use}\n"
         )
 
 

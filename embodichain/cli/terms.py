@@ -70,7 +70,7 @@ class TermEntry:
         name: How configs call it.
         kinds: The managers that run it; none for a shape.
         spec: As it is registered under the first of them.
-        doc: Its docstring; of an alias what it stands for.
+        doc: Its docstring; of an alias its meaning.
     """
 
     name: str
@@ -80,7 +80,7 @@ class TermEntry:
 
     @property
     def is_alias(self) -> bool:
-        """Whether it stands for another term."""
+        """Whether it is another name of a term."""
         return isinstance(self.spec, AliasSpec)
 
     @property
@@ -140,7 +140,7 @@ def _doc_of(spec: TermSpec) -> TermDoc:
 
 
 def _doc_of_alias(spec: AliasSpec) -> TermDoc:
-    """What an alias stands for, in the words of its target and its shapes."""
+    """An alias described by the docstrings of its target and its shapes."""
     docs = [parse_doc(part.doc) for part in spec.parts]
     first: dict[str, Any] = yaml.safe_load(docs[0].example)
     params: dict[str, Any] = yaml.safe_load(spec.example) if spec.example else {}
@@ -329,8 +329,8 @@ _QUANTITIES = (
     "Serve observations, rewards, terminations and metrics, except where a line says otherwise."
 )
 _OTHERS = """\
-Each has parameters of what it stands for, which `embodichain show term NAME` lists; words in
-capitals are names of its own."""
+`embodichain show term NAME` lists the parameters; those in capitals have another name than in the
+term."""
 
 
 def catalogue() -> str:
@@ -351,19 +351,22 @@ def catalogue() -> str:
         lines += ["", f"## {title}", "", *([_QUANTITIES, ""] if title == "quantities" else [])]
         lines += [line for entry in found for line in _term(entry)]
     lines += ["", "## other names", "", _OTHERS, ""]
-    meanings = [e.spec.doc.removeprefix("Stands for ").replace("``", "`") for e in aliases]
+    meanings = [e.spec.doc.removeprefix("Alias of ").replace("``", "`") for e in aliases]
     rows = [
         (f"`{entry.name}`", entry.sections, meaning.rstrip("."))
         for entry, meaning in zip(aliases, meanings, strict=True)
     ]
-    lines += _rows(("name", "for", "stands for"), rows)
+    lines += _rows(("name", "for", "alias of"), rows)
     return "\n".join(lines).rstrip("\n") + "\n"
 
 
 def _term(entry: TermEntry) -> Iterator[str]:
     yield from (f"### {entry.name}", "", entry.doc.text, "")
-    if entry.kinds and set(entry.kinds) < set(VALUE_KINDS):
-        yield from (f"For {entry.sections}.", "")
+    notes = [f"For {entry.sections}."] if set() < set(entry.kinds) < set(VALUE_KINDS) else []
+    if entry.spec.func.__module__.startswith("embodichain.compat."):
+        notes.append("With the name and parameters of EmbodiChain's.")
+    if notes:
+        yield from (" ".join(notes), "")
     rows = [
         (
             f"`{row['parameter']}`",
