@@ -46,7 +46,9 @@ _PLACES: Final[Mapping[str, tuple[str, ...]]] = {
     f"{_SIM}.unavailable": ("SoftObject",),
     f"{_SIM}.sensors": ("BaseSensor", "CameraCfg", "SensorCfg", "StereoCameraCfg"),
     f"{_SIM}.shapes": ("VisualMaterialCfg",),
+    f"{_MANAGERS}.drawing": ("EventManager",),
     f"{_MANAGERS}.term": ("ActionTerm",),
+    f"{_MANAGERS}.value_managers": ("RewardManager",),
     f"{_DATA}.lookup": ("get_data_path",),
     f"{_UTILS}.configclass": ("configclass", "is_configclass"),
 }

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 else:
     torch = lazy_loader.load("torch")
 
@@ -113,13 +113,13 @@ def _uids_of(env: TermContext, wanted: Relative, path: str) -> list[str]:
 
 @register_term("event", name="prepare_extra_attr")
 class PrepareExtraAttr(Term):
-    """Attaches attributes to entities, as ``env.extra_attrs[uid][name]``: EmbodiChain's event.
+    """Attaches attributes to entities, as ``env.extra_attrs[uid][name]``.
 
     Args:
         attrs: Each a map with `name`; `entity_uids` (names, `all_objects` or `all_robots`) or
             `entity_cfg`; and `value`, or `mode: callable` with `func_name` (a method of the
             entity's handle, or ``package.module:function`` that gets env, env_ids and the handle)
-            and `func_kwargs`. Callables are called at every firing.
+            and `func_kwargs`. Callables are called whenever the event is.
 
     Example:
         ``{func: prepare_extra_attr, mode: startup, params: {attrs: [{name: grasp_width, entity_uids: [cube], value: 0.04}, {name: size, mode: callable, entity_uids: all_objects, func_name: get_body_scale}]}}``
@@ -171,7 +171,7 @@ def _checked(env: TermContext, attr: ExtraAttr, path: str) -> tuple[list[str], A
 
 @register_term("event", name="register_info_to_env")
 class RegisterInfoToEnv(Term):
-    """Copies attributes and poses of entities into ``env.<registration>``: EmbodiChain's event.
+    """Copies attributes and poses of entities into ``env.<registration>``.
 
     An attribute is called ``{uid}_{attribute}``. ``{uid}_pose`` is the entity's pose in the
     environment's frame (``{uid}_{link}_pose`` of a picked link), ``{other}_pose_{uid}`` the pose of
@@ -181,8 +181,8 @@ class RegisterInfoToEnv(Term):
         registry: Each a map with `entity_cfg`, `attrs` and `prefix` as of `register_entity_attrs`,
             and `pose_register_params` as of `register_entity_pose` (absent: no poses).
         registration: Attribute of the environment, a dictionary; made if there is none.
-        sim_update: Whether these environments take 100 physics steps before, so that what was
-            placed has settled.
+        sim_update: Whether these environments take 100 physics steps before, so that objects have
+            settled.
 
     Example:
         ``{func: register_info_to_env, mode: reset, params: {sim_update: false, registry: [{entity_cfg: {uid: cube}, attrs: [get_body_scale], pose_register_params: {to_matrix: false}}]}}``

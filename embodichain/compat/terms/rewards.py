@@ -23,7 +23,7 @@ from embodichain.utils.math import quat_conjugate, quat_multiply
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
     "IncrementalDistanceToTarget",
@@ -53,8 +53,6 @@ def distance_between_objects(
     use_xy_only: bool = False,
 ) -> F64:
     """-d, or exp(-d^2 / (2 sigma^2)), with d the distance in metres between two entities.
-
-    EmbodiChain's reward of the same name; `use_xy_only` is ours.
 
     Args:
         source_entity_cfg: An entity, or a link of one.
@@ -87,8 +85,6 @@ def distance_to_target(
 ) -> F64:
     """-d, or exp(-d^2 / (2 sigma^2)), with d the distance in metres to a pose that an event stores.
 
-    EmbodiChain's reward of the same name.
-
     Args:
         source_entity_cfg: An entity, or a link of one.
         target_pose_key: The attribute of the environment with the poses, (N, 4, 4).
@@ -108,8 +104,7 @@ def distance_to_target(
 class IncrementalDistanceToTarget(Rate):
     """w tanh(tanh_scale (d_before - d)): positive for coming closer; 0 in an episode's first step.
 
-    d is the distance in metres to a pose that an event stores, w one of two weights. EmbodiChain's
-    reward of the same name, whose memory survives resets and pays for the jump; this one forgets.
+    d is the distance in metres to a pose that an event stores, w one of two weights.
 
     Args:
         source_entity_cfg: An entity, or a link of one.
@@ -150,10 +145,10 @@ class ReachingBehindObject:
     """1 - tanh(distance_scale d), d the tool's distance to a point behind the object to push.
 
     The point is ``object - behind_offset u + (0, 0, height_offset)`` with u the unit vector from
-    the object to its target (0 where they coincide). EmbodiChain's reward of the same name.
+    the object to its target (0 where they coincide).
 
     Args:
-        object_cfg: What is to be pushed.
+        object_cfg: The object to push.
         target_pose_key: The attribute of the environment with the target poses, (N, 4, 4).
         behind_offset: Metres.
         height_offset: Metres.
@@ -204,8 +199,8 @@ def object_goal_distance(
     general form is `product_of` `height` and `distance`.
 
     Args:
-        object_cfg: What is carried.
-        goal_cfg: Where to.
+        object_cfg: The object.
+        goal_cfg: The goal.
         std: Metres: where the value has fallen to 0.24.
         minimal_height: Metres above z = 0 of the object's origin.
 
@@ -222,8 +217,6 @@ def orientation_alignment(
     env: TermContext, source_entity_cfg: Body, target_entity_cfg: Body
 ) -> F64:
     """(tr(Rs Rt^T) - 1) / 2, the cosine of the angle between two orientations, in [-1, 1].
-
-    EmbodiChain's reward of the same name.
 
     Args:
         source_entity_cfg: An entity, or a link of one.
@@ -242,7 +235,7 @@ def orientation_alignment(
 class JointLimitPenalty:
     """-sum max(0, margin - x), x the distance to the nearer limit as a share of the range.
 
-    EmbodiChain's reward of the same name. Joints without two limits count 0.
+    Joints without two limits count 0.
 
     Args:
         robot_uid: The robot; None is the task's own.

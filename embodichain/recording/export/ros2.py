@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.api import Log
 from embodichain.recording.export.formats import Part, poses, required
 from embodichain.recording.views.channels import frame_names, scalar_joints

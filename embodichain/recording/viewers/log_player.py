@@ -16,7 +16,7 @@ from embodichain.recording.viewers.web_page import Facts
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.engine.cpu import CpuEngine
 
 __all__ = ["NativeScreen", "Screen", "play_log"]

@@ -18,7 +18,7 @@ from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
-from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.views.channels import frame_names
 from embodichain.recording.views.shapes import MEDIA_TYPE, PLANE_SIZE, Shape, glb, mesh_of, shapes
 from embodichain.utils.math import quat_multiply

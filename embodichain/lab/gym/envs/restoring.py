@@ -21,7 +21,7 @@ from embodichain.utils.errors import ConfigError
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.episodes import Episodes
     from embodichain.lab.gym.envs.managers.manager import Manager
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.engine.cpu import CpuEngine
     from embodichain.lab.sim.sim_manager import SimulationManager
 

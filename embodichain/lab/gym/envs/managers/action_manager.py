@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["ActionManager", "ActionTerm"]  # EmbodiChain has both here
 

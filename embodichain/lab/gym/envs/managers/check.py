@@ -1,7 +1,7 @@
 """Checks of terms: their parameters against signatures, and what stands beside `func` and `params`.
 
 For a whole task and for one term that is being built. Entities that parameters point at are checked
-against the scene in `scene_check.py`. No torch here.
+against the scene in `scene_setup.py`. No torch here.
 """
 
 from __future__ import annotations

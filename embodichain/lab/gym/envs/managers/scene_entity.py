@@ -24,7 +24,7 @@ from embodichain.utils.type_errors import from_dict
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.sim_manager import SimulationManager
 
 __all__ = ["ResolvedEntity", "resolve_entity"]

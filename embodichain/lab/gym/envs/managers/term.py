@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.context import Draws
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = ["ActionTerm", "CommandMarker", "CommandTerm", "Term", "Uniform", "constant"]
 

@@ -20,7 +20,7 @@ from embodichain.lab.gym.envs.managers.manager import Manager, checked_rows
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.types import EnvObs
 else:
     torch = lazy_loader.load("torch")

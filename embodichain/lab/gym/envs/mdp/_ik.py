@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import mujoco
 
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 else:
     mujoco = lazy_loader.load("mujoco")
 

@@ -17,7 +17,7 @@ from embodichain.utils.errors import ConfigError, Problem
 if TYPE_CHECKING:
     import mujoco
 
-    from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
 else:
     mujoco = lazy_loader.load("mujoco")
 

@@ -16,7 +16,7 @@ from embodichain.utils.math import euler_xyz_to_quat, quat_multiply, quat_rotate
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = ["UniformPoseCommand"]
 
