@@ -11,7 +11,7 @@ from google.protobuf import descriptor_pb2
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.base import F64, EnvIndex
+from embodichain.lab.sim.engine.api import F64, EnvIndex
 from embodichain.recording.block import DRAWN, CallKind
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.log_error import LogError

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.api import F64, EnvIndex, entries
+from embodichain.lab.sim.engine.api import F64, EnvIndex
+from embodichain.lab.sim.engine.cpu import entries
 from embodichain.recording.block import Call, CallKind, Run, unpack_run
 from embodichain.recording.chunks import ChunkPlace, LogReader
 from embodichain.recording.columns import Moved
