@@ -6,11 +6,10 @@ import contextlib
 import importlib.metadata
 import platform
 
-from embodichain import __version__
-
 __all__ = ["installed_versions"]
 
 _PACKAGES = (
+    "embodichain",
     "mujoco",
     "numpy",
     "torch",
@@ -27,7 +26,7 @@ _PACKAGES = (
 
 def installed_versions() -> dict[str, str | None]:
     """Return versions of packages (None: not installed), of Python, and the platform."""
-    found: dict[str, str | None] = {"embodichain": __version__, "python": platform.python_version()}
+    found: dict[str, str | None] = {"python": platform.python_version()}
     for package in _PACKAGES:
         found[package] = None
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
