@@ -122,7 +122,7 @@ def describe_robot(fpath: str) -> RobotFacts:
     """
     from embodichain.lab.sim.cfg import RobotCfg
     from embodichain.lab.sim.compiler.articulation import parse_with_problems
-    from embodichain.lab.sim.compiler.model_files import locate, read_model
+    from embodichain.lab.sim.compiler.robot_files import locate, read_model
 
     floating = _is_floating(read_model(locate(fpath)).model)
     uid = re.sub(r"\W+", "_", Path(fpath).stem).strip("_").lower() or "robot"

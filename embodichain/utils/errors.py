@@ -7,9 +7,9 @@ adds files and lines.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-__all__ = ["ConfigError", "DeviceError", "EmbodichainError", "Problem", "RenderError"]
+__all__ = ["ConfigError", "DeviceError", "EmbodichainError", "Problem", "RenderError", "below"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +30,11 @@ class Problem:
         """Return ``path: message hint``."""
         text = f"{self.path}: {self.message}" if self.path else self.message
         return f"{text} {self.hint}".rstrip()
+
+
+def below(path: str, problems: Iterable[Problem]) -> list[Problem]:
+    """Return problems of a part of a configuration with the key path of that part before theirs."""
+    return [replace(p, path=f"{path}.{p.path}" if path else p.path) for p in problems]
 
 
 class EmbodichainError(Exception):

@@ -15,7 +15,7 @@ from embodichain.lab.sim.cfg import (
     name_of,
 )
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_articulation
-from embodichain.lab.sim.compiler.chatter import DriveChange, physics_step
+from embodichain.lab.sim.compiler.drives import DriveChange, physics_step
 from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
 from embodichain.lab.sim.compiler.scene_sensors import plan_sensor
 from embodichain.lab.sim.engine.base import Engine

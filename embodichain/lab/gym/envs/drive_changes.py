@@ -11,7 +11,7 @@ from typing import Any
 
 from embodichain.lab.gym.envs.cfg import EventCfg
 from embodichain.lab.gym.envs.managers.registry import TERMS
-from embodichain.lab.sim.compiler.chatter import DriveChange
+from embodichain.lab.sim.compiler.drives import DriveChange
 
 __all__ = ["drive_changes"]
 

@@ -18,15 +18,14 @@ from embodichain.lab.sim.cfg import (
     name_of,
 )
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
-from embodichain.lab.sim.compiler.chatter import DriveChange, PhysicsStep, physics_step
-from embodichain.lab.sim.compiler.names import check_uid
+from embodichain.lab.sim.compiler.drives import DriveChange, PhysicsStep, physics_step
+from embodichain.lab.sim.compiler.names import GROUND, check_uid
 from embodichain.lab.sim.compiler.rigid_objects import check_object
-from embodichain.lab.sim.compiler.robot_bodies import MAX_MASKED
-from embodichain.lab.sim.compiler.scene import compile_scene
+from embodichain.lab.sim.compiler.robot_links import MAX_MASKED
+from embodichain.lab.sim.compiler.scene import check_light, compile_scene
 from embodichain.lab.sim.compiler.scene_sensors import SensorPlan, plan_sensors
-from embodichain.lab.sim.compiler.visuals import GROUND, check_light
 from embodichain.lab.sim.prepared_scene import PreparedScene
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError, Problem, below
 
 __all__ = ["describe"]
 
@@ -149,7 +148,7 @@ def _parse(
             found = check_object(cfg)
         elif isinstance(cfg, LightCfg):
             found = check_light(cfg)
-        problems += [Problem(f"{entity.path}.{p.path}", p.message, p.hint) for p in found]
+        problems += below(entity.path, found)
     return parsed, problems
 
 

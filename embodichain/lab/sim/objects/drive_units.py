@@ -19,8 +19,8 @@ from embodichain.lab.sim.drive_cfg import NO_LIMIT
 if TYPE_CHECKING:
     import mujoco
 
-    from embodichain.lab.sim.compiler.actuators import Servos
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation
+    from embodichain.lab.sim.compiler.robot_joints import Servos
     from embodichain.lab.sim.engine.base import F64
 
 __all__ = ["ModelGains", "Transmission"]

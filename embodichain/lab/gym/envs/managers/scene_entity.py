@@ -381,7 +381,7 @@ def resolve_entity(
     if isinstance(cfg, ResolvedEntity):
         return cfg
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation  # imports MuJoCo
-    from embodichain.lab.sim.compiler.entity_names import pick
+    from embodichain.lab.sim.compiler.names import pick
 
     if not isinstance(cfg, SceneEntityCfg):
         cfg = _from_mapping(cfg)

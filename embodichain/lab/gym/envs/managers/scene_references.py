@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from embodichain.lab.gym.envs.managers.registry import SECTIONS
-from embodichain.lab.sim.compiler.entity_names import Known, check_reference
+from embodichain.lab.sim.compiler.names import Known, pick
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
@@ -49,7 +49,7 @@ def check_references(cfg: Any, known: Known, open_scene: bool) -> list[Problem]:
                 if term.func in _LIGHT_TERMS:
                     problems += _check_light(path, str(fields.get("uid") or ""), known, open_scene)
                 else:
-                    problems += check_reference(path, fields, known, open_scene)
+                    problems += pick(path, fields, known, open_scene)[1]
     return problems
 
 
