@@ -117,7 +117,7 @@ def _robots(config_dir: str | None) -> Rows:
 def _absent_robots(rows: Rows) -> list[str]:
     """Places of robots of which there is nothing here, and how to fill them."""
     from embodichain.data import data_root
-    from embodichain.data.menagerie import HOW
+    from embodichain.data.places import HOW
 
     ways = {
         "example-robot-data": "example-robot-data: `pip install 'embodichain[robots]'`",

@@ -1,7 +1,7 @@
 """All checks of a config in one report: types, values, terms, scene; each mistake with its place.
 
 The checks themselves live where their subjects do: types in `check_types`, terms in
-`lab.gym.envs.managers`, the scene in `lab.gym.envs.scene_check`.
+`lab.gym.envs.managers`, the scene in `lab.gym.envs.scene_setup`.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def _check_meaning(
     known = {p.path for p in problems}
     in_task = check_terms(root.task, allow_import=allow_import)
     if not any(_ENTITY.fullmatch(path) for path in missing):
-        from embodichain.lab.gym.envs.scene_check import describe  # imports MuJoCo
+        from embodichain.lab.gym.envs.scene_setup import describe  # imports MuJoCo
 
         in_task += describe(root.task, scene)
     found = [Problem(_in_task(p.path), p.message, p.hint) for p in in_task]
