@@ -277,11 +277,10 @@ def apply_drives(
 
 def _limit(actuator: mujoco.MjsActuator, effort: float) -> None:
     """Clamp an actuator's force to +-effort; inf is no limit."""
+    actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
     if math.isfinite(effort):
         actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
         actuator.forcerange = [-effort, effort]
-    else:
-        actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_FALSE
 
 
 def _remove_actuators(spec: mujoco.MjSpec, joints: Sequence[str]) -> list[str]:
@@ -398,8 +397,7 @@ def quiet_armature(
 
     def extreme(quantity: str, default: F64, pick: Callable[..., float]) -> F64:
         """The largest or smallest values that events may draw; the default counts too."""
-        found = default.copy()
-        of = (links, {}) if quantity == "mass" else (names, parts)
+        found, of = default.copy(), (links, {}) if quantity == "mass" else (names, parts)
         for change in changes:
             for i, bounds in change.bounds(quantity, *of).items():
                 values = [change.apply(float(default[i]), bound) for bound in bounds]
