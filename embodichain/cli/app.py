@@ -371,7 +371,7 @@ def log_of(name: str) -> Path:
     Raises:
         ConfigError: There is no log yet, or the folder has none.
     """
-    from embodichain.config.newest import LOG, newest_run
+    from embodichain.config.run_folder import LOG, newest_run
 
     path = newest_run("outputs", LOG) if name == "last" else Path(name)
     if path is None:

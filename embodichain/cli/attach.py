@@ -88,8 +88,8 @@ def attach_log(run: Job, env: BaseEnv) -> McapRecorder | None:
     """Attach the log, unless the config wants none; closing the environment finishes it."""
     if run.root.record.format == "none":
         return None
-    from embodichain.config.frozen import dump_yaml
-    from embodichain.config.newest import LOG
+    from embodichain.config.resolved import dump_yaml
+    from embodichain.config.run_folder import LOG
     from embodichain.recording import McapRecorder
 
     recorder = McapRecorder(

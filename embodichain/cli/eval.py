@@ -41,8 +41,8 @@ _WORDS = {"true": True, "false": False}
 @common(config_dir=True, quiet=True)
 def command(**kwargs: Any) -> None:
     """Evaluate one policy in a new run folder."""
+    from embodichain.config.hydra_loader import user_configs
     from embodichain.config.schema import LARGEST_TRAINING_SEED
-    from embodichain.config.search_path import user_configs
     from embodichain.learning.evaluation import EVAL_SEED_OFFSET
 
     options = SimpleNamespace(**kwargs)

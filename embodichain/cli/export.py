@@ -75,7 +75,7 @@ def command(**kwargs: Any) -> None:
 
 
 def _export_policy(options: SimpleNamespace) -> None:
-    from embodichain.config.search_path import user_configs
+    from embodichain.config.hydra_loader import user_configs
 
     form = options.form or "onnx"
     if form not in _POLICIES:

@@ -94,7 +94,8 @@ def execute(
         ConfigError: No folder can be made.
         Exception: Whatever `body` raises.
     """
-    from embodichain.config.run_folder import claim, write_record
+    from embodichain.config.resolved import write_record
+    from embodichain.config.run_folder import claim
 
     resolved = _pinned(resolved)
     if folder is None:
@@ -113,7 +114,7 @@ def execute(
 
 def _pinned(resolved: Resolved) -> Resolved:
     """Replace `last` and links by the folder that they mean now: the next run changes that."""
-    from embodichain.config.newest import CHECKPOINT, named_checkpoint, newest_run
+    from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
 
     policy = resolved.tree["policy"]
     last = policy == "last"

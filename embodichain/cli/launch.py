@@ -31,7 +31,7 @@ def start(verb: Verb, body: Body, options: Any, typed: Sequence[str]) -> None:
         ConfigError: Wrong flags, or mistakes in the config of any job: nothing has started.
     """
     from embodichain.config.composed import compose
-    from embodichain.config.search_path import user_configs
+    from embodichain.config.hydra_loader import user_configs
 
     overrides = [*split_overrides(options.words), *job_options(options)]
     if options.gym_config is not None:

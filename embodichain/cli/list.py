@@ -73,7 +73,7 @@ def _print_list(title: str, lines: list[str]) -> None:
 
 def _tasks(config_dir: str | None) -> Rows:
     """Every option of the group `task`, wherever it is searched; a broken file is listed too."""
-    from embodichain.config.search_path import config_loader
+    from embodichain.config.hydra_loader import config_loader
 
     with config_loader(config_dir) as loader:
         sources = loader.get_sources()

@@ -31,7 +31,7 @@ _EPISODES = 5
 @common(config_dir=True, quiet=True)
 def command(**kwargs: Any) -> None:
     """Show episodes of one policy."""
-    from embodichain.config.search_path import user_configs
+    from embodichain.config.hydra_loader import user_configs
 
     options = SimpleNamespace(**kwargs)
     with user_configs(options.config_dir):

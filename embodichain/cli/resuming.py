@@ -90,8 +90,8 @@ def _parsed(overrides: Sequence[str]) -> dict[str, Any]:
 
 def _folder(name: Any, output_dir: Any) -> Path:
     """The run's folder; ``last`` is the newest training that has a checkpoint."""
-    from embodichain.config.newest import newest_run
     from embodichain.config.rerun import CONFIG
+    from embodichain.config.run_folder import newest_run
 
     if name == "last":
         found = newest_run(str(output_dir), "checkpoints/*.zip")

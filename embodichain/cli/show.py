@@ -6,6 +6,7 @@ The environment is built once and what was built is printed, so that nothing can
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from typing import Any
 
 import click
@@ -43,8 +44,7 @@ def command(
         _show_term(words[1], json=json)
         return exits.OK
     from embodichain.cli.show_task import for_people, task_tables
-    from embodichain.config.frozen import dump_yaml, thaw
-    from embodichain.config.resolved import resolve
+    from embodichain.config.resolved import dump_yaml, resolve, thaw
 
     resolved = resolve(split_overrides(words), "run", config_dir=config_dir)
     text = dump_yaml(resolved.tree)
@@ -56,7 +56,7 @@ def command(
         return exits.OK
     facts = task_tables(resolved)
     if json:
-        notes = {"notes": [note.as_dict() for note in resolved.notes]} if resolved.notes else {}
+        notes = {"notes": [asdict(note) for note in resolved.notes]} if resolved.notes else {}
         print_json({"task": resolved.task_name, "config": thaw(resolved.tree), **notes, **facts})
         return exits.OK
     sys.stdout.write(f"# {resolved.task_name}, resolved\n{text}\n")

@@ -64,7 +64,7 @@ def _asked(run: Job) -> Asked | None:
 
 def _evaluate(run: Job, evaluated: Resolved, stop: StopFlag, asked: Asked) -> dict[str, Any]:
     """Play the final checkpoint; returns the summary with what was found."""
-    from embodichain.config.newest import CHECKPOINT
+    from embodichain.config.run_folder import CHECKPOINT
     from embodichain.learning.train import add_evaluation
 
     policy = str((run.folder / CHECKPOINT).resolve())

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,7 +22,6 @@ from embodichain.cli.output import print_json
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.config.locate import LocatedProblem
     from embodichain.config.resolved import Resolved
 
 __all__ = ["command", "try_out"]
@@ -42,12 +42,10 @@ def command(
     words: tuple[str, ...], train: bool, config_dir: str | None, json: bool, traceback: bool
 ) -> int:
     """Print every mistake on stderr and exit 2, or say that there is none."""
-    from embodichain.config.locate import LocatedProblem
-
     verb: Verb = "train" if train else "run"
     name = " ".join(words)
     files = [word for word in words if _is_file(word)]
-    notes: tuple[LocatedProblem, ...] = ()
+    notes: tuple[Problem, ...] = ()
     problems: tuple[Problem, ...] = ()
     if files and len(words) > 1:
         raise ConfigError(f"either one file or overrides: {name}")
@@ -71,8 +69,8 @@ def command(
     except ConfigError as error:
         problems = error.problems
     if json:
-        mistakes = [LocatedProblem.of(p, getattr(p, "source", "")).as_dict() for p in problems]
-        listed = {"notes": [p.as_dict() for p in notes]} if notes else {}
+        mistakes = [asdict(p.at(p.source)) for p in problems]
+        listed = {"notes": [asdict(p) for p in notes]} if notes else {}
         print_json({"checked": name, "ok": not problems, "mistakes": mistakes, **listed})
         return exits.WRONG_INPUT if problems else exits.OK
     for note in notes:

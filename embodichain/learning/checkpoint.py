@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from embodichain.config.newest import named_checkpoint
+from embodichain.config.run_folder import named_checkpoint
 from embodichain.learning.task_digest import TaskDigest
 from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError, Problem

@@ -17,7 +17,6 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain import __version__
-from embodichain.learning.columns import observation_columns
 from embodichain.learning.exported import (
     INPUT,
     METADATA,
@@ -29,6 +28,7 @@ from embodichain.learning.exported import (
 )
 from embodichain.learning.normalization import NormalizeStatistics
 from embodichain.learning.policy import LearnedPolicy
+from embodichain.learning.spaces import observation_columns
 from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -73,7 +73,7 @@ def export_policy(
     if form == "onnx":
         for package in ("onnx", "onnxruntime"):
             need_onnx(package)
-    scale = policy.check(env)
+    policy.check(env)
     network = _Network(policy, env)
     metadata = PolicyMetadata(
         task=task or policy.task or "unknown",
@@ -86,7 +86,7 @@ def export_policy(
         trained_in=policy.trained_in.to_json() if policy.trained_in is not None else None,
     )
     observations = _observations(policy)
-    wanted = scale(policy.predict(observations))
+    wanted = policy.act(observations)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(path, new=True) as temporary:

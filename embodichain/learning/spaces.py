@@ -5,6 +5,7 @@ The environment's own spaces are built in `lab.gym`.
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +27,7 @@ __all__ = [
     "ActionScale",
     "flat_observation",
     "observation_box",
+    "observation_columns",
     "observation_dict",
     "require_torch_batch",
 ]
@@ -111,6 +113,26 @@ def observation_dict(env: BaseEnv, group: str) -> spaces.Dict:
     except ValueError as error:
         raise ConfigError(str(error)) from error
     return entry_spaces(env.single_observation_space, names)
+
+
+def observation_columns(env: BaseEnv, group: str) -> tuple[str, ...]:
+    """Return a name for each column of a group's flat vector: ``robot/qpos[0]``.
+
+    Args:
+        env: The environment.
+        group: The observation group.
+
+    Raises:
+        ValueError: If no observation is in the group.
+    """
+    columns: list[str] = []
+    for name in env.observation_manager.group_terms(group):
+        space: Any = env.single_observation_space
+        for key in name.split("/"):
+            space = space[key]
+        for index in itertools.product(*map(range, space.shape)):
+            columns.append(f"{name}[{','.join(map(str, index))}]" if index else name)
+    return tuple(columns)
 
 
 def flat_observation(env: BaseEnv, obs: Any, group: str) -> F32:
