@@ -13,7 +13,6 @@ import re
 from datetime import datetime
 from pathlib import Path
 
-from embodichain import __version__
 from embodichain.utils.errors import ConfigError
 
 __all__ = [
@@ -37,17 +36,8 @@ CHECKPOINT = "checkpoints/final.zip"
 LATEST = "latest"
 _MOST_SUFFIXES = 10_000
 _PACKAGES = (
-    "mujoco",
-    "numpy",
-    "torch",
-    "tensordict",
-    "gymnasium",
-    "stable-baselines3",
-    "hydra-core",
-    "omegaconf",
-    "pydantic",
-    "mcap",
-    "protobuf",
+    *("embodichain", "mujoco", "numpy", "torch", "tensordict", "gymnasium", "stable-baselines3"),
+    *("hydra-core", "omegaconf", "pydantic", "mcap", "protobuf"),
 )
 
 
@@ -141,7 +131,7 @@ def named_checkpoint(path: str | Path) -> Path:
 
 def versions() -> dict[str, str | None]:
     """Return the versions of everything that can change a result; None for what is not there."""
-    found: dict[str, str | None] = {"embodichain": __version__, "python": platform.python_version()}
+    found: dict[str, str | None] = {"python": platform.python_version()}
     for package in _PACKAGES:
         found[package] = None
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):

@@ -18,6 +18,7 @@ __all__ = [
     "LARGEST_TRAINING_SEED",
     "ROOT_INSTEAD",
     "SUGGESTED_KEYS",
+    "VERBS",
     "CheckpointCfg",
     "EvalCfg",
     "PolicyCfg",
@@ -37,6 +38,7 @@ ROOT_INSTEAD = {
 """Fields of `EnvCfg` that a task file must not set, and where their value goes instead."""
 
 Verb = Literal["run", "train"]
+VERBS: tuple[Verb, ...] = ("run", "train")
 
 LARGEST_TRAINING_SEED = 2**32 - 1
 """Stable-Baselines3 seeds numpy's global generator, which takes no larger one."""

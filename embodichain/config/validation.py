@@ -21,7 +21,7 @@ from hydra.core.override_parser.types import OverrideType
 from embodichain.config.check_types import TypeCheck, check_types
 from embodichain.config.composed import Composed
 from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
-from embodichain.config.schema import LARGEST_TRAINING_SEED, SUGGESTED_KEYS, RootCfg, Verb
+from embodichain.config.schema import LARGEST_TRAINING_SEED, SUGGESTED_KEYS, VERBS, RootCfg, Verb
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.check import check_terms
 from embodichain.lab.gym.envs.managers.registry import SECTIONS
@@ -74,17 +74,18 @@ def check(composed: Composed, verb: Verb) -> Check:
         composed: What `compose` returned.
         verb: Whose suggested values count.
     """
-    if not composed.usable:
+    unknown: list[Problem] = []
+    if composed.usable:
+        unknown = _unknown_entries(composed)
+        lost = [p.path for p in (*composed.problems, *unknown)]
+        unknown += _said_twice(composed)
+        chosen = composed.locator.chosen
+        found = check_tree(composed.tree, composed.source, verb, chosen=chosen, lost=lost)
+    else:
         types = check_types({**composed.tree, "task": {}})
         found = Check(_located(types.problems, composed.source), types, PreparedScene())
-        return dataclasses.replace(found, problems=[*composed.problems, *found.problems])
-    unknown = _unknown_entries(composed)
-    lost = [p.path for p in (*composed.problems, *unknown)]
-    unknown += _said_twice(composed)
-    chosen = composed.locator.chosen
-    found = check_tree(composed.tree, composed.source, verb, chosen=chosen, lost=lost)
-    unknown_at = _located(unknown, composed.source)
-    return dataclasses.replace(found, problems=[*composed.problems, *unknown_at, *found.problems])
+    before = [*composed.problems, *_located(unknown, composed.source)]
+    return dataclasses.replace(found, problems=[*before, *found.problems])
 
 
 def check_tree(
@@ -277,21 +278,18 @@ def _check_task(task: EnvCfg, *, allow_import: bool = True) -> list[Problem]:
 
 def _check_suggested(tree: Mapping[str, Any]) -> list[Problem]:
     """Check `task.suggested.run` and `.train` as what they become: values of root keys."""
-    task = tree.get("task")
-    suggested = task.get("suggested") if isinstance(task, Mapping) else None
     problems: list[Problem] = []
-    for verb in ("run", "train"):
-        values = suggested.get(verb) if isinstance(suggested, Mapping) else None
-        if not isinstance(values, Mapping):
-            continue
+    for verb in VERBS:
+        values = _suggested(tree, verb)
         allowed = [*SUGGESTED_KEYS, *(["algo"] if verb == "train" else [])]
         path = f"task.suggested.{verb}"
         for name in values:
             if name not in allowed:
                 problems.append(Problem(f"{path}.{name}", *unknown_key(name, allowed)))
         known = {k: v for k, v in values.items() if k in allowed}
-        found = check_types({"task": {}, **known})
-        problems += [Problem(f"{path}.{p.path}", p.message, p.hint) for p in found.problems]
+        found = check_types({"task": {}, **known}) if known else None
+        for p in found.problems if found is not None else []:
+            problems.append(Problem(f"{path}.{p.path}", p.message, p.hint))
     return problems
 
 

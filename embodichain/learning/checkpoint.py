@@ -1,7 +1,4 @@
-"""Checkpoints: zip files of Stable-Baselines3 with a note of what made them, written atomically.
-
-How a checkpoint acts is in `policy.py`. Finding one and reading its note runs no code of it.
-"""
+"""Checkpoints: zip files of Stable-Baselines3 with a note of what made them, written atomically."""
 
 from __future__ import annotations
 

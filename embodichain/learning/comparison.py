@@ -1,7 +1,4 @@
-"""Finished trainings side by side: runs that differ by their seed only are one group.
-
-Reads files of run folders and runs nothing; drawing is in `plots.py`.
-"""
+"""Finished trainings side by side: runs that differ by their seed only are one group."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Policies from ONNX and TorchScript files: what `export` writes, and files of users' own.
-
-They take flat observations as the task gives them and return actions within the task's bounds;
-neither format holds Python code. Writing such files is in `exporting.py`.
-"""
+"""Policies from ONNX and TorchScript files, which hold no Python code."""
 
 from __future__ import annotations
 
@@ -53,15 +49,8 @@ F32 = NDArray[np.float32]
 class PolicyMetadata:
     """What an exported file says of itself.
 
-    Attributes:
-        task: The task it was trained in.
-        algo: The algorithm.
-        group: The observation group it sees.
-        columns: Name of each column of its input.
-        action_low: Smallest action of each column of its output.
-        action_high: Largest action.
-        embodichain: The version that wrote the file.
-        trained_in: The JSON of a `TaskDigest`: what the task was in training, where it is known.
+    `columns` names the columns of its input; `action_low` and `action_high` bound those of its
+    output; `embodichain` is the version that wrote it, `trained_in` the JSON of a `TaskDigest`.
     """
 
     task: str

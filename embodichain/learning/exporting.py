@@ -1,7 +1,6 @@
 """`export_policy`: a model of Stable-Baselines3 as one ONNX or TorchScript file that needs neither.
 
-The file takes flat observations as the task gives them: normalization, clipping and scaling to the
-task's bounds are part of the network. Reading such files is in `exported.py`.
+Normalization, clipping and scaling to the task's bounds are part of the file's network.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Trees of plain values and arrays in one npz file, without pickle, to the bit.
-
-What a training's state is made of stands in `training_state.py`.
-"""
+"""Trees of plain values and arrays in one npz file, without pickle, to the bit."""
 
 from __future__ import annotations
 

@@ -20,13 +20,7 @@ from stable_baselines3.common.logger import KVWriter
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.normalization import load_statistics, statistics_path
 from embodichain.learning.replay_buffer import buffer_of, buffer_path, load_buffer
-from embodichain.learning.train_logs import (
-    log_curriculum,
-    log_episode,
-    log_fractions,
-    log_interval,
-    make_logger,
-)
+from embodichain.learning.train_logs import log_episode, log_interval, make_logger
 from embodichain.learning.training_state import (
     load_parameters,
     restore,
@@ -183,8 +177,10 @@ class _Watch(BaseCallback):
     def _on_rollout_end(self) -> None:
         self._split.rollout_ends(self._env)
         self._statistics.fractions = self._split.fractions
-        log_fractions(self.logger, self._split.fractions)
-        log_curriculum(self.logger, self._env.base.curriculum_manager.values)
+        for name, value in self._split.fractions.items():
+            self.logger.record(f"time/{name}_fraction", round(value, 4))
+        for name, value in self._env.base.curriculum_manager.values.items():
+            self.logger.record(f"Curriculum/{name}", value)
 
     def end(self) -> None:
         """Learning ended, in whatever way: what came after the last rollout counts."""

@@ -1,7 +1,4 @@
-"""What a learner sees of an environment: observations flat or by name, actions within [-1, 1].
-
-The environment's own spaces are built in `lab.gym`.
-"""
+"""What a learner sees of an environment: observations flat or by name, actions within [-1, 1]."""
 
 from __future__ import annotations
 
@@ -87,10 +84,6 @@ class ActionScale:
 def observation_box(env: BaseEnv, group: str) -> spaces.Box:
     """Return the space of one environment's flat observation: (K,), unbounded.
 
-    Args:
-        env: The environment.
-        group: The observation group.
-
     Raises:
         ConfigError: If no observation is in the group; lists the groups.
     """
@@ -100,10 +93,6 @@ def observation_box(env: BaseEnv, group: str) -> spaces.Box:
 
 def observation_dict(env: BaseEnv, group: str) -> spaces.Dict:
     """Return the spaces of one environment's observations by name, in the order of the task.
-
-    Args:
-        env: The environment.
-        group: The observation group.
 
     Raises:
         ConfigError: If no observation is in the group; lists the groups.
@@ -117,10 +106,6 @@ def observation_dict(env: BaseEnv, group: str) -> spaces.Dict:
 
 def observation_columns(env: BaseEnv, group: str) -> tuple[str, ...]:
     """Return a name for each column of a group's flat vector: ``robot/qpos[0]``.
-
-    Args:
-        env: The environment.
-        group: The observation group.
 
     Raises:
         ValueError: If no observation is in the group.
