@@ -5,26 +5,59 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from embodichain.compat.gym_config.functors import left_out_functors
-from embodichain.compat.gym_config.vocabulary import left_out
+from embodichain.compat.gym_config import vocabulary as v
+from embodichain.compat.gym_config.functors import LEFT_OUT, PARAMS_LEFT_OUT
 
 PAGE = Path(__file__).parents[1] / "docs" / "compatibility.md"
 BEGIN, END = "<!-- left out: begin -->\n", "<!-- left out: end -->\n"
+SECTIONS: Mapping[str, v.Vocabulary] = {
+    "top": v.TOP,
+    "`physics_config`": v.PHYSICS,
+    "`robot`": v.ROBOT,
+    "`robot.urdf_cfg`": v.URDF,
+    "`articulation[]`": v.ARTICULATION,
+    "`drive_pros`": v.DRIVE,
+    "`solver_cfg`": v.SOLVER,
+    "`root_props`": v.ROOT_PROPS,
+    "`rigid_object[], background[]`": v.RIGID_OBJECT,
+    "`attrs`": v.ATTRS,
+    **{f"`shape ({kind})`": keys for kind, keys in v.SHAPES.items()},
+    "`visual_material`": v.MATERIAL,
+    "`light`": v.LIGHTS,
+    "`light.direct[]`": v.LIGHT,
+    "`sensor[]`": v.SENSORS,
+    "`env`": v.ENV,
+    "`env.events.*`": v.EVENT,
+    "`env.actions.*`": v.ACTION,
+    **{f"{kind}s": reasons for kind, reasons in LEFT_OUT.items()},
+    **{f"`{functor}`": reasons for functor, reasons in PARAMS_LEFT_OUT.items()},
+}
+"""Where each table counts."""
+
+
+def rows() -> Iterator[tuple[str, str, str]]:
+    """Section, keys that are left out for the same reason, and the reason."""
+    for section, rules in SECTIONS.items():
+        reasons = [rule for rule in rules.values() if isinstance(rule, str)]
+        for reason in dict.fromkeys(reasons):
+            yield (
+                section,
+                ", ".join(f"`{k}`" for k, rule in rules.items() if rule == reason),
+                reason,
+            )
 
 
 def table() -> str:
-    """Return the rows, keys of a section with the same reason in one."""
-    rows: dict[tuple[str, str], list[str]] = {}
-    for item in left_out():
-        rows.setdefault((f"`{item.section}`" if item.section else "top", item.reason), []).append(
-            f"`{item.key}`"
-        )
-    for item in left_out_functors():
-        rows.setdefault((item.section, item.reason), []).append(f"`{item.key}`")
-    lines = [f"| {where} | {', '.join(keys)} | {why} |" for (where, why), keys in rows.items()]
-    return "\n".join(["| where | what | why |", "| --- | --- | --- |", *lines]) + "\n"
+    """Return the rows as a table."""
+    lines = [
+        "| where | what | why |",
+        "| --- | --- | --- |",
+        *(f"| {' | '.join(r)} |" for r in rows()),
+    ]
+    return "\n".join(lines) + "\n"
 
 
 def filled(text: str) -> str:

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
+from urllib.parse import urlsplit
 
 from embodichain.lab.gym.policies import Policy, resolve_policy
 
@@ -51,7 +52,7 @@ def check_attachments(root: RootCfg) -> None:
 
         need_encoder()
     if root.viewer.name == "foxglove":
-        from embodichain.recording.viewers.foxglove_server import need_sdk
+        from embodichain.recording.viewers.foxglove import need_sdk
 
         need_sdk()
 
@@ -118,61 +119,49 @@ def attach_viewer(
         root: The config; a line about the viewer goes to stderr unless it is quiet.
         env: The environment, built.
         stop: Its flag ends a pause.
-        realtime: Whether the run first keeps to the clock while somebody looks.
-        resets: Whether people may end an episode.
+        realtime: Whether the run initially keeps to real time while the viewer is watched.
+        resets: Whether the viewer may end an episode.
     """
     viewer = root.viewer
     if viewer.name not in ("web", "foxglove"):
         return
-    where = _serve(root, env, stop.is_stopped, realtime, resets)
-    logging.getLogger(__name__).info("viewer: %s", where)
-    if not root.quiet and not root.json:
-        sys.stderr.write(f"viewer: {where}\n")
-    warn_if_public(viewer.host)
-
-
-def warn_if_public(host: str) -> None:
-    """Warn on stderr where others than this machine reach a viewer."""
-    from embodichain.utils.addresses import is_loopback
-
-    if not is_loopback(host):
-        sys.stderr.write(
-            f"warning: the viewer listens on {host} and asks nobody who they are: "
-            "everybody who reaches it can look and press its buttons\n"
-        )
-
-
-def _serve(
-    root: RootCfg, env: BaseEnv, stopped: Callable[[], bool], realtime: bool, resets: bool
-) -> str:
-    """Start a server; returns where people find it."""
-    viewer = root.viewer
     if viewer.name == "foxglove":
         from embodichain.recording.viewers.foxglove import FoxgloveView
 
-        live = FoxgloveView(
-            env,
-            viewer.host,
-            viewer.port,
-            env_id=viewer.env,
-            view_envs=root.record.view_envs,
-            realtime=realtime,
-        )
+        shown = sorted({viewer.env, *root.record.view_envs})
+        live = FoxgloveView(env, viewer.host, viewer.port, shown, realtime=realtime)
         env.add_observer(live)
-        return f"{live.url} (Foxglove, Lichtblick: Open connection, Foxglove WebSocket)"
-    from embodichain.recording.viewers.web import WebView
+        url = live.server.url
+        where = f"{url} (Foxglove, Lichtblick: Open connection, Foxglove WebSocket)"
+    else:
+        from embodichain.recording.viewers.web import PageOptions, WebView
 
-    view = WebView(
-        env,
-        viewer.host,
-        viewer.port,
-        env_id=viewer.env,
-        realtime=realtime,
-        resets=resets,
-        stopped=stopped,
-    )
-    env.add_observer(view)
-    return view.url
+        page = PageOptions(viewer.host, viewer.port, viewer.env, realtime, resets)
+        view = WebView(env, page, stopped=stop.is_stopped)
+        env.add_observer(view)
+        url = where = view.url
+    logging.getLogger(__name__).info("viewer: %s", where)
+    if not root.quiet and not root.json:
+        sys.stderr.write(f"viewer: {where}\n")
+    warn_if_public(viewer.host, url, controls=viewer.name == "web")
+
+
+def warn_if_public(host: str, url: str, *, controls: bool) -> None:
+    """Warn on stderr if other machines can reach a viewer.
+
+    Args:
+        host: The address it listens on.
+        url: Where it is; has the port.
+        controls: Whether a viewer can control the run.
+    """
+    from embodichain.utils.addresses import is_loopback
+
+    if not is_loopback(host):
+        use = " and use its controls" if controls else ""
+        sys.stderr.write(
+            f"warning: the viewer at {host}:{urlsplit(url).port} has no authentication; "
+            f"anyone who can reach this address can watch the run{use}\n"
+        )
 
 
 class StartPicture:

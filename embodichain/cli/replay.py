@@ -282,21 +282,14 @@ def _screen(log: Log, options: SimpleNamespace, stop: StopFlag) -> Screen:
         if options.host is not None or options.port is not None:
             raise ConfigError("--host and --port are for --view web")
         return NativeScreen(env, stop.is_stopped)
-    from embodichain.recording.viewers.web_page import WebPage
+    from embodichain.recording.viewers.web_page import PageOptions, WebPage
 
     host = options.host or "127.0.0.1"
-    page = WebPage(
-        log.model,
-        host,
-        options.port,
-        title=f"{log.task}: {log.path.name}",
-        num_envs=log.num_envs,
-        env_id=env,
-        resets=False,
-        stopped=stop.is_stopped,
-    )
+    title = f"{log.task}: {log.path.name}"
+    shown = PageOptions(host, options.port, env, resets=False, title=title)
+    page = WebPage(log.model, shown, num_envs=log.num_envs, stopped=stop.is_stopped)
     if not options.quiet:
         sys.stderr.write(f"viewer: {page.url} (Ctrl-C ends)\n")
         sys.stderr.flush()
-    warn_if_public(host)
+    warn_if_public(host, page.url, controls=True)
     return page

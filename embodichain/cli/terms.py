@@ -71,7 +71,7 @@ class TermEntry:
         name: How configs call it.
         kinds: The managers that run it; none for a shape.
         spec: As it is registered under the first of them.
-        doc: Its docstring; of an alias what it stands for.
+        doc: Its docstring; of an alias its meaning.
     """
 
     name: str
@@ -81,7 +81,7 @@ class TermEntry:
 
     @property
     def is_alias(self) -> bool:
-        """Whether it stands for a quantity with a shape."""
+        """Whether it is another name of a term."""
         return isinstance(self.spec, AliasSpec)
 
     @property
@@ -138,23 +138,26 @@ def _doc_of(spec: TermSpec) -> TermDoc:
 
 
 def _doc_of_alias(spec: AliasSpec) -> TermDoc:
-    """What an alias stands for, in the words of its quantity and its shapes."""
-    docs = [parse_doc(part.doc) for part in (spec.target, *spec.steps)]
-    examples: list[dict[str, Any]] = [yaml.safe_load(doc.example) for doc in docs]
-    example: dict[str, Any] = {"func": spec.name}
-    params: dict[str, Any] = {}
-    for name, (part, key) in spec.exposed.items():
-        given = examples[0].get("params", {})
+    """An alias described by the docstrings of its target and its shapes."""
+    docs = [parse_doc(part.doc) for part in spec.parts]
+    first: dict[str, Any] = yaml.safe_load(docs[0].example)
+    params: dict[str, Any] = yaml.safe_load(spec.example) if spec.example else {}
+    for name, (part, key) in spec.exposed.items() if not params else ():
+        given = first.get("params", {})
         if part:
-            given = _parameters_of(examples[part]["shape"], spec.steps[part - 1])
+            shape = yaml.safe_load(docs[part].example)["shape"]
+            given = _parameters_of(shape, spec.steps[part - 1])
         if key in given:
             params[name] = given[key]
+    example = {k: v for k, v in first.items() if k not in ("shape", "weight", "params")}
+    example["func"] = spec.name
     if params:
         example["params"] = params
     text = yaml.safe_dump(example, default_flow_style=True, sort_keys=False, width=10_000)
+    told = docs[: 1 + len(spec.steps)]
     return TermDoc(
         summary=f"{spec.doc} {docs[0].summary}",
-        text="\n\n".join([spec.doc, *(doc.summary for doc in docs)]),
+        text="\n\n".join([spec.doc, *(doc.summary for doc in told)]),
         params={name: docs[part].params.get(key, "") for name, (part, key) in spec.exposed.items()},
         example=text.strip(),
     )
@@ -386,25 +389,28 @@ observations:
 
 `of`, `from` and `to` may be written `entity_cfg`, `source_entity_cfg` and `target_entity_cfg`, and
 the other way round. [Other names](#other-names), which EmbodiChain, Isaac Lab, mjlab and dm_control
-use, stand for a quantity with a shape.
+use, are aliases of a term, or of a quantity with a shape.
 """
 _BUILTIN = "embodichain."
 _QUANTITIES = (
     "Serve observations, rewards, terminations and metrics, except where a line says otherwise."
 )
-_OTHERS = "Each has the parameters of what it stands for; words in capitals are its own."
+_OTHERS = """\
+`embodichain show term NAME` lists the parameters; those in capitals have another name than in the
+term."""
 
 
 def catalogue() -> str:
     """Return the page. Terms of other packages are not on it."""
     entries = [e for e in all_entries() if e.spec.func.__module__.startswith(_BUILTIN)]
-    aliases = [e for e in entries if e.is_alias]
-    values = [e for e in entries if set(e.kinds) & set(VALUE_KINDS) and not e.is_alias]
+    aliases = [e for e in entries if isinstance(e.spec, AliasSpec) and not e.spec.makers]
+    described = [e for e in entries if e not in aliases]
+    values = [e for e in described if set(e.kinds) & set(VALUE_KINDS)]
     lines = [_HEAD]
     parts: dict[str, list[TermEntry]] = {"quantities": values, "shapes": shape_entries()}
     for kind, section in SECTION_OF.items():
         if kind not in VALUE_KINDS:
-            parts[section] = [e for e in entries if kind in e.kinds]
+            parts[section] = [e for e in described if kind in e.kinds]
     lines += [f"* [{title}](#{title}): {len(found)}" for title, found in parts.items()]
     lines.append(f"* [other names](#other-names): {len(aliases)}")
     for title, found in parts.items():
@@ -419,12 +425,12 @@ def catalogue() -> str:
         "",
         _OTHERS,
         "",
-        "| name | for | stands for |",
+        "| name | for | alias of |",
         "| --- | --- | --- |",
     ]
     for entry in aliases:
         sections = ", ".join(SECTION_OF[kind] for kind in entry.kinds)
-        meaning = entry.spec.doc.removeprefix("Stands for ").replace("``", "`").rstrip(".")
+        meaning = entry.spec.doc.removeprefix("Alias of ").replace("``", "`").rstrip(".")
         lines.append(f"| `{entry.name}` | {sections} | {meaning} |")
     return "\n".join(lines).rstrip("\n") + "\n"
 
@@ -434,8 +440,13 @@ def _term(entry: TermEntry) -> Iterator[str]:
     yield ""
     yield entry.doc.text
     yield ""
+    notes = []
     if entry.kinds and set(entry.kinds) <= set(VALUE_KINDS) and len(entry.kinds) < len(VALUE_KINDS):
-        yield f"For {', '.join(SECTION_OF[kind] for kind in entry.kinds)}."
+        notes.append(f"For {', '.join(SECTION_OF[kind] for kind in entry.kinds)}.")
+    if entry.spec.func.__module__.startswith("embodichain.compat."):
+        notes.append("With the name and parameters of EmbodiChain's.")
+    if notes:
+        yield " ".join(notes)
         yield ""
     rows = entry.parameters()
     if rows:

@@ -108,19 +108,17 @@ def _open(log: LogSummary) -> None:
 
 def _serve(path: Path, host: str, port: int | None, speed: float) -> None:
     """Play until Ctrl-C."""
+    from embodichain.cli.attach import warn_if_public
     from embodichain.cli.process import StopFlag
-    from embodichain.recording.viewers.foxglove_playback import declare_channels, play_log
-    from embodichain.recording.viewers.foxglove_server import DEFAULT_PORT, FoxgloveServer
-    from embodichain.utils.addresses import is_loopback
+    from embodichain.recording.viewers.foxglove import FoxgloveServer, declare_channels, stream_log
 
-    server = FoxgloveServer(host, DEFAULT_PORT if port is None else port)
+    server = FoxgloveServer(host, port)
     try:
         declare_channels(path, server)
         sys.stdout.write(f"playing it at {server.url}: Open connection; Ctrl-C ends it\n")
         sys.stdout.flush()
-        if not is_loopback(host):
-            sys.stderr.write(f"warning: everybody who reaches {host} can look at it\n")
+        warn_if_public(host, server.url, controls=False)
         with StopFlag() as stop:
-            play_log(path, server, stop.is_stopped, speed=speed)
+            stream_log(path, server, stop.is_stopped, speed)
     finally:
         server.close()

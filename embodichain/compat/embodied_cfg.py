@@ -11,29 +11,23 @@ import logging
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from embodichain.compat.gym_config.conversion import Conversion, convert
+from embodichain.compat.gym_config.conversion import convert
+from embodichain.compat.gym_config.env_cfg import FUNCTORS, checked_cfg
 from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
 from embodichain.lab.gym.envs.managers.registry import TERMS, Kind
 from embodichain.lab.sim.cfg import ArticulationCfg, LightCfg, RigidObjectCfg, name_of
 from embodichain.lab.sim.sensors.cfg import CameraCfg, no_camera
 from embodichain.utils.configclass import configclass, is_configclass
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.from_dict import from_dict
 
 __all__ = ["EmbodiedEnvCfg"]
 
 _log = logging.getLogger(__name__)
-_SECTIONS: Mapping[str, Kind] = {
-    "events": "event",
-    "observations": "observation",
-    "rewards": "reward",
-    "actions": "action",
-}
 _LISTS = ("background", "rigid_object", "articulation")
 _MAPS = ("objects", "articulations", "lights")
 _OF_ENV = ("control_parts", "active_joint_ids", "filter_visual_rand", "filter_dataset_saving")
 _ALWAYS = ("shape_type", "func")
-"""Fields that count where they have their default, too."""
+"""Fields that are written even if they have their default."""
 
 
 @configclass
@@ -77,7 +71,7 @@ class EmbodiedEnvCfg(EnvCfg):
     filter_visual_rand: bool = dataclasses.field(default=False, kw_only=True)
     filter_dataset_saving: bool = dataclasses.field(default=False, kw_only=True)
     init_rollout_buffer: bool = dataclasses.field(default=False, kw_only=True)
-    """No effect: a learner keeps its own buffer."""
+    """No effect: a learner has its own buffer."""
 
     def complete(self) -> None:
         """Set the fields of `EnvCfg` from those in EmbodiChain's form; log what is left out.
@@ -90,16 +84,17 @@ class EmbodiedEnvCfg(EnvCfg):
         if cameras:
             raise no_camera(cameras[0])
         conversion = convert(_gym_config(self), ours=True)
-        if conversion.problems:
-            raise ConfigError([_here(p, p.path) for p in conversion.problems])
-        declared = _checked(conversion)
-        for name in ("robot", "extensions", *_SECTIONS):
+        try:
+            declared = checked_cfg(conversion)
+        except ConfigError as error:
+            raise ConfigError(map(_here, error.problems)) from error
+        for name in ("robot", "extensions", *FUNCTORS):
             setattr(self, name, getattr(declared, name))
         for name in _MAPS:
             setattr(self, name, {**getattr(declared, name), **getattr(self, name)})
         self.sensors = {**{name_of(sensor): sensor for sensor in self.sensor}, **self.sensors}
         for note in conversion.notes:
-            _log.warning("%s", _here(note, note.path))
+            _log.warning("%s", _here(note))
 
 
 def _gym_config(cfg: EmbodiedEnvCfg) -> dict[str, Any]:
@@ -108,7 +103,7 @@ def _gym_config(cfg: EmbodiedEnvCfg) -> dict[str, Any]:
     env["extensions"] = cfg.extensions or {}
     if cfg.dataset is not None:
         env["dataset"] = {"recorder": None}  # its content means nothing here
-    for section, kind in _SECTIONS.items():
+    for section, kind in FUNCTORS.items():
         env[section] = {
             name: _functor(functor, kind) for name, functor in _named(getattr(cfg, section))
         }
@@ -178,16 +173,5 @@ def _same(value: Any, default: Any) -> bool:
     return not hasattr(value, "shape") and bool(_plain(value) == _plain(default))
 
 
-def _checked(conversion: Conversion) -> EnvCfg:
-    try:
-        declared: EnvCfg = from_dict(EnvCfg, conversion.task)
-    except ConfigError as error:
-        problems = [
-            _here(p, ".".join(conversion.origin(tuple(p.path.split("."))))) for p in error.problems
-        ]
-        raise ConfigError(problems) from error
-    return declared
-
-
-def _here(problem: Problem, path: str) -> Problem:
-    return Problem(path.removeprefix("env."), problem.message, problem.hint)
+def _here(problem: Problem) -> Problem:
+    return Problem(problem.path.removeprefix("env."), problem.message, problem.hint)

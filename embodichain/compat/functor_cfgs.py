@@ -1,7 +1,4 @@
-"""Configs of functors with EmbodiChain's fields and defaults, for MDPs that are declared in Python.
-
-They are our terms' configs; what differs is said field by field. `EmbodiedEnvCfg` reads them.
-"""
+"""Configs of terms with EmbodiChain's names, fields and defaults; `EmbodiedEnvCfg` reads them."""
 
 from __future__ import annotations
 
@@ -22,46 +19,39 @@ __all__ = [
 
 
 @configclass
-class FunctorCfg(cfg.TermCfg):
+class _Extra:
+    extra: dict[str, Any] = dataclasses.field(default_factory=dict, kw_only=True)
+    """No effect."""
+
+
+@configclass
+class FunctorCfg(_Extra, cfg.TermCfg):
     """A functor: `func` is one of `managers.events` and so on, or a function of your own."""
 
-    extra: dict[str, Any] = dataclasses.field(default_factory=dict, kw_only=True)
-    """No effect."""
+
+@configclass
+class EventCfg(_Extra, cfg.EventCfg):
+    """An event: ``f(env, env_ids, **params)``."""
 
 
 @configclass
-class EventCfg(cfg.EventCfg):
-    """Something that happens to the scene: ``f(env, env_ids, **params)``."""
-
-    extra: dict[str, Any] = dataclasses.field(default_factory=dict, kw_only=True)
-    """No effect."""
-
-
-@configclass
-class ObservationCfg(cfg.ObservationCfg):
-    """A piece of the observation; `mode` is ``modify`` unless it says ``add``, as there."""
+class ObservationCfg(_Extra, cfg.ObservationCfg):
+    """An entry of the observation; `mode` is ``modify`` unless it says ``add``, as there."""
 
     mode: Literal["add", "modify"] = "modify"
-    extra: dict[str, Any] = dataclasses.field(default_factory=dict, kw_only=True)
-    """No effect."""
 
 
 @configclass
-class RewardCfg(cfg.RewardCfg):
-    """A term of the reward: ``f(env, obs, action, info, **params)``."""
-
-    extra: dict[str, Any] = dataclasses.field(default_factory=dict, kw_only=True)
-    """No effect."""
+class RewardCfg(_Extra, cfg.RewardCfg):
+    """A reward: ``f(env, obs, action, info, **params)``."""
 
 
 @configclass
-class ActionTermCfg(cfg.ActionTermCfg):
-    """How a slice of the action moves the robot."""
+class ActionTermCfg(_Extra, cfg.ActionTermCfg):
+    """A term that a slice of the action goes to."""
 
     mode: Literal["pre", "post"] = dataclasses.field(default="pre", kw_only=True)
     """No effect: actions are read before physics."""
-    extra: dict[str, Any] = dataclasses.field(default_factory=dict, kw_only=True)
-    """No effect."""
 
 
 @configclass

@@ -1,7 +1,4 @@
-"""Launcher arguments of scripts, with EmbodiChain 0.2.1's names and defaults. No torch here.
-
-The command `embodichain` has its own (`embodichain.cli`).
-"""
+"""Launcher arguments of scripts, with EmbodiChain 0.2.1's names and defaults."""
 
 from __future__ import annotations
 
@@ -27,21 +24,22 @@ DEFAULT_MANAGER_MODULES = [
     f"embodichain.lab.gym.envs.managers.{name}"
     for name in ("actions", "randomization", "record", "events", "observations", "rewards")
 ]
-"""Modules of EmbodiChain's functors, for `config_to_cfg`, which finds them without it too."""
+"""Modules of EmbodiChain's functors; `config_to_cfg` finds their names without it, too."""
 RENDERERS = ("hybrid", "fast-rt", "rt", "auto", "no-render")
-_FLAGS: dict[str, Any] = {
-    "num_envs": 1,
-    "device": "cpu",
-    "headless": False,
-    "renderer": "hybrid",
-    "arena_space": 5.0,
-    "gpu_id": 0,
+_UNUSED = "accepted for compatibility: no effect"
+_FLAGS: dict[str, tuple[Any, str]] = {
+    "num_envs": (1, "environments that run in parallel"),
+    "device": ("cpu", "where physics runs: cpu"),
+    "headless": (False, "open no window"),
+    "renderer": ("hybrid", "accepted for compatibility: images are MuJoCo's in any case"),
+    "arena_space": (5.0, "metres between environments in viewers"),
+    "gpu_id": (0, f"{_UNUSED} on the CPU"),
 }
-"""Flags that are keys of a gym config too, and their defaults."""
+"""Flags that are keys of a gym config too: default and help."""
 
 
 def add_env_launcher_args_to_parser(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments that every script of EmbodiChain's understands.
+    """Add the arguments of EmbodiChain's scripts.
 
     Args:
         parser: Gains ``--num_envs --device --headless --renderer --arena_space --gpu_id
@@ -49,32 +47,15 @@ def add_env_launcher_args_to_parser(parser: argparse.ArgumentParser) -> None:
             --filter_dataset_saving``.
     """
     add = parser.add_argument
-    add(
-        "--num_envs", type=int, default=_FLAGS["num_envs"], help="environments that run in parallel"
-    )
-    add("--device", type=str, default=_FLAGS["device"], help="where physics runs: cpu")
-    add("--headless", action="store_true", help="open no window")
-    add(
-        "--renderer",
-        choices=RENDERERS,
-        default=_FLAGS["renderer"],
-        help="accepted for compatibility: pictures are MuJoCo's in any case",
-    )
-    add(
-        "--arena_space",
-        type=float,
-        default=_FLAGS["arena_space"],
-        help="metres between environments in viewers",
-    )
-    add(
-        "--gpu_id",
-        type=int,
-        default=_FLAGS["gpu_id"],
-        help="accepted for compatibility: no effect on the CPU",
-    )
+    for name, (default, text) in _FLAGS.items():
+        if default is False:
+            add(f"--{name}", action="store_true", help=text)
+        else:
+            choices = RENDERERS if name == "renderer" else None
+            add(f"--{name}", type=type(default), default=default, choices=choices, help=text)
     add("--gym_config", type=str, default="", help="EmbodiChain's config of a task: YAML or JSON")
     add("--action_config", type=str, default=None, help="a YAML or JSON file for the script")
-    add("--preview", action="store_true", help="accepted for compatibility: no effect")
+    add("--preview", action="store_true", help=_UNUSED)
     add("--filter_visual_rand", action="store_true", help="leave out visual randomization")
     add("--filter_dataset_saving", action="store_true", help="leave out dataset terms")
 
@@ -96,15 +77,15 @@ def build_env_cfg_from_args(
         The config, the content of the gym config, and that of the action config (empty without).
 
     Raises:
-        ConfigError: No gym config is named, a file cannot be read, or holds mistakes.
+        ConfigError: No gym config is named, a file cannot be read, or contains mistakes.
     """
     if not args.gym_config:
         raise ConfigError("no gym config is named: --gym_config FILE")
     config = read_gym_config(args.gym_config)
     if gym_config_modifier is not None:
         config = gym_config_modifier(config) or config
-    given = {key: getattr(args, key, default) for key, default in _FLAGS.items()}
-    flags = {key: value for key, value in given.items() if value != _FLAGS[key]}
+    given = {key: getattr(args, key, default) for key, (default, _) in _FLAGS.items()}
+    flags = {key: value for key, value in given.items() if value != _FLAGS[key][0]}
     if getattr(args, "filter_visual_rand", False):
         flags["env"] = {**(config.get("env") or {}), "filter_visual_rand": True}
     cfg = config_to_cfg({**config, **flags})

@@ -46,7 +46,9 @@ _PLACES: Final[Mapping[str, tuple[str, ...]]] = {
     f"{_SIM}.unavailable": ("SoftObject",),
     f"{_SIM}.sensors": ("BaseSensor", "CameraCfg", "SensorCfg", "StereoCameraCfg"),
     f"{_SIM}.shapes": ("VisualMaterialCfg",),
+    f"{_MANAGERS}.drawing": ("EventManager",),
     f"{_MANAGERS}.term": ("ActionTerm",),
+    f"{_MANAGERS}.value_managers": ("RewardManager",),
     f"{_DATA}.lookup": ("get_data_path",),
     f"{_UTILS}.configclass": ("configclass", "is_configclass"),
 }
@@ -238,14 +240,15 @@ def _closest(module: str) -> str:
 
 
 def _term(module: str, name: str) -> Any:
-    """The term of ours that a functor of EmbodiChain's is, or None."""
+    """The term that a functor of EmbodiChain's is, by its name if it is an alias; or None."""
     if not module.startswith(_MANAGERS):
         return None
     from embodichain.compat.gym_config.functors import ACTIONS
+    from embodichain.lab.gym.envs.managers.aliases import AliasSpec
     from embodichain.lab.gym.envs.managers.registry import TERMS
 
     for kind in _KINDS:
         spec = TERMS[kind].get(ACTIONS.get(name, name))
         if spec is not None:
-            return spec.func
+            return spec.name if isinstance(spec, AliasSpec) else spec.func
     return None

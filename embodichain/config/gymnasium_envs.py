@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode
 
 from embodichain.config.factory import make
 from embodichain.config.gymnasium_ids import task_id
-from embodichain.lab.gym.envs.autoreset import parse_mode
+from embodichain.lab.gym.envs.episodes import parse_mode
 from embodichain.lab.gym.single import SingleEnv
 from embodichain.lab.gym.vector import NumpyVectorEnv
 from embodichain.utils.errors import ConfigError

@@ -1,7 +1,7 @@
 """All checks of a config in one report: types, values, terms, scene; each mistake with its place.
 
 Types are checked by `check_types`, terms by `lab.gym.envs.managers.check`, the scene by
-`lab.gym.envs.scene_check`; values of the root and of the task here.
+`lab.gym.envs.scene_setup`; values of the root and of the task here.
 """
 
 from __future__ import annotations
@@ -143,7 +143,7 @@ def _check_meaning(
     known = {p.path for p in problems}
     in_task = check_terms(root.task, allow_import=allow_import)
     if not any(_ENTITY.fullmatch(path) for path in missing):
-        from embodichain.lab.gym.envs.scene_check import describe  # imports MuJoCo
+        from embodichain.lab.gym.envs.scene_setup import describe  # imports MuJoCo
 
         in_task += describe(root.task, scene)
     found = [Problem(_in_task(p.path), p.message, p.hint) for p in in_task]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.base import F64, EnvIndex
+from embodichain.lab.sim.engine.api import F64, EnvIndex
 from embodichain.recording.block import DRAWN
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.trajectory import columns_of, runs
@@ -41,7 +41,7 @@ class LogWrite:
 
     Attributes:
         step: Control step: how many were finished before.
-        op: ``state``, ``model``, ``reset`` or ``set_const``, as in `lab.sim.engine.base.Write`.
+        op: ``state``, ``model``, ``reset`` or ``set_const``, as in `lab.sim.engine.api.Write`.
         field: Component of the state, or model field; empty for ``set_const``.
         env_ids: (n,) environments; None is all.
         columns: (k,) columns within the field, or a slice of them.

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import mujoco
 
-from embodichain.lab.sim.engine.layout import row_layout
+from embodichain.lab.sim.engine.api import row_layout
 from embodichain.recording.archive import load_mjz
 from embodichain.recording.attachments import MODEL, load_mjb, model_digest, unpack_model
 from embodichain.recording.header import Header

@@ -6,6 +6,7 @@ channels, so any MCAP reader decodes it from itself.
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any
@@ -143,9 +144,8 @@ def descriptor_set(name: str) -> bytes:
             raise KeyError(f"no message {name!r}; there are {', '.join(MESSAGES)}")
         result.file.append(_own_file())
     else:
-        from embodichain.recording.views import messages
-
-        _append(result, getattr(messages, short).DESCRIPTOR.file, set())
+        module = importlib.import_module(f"foxglove_schemas_protobuf.{short}_pb2")
+        _append(result, module.DESCRIPTOR, set())
     return result.SerializeToString(deterministic=True)
 
 

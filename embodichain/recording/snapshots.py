@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.snapshot import Drawn, Snapshot
-from embodichain.lab.sim.engine.base import F64, EnvIndex
+from embodichain.lab.sim.engine.api import F64, EnvIndex
 from embodichain.recording.block import DRAWN, Call, Run
 from embodichain.recording.episodes import LogEpisode
 from embodichain.recording.log_error import LogError

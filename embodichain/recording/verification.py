@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.base import EnvIndex
+from embodichain.lab.sim.engine.api import EnvIndex
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.header import Header
 from embodichain.recording.log_error import LogError

@@ -1,13 +1,12 @@
-"""Quaternions (wxyz), rotation matrices and 7-vector poses, elementwise and batched.
+"""Quaternions (wxyz), rotation matrices and 7-vector poses: float64 arrays, batched.
 
-The functions work on numpy arrays and torch tensors alike, over leading dimensions. Every one is
-elementwise arithmetic in a fixed order, so a row's result does not depend on how many rows there
-are; there is no matrix product here on purpose.
+Every function is elementwise arithmetic in a fixed order over leading dimensions, so a row's result
+does not depend on how many rows there are; there is no matrix product here on purpose. Products of
+all pairs of components are computed at once and then picked: few calls, which is what a few
+environments pay for.
 """
 
 from __future__ import annotations
-
-from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,53 +22,77 @@ __all__ = [
     "quat_multiply",
     "quat_rotate",
     "quat_to_matrix",
+    "rotate",
+    "rotate_back",
 ]
 
-A = TypeVar("A")
+F64 = NDArray[np.float64]
+
+# Places of products among the 16 a[i] b[j] of two quaternions (4 i + j), and their signs. A row is
+# a component of the Hamilton product.
+_HAMILTON = np.array([[0, 5, 10, 15], [1, 4, 11, 14], [2, 7, 8, 13], [3, 6, 9, 12]])
+_HAMILTON_SIGNS = np.array([[1.0, -1, -1, -1], [1, 1, 1, -1], [1, -1, 1, 1], [1, 1, -1, 1]])
+_CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+# Row by row, an entry of the matrix is a constant plus a factor times the sum or difference of two
+# of the products of a quaternion with itself.
+_FIRST = np.array([10, 6, 7, 6, 5, 11, 7, 11, 5])
+_SECOND = np.array([15, 3, 2, 3, 15, 1, 2, 1, 10])
+_SECOND_SIGN = np.array([1.0, -1, 1, 1, 1, -1, -1, 1, 1])
+_FACTOR = np.array([-2.0, 2, 2, 2, -2, 2, 2, 2, -2])
+_IDENTITY = np.eye(3).reshape(9)
+# Of the 9 products a[i] b[j] of two vectors.
+_CROSS_PLUS, _CROSS_MINUS = np.array([5, 6, 1]), np.array([7, 2, 3])
 
 
-def _stack(parts: list[Any]) -> Any:
-    if isinstance(parts[0], (np.ndarray, np.generic, float)):
-        return np.stack(parts, axis=-1)
-    import torch
+def _products(a: F64, b: F64) -> F64:
+    """a[i] b[j], (..., n^2), of vectors (..., n)."""
+    pairs = a[..., :, None] * b[..., None, :]
+    found: F64 = pairs.reshape(*pairs.shape[:-2], -1)
+    return found
 
-    return torch.stack(parts, dim=-1)
 
-
-def quat_multiply(a: A, b: A) -> A:
+def quat_multiply(a: F64, b: F64) -> F64:
     """Hamilton product of wxyz quaternions, (..., 4)."""
-    aw, ax, ay, az = (a[..., i] for i in range(4))  # type: ignore[index]
-    bw, bx, by, bz = (b[..., i] for i in range(4))  # type: ignore[index]
-    return _stack(  # type: ignore[no-any-return]
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ]
-    )
+    terms = _products(a, b)[..., _HAMILTON] * _HAMILTON_SIGNS
+    found: F64 = terms[..., 0] + terms[..., 1] + terms[..., 2] + terms[..., 3]
+    return found
 
 
-def quat_conjugate(q: A) -> A:
+def quat_conjugate(q: F64) -> F64:
     """Inverse rotation of unit wxyz quaternions, (..., 4)."""
-    return _stack([q[..., 0], -q[..., 1], -q[..., 2], -q[..., 3]])  # type: ignore[index, no-any-return]
+    conjugate: F64 = q * _CONJUGATE
+    return conjugate
 
 
-def cross(a: A, b: A) -> A:
+def cross(a: F64, b: F64) -> F64:
     """Cross product, (..., 3)."""
-    ax, ay, az = (a[..., i] for i in range(3))  # type: ignore[index]
-    bx, by, bz = (b[..., i] for i in range(3))  # type: ignore[index]
-    return _stack([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])  # type: ignore[no-any-return]
+    products = _products(a, b)
+    found: F64 = products[..., _CROSS_PLUS] - products[..., _CROSS_MINUS]
+    return found
 
 
-def quat_rotate(q: A, v: A) -> A:
+def quat_rotate(q: F64, v: F64) -> F64:
     """Rotate vectors (..., 3) by unit wxyz quaternions (..., 4): v + 2w(u x v) + 2u x (u x v)."""
-    u = q[..., 1:]  # type: ignore[index]
+    u = q[..., 1:]
     t = 2.0 * cross(u, v)
-    return v + q[..., :1] * t + cross(u, t)  # type: ignore[no-any-return, index]
+    return v + q[..., :1] * t + cross(u, t)
 
 
-def normalize_quat(q: NDArray[np.float64]) -> NDArray[np.float64]:
+def rotate(matrix: F64, v: F64) -> F64:
+    """Rotate vectors (..., 3) by rotation matrices (..., 3, 3)."""
+    parts = matrix * v[..., None, :]
+    found: F64 = parts[..., 0] + parts[..., 1] + parts[..., 2]
+    return found
+
+
+def rotate_back(matrix: F64, v: F64) -> F64:
+    """Rotate vectors (..., 3) by the inverses of rotation matrices (..., 3, 3)."""
+    parts = matrix * v[..., :, None]
+    found: F64 = parts[..., 0, :] + parts[..., 1, :] + parts[..., 2, :]
+    return found
+
+
+def normalize_quat(q: F64) -> F64:
     """Return unit quaternions, (..., 4).
 
     Raises:
@@ -83,19 +106,12 @@ def normalize_quat(q: NDArray[np.float64]) -> NDArray[np.float64]:
     return q / norm[..., None]
 
 
-def quat_to_matrix(q: A) -> A:
+def quat_to_matrix(q: F64) -> F64:
     """Rotation matrices (..., 3, 3) of unit wxyz quaternions (..., 4)."""
-    w, x, y, z = (q[..., i] for i in range(4))  # type: ignore[index]
-    rows = [
-        _stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
-        _stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
-        _stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
-    ]
-    if isinstance(rows[0], np.ndarray):
-        return np.stack(rows, axis=-2)  # type: ignore[return-value]
-    import torch
-
-    return torch.stack(rows, dim=-2)  # type: ignore[return-value]
+    products = _products(q, q)
+    sums = products[..., _FIRST] + _SECOND_SIGN * products[..., _SECOND]
+    found: F64 = (_IDENTITY + _FACTOR * sums).reshape(*q.shape[:-1], 3, 3)
+    return found
 
 
 # 4 q q^T of a rotation matrix: each entry is a constant plus three entries of the matrix, at these
@@ -123,7 +139,7 @@ _UNIT = np.eye(4).reshape(16)
 _UNTURNED = np.eye(3).tobytes()
 
 
-def matrix_to_quat(m: NDArray[np.float64]) -> NDArray[np.float64]:
+def matrix_to_quat(m: F64) -> F64:
     """Unit wxyz quaternions (..., 4), w >= 0, of rotation matrices (..., 3, 3).
 
     Shepperd's method: divide by the largest of the four components, so no case is ill-conditioned
@@ -144,7 +160,7 @@ def matrix_to_quat(m: NDArray[np.float64]) -> NDArray[np.float64]:
     return q.reshape(*m.shape[:-2], 4)
 
 
-def euler_xyz_to_quat(angles: NDArray[np.float64]) -> NDArray[np.float64]:
+def euler_xyz_to_quat(angles: F64) -> F64:
     """Wxyz quaternions of intrinsic XYZ Euler angles in radians (R = Rx Ry Rz), (..., 3)."""
     half = 0.5 * np.ascontiguousarray(np.moveaxis(np.asarray(angles, np.float64), -1, 0))
     (cx, cy, cz), (sx, sy, sz) = np.cos(half), np.sin(half)
@@ -159,21 +175,16 @@ def euler_xyz_to_quat(angles: NDArray[np.float64]) -> NDArray[np.float64]:
     )
 
 
-def pose_to_matrix(pose: A) -> A:
+def pose_to_matrix(pose: F64) -> F64:
     """4x4 matrices of 7-vectors (x, y, z, qw, qx, qy, qz), (..., 7) -> (..., 4, 4)."""
-    rotation = quat_to_matrix(pose[..., 3:])  # type: ignore[index]
-    shape = (*pose.shape[:-1], 4, 4)  # type: ignore[attr-defined]
-    if isinstance(pose, np.ndarray):
-        out: Any = np.zeros(shape, pose.dtype)
-    else:
-        out = pose.new_zeros(shape)  # type: ignore[attr-defined]
-    out[..., :3, :3] = rotation
-    out[..., :3, 3] = pose[..., :3]  # type: ignore[index]
+    out: F64 = np.zeros((*pose.shape[:-1], 4, 4))
+    out[..., :3, :3] = quat_to_matrix(pose[..., 3:])
+    out[..., :3, 3] = pose[..., :3]
     out[..., 3, 3] = 1.0
-    return out  # type: ignore[no-any-return]
+    return out
 
 
-def matrix_to_pose(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def matrix_to_pose(matrix: F64) -> F64:
     """7-vectors (x, y, z, qw, qx, qy, qz) of 4x4 matrices, (..., 4, 4) -> (..., 7)."""
     quat = matrix_to_quat(matrix[..., :3, :3])
     return np.concatenate([matrix[..., :3, 3], quat], axis=-1)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["RandomStreams"]
+__all__ = ["RandomStreams", "first_seed"]
 
 U64 = NDArray[np.uint64]
 _GAMMA = np.uint64(0x9E3779B97F4A7C15)
@@ -88,6 +88,13 @@ def _scaled(unit: NDArray[np.float64], low: Any, high: Any) -> NDArray[np.float6
     values: NDArray[np.float64] = unit * (high - low)
     values += low
     return values
+
+
+def first_seed(seed: int | None) -> int:
+    """Return the seed to start with: None is 0, -1 draws one."""
+    if seed == -1:
+        return int(np.random.SeedSequence().generate_state(1, np.uint32)[0])
+    return 0 if seed is None else int(seed)
 
 
 class RandomStreams:
@@ -215,3 +222,32 @@ class RandomStreams:
         self._blocks.clear()
         for name, counters in state["counters"].items():
             self._stream(name)[1][:] = counters
+
+    def reseed(self, seed: Any) -> None:
+        """Start every stream anew.
+
+        Raises:
+            ValueError: If the seed is not an integer.
+        """
+        if not isinstance(seed, (int, np.integer)) or isinstance(seed, bool):
+            raise ValueError(
+                f"seed must be one integer (each environment has its own stream): {seed!r}"
+            )
+        self.load_state_dict({"seed": first_seed(int(seed)), "counters": {}})
+
+    def rewind(self, saved: dict[str, Any], rows: NDArray[np.bool_]) -> None:
+        """Continue in some environments where a state was taken.
+
+        Args:
+            saved: An earlier `state_dict` with the same seed.
+            rows: (N,) bool, which environments.
+        """
+        now = self.state_dict()
+        changed = False
+        for name, counters in now["counters"].items():
+            old = saved["counters"].get(name, np.zeros_like(counters))
+            if not np.array_equal(old, counters):
+                counters[rows] = old[rows]
+                changed = True
+        if changed:
+            self.load_state_dict(now)

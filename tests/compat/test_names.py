@@ -70,7 +70,7 @@ def test_imports_of_the_tutorial_after_the_first() -> None:
         from embodichain.lab.sim.objects import RigidObjectCfg
         from embodichain.lab.sim.sensors import SensorCfg, StereoCameraCfg
         from embodichain.utils import configclass, logger
-        print(rand.randomize_rigid_object_mass.__name__, ObservationCfg().mode, EventCfg().mode)
+        print(rand.randomize_rigid_object_mass, ObservationCfg().mode, EventCfg().mode)
         print(configclass.__name__, "replace_assets_from_group" in dir(events))
         from embodichain.lab.gym.envs.managers.randomization import *
         print(randomize_light.__name__)
@@ -78,7 +78,7 @@ def test_imports_of_the_tutorial_after_the_first() -> None:
         """
     )
     assert done.stdout.splitlines() == [
-        "RandomizeRigidObjectMass modify reset",
+        "randomize_rigid_object_mass modify reset",
         "configclass False",
         "RandomizeLight",
     ]
@@ -87,11 +87,14 @@ def test_imports_of_the_tutorial_after_the_first() -> None:
     assert "RobotCfg(fpath=...)" in last
 
 
-def test_a_functor_is_the_term_of_that_name() -> None:
-    from embodichain.lab.gym.envs.managers import actions  # type: ignore[attr-defined]
+def test_a_functor_is_the_term_of_that_name_or_the_name_of_an_alias() -> None:
+    from embodichain.lab.gym.envs.managers import actions, rewards  # type: ignore[attr-defined]
     from embodichain.lab.gym.envs.managers.registry import TERMS
 
-    assert actions.DeltaQposTerm is TERMS["action"]["relative_joint_position"].func
+    assert actions.DeltaQposTerm == "relative_joint_position"
+    assert actions.DeltaQposTerm in TERMS["action"]
+    assert rewards.action_smoothness_penalty == "action_smoothness_penalty"
+    assert rewards.success_reward is TERMS["reward"]["success_reward"].func
     with pytest.raises(NotImplementedError, match="a mesh is compiled once"):
         importlib.import_module("embodichain.lab.gym.envs.managers.events").__getattr__(
             "replace_assets_from_group"

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 from scipy.spatial.transform import Rotation
 
 from embodichain.utils import math as m
@@ -48,10 +47,11 @@ def test_euler_is_intrinsic_xyz():
     np.testing.assert_allclose(m.quat_to_matrix(m.euler_xyz_to_quat(angles)), expected, atol=1e-12)
 
 
-def test_torch_and_numpy_agree(rotations):
-    quat = wxyz(rotations)
-    for function in (m.quat_to_matrix, m.quat_conjugate):
-        np.testing.assert_array_equal(function(torch.from_numpy(quat)).numpy(), function(quat))
+def test_matrices_rotate_as_quaternions_do(rotations):
+    quat, vector = wxyz(rotations), np.random.default_rng(1).standard_normal((len(rotations), 3))
+    matrix = m.quat_to_matrix(quat)
+    np.testing.assert_allclose(m.rotate(matrix, vector), m.quat_rotate(quat, vector), atol=1e-12)
+    np.testing.assert_allclose(m.rotate_back(matrix, m.rotate(matrix, vector)), vector, atol=1e-12)
 
 
 @pytest.mark.parametrize("bad", [[0.0, 0, 0, 0], [np.nan, 0, 0, 1], [np.inf, 0, 0, 0]])

@@ -11,30 +11,28 @@ from typing import Any
 
 from embodichain.compat.gym_config.conversion import Conversion, convert
 from embodichain.lab.gym.envs.cfg import EnvCfg
-from embodichain.lab.gym.envs.managers.registry import TERMS, Kind
+from embodichain.lab.gym.envs.managers.registry import SECTIONS, TERMS, Kind
 from embodichain.lab.gym.utils.registration import REGISTERED_ENVS
 from embodichain.lab.sim.cfg import RenderCfg, SimulationManagerCfg
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.from_dict import from_dict
 
-__all__ = ["config_to_cfg"]
+__all__ = ["FUNCTORS", "checked_cfg", "config_to_cfg"]
 
 _log = logging.getLogger(__name__)
 _SIM_KEYS = ("headless", "gpu_id", "arena_space")
 _OURS = (*_SIM_KEYS, "device", "renderer", "render_cfg")
 """Keys without a meaning in YAML that a `SimulationManagerCfg` does have."""
-_KINDS: Mapping[str, Kind] = {
-    "events": "event",
-    "observations": "observation",
-    "rewards": "reward",
-    "actions": "action",
+FUNCTORS: Mapping[str, Kind] = {
+    section: SECTIONS[section] for section in ("events", "observations", "rewards", "actions")
 }
+"""Section of `env` -> kind of its terms."""
 
 
 def config_to_cfg(
     config: Mapping[str, Any], manager_modules: Sequence[str | ModuleType] | None = None
 ) -> EnvCfg:
-    """Convert a gym config to the config of an environment; log what could not come along.
+    """Convert a gym config to the config of an environment; log what is left out.
 
     Args:
         config: Its content; left as it is.
@@ -44,15 +42,13 @@ def config_to_cfg(
         A config whose terms and scene are checked when an environment is built of it.
 
     Raises:
-        ConfigError: Holds every unknown key and wrong type, at its path in the gym config.
+        ConfigError: Contains every unknown key and wrong type, at its path in the gym config.
     """
     modules = [
         importlib.import_module(m) if isinstance(m, str) else m for m in manager_modules or ()
     ]
     conversion = convert(_with_modules(config, modules), tuple(REGISTERED_ENVS))
-    if conversion.problems:
-        raise ConfigError(conversion.problems)
-    cfg = _checked(conversion)
+    cfg = checked_cfg(conversion)
     run = cfg.suggested.run
     cfg.num_envs = run.get("num_envs", 1)
     cfg.seed = run.get("seed")
@@ -63,15 +59,21 @@ def config_to_cfg(
     return cfg
 
 
-def _checked(conversion: Conversion) -> EnvCfg:
+def checked_cfg(conversion: Conversion) -> EnvCfg:
+    """Return the config that a converted task declares.
+
+    Raises:
+        ConfigError: The conversion or the task has mistakes; paths are the gym config's.
+    """
+    if conversion.problems:
+        raise ConfigError(conversion.problems)
     try:
         cfg: EnvCfg = from_dict(EnvCfg, conversion.task)
     except ConfigError as error:
-        found = [
+        raise ConfigError(
             Problem(".".join(conversion.origin(tuple(p.path.split(".")))), p.message, p.hint)
             for p in error.problems
-        ]
-        raise ConfigError(found) from error
+        ) from error
     return cfg
 
 
@@ -93,7 +95,7 @@ def _with_modules(config: Mapping[str, Any], modules: Sequence[ModuleType]) -> d
         return dict(config)
     sections = {
         section: {name: _named(functor, kind, modules) for name, functor in env[section].items()}
-        for section, kind in _KINDS.items()
+        for section, kind in FUNCTORS.items()
         if isinstance(env.get(section), Mapping)
     }
     return {**config, "env": {**env, **sections}}

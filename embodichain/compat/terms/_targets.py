@@ -1,26 +1,59 @@
-"""What EmbodiChain's terms refer to: joints of the task's robot, its tool, stored target poses."""
+"""What EmbodiChain's terms refer to: entities, joints, tools, and attributes of the environment."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
 
+from embodichain.lab.gym.envs.managers.param_types import Reference
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
-__all__ = ["as_parameters", "pick_joints", "target_position", "tool_of"]
+__all__ = [
+    "Articulation",
+    "RigidObject",
+    "as_parameters",
+    "joints_of",
+    "target_position",
+    "tool_of",
+]
+
+T = TypeVar("T")
+_SHARED = ("affordance_datas",)
+"""Attributes of the environment that are made for terms to write into."""
+_PACKAGE = "embodichain.lab."
+
+
+class _Has(Reference):
+    """An entity whose handle has an attribute, which tells the kinds of handles apart."""
+
+    def __init__(self, attribute: str, kind: str) -> None:
+        self._attribute, self._kind = attribute, kind
+
+    def resolve(self, env: TermContext, value: Any) -> Any:
+        if not hasattr(value.asset, self._attribute):
+            raise ConfigError([Problem("uid", f"{value.uid!r} is not {self._kind}")])
+        return value
+
+
+if TYPE_CHECKING:
+    RigidObject = ResolvedEntity
+    Articulation = ResolvedEntity
+else:
+    RigidObject = Annotated[ResolvedEntity, _Has("is_non_dynamic", "a rigid object")]
+    Articulation = Annotated[ResolvedEntity, _Has("parsed", "a robot: it has no joints")]
 
 
 @contextmanager
 def as_parameters(names: Mapping[str, str]) -> Iterator[None]:
-    """Call the keys of a reference what the term's parameters are called, in errors.
+    """Name the keys of a reference as the term's parameters in errors.
 
     Args:
         names: Key -> parameter.
@@ -33,21 +66,20 @@ def as_parameters(names: Mapping[str, str]) -> Iterator[None]:
         ) from error
 
 
-def pick_joints(
+def joints_of(
     env: TermContext,
-    entity_cfg: ResolvedEntity | None,
-    robot_uid: str | None,
-    joint_ids: Sequence[int] | None,
+    robot_uid: str | None = None,
+    joint_ids: list[int] | None = None,
     part_name: str | None = None,
+    entity_cfg: ResolvedEntity | None = None,
 ) -> ResolvedEntity:
     """Joints given by a reference, or as EmbodiChain does.
 
     Args:
-        env: The environment.
-        entity_cfg: The reference; the others must then be None.
-        robot_uid: A robot; None is the task's own.
+        robot_uid: The robot; None is the task's own.
         joint_ids: Its joints; None is all active ones.
-        part_name: A control part, instead of indices.
+        part_name: One of its control parts, instead of `joint_ids`.
+        entity_cfg: Robot and joints by name, instead of all three (ours).
 
     Raises:
         ConfigError: If there is no such robot, joint or part, or both ways are mixed.
@@ -65,12 +97,10 @@ def pick_joints(
         if env.robot is None:
             raise ConfigError([Problem("robot_uid", "the task has no robot: give entity_cfg")])
         robot_uid = env.robot.uid
-    cfg: dict[str, Any] = {"uid": robot_uid, "control_parts": part_name}
-    if joint_ids is not None:
-        cfg = {"uid": robot_uid, "joint_ids": list(joint_ids)}
-    names = {"": "robot_uid", "uid": "robot_uid", "control_parts": "part_name"}
-    with as_parameters(names):
-        found = env.scene_entity(cfg)
+    with as_parameters({"": "robot_uid", "uid": "robot_uid", "control_parts": "part_name"}):
+        found = env.scene_entity(
+            {"uid": robot_uid, "control_parts": part_name, "joint_ids": joint_ids}
+        )
         found.require_joints()
     return found
 
@@ -120,7 +150,7 @@ def tool_of(
         if part_name is not None:
             raise ConfigError([Problem("part_name", "give either end_effector_cfg or this")])
         return end_effector_cfg
-    from embodichain.lab.gym.envs.mdp._kinematics import tool_links
+    from embodichain.lab.gym.envs.mdp._ik import tool_links
 
     if env.robot is None:
         raise ConfigError([Problem("end_effector_cfg", "the task has no robot: give a link")])
@@ -132,3 +162,56 @@ def tool_of(
         message = f"name one link as the tool; the robot suggests {', '.join(links) or 'none'}"
         raise ConfigError([Problem("end_effector_cfg", message)])
     return env.scene_entity({"uid": entity.uid, "link_names": links})
+
+
+def stored(env: TermContext, name: str, first: Callable[[], T], path: str) -> T:
+    """The value of ``env.<name>``; made by `first` where there is none.
+
+    Args:
+        env: The environment.
+        name: The attribute. Terms may share it; ``extensions`` or a user's class may declare it.
+        first: Makes the first value.
+        path: The parameter that names it, for messages.
+
+    Raises:
+        ConfigError: If the name is no identifier, or belongs to the environment.
+    """
+    if not name.isidentifier() or name.startswith("_") or _is_environments(env, name):
+        message = f"{name!r} is not an identifier, or taken by the environment"
+        raise ConfigError([Problem(path, message)])
+    if not hasattr(env, name):
+        setattr(env, name, first())
+    found: Any = getattr(env, name)
+    if type(found) is not type(first()):
+        wanted = type(first()).__name__
+        message = f"env.{name} is a {type(found).__name__}; a {wanted} is stored there"
+        raise ConfigError([Problem(path, message)])
+    value: T = found
+    return value
+
+
+def _is_environments(env: TermContext, name: str) -> bool:
+    """Whether an attribute is one of the package's own class of environments."""
+    own = [base for base in type(env).__mro__ if base.__module__.startswith(_PACKAGE)]
+    return name not in _SHARED and any(
+        name in vars(base) or name in vars(base).get("__annotations__", {}) for base in own
+    )
+
+
+def asset_of(env: TermContext, uid: str, path: str, objects_only: bool = False) -> Any:
+    """The handle of an entity.
+
+    Args:
+        env: The environment.
+        uid: Its name.
+        path: The parameter that names it, for messages.
+        objects_only: Whether it must be a rigid object.
+
+    Raises:
+        ConfigError: If there is no such entity; lists those that exist.
+    """
+    with as_parameters({"uid": path}):
+        asset = env.scene_entity({"uid": uid}).asset
+    if objects_only and not hasattr(asset, "is_non_dynamic"):
+        raise ConfigError([Problem(path, f"{uid!r} is not a rigid object")])
+    return asset

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import lazy_loader
 import numpy as np
 
-from embodichain.compat.terms._stored import asset_of, stored
+from embodichain.compat.terms._targets import asset_of, stored
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
+from embodichain.lab.gym.envs.managers.aliases import alias, register_aliases
 from embodichain.lab.gym.envs.managers.registry import import_object, register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
@@ -28,11 +30,11 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 else:
     torch = lazy_loader.load("torch")
 
-__all__ = ["PrepareExtraAttr", "RegisterEntityAttrs", "RegisterEntityPose", "RegisterInfoToEnv"]
+__all__ = ["PrepareExtraAttr", "RegisterInfoToEnv"]
 
 EXTRA_ATTRS = "extra_attrs"
 """Attribute of the environment: uid -> name -> value."""
@@ -84,7 +86,7 @@ class Registry:
 
     __pydantic_config__ = {"extra": "forbid"}
 
-    entity_cfg: SceneEntityCfg
+    entity_cfg: SceneEntityCfg | ResolvedEntity
     attrs: list[str] = field(default_factory=list)
     prefix: bool = True
     pose_register_params: PoseParams | None = None
@@ -111,13 +113,13 @@ def _uids_of(env: TermContext, wanted: Relative, path: str) -> list[str]:
 
 @register_term("event", name="prepare_extra_attr")
 class PrepareExtraAttr(Term):
-    """Attaches attributes to entities, as ``env.extra_attrs[uid][name]``: EmbodiChain's event.
+    """Attaches attributes to entities, as ``env.extra_attrs[uid][name]``.
 
     Args:
         attrs: Each a map with `name`; `entity_uids` (names, `all_objects` or `all_robots`) or
             `entity_cfg`; and `value`, or `mode: callable` with `func_name` (a method of the
             entity's handle, or ``package.module:function`` that gets env, env_ids and the handle)
-            and `func_kwargs`. Callables are called at every firing.
+            and `func_kwargs`. Callables are called whenever the event is.
 
     Example:
         ``{func: prepare_extra_attr, mode: startup, params: {attrs: [{name: grasp_width, entity_uids: [cube], value: 0.04}, {name: size, mode: callable, entity_uids: all_objects, func_name: get_body_scale}]}}``
@@ -167,13 +169,50 @@ def _checked(env: TermContext, attr: ExtraAttr, path: str) -> tuple[list[str], A
     return uids, None
 
 
-class _Register(Term):
-    """Writes into ``env.<registration>`` and remembers under which keys."""
+@register_term("event", name="register_info_to_env")
+class RegisterInfoToEnv(Term):
+    """Copies attributes and poses of entities into ``env.<registration>``.
 
-    def __init__(self, env: TermContext, registration: str) -> None:
+    An attribute is called ``{uid}_{attribute}``. ``{uid}_pose`` is the entity's pose in the
+    environment's frame (``{uid}_{link}_pose`` of a picked link), ``{other}_pose_{uid}`` the pose of
+    another entity in the entity's frame. A partial reset writes only the rows of its environments.
+
+    Args:
+        registry: Each a map with `entity_cfg`, `attrs` and `prefix` as of `register_entity_attrs`,
+            and `pose_register_params` as of `register_entity_pose` (absent: no poses).
+        registration: Attribute of the environment, a dictionary; made if there is none.
+        sim_update: Whether these environments take 100 physics steps before, so that objects have
+            settled.
+
+    Example:
+        ``{func: register_info_to_env, mode: reset, params: {sim_update: false, registry: [{entity_cfg: {uid: cube}, attrs: [get_body_scale], pose_register_params: {to_matrix: false}}]}}``
+    """  # noqa: E501
+
+    def __init__(
+        self,
+        env: TermContext,
+        registry: list[Registry],
+        registration: str = "affordance_datas",
+        sim_update: bool = True,
+    ) -> None:
         self._env, self._table = env, registration
         stored(env, registration, dict, "registration")
         self._keys: dict[str, None] = {}
+        self._registry = [(env.scene_entity(entry.entity_cfg), entry) for entry in registry]
+        self._steps = _UPDATE_STEPS if sim_update else 0
+        for number, entry in enumerate(registry):
+            if entry.pose_register_params is not None:
+                path = f"registry.{number}.pose_register_params.compute_relative"
+                _uids_of(env, entry.pose_register_params.compute_relative, path)
+
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+        """Copy everything of these environments."""
+        if self._steps:
+            env.sim.engine.step(self._steps, env_ids)
+        for entity, entry in self._registry:
+            self._put_attrs(entity.uid, entry.attrs, entry.prefix, env_ids)
+            if entry.pose_register_params is not None:
+                self._put_pose(entity, entry.pose_register_params, env_ids)
 
     def _put(self, key: str, value: Any, env_ids: EnvIndex | None) -> None:
         """Set an entry; of a tensor (N, ...) only the rows of these environments."""
@@ -216,14 +255,14 @@ class _Register(Term):
     def _put_pose(self, entity: ResolvedEntity, how: PoseParams, env_ids: EnvIndex | None) -> None:
         env, uid = self._env, entity.uid
         name = uid if entity.link_name is None else f"{uid}_{entity.link_name}"
-        pos, quat = _pose(entity)
+        pos, quat = entity.position(), entity.orientation()
         found = {f"{name}_pose": (pos, quat)}
         back = quat_conjugate(quat)
         for other in _uids_of(env, how.compute_relative, "compute_relative"):
             if other != uid:
-                other_pos, other_quat = _pose(env.scene_entity({"uid": other}))
-                relative = quat_rotate(back, other_pos - pos), quat_multiply(back, other_quat)
-                found[f"{other}_pose_{name}"] = relative
+                seen = env.scene_entity({"uid": other})
+                relative = quat_rotate(back, seen.position() - pos)
+                found[f"{other}_pose_{name}"] = relative, quat_multiply(back, seen.orientation())
         if how.compute_pose_object_to_arena:
             for attr, value in getattr(env, EXTRA_ATTRS, {}).get(uid, {}).items():
                 if attr.endswith("_pose_object"):
@@ -237,118 +276,6 @@ class _Register(Term):
             self._put(key, torch.from_numpy(values.astype(np.float32)), env_ids)
 
 
-@register_term("event", name="register_entity_attrs")
-class RegisterEntityAttrs(_Register):
-    """Copies attributes of an entity into ``env.<registration>``: EmbodiChain's event.
-
-    Args:
-        entity_cfg: The entity.
-        registration: Attribute of the environment, a dictionary; made if there is none.
-        attrs: Names: what `prepare_extra_attr` made, else attributes of the entity's handle (a
-            method is called).
-        prefix: Whether entries are called ``{uid}_{attribute}`` instead of ``{attribute}``.
-
-    Example:
-        ``{func: register_entity_attrs, mode: reset, params: {entity_cfg: {uid: cube}, attrs: [get_body_scale]}}``
-    """  # noqa: E501
-
-    def __init__(
-        self,
-        env: TermContext,
-        entity_cfg: ResolvedEntity,
-        registration: str = "affordance_datas",
-        attrs: list[str] | None = None,
-        prefix: bool = True,
-    ) -> None:
-        super().__init__(env, registration)
-        self._args = entity_cfg.uid, attrs or [], prefix
-
-    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
-        """Copy the attributes."""
-        self._put_attrs(*self._args, env_ids)
-
-
-@register_term("event", name="register_entity_pose")
-class RegisterEntityPose(_Register):
-    """Copies poses of an entity into ``env.<registration>``: EmbodiChain's event.
-
-    ``{uid}_pose`` is the entity's pose in the environment's frame (``{uid}_{link}_pose`` of a
-    picked link); ``{other}_pose_{uid}`` another's pose in the entity's frame. All environments have
-    a row; a partial reset renews only its own.
-
-    Args:
-        entity_cfg: The entity, or one link of it.
-        registration: Attribute of the environment, a dictionary; made if there is none.
-        compute_relative: Whose poses relative to the entity's are added: `all_robots`,
-            `all_objects`, a list of uids, true for all of these, or false for none.
-        compute_pose_object_to_arena: Whether attributes of `prepare_extra_attr` that are called
-            ``..._pose_object`` (poses in the object's frame, 4x4 or x, y, z, qw, qx, qy, qz) are
-            added as ``{uid}_..._pose_object`` and, in the environment's frame, ``{uid}_..._pose``.
-        to_matrix: (N, 4, 4) matrices, else (N, 7) x, y, z, qw, qx, qy, qz; float32, metres.
-
-    Example:
-        ``{func: register_entity_pose, mode: reset, params: {entity_cfg: {uid: cube}, compute_relative: all_robots}}``
-    """  # noqa: E501
-
-    def __init__(
-        self,
-        env: TermContext,
-        entity_cfg: ResolvedEntity,
-        registration: str = "affordance_datas",
-        compute_relative: Relative = "all_robots",
-        compute_pose_object_to_arena: bool = True,
-        to_matrix: bool = True,
-    ) -> None:
-        super().__init__(env, registration)
-        self._entity = entity_cfg
-        self._how = PoseParams(compute_relative, compute_pose_object_to_arena, to_matrix)
-        _uids_of(env, compute_relative, "compute_relative")
-
-    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
-        """Copy the poses of these environments."""
-        self._put_pose(self._entity, self._how, env_ids)
-
-
-@register_term("event", name="register_info_to_env")
-class RegisterInfoToEnv(_Register):
-    """Does `register_entity_attrs` and `register_entity_pose` for several entities.
-
-    Args:
-        registry: Each a map with `entity_cfg`, `attrs` and `prefix` as of `register_entity_attrs`,
-            and `pose_register_params` as of `register_entity_pose` (absent: no poses).
-        registration: Attribute of the environment, a dictionary; made if there is none.
-        sim_update: Whether these environments take 100 physics steps before, so that what was
-            placed has settled.
-
-    Example:
-        ``{func: register_info_to_env, mode: reset, params: {sim_update: false, registry: [{entity_cfg: {uid: cube}, attrs: [get_body_scale], pose_register_params: {to_matrix: false}}]}}``
-    """  # noqa: E501
-
-    def __init__(
-        self,
-        env: TermContext,
-        registry: list[Registry],
-        registration: str = "affordance_datas",
-        sim_update: bool = True,
-    ) -> None:
-        super().__init__(env, registration)
-        self._registry = [(env.scene_entity(entry.entity_cfg), entry) for entry in registry]
-        self._steps = _UPDATE_STEPS if sim_update else 0
-        for number, entry in enumerate(registry):
-            if entry.pose_register_params is not None:
-                path = f"registry.{number}.pose_register_params.compute_relative"
-                _uids_of(env, entry.pose_register_params.compute_relative, path)
-
-    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
-        """Copy everything of these environments."""
-        if self._steps:
-            env.sim.engine.step(self._steps, env_ids)
-        for entity, entry in self._registry:
-            self._put_attrs(entity.uid, entry.attrs, entry.prefix, env_ids)
-            if entry.pose_register_params is not None:
-                self._put_pose(entity, entry.pose_register_params, env_ids)
-
-
 def _with_rows(old: Any, new: torch.Tensor, ids: EnvIndex, num_envs: int) -> torch.Tensor:
     """The old values with the new ones of some environments, where both are of all of them."""
     if not isinstance(old, torch.Tensor) or old.shape != new.shape or len(new) != num_envs:
@@ -356,15 +283,6 @@ def _with_rows(old: Any, new: torch.Tensor, ids: EnvIndex, num_envs: int) -> tor
     rows, merged = torch.from_numpy(ids), old.clone()
     merged[rows] = new[rows]
     return merged
-
-
-def _pose(entity: ResolvedEntity) -> tuple[F64, F64]:
-    """(N, 3) and (N, 4) pose of the picked link, else of the root."""
-    asset, body = entity.asset, entity.link_body
-    if body is None:
-        found: tuple[F64, F64] = asset.read_pose()
-        return found
-    return asset.engine.derived("xpos")[:, body], asset.engine.derived("xquat")[:, body]
 
 
 def _as_pose(value: Any, count: int) -> tuple[F64, F64]:
@@ -377,3 +295,63 @@ def _as_pose(value: Any, count: int) -> tuple[F64, F64]:
         raise ConfigError([Problem("attrs", message)])
     array = np.broadcast_to(array.reshape(-1, 7), (count, 7))
     return array[:, :3], array[:, 3:]
+
+
+def _attrs(
+    env: TermContext,
+    entity_cfg: ResolvedEntity,
+    attrs: list[str] | None = None,
+    prefix: bool = True,
+) -> list[Registry]:
+    """The registry of `register_entity_attrs`.
+
+    Args:
+        entity_cfg: The entity.
+        attrs: Names: what `prepare_extra_attr` made, else attributes of the entity's handle (a
+            method is called).
+        prefix: Whether entries are called ``{uid}_{attribute}`` instead of ``{attribute}``.
+    """
+    return [Registry(entity_cfg, attrs or [], prefix)]
+
+
+def _poses(
+    env: TermContext,
+    entity_cfg: ResolvedEntity,
+    compute_relative: Relative = "all_robots",
+    compute_pose_object_to_arena: bool = True,
+    to_matrix: bool = True,
+) -> list[Registry]:
+    """The registry of `register_entity_pose`.
+
+    Args:
+        entity_cfg: The entity, or one link of it.
+        compute_relative: Whose poses relative to the entity's are added: `all_robots`,
+            `all_objects`, a list of uids, true for all of these, or false for none.
+        compute_pose_object_to_arena: Whether attributes of `prepare_extra_attr` that are called
+            ``..._pose_object`` (poses in the object's frame, 4x4 or x, y, z, qw, qx, qy, qz) are
+            added as ``{uid}_..._pose_object`` and, in the environment's frame, ``{uid}_..._pose``.
+        to_matrix: (N, 4, 4) matrices, else (N, 7) x, y, z, qw, qx, qy, qz; float32, metres.
+    """
+    _uids_of(env, compute_relative, "compute_relative")
+    how = PoseParams(compute_relative, compute_pose_object_to_arena, to_matrix)
+    return [Registry(entity_cfg, pose_register_params=how)]
+
+
+_ONE: Final[Mapping[str, Any]] = {"only": ("registration",), "sim_update": False}
+register_aliases(
+    {
+        "register_entity_attrs": alias(
+            "register_info_to_env",
+            registry=_attrs,
+            **_ONE,
+            example="{entity_cfg: {uid: cube}, attrs: [get_body_scale]}",
+        ),
+        "register_entity_pose": alias(
+            "register_info_to_env",
+            registry=_poses,
+            **_ONE,
+            example="{entity_cfg: {uid: cube}, compute_relative: all_robots}",
+        ),
+    },
+    "event",
+)

@@ -8,12 +8,11 @@ import lazy_loader
 import numpy as np
 from pydantic import Field
 
-from embodichain.compat.terms._stored import asset_of, stored
-from embodichain.lab.gym.envs.managers.drawing import Uniform
+from embodichain.compat.terms._targets import RigidObject, asset_of, stored
 from embodichain.lab.gym.envs.managers.param_types import Box2, Box3, Finite, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.mdp._ik import Reach
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, pose_to_matrix, quat_multiply
@@ -22,7 +21,7 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 else:
     torch = lazy_loader.load("torch")
 
@@ -43,20 +42,19 @@ def _initial_quats(env: TermContext, asset: Any) -> F64:
 
 @register_term("event", name="sample_rigid_object_pose_from_workspace")
 class SampleRigidObjectPoseFromWorkspace(Term):
-    """Places a rigid object at a random position that a robot's tool can reach; stops it.
+    """Places a rigid object at a random position that a robot's tool can reach, with velocity 0.
 
     Positions are drawn uniformly from a box until inverse kinematics (from the robot's initial
     joint positions, orientation free) brings the tool there; an environment without success after
-    `max_attempts` keeps the object where it is. EmbodiChain's event of the same name, which draws
-    from a workspace computed before; its `strategy`, `min_score` and `use_workspace_orientation`
-    belong to that and do not exist here.
+    `max_attempts` keeps the object where it is. EmbodiChain draws from a precomputed workspace; the
+    parameters `strategy`, `min_score` and `use_workspace_orientation` belong to that.
 
     Args:
         robot_cfg: The robot; control parts or joint names pick the joints, a link name the tool.
         entity_cfg: The object.
         position_bounds: [[x, y, z] low, [x, y, z] high] in metres, environment's frame.
         control_part: Picks the joints by a control part instead.
-        reference_height: If given, the height of the position in metres, whatever the box says.
+        reference_height: If given, the height of the position in metres, instead of the box's.
         rotation_range: [[x, y, z] low, [x, y, z] high] Euler angles in **degrees**, intrinsic XYZ,
             that turn the object's initial orientation, in its own frame.
         max_attempts: Positions tried at most.
@@ -69,14 +67,13 @@ class SampleRigidObjectPoseFromWorkspace(Term):
         self,
         env: TermContext,
         robot_cfg: ResolvedEntity,
-        entity_cfg: ResolvedEntity,
+        entity_cfg: RigidObject,
         position_bounds: Box3,
         control_part: str | None = None,
         reference_height: float | None = None,
         rotation_range: Box3 | None = None,
         max_attempts: Annotated[int, Field(ge=1)] = 64,
     ) -> None:
-        asset_of(env, entity_cfg.uid, "entity_cfg.uid", objects_only=True)
         if control_part is not None:
             links = list(robot_cfg.link_names) or None
             picked = {"uid": robot_cfg.uid, "control_parts": control_part, "link_names": links}
@@ -123,11 +120,11 @@ class SampleRigidObjectPoseFromWorkspace(Term):
 
 @register_term("event", name="planner_grid_cell_sampler")
 class PlannerGridCellSampler(Term):
-    """Places objects at the centres of cells of a grid, each in a cell of its own; stops them.
+    """Places objects at the centres of cells of a grid, each in another cell, with velocity 0.
 
     The rectangle is divided into rows (along x) and columns (along y) of equal cells; cells are
     drawn uniformly without replacement (the order of one uniform number a cell). Orientations are
-    the objects' initial ones. EmbodiChain's event of the same name.
+    the objects' initial ones.
 
     Args:
         position_range: [[x, y] low, [x, y] high] in metres, environment's frame.
@@ -191,15 +188,14 @@ class RandomizeAnchorHeight(Term):
     """Raises an anchor (a table) by a random height, and every dynamic object with it.
 
     The anchor's height is its initial one plus the draw; dynamic objects move by as much as the
-    anchor does. EmbodiChain's event of the same name; there are no object groups here, and so no
-    `include_groups`.
+    anchor does.
 
     Args:
         anchor_uid: A rigid object, or a robot or articulation.
         height_delta_range: [low, high] in metres, uniform; or
-        height_delta_candidates: heights in metres, one of which is picked with equal chances.
+        height_delta_candidates: heights in metres, one of which is picked with equal probability.
         exclude_uids: Dynamic objects that stay.
-        store_key: If given, ``env.<store_key>`` holds the heights drawn, (N,) float32 metres.
+        store_key: If given, ``env.<store_key>`` contains the heights drawn, (N,) float32 metres.
 
     Example:
         ``{func: randomize_anchor_height, mode: reset, params: {anchor_uid: goal, height_delta_range: [-0.05, 0.05], exclude_uids: [cube]}}``
@@ -276,17 +272,17 @@ class RandomizeAnchorHeight(Term):
 class RandomizeTargetPose(Term):
     """Draws a target pose and stores it as ``env.<store_key>``, (N, 4, 4) float32 matrices.
 
-    Terms such as `distance_to_target` read it there. EmbodiChain's event of the same name. Until
+    Terms such as `distance_to_target` read it there. Until
     the first draw the pose is the identity.
 
     Args:
         position_range: [[x, y, z] low, [x, y, z] high] in metres.
         rotation_range: The same for Euler angles in **degrees**, intrinsic XYZ (R = Rx Ry Rz);
             None keeps the orientation of the reference (no rotation without one).
-        relative_position: True adds the draw to the reference's position, where it stands at that
-            moment; False takes it as the position in the environment's frame.
+        relative_position: True adds the draw to the reference's position at that time, False takes
+            it as the position in the environment's frame.
         relative_rotation: True turns the reference's orientation by the draw, in its own frame.
-        reference_entity_cfg: An entity, or a link of one; what is relative needs it.
+        reference_entity_cfg: An entity, or a link of one; needed by a relative pose.
         store_key: The attribute of the environment.
 
     Example:
@@ -303,13 +299,9 @@ class RandomizeTargetPose(Term):
         reference_entity_cfg: ResolvedEntity | None = None,
         store_key: str = "target_pose",
     ) -> None:
-        for name, wants in (
-            ("relative_position", relative_position),
-            ("relative_rotation", relative_rotation),
-        ):
-            if wants and reference_entity_cfg is None:
-                message = "needs reference_entity_cfg: relative to what?"
-                raise ConfigError([Problem(name, message)])
+        if reference_entity_cfg is None and (relative_position or relative_rotation):
+            name = "relative_position" if relative_position else "relative_rotation"
+            raise ConfigError([Problem(name, "needs reference_entity_cfg: relative to what?")])
         self._env, self._key = env, store_key
         self._reference = reference_entity_cfg
         self._moves, self._turns = relative_position, relative_rotation
@@ -324,9 +316,8 @@ class RandomizeTargetPose(Term):
         pos = self._position(env.event_manager, env_ids)
         quat: F64 = np.tile(np.array([1.0, 0.0, 0.0, 0.0]), (len(pos), 1))
         if self._reference is not None:
-            at, turned = _pose(self._reference)
-            pos = at[where] + pos if self._moves else pos
-            quat = turned[where]
+            pos = self._reference.position()[where] + pos if self._moves else pos
+            quat = self._reference.orientation()[where]
         if self._rotation is not None:
             turn = euler_xyz_to_quat(self._rotation(env.event_manager, env_ids))
             quat = quat_multiply(quat, turn) if self._turns else turn
@@ -343,12 +334,3 @@ class RandomizeTargetPose(Term):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         setattr(self._env, self._key, state["poses"].clone())
-
-
-def _pose(entity: ResolvedEntity) -> tuple[F64, F64]:
-    """Position (N, 3) and orientation (N, 4) of the picked link, else of the root."""
-    if entity.link_body is None:
-        found: tuple[F64, F64] = entity.asset.read_pose()
-        return found
-    engine, body = entity.asset.engine, entity.link_body
-    return engine.derived("xpos")[:, body], engine.derived("xquat")[:, body]

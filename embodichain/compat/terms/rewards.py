@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 from pydantic import Field
 
-from embodichain.compat.terms._targets import pick_joints, target_position, tool_of
-from embodichain.lab.gym.envs.managers.param_types import NonNegative, Positive
-from embodichain.lab.gym.envs.managers.references import Body
+from embodichain.compat.terms._targets import joints_of, target_position, tool_of
+from embodichain.lab.gym.envs.managers.param_types import Body, NonNegative, Positive
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp import _kernels
@@ -24,12 +23,11 @@ from embodichain.utils.math import quat_conjugate, quat_multiply
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
     "IncrementalDistanceToTarget",
     "JointLimitPenalty",
-    "JointVelocityPenalty",
     "ReachingBehindObject",
     "distance_between_objects",
     "distance_to_target",
@@ -56,12 +54,10 @@ def distance_between_objects(
 ) -> F64:
     """-d, or exp(-d^2 / (2 sigma^2)), with d the distance in metres between two entities.
 
-    EmbodiChain's reward of the same name; `use_xy_only` is ours.
-
     Args:
         source_entity_cfg: An entity, or a link of one.
         target_entity_cfg: Likewise.
-        exponential: Whether to use the second formula, which lies in (0, 1].
+        exponential: Whether to use the second formula, whose values are in (0, 1].
         sigma: Its width in metres.
         use_xy_only: Whether heights are ignored.
 
@@ -89,12 +85,10 @@ def distance_to_target(
 ) -> F64:
     """-d, or exp(-d^2 / (2 sigma^2)), with d the distance in metres to a pose that an event stores.
 
-    EmbodiChain's reward of the same name.
-
     Args:
         source_entity_cfg: An entity, or a link of one.
         target_pose_key: The attribute of the environment with the poses, (N, 4, 4).
-        exponential: Whether to use the second formula, which lies in (0, 1].
+        exponential: Whether to use the second formula, whose values are in (0, 1].
         sigma: Its width in metres.
         use_xy_only: Whether heights are ignored.
 
@@ -110,8 +104,7 @@ def distance_to_target(
 class IncrementalDistanceToTarget(Rate):
     """w tanh(tanh_scale (d_before - d)): positive for coming closer; 0 in an episode's first step.
 
-    d is the distance in metres to a pose that an event stores, w one of two weights. EmbodiChain's
-    reward of the same name, whose memory survives resets and pays for the jump; this one forgets.
+    d is the distance in metres to a pose that an event stores, w one of two weights.
 
     Args:
         source_entity_cfg: An entity, or a link of one.
@@ -152,10 +145,10 @@ class ReachingBehindObject:
     """1 - tanh(distance_scale d), d the tool's distance to a point behind the object to push.
 
     The point is ``object - behind_offset u + (0, 0, height_offset)`` with u the unit vector from
-    the object to its target (0 where they coincide). EmbodiChain's reward of the same name.
+    the object to its target (0 where they coincide).
 
     Args:
-        object_cfg: What is to be pushed.
+        object_cfg: The object to push.
         target_pose_key: The attribute of the environment with the target poses, (N, 4, 4).
         behind_offset: Metres.
         height_offset: Metres.
@@ -206,8 +199,8 @@ def object_goal_distance(
     general form is `product_of` `height` and `distance`.
 
     Args:
-        object_cfg: What is carried.
-        goal_cfg: Where to.
+        object_cfg: The object.
+        goal_cfg: The goal.
         std: Metres: where the value has fallen to 0.24.
         minimal_height: Metres above z = 0 of the object's origin.
 
@@ -225,8 +218,6 @@ def orientation_alignment(
 ) -> F64:
     """(tr(Rs Rt^T) - 1) / 2, the cosine of the angle between two orientations, in [-1, 1].
 
-    EmbodiChain's reward of the same name.
-
     Args:
         source_entity_cfg: An entity, or a link of one.
         target_entity_cfg: Likewise.
@@ -240,40 +231,11 @@ def orientation_alignment(
     return 2.0 * w * w - 1.0  # the trace of a rotation is 4 w^2 - 1
 
 
-@quantity("reward", "metric", name="joint_velocity_penalty")
-class JointVelocityPenalty:
-    """-|qvel|, the Euclidean norm over the picked joints, rad/s. EmbodiChain's of the same name.
-
-    Args:
-        robot_uid: The robot; None is the task's own.
-        joint_ids: Its joints; None is all active ones.
-        part_name: One of its control parts, instead of `joint_ids`.
-        entity_cfg: Robot and joints by name, instead of all three (ours).
-
-    Example:
-        ``{func: joint_velocity_penalty, weight: 0.01, params: {robot_uid: ur10}}``
-    """
-
-    def __init__(
-        self,
-        env: TermContext,
-        robot_uid: str | None = None,
-        joint_ids: list[int] | None = None,
-        part_name: str | None = None,
-        entity_cfg: ResolvedEntity | None = None,
-    ) -> None:
-        self._joints = pick_joints(env, entity_cfg, robot_uid, joint_ids, part_name)
-
-    def __call__(self) -> F64:
-        """(N,), not positive."""
-        return -norm(self._joints.qvel())
-
-
 @quantity("reward", "metric", name="joint_limit_penalty")
 class JointLimitPenalty:
     """-sum max(0, margin - x), x the distance to the nearer limit as a share of the range.
 
-    EmbodiChain's reward of the same name. Joints without two limits count 0.
+    Joints without two limits count 0.
 
     Args:
         robot_uid: The robot; None is the task's own.
@@ -293,7 +255,7 @@ class JointLimitPenalty:
         margin: Annotated[float, Field(gt=0, le=0.5)] = 0.1,
         entity_cfg: ResolvedEntity | None = None,
     ) -> None:
-        self._joints = pick_joints(env, entity_cfg, robot_uid, joint_ids)
+        self._joints = joints_of(env, robot_uid, joint_ids, None, entity_cfg)
         self._margin = margin
         self._joints.qpos_limits()
 

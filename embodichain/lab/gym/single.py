@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.autoreset import AutoresetMode
 from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.gym.envs.episodes import AutoresetMode
 from embodichain.lab.gym.utils.policy_view import PolicyView
 from embodichain.lab.gym.utils.spaces import numpy_obs
 from embodichain.lab.sim.types import EnvObs

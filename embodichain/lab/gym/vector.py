@@ -11,8 +11,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.autoreset import parse_mode
 from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.gym.envs.episodes import parse_mode
 from embodichain.lab.gym.utils.policy_view import PolicyView
 from embodichain.lab.gym.utils.spaces import numpy_obs
 from embodichain.lab.sim.types import EnvObs

@@ -6,32 +6,19 @@ import logging
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from embodichain.lab.sim.cfg import (
-    ArticulationCfg,
-    LightCfg,
-    RigidObjectCfg,
-    RobotCfg,
-    SimulationManagerCfg,
-    name_of,
-)
+from embodichain.lab.sim.cfg import ArticulationCfg, SimulationManagerCfg, name_of
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_articulation
 from embodichain.lab.sim.compiler.chatter import DriveChange, physics_step
 from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
-from embodichain.lab.sim.compiler.scene_sensors import plan_sensor
-from embodichain.lab.sim.engine.base import Engine
-from embodichain.lab.sim.host import Host
+from embodichain.lab.sim.compiler.scene_sensors import SensorPlan, plan_sensor
+from embodichain.lab.sim.engine.api import Engine
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.lab.sim.sensors.cfg import CameraCfg, SensorCfg, no_camera
-from embodichain.lab.sim.sensors.sensor_handles import (
-    BaseSensor,
-    ContactSensor,
-    ForceTorqueSensor,
-    ImuSensor,
-)
+from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["Entity", "Scene"]
@@ -39,12 +26,6 @@ __all__ = ["Entity", "Scene"]
 _log = logging.getLogger(__name__)
 
 Entity = Articulation | RigidObject
-
-_SENSORS: dict[str, type[BaseSensor]] = {
-    "contact": ContactSensor,
-    "force_torque": ForceTorqueSensor,
-    "imu": ImuSensor,
-}
 
 
 class Scene:
@@ -55,23 +36,21 @@ class Scene:
 
     Args:
         cfg: Physics options and ground plane.
-        host: The simulation that the handles belong to.
 
     Attributes:
+        robots, articulations, rigid_objects, lights, sensors: Handles by uid; `articulations` are
+            those that are no robots.
         compiled: The model and where each entity is in it; None before `compile`.
-        drive_changes: What events may draw for the drives and links of articulations, by uid.
     """
 
-    def __init__(self, cfg: SimulationManagerCfg, host: Host) -> None:
+    def __init__(self, cfg: SimulationManagerCfg) -> None:
         self._cfg = cfg
-        self._host = host
         self._prepared: PreparedScene = cfg.prepared_scene or PreparedScene()
         self.robots: dict[str, Robot] = {}
         self.articulations: dict[str, Articulation] = {}
         self.rigid_objects: dict[str, RigidObject] = {}
         self.lights: dict[str, Light] = {}
         self.sensors: dict[str, BaseSensor] = {}
-        self.drive_changes: Mapping[str, Sequence[DriveChange]] = {}
         self.compiled: CompiledScene | None = None
 
     @property
@@ -84,6 +63,71 @@ class Scene:
         """Everything that has a name, ``default_plane`` included."""
         plane = ["default_plane"] if self._cfg.ground_plane else []
         return [*plane, *self.jointed, *self.rigid_objects, *self.lights, *self.sensors]
+
+    def claim(self, cfg: Any) -> str:
+        """Return the uid of something to be added.
+
+        Raises:
+            ConfigError: If the uid is missing or taken.
+            RuntimeError: If the scene is compiled already.
+        """
+        if self.compiled is not None:
+            raise RuntimeError(
+                "the scene is compiled already (by a step, a reset or a pose that was read): "
+                "add every robot and object first; what comes later can wait out of the way"
+            )
+        uid = name_of(cfg)
+        if uid in self.uids:
+            raise ConfigError([Problem(uid, f"uid {uid!r} is taken; taken: {self.uids}")])
+        return uid
+
+    def parse(
+        self, cfg: ArticulationCfg, changes: Mapping[str, Sequence[DriveChange]]
+    ) -> ParsedArticulation:
+        """Read the file of an articulation that is to be added; raises as `claim` does.
+
+        Args:
+            cfg: The articulation.
+            changes: What events may draw for drives and links, by uid.
+        """
+        uid = self.claim(cfg)
+        wanted = uid, cfg, physics_step(self._cfg), changes.get(uid, ())
+        return self._prepared.take_articulation(*wanted) or parse_articulation(*wanted)
+
+    def plan_sensor(self, cfg: SensorCfg | CameraCfg) -> SensorPlan:
+        """Look up what a sensor is fixed on; raises as `claim` does, or as for cameras."""
+        if isinstance(cfg, CameraCfg):
+            raise no_camera(cfg)
+        uid = self.claim(cfg)
+        known: dict[str, ParsedArticulation | str | None] = {
+            **{name: handle.parsed for name, handle in self.jointed.items()},
+            **dict.fromkeys(self.rigid_objects, "rigid object"),
+            **dict.fromkeys(self.lights, "light"),
+        }
+        plan, problems = plan_sensor(uid, cfg, known, ground=self._cfg.ground_plane)
+        if plan is None:
+            raise ConfigError([Problem(f"{uid}.{p.path}", p.message, p.hint) for p in problems])
+        return plan
+
+    def remove(self, uid: str) -> bool:
+        """Take back something that was added; returns whether it was there.
+
+        Raises:
+            RuntimeError: If the scene is compiled already.
+        """
+        if self.compiled is not None:
+            raise RuntimeError(
+                "the scene is compiled already (by a step, a reset or a pose that was read): "
+                "nothing can be removed; an object can be moved out of the way (set_local_pose)"
+            )
+        groups = self.robots, self.articulations, self.rigid_objects, self.lights, self.sensors
+        return any(group.pop(uid, None) is not None for group in groups)
+
+    def entity(self, uid: str) -> Entity | None:
+        """A robot, articulation or object by uid, or None."""
+        groups: tuple[Mapping[str, Entity], ...]
+        groups = self.robots, self.articulations, self.rigid_objects
+        return next((group[uid] for group in groups if uid in group), None)
 
     def compile(self) -> CompiledScene:
         """Compile everything into one model; the second time return it."""
@@ -118,100 +162,3 @@ class Scene:
         groups = self.jointed, self.rigid_objects, self.lights, self.sensors
         for handle in (handle for group in groups for handle in group.values()):
             handle.destroy()
-
-    def _claim(self, cfg: Any) -> str:
-        if self.compiled is not None:
-            raise RuntimeError(
-                "the scene is compiled already (by a step, a reset or a pose that was read): "
-                "add every robot and object first; what comes later can wait out of the way"
-            )
-        uid = name_of(cfg)
-        if uid in self.uids:
-            raise ConfigError([Problem(uid, f"uid {uid!r} is taken; taken: {self.uids}")])
-        if self._host.num_envs < 1:
-            raise ConfigError(
-                [Problem("num_envs", f"must be at least 1, got {self._host.num_envs}")]
-            )
-        return uid
-
-    def _parse(self, uid: str, cfg: ArticulationCfg) -> ParsedArticulation:
-        wanted = uid, cfg, physics_step(self._cfg), self.drive_changes.get(uid, ())
-        return self._prepared.take_articulation(*wanted) or parse_articulation(*wanted)
-
-    def add_robot(self, cfg: RobotCfg) -> Robot:
-        """Add a robot; its file is read at once, so names and limits are known on return.
-
-        Raises:
-            ConfigError: If the file or a value in the config is wrong.
-            RuntimeError: If the scene is compiled already.
-        """
-        uid = self._claim(cfg)
-        robot = Robot(cfg, self._parse(uid, cfg), self._host)
-        self.robots[uid] = robot
-        return robot
-
-    def add_articulation(self, cfg: ArticulationCfg) -> Articulation:
-        """Add an articulation without control parts; see `add_robot`."""
-        uid = self._claim(cfg)
-        articulation = Articulation(cfg, self._parse(uid, cfg), self._host)
-        self.articulations[uid] = articulation
-        return articulation
-
-    def add_rigid_object(self, cfg: RigidObjectCfg) -> RigidObject:
-        """Add a rigid object; see `add_robot` for what it raises."""
-        uid = self._claim(cfg)
-        obj = RigidObject(cfg, uid, self._host)
-        self.rigid_objects[uid] = obj
-        return obj
-
-    def add_light(self, cfg: LightCfg) -> Light:
-        """Add a light for pictures; see `add_robot` for what it raises."""
-        uid = self._claim(cfg)
-        light = self.lights[uid] = Light(cfg, uid, self._host)
-        return light
-
-    def add_sensor(self, cfg: SensorCfg | CameraCfg) -> BaseSensor:
-        """Add a sensor to entities that are there already.
-
-        Raises:
-            NotImplementedError: If it is a camera.
-            ConfigError: If an entity or a link does not exist, or a value is wrong.
-            RuntimeError: If the scene is compiled already.
-        """
-        if isinstance(cfg, CameraCfg):
-            raise no_camera(cfg)
-        uid = self._claim(cfg)
-        known: dict[str, ParsedArticulation | str | None] = {
-            **{name: handle.parsed for name, handle in self.jointed.items()},
-            **dict.fromkeys(self.rigid_objects, "rigid object"),
-            **dict.fromkeys(self.lights, "light"),
-        }
-        plan, problems = plan_sensor(uid, cfg, known, ground=self._cfg.ground_plane)
-        if plan is None:
-            raise ConfigError([Problem(f"{uid}.{p.path}", p.message, p.hint) for p in problems])
-        sensor = self.sensors[uid] = _SENSORS[cfg.sensor_type](plan, self._host)
-        return sensor
-
-    def remove(self, uid: str) -> bool:
-        """Take back something that was added; returns whether it was there.
-
-        Raises:
-            RuntimeError: If the scene is compiled already.
-        """
-        if self.compiled is not None:
-            raise RuntimeError(
-                "the scene is compiled already (by a step, a reset or a pose that was read): "
-                "nothing can be removed; an object can be moved out of the way (set_local_pose)"
-            )
-        groups: tuple[dict[str, Any], ...] = (
-            self.robots,
-            self.articulations,
-            self.rigid_objects,
-            self.lights,
-            self.sensors,
-        )
-        return any(group.pop(uid, None) is not None for group in groups)
-
-    def entity(self, uid: str) -> Entity | None:
-        """A robot, articulation or object by uid, or None."""
-        return self.jointed.get(uid) or self.rigid_objects.get(uid)

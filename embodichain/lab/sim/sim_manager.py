@@ -6,9 +6,11 @@ nothing can be added afterwards.
 
 from __future__ import annotations
 
+import logging
 import time
-from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+import weakref
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import torch
@@ -22,9 +24,7 @@ from embodichain.lab.sim.cfg import (
 )
 from embodichain.lab.sim.compiler.chatter import DriveChange
 from embodichain.lab.sim.compiler.scene import CompiledScene
-from embodichain.lab.sim.device import check_device
 from embodichain.lab.sim.engine.cpu import CpuEngine
-from embodichain.lab.sim.entity_columns import entity_columns
 from embodichain.lab.sim.objects._arrays import as_env_ids
 from embodichain.lab.sim.objects.articulation import Articulation
 from embodichain.lab.sim.objects.light import Light
@@ -32,37 +32,84 @@ from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.scene import Entity, Scene
 from embodichain.lab.sim.sensors.cfg import CameraCfg, SensorCfg
-from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
-from embodichain.lab.sim.upstream_members import UpstreamMembers
+from embodichain.lab.sim.sensors.sensor_handles import (
+    BaseSensor,
+    ContactSensor,
+    ForceTorqueSensor,
+    ImuSensor,
+)
+from embodichain.lab.sim.unavailable import with_simulation_members
+from embodichain.utils.errors import ConfigError, DeviceError, Problem
+from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.rendering import SceneRenderer, View
     from embodichain.lab.sim.viewer import NativeViewer
 
 __all__ = ["SimulationManager"]
 
+_log = logging.getLogger(__name__)
+_instances: dict[int, weakref.ref[SimulationManager]] = {}
+"""Simulations of this process by `instance_id`, while they live."""
+_SENSORS: dict[str, type[BaseSensor]] = {
+    "contact": ContactSensor,
+    "force_torque": ForceTorqueSensor,
+    "imu": ImuSensor,
+}
 
-class SimulationManager(UpstreamMembers):
+
+_Found = TypeVar("_Found")
+
+
+def _finder(group: str, kind: type[_Found]) -> Callable[[SimulationManager, str], _Found | None]:
+    def get(self: SimulationManager, uid: str) -> _Found | None:
+        found: _Found | None = getattr(self, group).get(uid)
+        return found
+
+    get.__doc__ = f"One of `{group}` by uid, or None."
+    return get
+
+
+def _lister(group: str) -> Callable[[SimulationManager], list[str]]:
+    def uids(self: SimulationManager) -> list[str]:
+        return list(getattr(self, group))
+
+    uids.__doc__ = f"Uids of `{group}`, in order of addition."
+    return uids
+
+
+@with_simulation_members
+class SimulationManager:
     """N environments of one scene.
 
     Args:
         cfg: How the simulation runs.
 
     Attributes:
+        num_envs: N.
+        device: Where tensors are.
+        instance_id: The simulation's number among those of this process.
         robots, articulations, rigid_objects, lights, sensors: What was added, by uid;
             `articulations` are those that are no robots.
+        drive_changes: What events may draw for the drives and links of articulations, by uid.
+        physics_seconds: Wall time that physics steps took so far, in `update`.
 
     Raises:
+        ConfigError: If there is no environment.
         DeviceError: If the device is unknown or has no engine here.
     """
 
     def __init__(self, cfg: SimulationManagerCfg | None = None) -> None:
         self.sim_config = cfg if cfg is not None else SimulationManagerCfg(headless=True)
-        self.device = check_device(self.sim_config.sim_device)
+        self.device = _check_device(self.sim_config.sim_device)
         self.num_envs = int(self.sim_config.num_envs)
-        super().__init__()
-        self._scene = Scene(self.sim_config, self)
+        if self.num_envs < 1:
+            raise ConfigError([Problem("num_envs", f"must be at least 1, got {self.num_envs}")])
+        self.instance_id = max(_instances, default=-1) + 1
+        _instances[self.instance_id] = weakref.ref(self)
+        self.drive_changes: Mapping[str, Sequence[DriveChange]] = {}
+        self._scene = Scene(self.sim_config)
         self.robots = self._scene.robots
         self.articulations = self._scene.articulations
         self.rigid_objects = self._scene.rigid_objects
@@ -75,7 +122,6 @@ class SimulationManager(UpstreamMembers):
         self._viewer: NativeViewer | None = None
         self._physics_enabled = True
         self.physics_seconds = 0.0
-        """Wall time that physics steps took so far, in `update`."""
 
     @property
     def arena_offsets(self) -> torch.Tensor:
@@ -88,7 +134,7 @@ class SimulationManager(UpstreamMembers):
         grid = np.stack([index % side, index // side, np.zeros_like(index)], axis=1)
         return torch.from_numpy((grid * self.sim_config.arena_space).astype(np.float32))
 
-    # -- adding: see `Scene` ----------------------------------------------------------------------
+    # -- adding --------------------------------------------------------------------------------
 
     def add_robot(self, cfg: RobotCfg) -> Robot:
         """Add a robot; its file is read at once, so names and limits are known on return.
@@ -97,19 +143,27 @@ class SimulationManager(UpstreamMembers):
             ConfigError: If the file or a value in the config is wrong.
             RuntimeError: If the scene is compiled already.
         """
-        return self._scene.add_robot(cfg)
+        robot = Robot(cfg, self._scene.parse(cfg, self.drive_changes), self)
+        self.robots[robot.uid] = robot
+        return robot
 
     def add_articulation(self, cfg: ArticulationCfg) -> Articulation:
         """Add an articulation without control parts; see `add_robot`."""
-        return self._scene.add_articulation(cfg)
+        articulation = Articulation(cfg, self._scene.parse(cfg, self.drive_changes), self)
+        self.articulations[articulation.uid] = articulation
+        return articulation
 
     def add_rigid_object(self, cfg: RigidObjectCfg) -> RigidObject:
         """Add a rigid object; see `add_robot` for what it raises."""
-        return self._scene.add_rigid_object(cfg)
+        obj = RigidObject(cfg, self._scene.claim(cfg), self)
+        self.rigid_objects[obj.uid] = obj
+        return obj
 
     def add_light(self, cfg: LightCfg) -> Light:
         """Add a light for pictures; see `add_robot` for what it raises."""
-        return self._scene.add_light(cfg)
+        light = Light(cfg, self._scene.claim(cfg), self)
+        self.lights[light.uid] = light
+        return light
 
     def add_sensor(self, cfg: SensorCfg | CameraCfg) -> BaseSensor:
         """Add a sensor to entities that are there already.
@@ -119,7 +173,9 @@ class SimulationManager(UpstreamMembers):
             ConfigError: If an entity or a link does not exist, or a value is wrong.
             RuntimeError: If the scene is compiled already.
         """
-        return self._scene.add_sensor(cfg)
+        plan = self._scene.plan_sensor(cfg)
+        sensor = self.sensors[plan.uid] = _SENSORS[plan.cfg.sensor_type](plan, self)
+        return sensor
 
     def remove_asset(self, uid: str) -> bool:
         """Take back something that was added; returns whether it was there.
@@ -129,15 +185,6 @@ class SimulationManager(UpstreamMembers):
         """
         return self._scene.remove(uid)
 
-    @property
-    def drive_changes(self) -> Mapping[str, Sequence[DriveChange]]:
-        """What events may draw for the drives and links of articulations, by uid."""
-        return self._scene.drive_changes
-
-    @drive_changes.setter
-    def drive_changes(self, changes: Mapping[str, Sequence[DriveChange]]) -> None:
-        self._scene.drive_changes = changes
-
     # -- finding -------------------------------------------------------------------------------
 
     def get_robot(self, uid: str | None = None) -> Robot | None:
@@ -146,45 +193,20 @@ class SimulationManager(UpstreamMembers):
             return next(iter(self.robots.values())) if len(self.robots) == 1 else None
         return self.robots.get(uid)
 
-    def get_articulation(self, uid: str) -> Articulation | None:
-        """An articulation by uid, or None."""
-        return self.articulations.get(uid)
-
-    def get_rigid_object(self, uid: str) -> RigidObject | None:
-        """A rigid object by uid, or None."""
-        return self.rigid_objects.get(uid)
-
-    def get_light(self, uid: str) -> Light | None:
-        """A light by uid, or None."""
-        return self.lights.get(uid)
-
-    def get_sensor(self, uid: str) -> BaseSensor | None:
-        """A sensor by uid, or None."""
-        return self.sensors.get(uid)
+    get_articulation = _finder("articulations", Articulation)
+    get_rigid_object = _finder("rigid_objects", RigidObject)
+    get_light = _finder("lights", Light)
+    get_sensor = _finder("sensors", BaseSensor)
 
     def get_asset(self, uid: str) -> Entity | None:
         """A robot, articulation or object by uid, or None."""
         return self._scene.entity(uid)
 
-    def get_robot_uid_list(self) -> list[str]:
-        """Uids of robots, in order of addition."""
-        return list(self.robots)
-
-    def get_articulation_uid_list(self) -> list[str]:
-        """Uids of articulations, in order of addition."""
-        return list(self.articulations)
-
-    def get_rigid_object_uid_list(self) -> list[str]:
-        """Uids of rigid objects, in order of addition."""
-        return list(self.rigid_objects)
-
-    def get_light_uid_list(self) -> list[str]:
-        """Uids of lights, in order of addition."""
-        return list(self.lights)
-
-    def get_sensor_uid_list(self) -> list[str]:
-        """Uids of sensors, in order of addition."""
-        return list(self.sensors)
+    get_robot_uid_list = _lister("robots")
+    get_articulation_uid_list = _lister("articulations")
+    get_rigid_object_uid_list = _lister("rigid_objects")
+    get_light_uid_list = _lister("lights")
+    get_sensor_uid_list = _lister("sensors")
 
     @property
     def asset_uids(self) -> list[str]:
@@ -280,22 +302,18 @@ class SimulationManager(UpstreamMembers):
             return
         engine = self.engine
         uids = self.scene.entities if only is None else only
-        chosen = [u for u in uids if u not in set(excluded_uids)]
+        chosen = [self.get_asset(uid) for uid in uids if uid not in excluded_uids]
         if only is None and not excluded_uids:
             engine.reset(ids)
             engine.write("row", self._initial_row, ids)
         else:
-            self._reset_some(ids, chosen)
-        for uid in chosen:
-            handle = self.get_asset(uid)
+            for handle in chosen:
+                if handle is not None:
+                    columns = handle.row_columns()
+                    engine.write("row", self._initial_row[columns], ids, columns)
+        for handle in chosen:
             if isinstance(handle, Articulation):
                 handle.forget_targets(ids)
-
-    def _reset_some(self, ids: EnvIndex | None, uids: Collection[str]) -> None:
-        engine = self.engine
-        for uid in uids:
-            columns = entity_columns(engine, self.scene.entities[uid])
-            engine.write("row", self._initial_row[columns], ids, columns)
 
     # -- pictures ------------------------------------------------------------------------------
 
@@ -383,4 +401,66 @@ class SimulationManager(UpstreamMembers):
         self._scene.destroy()
         self._engine = None
         self._destroyed = True
-        self.forget_instance()
+        _instances.pop(self.instance_id, None)
+
+    # -- simulations of this process: EmbodiChain's ------------------------------------------------
+
+    @classmethod
+    def get_instance(cls, instance_id: int = 0) -> SimulationManager:
+        """Return a living simulation by the order of its creation.
+
+        Raises:
+            ValueError: If there is none; lists the living ones.
+        """
+        alive = {i: sim for i, ref in _instances.items() if (sim := ref()) is not None}
+        if instance_id not in alive:
+            raise ValueError(f"no simulation {instance_id}; living ones: {list(alive)}")
+        return alive[instance_id]
+
+    @staticmethod
+    def get_instance_num() -> int:
+        """How many simulations live in this process."""
+        return sum(ref() is not None for ref in _instances.values())
+
+    @staticmethod
+    def is_instantiated(instance_id: int = 0) -> bool:
+        """Whether a simulation of that number lives."""
+        return _instances.get(instance_id, lambda: None)() is not None
+
+    @classmethod
+    def reset(cls, instance_id: int = 0) -> None:
+        """Destroy a simulation if it lives; states are reset by `reset_objects_state`."""
+        if cls.is_instantiated(instance_id):
+            cls.get_instance(instance_id).destroy()
+
+    @property
+    def is_use_gpu_physics(self) -> bool:
+        """Whether physics runs on a GPU."""
+        return self.device.type == "cuda"
+
+    @property
+    def is_physics_manually_update(self) -> bool:
+        """True: physics advances in `update` only."""
+        return True
+
+    def set_manual_update(self, enable: bool) -> None:
+        """Accept the call; False is warned of: physics advances in `update` only."""
+        if not enable:
+            _log.warning("set_manual_update(False): no effect, physics advances in update() only")
+
+
+def _check_device(device: Any) -> torch.device:
+    """Return the torch device of a simulation, or raise DeviceError if it has no engine here."""
+    try:
+        found = torch.device(device)
+    except RuntimeError:
+        raise DeviceError(
+            f"unknown device {device!r}; allowed: cpu.{did_you_mean(str(device), ['cpu', 'cuda'])}"
+        ) from None
+    if found.type == "cuda":
+        raise DeviceError(
+            f"device {str(device)!r}: the CUDA engine is not available yet; use device=cpu"
+        )
+    if found.type != "cpu":
+        raise DeviceError(f"device {str(device)!r} has no physics engine; allowed: cpu")
+    return found

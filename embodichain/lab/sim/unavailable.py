@@ -1,12 +1,13 @@
 """Names of EmbodiChain's that exist here and raise NotImplementedError with the reason.
 
-Objects and their configs raise when they are built, methods when they are called.
+Objects and their configs raise when they are built, methods when they are called. Some methods of
+the simulation return what is true here without them, such as that there is no gizmo.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, NoReturn
+from collections.abc import Callable, Mapping
+from typing import Any, NoReturn, TypeVar
 
 __all__ = [
     "ClothObject",
@@ -20,7 +21,62 @@ __all__ = [
     "SoftObject",
     "SoftObjectCfg",
     "not_available",
+    "with_simulation_members",
 ]
+
+Class = TypeVar("Class", bound=type)
+
+_SOFT, _CLOTH = "soft bodies are not available", "cloth is not available"
+_GROUP, _GIZMO = "object groups are not available", "gizmos are not available"
+_TEXTURE, _MATERIAL = "textures are compiled into the model", "declare visual_material"
+_LIGHT, _WELD = "MuJoCo has none; add lights", "welds come later"
+_ENGINE = "the engine is MuJoCo's: model and data are scene.model and engine.rows"
+_WINDOW = "the log of a run holds it: record=full, then `embodichain replay last --video FILE`"
+
+SIMULATION_ANSWERS: Mapping[str, tuple[Any, str]] = {
+    "flush_cleanup_queue": (None, "`destroy` frees at once"),
+    "wait_scene_destruction": (None, "`destroy` frees at once"),
+    "init_gpu_physics": (None, "there is no GPU engine yet, and the CPU's needs no start"),
+    "set_default_background": (None, "the background is MuJoCo's sky and ground plane"),
+    "get_soft_object": (None, _SOFT),
+    "get_soft_object_uid_list": ([], _SOFT),
+    "get_cloth_object": (None, _CLOTH),
+    "get_cloth_object_uid_list": ([], _CLOTH),
+    "get_rigid_object_group": (None, _GROUP),
+    "get_rigid_object_group_uid_list": ([], _GROUP),
+    "has_gizmo": (False, _GIZMO),
+    "get_gizmo": (None, _GIZMO),
+    "list_gizmos": ({}, _GIZMO),
+    "update_gizmos": (None, _GIZMO),
+    "is_window_recording": (False, "windows are not recorded"),
+    "get_texture_cache": (None, _TEXTURE),
+}
+"""Method of `SimulationManager` -> what it always returns, and why."""
+
+SIMULATION_REFUSALS: Mapping[str, str] = {
+    "add_soft_object": "soft bodies come later",
+    "add_cloth_object": "cloth comes later",
+    "add_rigid_object_group": "add objects one by one",
+    **dict.fromkeys(
+        ("create_visual_material", "get_visual_material", "clean_materials"), _MATERIAL
+    ),
+    **dict.fromkeys(("create_rigid_constraint", "remove_rigid_constraint"), _WELD),
+    "export_usd": "USD is not written",
+    "draw_marker": "add a kinematic object instead",
+    "remove_marker": "no marker can be drawn",
+    **dict.fromkeys(("enable_gizmo", "disable_gizmo", "toggle_gizmo_visibility"), _GIZMO),
+    "set_gizmo_visibility": _GIZMO,
+    "visualize_point_cloud": "point clouds come later",
+    **dict.fromkeys(("set_indirect_lighting", "set_emission_light"), _LIGHT),
+    "set_ground_plane_visibility": "SimulationManagerCfg(ground_plane=False) leaves it out",
+    "set_texture_cache": _TEXTURE,
+    "render_camera_group": "cameras come later",
+    **dict.fromkeys(("get_env", "get_world"), _ENGINE),
+    **dict.fromkeys(("start_window_record", "stop_window_record"), _WINDOW),
+    **dict.fromkeys(("toggle_window_record", "enable_window_record_hotkey"), _WINDOW),
+    "add_custom_window_control": "the window is MuJoCo's viewer",
+}
+"""Method of `SimulationManager` -> why it raises NotImplementedError."""
 
 
 def not_available(what: str, why: str) -> Callable[..., NoReturn]:
@@ -34,60 +90,66 @@ def not_available(what: str, why: str) -> Callable[..., NoReturn]:
     return method
 
 
+def _answering(name: str, answer: Any, why: str) -> Callable[..., Any]:
+    def method(*args: Any, **kwargs: Any) -> Any:
+        return answer.copy() if isinstance(answer, (list, dict)) else answer
+
+    method.__name__ = name
+    method.__doc__ = f"{answer!r}: {why}."
+    return method
+
+
+def with_simulation_members(cls: Class) -> Class:
+    """Decorate a class with `SIMULATION_ANSWERS` and `SIMULATION_REFUSALS`."""
+    for name, (answer, why) in SIMULATION_ANSWERS.items():
+        setattr(cls, name, staticmethod(_answering(name, answer, why)))
+    for name, why in SIMULATION_REFUSALS.items():
+        setattr(cls, name, not_available(name, why))
+    return cls
+
+
 class _Unavailable:
     """Raises NotImplementedError when built."""
 
-    why = ""
-
     def __init__(self, *args: Any, **kwargs: Any) -> None:
-        raise NotImplementedError(f"{type(self).__name__}: {self.why}")
+        raise NotImplementedError(f"{type(self).__name__}: {self.__doc__}")
 
 
 class SoftObject(_Unavailable):
-    """Not available."""
-
-    why = "soft bodies are not available yet"
-
-
-class ClothObject(_Unavailable):
-    """Not available."""
-
-    why = "cloth is not available yet"
-
-
-class RigidObjectGroup(_Unavailable):
-    """Not available."""
-
-    why = "object groups are not available yet; add objects one by one"
-
-
-class RigidConstraint(_Unavailable):
-    """Not available."""
-
-    why = "rigid constraints are not available yet"
-
-
-class Gizmo(_Unavailable):
-    """Not available."""
-
-    why = "gizmos are not available yet"
+    """Soft bodies are not available yet."""
 
 
 class SoftObjectCfg(SoftObject):
-    """Not available."""
+    """Soft bodies are not available yet."""
+
+
+class ClothObject(_Unavailable):
+    """Cloth is not available yet."""
 
 
 class ClothObjectCfg(ClothObject):
-    """Not available."""
+    """Cloth is not available yet."""
+
+
+class RigidObjectGroup(_Unavailable):
+    """Object groups are not available yet; add objects one by one."""
 
 
 class RigidObjectGroupCfg(RigidObjectGroup):
-    """Not available."""
+    """Object groups are not available yet; add objects one by one."""
+
+
+class RigidConstraint(_Unavailable):
+    """Rigid constraints are not available yet."""
 
 
 class RigidConstraintCfg(RigidConstraint):
-    """Not available."""
+    """Rigid constraints are not available yet."""
+
+
+class Gizmo(_Unavailable):
+    """Gizmos are not available yet."""
 
 
 class GizmoCfg(Gizmo):
-    """Not available."""
+    """Gizmos are not available yet."""

@@ -1,8 +1,9 @@
-"""`export`: formats, which part of a log is meant, files that are never replaced."""
+"""`export`: the formats, the part of a log that is written, files that are never replaced."""
 
 from __future__ import annotations
 
 import importlib
+import logging
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping
@@ -12,23 +13,40 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, NamedTuple
 
+import mujoco
+import numpy as np
+
 from embodichain.recording.api import Log
 from embodichain.recording.episodes import LogEpisode
+from embodichain.recording.playback import Playback, span_of
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.recording.film import Filmed
 
-__all__ = ["FORMATS", "Format", "Part", "export", "required"]
+__all__ = [
+    "FORMATS",
+    "Format",
+    "Part",
+    "Posed",
+    "about",
+    "demonstrations",
+    "export",
+    "poses",
+    "required",
+]
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Which part of a log is meant.
+    """Which part of a log is written.
 
     Attributes:
-        env: One environment; None is all (for ROS 2 those that were viewed, for mp4 the first).
+        env: One environment; None is all (for ROS 2 and Rerun those that were viewed, for mp4 the
+            first of them).
         episode: One of its episodes; needs `env`.
         start: First control step.
         stop: Control step that no longer belongs to it; None is the end.
@@ -39,8 +57,17 @@ class Part:
     start: int = 0
     stop: int | None = None
 
+    @property
+    def last(self) -> int | None:
+        """Last control step, included; None is the end."""
+        return None if self.stop is None else self.stop - 1
+
+    def envs_of(self, log: Log) -> list[int]:
+        """The environment that is named, else those that were viewed."""
+        return [self.env] if self.env is not None else log.header.view_envs or [0]
+
     def steps_of(self, episode: LogEpisode) -> range:
-        """The control steps of an episode that are meant; none if it is not."""
+        """The control steps of an episode that belong to the part."""
         if self.env not in (None, episode.env) or self.episode not in (None, episode.episode):
             return range(0)
         stop = episode.last_step + 1 if self.stop is None else min(self.stop, episode.last_step + 1)
@@ -52,27 +79,27 @@ class Format(NamedTuple):
 
     Attributes:
         suffix: Of the file's name; empty where it is a folder.
-        writer: Module of this package and its function ``(log, part, path)``; empty for films.
+        module: Module of this package with the function ``write_FORMAT(log, part, path)``.
+        extra: Extra that installs what it needs.
     """
 
     suffix: str
-    writer: str = ""
+    module: str = ""
+    extra: str = ""
 
 
 FORMATS: Mapping[str, Format] = {
-    "csv": Format(".csv", "tables:write_csv"),
-    "npz": Format(".npz", "tables:write_npz"),
-    "parquet": Format(".parquet", "tables:write_parquet"),
-    "hdf5": Format(".hdf5", "hdf5:write"),
-    "lerobot": Format("", "lerobot:write"),
-    "rrd": Format(".rrd", "rrd:write"),
-    "ros2": Format(".mcap", "ros2:write"),
+    "csv": Format(".csv", "tables"),
+    "npz": Format(".npz", "tables"),
+    "parquet": Format(".parquet", "tables", "parquet"),
+    "hdf5": Format(".hdf5", "tables", "hdf5"),
+    "lerobot": Format("", "lerobot", "lerobot"),
+    "rrd": Format(".rrd", "rrd", "rerun"),
+    "ros2": Format(".mcap", "ros2", "ros2"),
     "mp4": Format(".mp4"),
 }
 _PACKAGES = {"rerun": "rerun-sdk"}
-"""Packages whose names are others than their modules'."""
-_EXTRAS = {"rrd": "rerun"}
-"""Extras whose names are others than the formats'."""
+"""Packages whose names differ from their modules'."""
 
 
 def export(
@@ -92,8 +119,8 @@ def export(
         output: A new file; None puts it beside the log, under its name.
         part: Which part; None is all of it.
         progress: For films, see `film_log`.
-        stop: For films, likewise: one that is stopped before its first picture is not there. Files
-            of other formats are whole or not there: an exception on the way, such as a
+        stop: For films, likewise: one that is stopped before its first picture is not written.
+            Files of other formats are complete or absent: an exception on the way, such as a
             KeyboardInterrupt, removes them.
 
     Returns:
@@ -110,40 +137,35 @@ def export(
             f"no format {format!r}.{did_you_mean(format, FORMATS)} Formats: {', '.join(FORMATS)}"
         )
     chosen = FORMATS[format]
-    name = log.path.stem
-    if chosen.suffix in ("", ".mcap"):
-        name = f"{name}_{format}"
+    name = log.path.stem + (f"_{format}" if chosen.suffix in ("", ".mcap") else "")
     path = Path(output) if output else log.path.with_name(name + chosen.suffix)
     part = part or Part()
     log.header.require_states(log.path)
     _require_steps(log, part)
-    module, _, function = chosen.writer.partition(":")
     with _new_file(path, chosen.suffix) as partial:
-        if module:
-            writing = importlib.import_module(f"embodichain.recording.export.{module}")
-            getattr(writing, function)(log, part, partial)
+        if chosen.module:
+            module = importlib.import_module(f"embodichain.recording.export.{chosen.module}")
+            getattr(module, f"write_{format}")(log, part, partial)
         else:
             from embodichain.recording.film import film_log
 
-            env = part.env if part.env is not None else next(iter(log.header.view_envs), 0)
-            what = env, part.episode, part.start, None if part.stop is None else part.stop - 1
-            film_log(log, partial, *what, progress=progress, stop=stop)
+            asked = part.envs_of(log)[0], part.episode, part.start, part.last
+            film_log(log, partial, *asked, progress=progress, stop=stop)
     return path
 
 
 def _require_steps(log: Log, part: Part) -> None:
     """Refuse a range in which the log has nothing."""
-    if not part.start and part.stop is None:
-        return
-    asked = log.parts("rewards", part.env, part.episode, part.start, part.stop, steps=50)
-    if next(asked, None) is None:
-        end = "the end" if part.stop is None else part.stop
-        raise ConfigError(f"{log.path} has no control step from {part.start} to {end}")
+    if part.start or part.stop is not None:
+        asked = log.parts("rewards", part.env, part.episode, part.start, part.stop, steps=50)
+        if next(asked, None) is None:
+            end = "the end" if part.stop is None else part.stop
+            raise ConfigError(f"{log.path} has no control step from {part.start} to {end}")
 
 
 @contextmanager
 def _new_file(path: Path, suffix: str) -> Iterator[Path]:
-    """A name to write under; the file gets its own when it is whole, unless that is taken."""
+    """A name to write under; the file gets its own when it is complete, unless that is taken."""
     if os.path.lexists(path):
         raise ConfigError(f"{path} exists; it is never replaced")
     if not path.parent.is_dir():
@@ -163,17 +185,92 @@ def _new_file(path: Path, suffix: str) -> Iterator[Path]:
         partial.unlink(missing_ok=True)
 
 
-def required(module: str, format: str) -> ModuleType:
-    """Import what a format needs.
+# -- what writers share ----------------------------------------------------------------------------
 
-    Raises:
-        ConfigError: If it is not installed.
-    """
+
+def required(module: str, format: str) -> ModuleType:
+    """Import what a format needs; ConfigError if it is not installed."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
-        package = _PACKAGES.get(module.partition(".")[0], module.partition(".")[0])
-        extra = _EXTRAS.get(format, format)
+        package = module.partition(".")[0]
+        package, extra = _PACKAGES.get(package, package), FORMATS[format].extra
         raise ConfigError(
             f"--format {format} needs {package}: pip install 'embodichain[{extra}]'"
         ) from error
+
+
+def about(log: Log) -> dict[str, str]:
+    """Facts that a table lacks: task, seed, versions, whether the log is complete."""
+    header = log.header
+    return {
+        "task": header.task,
+        "seed": str(header.seed),
+        "num_envs": str(header.num_envs),
+        "control_dt": repr(header.control_dt),
+        "physics_dt": repr(header.physics_dt),
+        "mujoco_version": header.mujoco_version,
+        "complete": str(log.complete).lower(),
+        "quaternions": "wxyz",
+    }
+
+
+def demonstrations(log: Log, part: Part) -> list[tuple[LogEpisode, range]]:
+    """Return the episodes of a part and their steps in it, by environment, then in time.
+
+    With `record.every` a log has episodes whose steps were recorded in part or not at all. They
+    are left out, since a demonstration has no gaps, and their number is logged.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    chosen = [(episode, steps) for episode in log.episodes if (steps := part.steps_of(episode))]
+    if log.header.every > 1 and chosen:
+        recorded, count = log.read(()).steps, len(chosen)
+        chosen = [
+            (episode, steps)
+            for episode, steps in chosen
+            if np.diff(np.searchsorted(recorded, [steps.start, steps.stop]))[0] == len(steps)
+        ]
+        why = f"record.every={log.header.every} did not record all of their steps"
+        if not chosen:
+            raise ConfigError(f"none of {count} episodes is whole: {why}")
+        if len(chosen) < count:
+            _log.warning("%d of %d episodes are left out: %s", count - len(chosen), count, why)
+    if not chosen:
+        raise ConfigError("no episode lies in what was asked for")
+    return chosen
+
+
+class Posed(NamedTuple):
+    """One environment in one control step; arrays and data change with the next one.
+
+    Attributes:
+        step: The control step.
+        data: The state that physics received, with kinematics; `data.model` has the environment's
+            own fields.
+        changed: Whether the model differs from that of the step before.
+    """
+
+    step: int
+    data: mujoco.MjData
+    changed: bool
+
+
+def poses(log: Log, env: int, part: Part) -> Iterator[Posed]:
+    """Yield the control steps of a part of one environment.
+
+    Raises:
+        ConfigError: If the part does not exist.
+        LogError: If the log is damaged.
+    """
+    playback, changes = Playback(log, env), -1
+    data = mujoco.MjData(log.model)
+    for step in playback.steps(span_of(log, env, part.episode, part.start, part.last)):
+        changed = playback.changes != changes
+        if changed:
+            changes, data = playback.changes, mujoco.MjData(playback.engine.model_of(0))
+        state = playback.engine.rows[0]
+        mujoco.mj_setState(data.model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
+        mujoco.mj_kinematics(data.model, data)
+        yield Posed(step, data, changed)

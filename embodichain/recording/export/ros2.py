@@ -1,7 +1,7 @@
-"""A ROS 2 bag (MCAP, profile ``ros2``): joint states, transforms, robot description.
+"""A ROS 2 bag (MCAP, profile ``ros2``): joint states, transforms, robot description as URDF.
 
 For each environment ``/env_I/joint_states`` and ``/env_I/robot_description``; one ``/tf``. Frames
-and links are named ``env_I/uid/link`` and hang on ``env_I``. rosbags has the message types.
+and links are named ``env_I/uid/link``; their parent is ``env_I``. rosbags has the message types.
 """
 
 from __future__ import annotations
@@ -9,17 +9,20 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import Element, SubElement, tostring
 
+import mujoco
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
+from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.api import Log
-from embodichain.recording.export.formats import Part, required
-from embodichain.recording.export.poses import poses
-from embodichain.recording.export.urdf import urdf
-from embodichain.recording.views.motion import frame_names, scalar_joints
+from embodichain.recording.export.formats import Part, poses, required
+from embodichain.recording.views.channels import frame_names, scalar_joints
+from embodichain.recording.views.shapes import Shape, shapes
+from embodichain.utils.math import quat_multiply, quat_rotate
 
-__all__ = ["write"]
+__all__ = ["urdf", "write_ros2"]
 
 _LATCHED = """\
 - history: 1
@@ -33,19 +36,20 @@ _LATCHED = """\
   avoid_ros_namespace_conventions: false
 """
 """Quality of service of what late subscribers get too (ROS 2: transient local)."""
+_ZERO, _UNIT = np.zeros(3), np.array([1.0, 0, 0, 0])
 
 
-def write(log: Log, part: Part, path: Path) -> None:
+def write_ros2(log: Log, part: Part, path: Path) -> None:
     """Write the bag: the environment that is named, else those that were viewed.
 
     Raises:
         ConfigError: If rosbags is not installed.
     """
     types: Any = required("rosbags.typesys", "ros2")
-    envs = [part.env] if part.env is not None else log.header.view_envs or [0]
     with path.open("xb") as stream:
         bag = _Bag(Writer(stream, compression=CompressionType.ZSTD), types)
-        for _ in zip(*(_messages(bag, log, env, part) for env in envs), strict=True):
+        steps = (_write_env(bag, log, env, part) for env in part.envs_of(log))
+        for _ in zip(*steps, strict=True):
             pass  # each has written one control step
         bag.writer.finish()  # type: ignore[no-untyped-call]
 
@@ -69,6 +73,13 @@ class _Bag:
         """Return a `std_msgs/Header`."""
         return self.make("std_msgs/Header", self.make("builtin_interfaces/Time", 0, 0), frame_id)
 
+    def frame(self, parent: str, name: str) -> Any:
+        """Return a `geometry_msgs/TransformStamped`."""
+        translation = self.make("geometry_msgs/Vector3", 0.0, 0.0, 0.0)
+        rotation = self.make("geometry_msgs/Quaternion", 0.0, 0.0, 0.0, 1.0)
+        transform = self.make("geometry_msgs/Transform", translation, rotation)
+        return self.make("geometry_msgs/TransformStamped", self.header(parent), name, transform)
+
     def add(self, topic: str, time_ns: int, message: Any, qos: str = "") -> None:
         """Write a message."""
         kind = message.__msgtype__
@@ -84,7 +95,7 @@ class _Bag:
         self.writer.add_message(self._channels[topic], time_ns, data, time_ns)
 
 
-def _messages(bag: _Bag, log: Log, env_id: int, part: Part) -> Iterator[None]:
+def _write_env(bag: _Bag, log: Log, env_id: int, part: Part) -> Iterator[None]:
     """Write the messages of one environment, one control step at a time."""
     root, *names = frame_names(log.model, env_id)
     joints = scalar_joints(log.model)
@@ -92,16 +103,14 @@ def _messages(bag: _Bag, log: Log, env_id: int, part: Part) -> Iterator[None]:
     qpos, qvel = log.model.jnt_qposadr[ids], log.model.jnt_dofadr[ids]
     none = np.zeros(0)
     state = bag.make("sensor_msgs/JointState", bag.header(), list(joints), none, none, none)
-    frames = [_frame(bag, root, name) for name in names]
+    frames = [bag.frame(root, name) for name in names]
     tf = bag.make("tf2_msgs/TFMessage", frames)
     stamps = [state.header.stamp, *(frame.header.stamp for frame in frames)]
-    described = False
-    for step, data, _ in poses(log, env_id, part):
+    for index, (step, data, _) in enumerate(poses(log, env_id, part)):
         time_ns = log.header.start_ns + step * log.header.period_ns
-        if not described:
+        if index == 0:
             text = bag.make("std_msgs/String", urdf(log.model, env_id))
             bag.add(f"/{root}/robot_description", time_ns, text, _LATCHED)
-            described = True
         for stamp in stamps:
             stamp.sec, stamp.nanosec = divmod(time_ns, 1_000_000_000)
         state.position, state.velocity = data.qpos[qpos], data.qvel[qvel]
@@ -115,8 +124,117 @@ def _messages(bag: _Bag, log: Log, env_id: int, part: Part) -> Iterator[None]:
         yield
 
 
-def _frame(bag: _Bag, parent: str, name: str) -> Any:
-    translation = bag.make("geometry_msgs/Vector3", 0.0, 0.0, 0.0)
-    rotation = bag.make("geometry_msgs/Quaternion", 0.0, 0.0, 0.0, 1.0)
-    transform = bag.make("geometry_msgs/Transform", translation, rotation)
-    return bag.make("geometry_msgs/TransformStamped", bag.header(parent), name, transform)
+# -- robot description -----------------------------------------------------------------------------
+
+
+def urdf(model: mujoco.MjModel, env_id: int) -> str:
+    """The compiled model as URDF: every body is a link, named as its frame in `/tf`.
+
+    The root is the link ``env_I``. Primitives keep their shape; a mesh is shown as the box around
+    it, because a description that is one string cannot carry files.
+    """
+    names, by_body = frame_names(model, env_id), dict[int, list[Shape]]()
+    for shape in shapes(model):
+        by_body.setdefault(shape.body, []).append(shape)
+    robot = Element("robot", name=names[0])
+    SubElement(robot, "link", name=names[0])
+    for body in range(1, model.nbody):
+        link = SubElement(robot, "link", name=names[body])
+        if model.body_mass[body]:
+            inertial = SubElement(link, "inertial")
+            _add_origin(inertial, model.body_ipos[body], model.body_iquat[body])
+            SubElement(inertial, "mass", value=_text(model.body_mass[body]))
+            x, y, z = map(_text, model.body_inertia[body])
+            SubElement(inertial, "inertia", ixx=x, iyy=y, izz=z, ixy="0", ixz="0", iyz="0")
+        for shape in by_body.get(body, ()):
+            _add_visuals(link, model, shape)
+        _add_joints(robot, model, body, names)
+    text: str = tostring(robot, encoding="unicode")
+    return text
+
+
+def _add_joints(robot: Element, model: mujoco.MjModel, body: int, names: list[str]) -> None:
+    """Join a body to its parent: as many joints, one after the other, as it has."""
+    parent = names[int(model.body_parentid[body])]
+    pos, quat = model.body_pos[body].copy(), model.body_quat[body].copy()
+    first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
+    joints, scalar = range(first, first + count), scalar_joints(model)
+    if int(model.body_mocapid[body]) >= 0 or not set(joints) <= set(scalar.values()):
+        _join(robot, f"{names[body]}_floating", "floating", parent, names[body], pos, quat)
+        return
+    left = _ZERO  # from the frame reached so far to the body's own
+    for number, joint in enumerate(joints):
+        anchor = model.jnt_pos[joint]
+        pos = pos + quat_rotate(quat, left + anchor)
+        left = -anchor
+        axis, zero = model.jnt_axis[joint], float(model.qpos0[model.jnt_qposadr[joint]])
+        # The joint's zero is where qpos is 0, not where the model was drawn.
+        if int(model.jnt_type[joint]) == mujoco.mjtJoint.mjJNT_HINGE:
+            kind = "revolute" if model.jnt_limited[joint] else "continuous"
+            turn = np.empty(4)
+            mujoco.mju_axisAngle2Quat(turn, axis, -zero)
+            quat = quat_multiply(quat, turn)
+        else:
+            kind = "prismatic"
+            pos = pos - quat_rotate(quat, zero * axis)
+        is_last = number == count - 1 and not left.any()
+        child = names[body] if is_last else f"{names[body]}_joint_{number}"
+        if not is_last:
+            SubElement(robot, "link", name=child)
+        name = model.joint(joint).name or f"joint_{joint}"
+        made = _join(robot, name, kind, parent, child, pos, quat)
+        SubElement(made, "axis", xyz=_text(axis))
+        if model.jnt_limited[joint]:
+            low, high = map(_text, model.jnt_range[joint])
+            SubElement(made, "limit", lower=low, upper=high, effort="0", velocity="0")
+        parent, pos, quat = child, _ZERO, _UNIT
+    if parent != names[body]:
+        _join(robot, f"{names[body]}_fixed", "fixed", parent, names[body], pos + left, quat)
+
+
+def _join(
+    robot: Element, name: str, kind: str, parent: str, child: str, pos: F64, quat: F64
+) -> Element:
+    made = SubElement(robot, "joint", name=name, type=kind)
+    SubElement(made, "parent", link=parent)
+    SubElement(made, "child", link=child)
+    _add_origin(made, pos, quat)
+    return made
+
+
+def _add_visuals(link: Element, model: mujoco.MjModel, shape: Shape) -> None:
+    """Add a shape; a capsule is a cylinder with two spheres, a mesh the box around it."""
+    radius, _, half = shape.half
+    kind = int(model.geom_type[shape.geom])
+    if kind == mujoco.mjtGeom.mjGEOM_PLANE:
+        return
+    ball = "sphere", {"radius": _text(radius)}
+    if shape.kind in ("cylinder", "capsule"):
+        rod = "cylinder", {"radius": _text(radius), "length": _text(2 * half)}
+        ends = (-half, half) if shape.kind == "capsule" else ()
+        parts = [(_ZERO, rod), *((np.array([0, 0, end]), ball) for end in ends)]
+    elif kind == mujoco.mjtGeom.mjGEOM_SPHERE:
+        parts = [(_ZERO, ball)]
+    else:
+        box = model.geom_aabb[shape.geom]
+        parts = [(box[:3], ("box", {"size": _text(2 * box[3:])}))]
+    for offset, (tag, attributes) in parts:
+        visual = SubElement(link, "visual")
+        _add_origin(visual, shape.pos + quat_rotate(shape.quat, offset), shape.quat)
+        SubElement(SubElement(visual, "geometry"), tag, attributes)
+        material = SubElement(visual, "material", name=f"geom_{shape.geom}")
+        SubElement(material, "color", rgba=_text(shape.rgba))
+
+
+def _add_origin(owner: Element, pos: F64, quat: F64) -> None:
+    w, x, y, z = quat
+    # Roll, pitch, yaw about fixed axes: R = Rz(yaw) Ry(pitch) Rx(roll).
+    roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
+    pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1, 1))
+    yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+    SubElement(owner, "origin", xyz=_text(pos), rpy=_text([roll, pitch, yaw]))
+
+
+def _text(values: Any) -> str:
+    """Numbers as URDF has them, exact to the bit."""
+    return " ".join(repr(value) for value in np.atleast_1d(values).tolist())

@@ -2,64 +2,68 @@
 
 Entities: ``/world/env_I/UID/LINK``, and below ``/env_I``: ``joint_positions``,
 ``joint_velocities``, ``actions``, ``reward``, ``metrics`` (of viewed environments),
-``episode/return``, ``episode/length``, ``log``. The file brings the layout that shows them.
+``episode/return``, ``episode/length``, ``log``. The file contains the layout that shows them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from numpy.typing import NDArray
 
 from embodichain.recording.api import Log
 from embodichain.recording.arrays import LogArrays
-from embodichain.recording.export.formats import Part, required
-from embodichain.recording.export.rrd_scene import Scene
-from embodichain.recording.export.rrd_stream import Stream
-from embodichain.recording.export.tables import about
-from embodichain.recording.views.log_lines import event_text
-from embodichain.recording.views.messages import FrameTransforms
-from embodichain.recording.views.motion import scalar_joints
+from embodichain.recording.export.formats import Part, about, poses, required
+from embodichain.recording.views.channels import event_text, scalar_joints
+from embodichain.recording.views.shapes import Shape, corner_normals, mesh_of, shapes
 
-__all__ = ["write"]
+__all__ = ["write_rrd"]
 
-_FROM = np.array([1.0, -1.2, 0.8])
-"""Where the eye is, seen from the middle of the scene."""
+F64 = NDArray[np.float64]
+_EYE = np.array([1.0, -1.2, 0.8])
+"""Direction of the viewer's eye from the middle of the scene."""
+_STEPS = 1000
+"""Steps whose poses are sent together."""
+_PALETTE = (
+    *(0x4E98E2, 0xF5774D, 0xF7DF71, 0x5CD6A9, 0xA395E2),
+    *(0xEA4D6C, 0x61CBFF, 0x9AA5B1, 0xC08552),
+)
 
 
-def write(log: Log, part: Part, path: Path) -> None:
+def write_rrd(log: Log, part: Part, path: Path) -> None:
     """Write the environment that is named, else those that were viewed.
 
     Raises:
         ConfigError: If rerun is not installed.
+        OSError: If the file cannot be written.
     """
-    envs = [part.env] if part.env is not None else log.header.view_envs or [0]
+    envs = part.envs_of(log)
     fields = {"qpos", "qvel", "actions", "rewards"}
     names = [name for name in log.columns if name in fields]
     offsets = _offsets(log) if len(envs) > 1 else {}
     places = np.array([offsets.get(env, np.zeros(3)) for env in envs])
-    stream = Stream(log.header, _layout(log.model, envs, places))
-    stream.about(about(log))
-    stream.log("world", stream.rr.ViewCoordinates.RIGHT_HAND_Z_UP, None)
+    recording = _Recording(log, _layout(log.model, envs, places))
+    recording.log("world", recording.rr.ViewCoordinates.RIGHT_HAND_Z_UP, None)
     for env, place in zip(envs, places, strict=True):
-        Scene(stream, log, env, place).send(part)
-    curves = [_Curves(stream, log, env, column) for column, env in enumerate(envs)]
+        _Scene(recording, log, env, place).send(part)
+        _name_curves(recording, log, env)
     first = last = -1
     for data in log.parts(names, envs, part.episode, part.start, part.stop):
         first = int(data.steps[0]) if first < 0 else first
         last = int(data.steps[-1])
-        for of_env in curves:
-            of_env.add(data)
+        for column, env in enumerate(envs):
+            _send_curves(recording, log, env, data, column)
     for env in envs:
-        _tell(stream, log, env, first, last)
-    stream.save(path)
+        _send_rest(recording, log, env, first, last)
+    recording.save(path)
 
 
-def _offsets(log: Log) -> dict[int, NDArray[np.float64]]:
+def _offsets(log: Log) -> dict[int, F64]:
     """Positions of the environments for viewers, from the first message of `/tf`."""
     for topic, _, payload in log.raw_messages():
         if topic == "/tf":
@@ -74,121 +78,286 @@ def _offsets(log: Log) -> dict[int, NDArray[np.float64]]:
     return {}
 
 
-class _Curves:
-    """The curves of one environment."""
+class _Recording:
+    """An `.rrd` file with the timelines ``step`` (control steps) and ``sim_time`` (seconds).
 
-    def __init__(self, stream: Stream, log: Log, env_id: int, column: int) -> None:
-        self._stream, self._column, self._root = stream, column, f"/env_{env_id}"
-        joints = scalar_joints(log.model)
-        ids = np.array(list(joints.values()), np.int64)
-        self._of: dict[str, tuple[str, Any]] = {
-            "qpos": ("joint_positions", log.model.jnt_qposadr[ids]),
-            "qvel": ("joint_velocities", log.model.jnt_dofadr[ids]),
-            "actions": ("actions", slice(None)),
-        }
-        for path in ("joint_positions", "joint_velocities"):
-            stream.name(f"{self._root}/{path}", list(joints))
-        stream.name(f"{self._root}/actions", [c.name for c in log.columns.get("actions", [])])
-        stream.name(f"{self._root}/reward", ["reward"])
+    It is in memory until `save`: rerun's own writer waits for ever where the disk is full.
 
-    def add(self, data: LogArrays) -> None:
-        """Add the steps of `data`."""
-        for field, (path, columns) in self._of.items():
-            if field in data.values:
-                values = data[field][:, self._column][:, columns]
-                self._stream.curves(f"{self._root}/{path}", data.steps, values)
-        rewards = data["rewards"][:, self._column, None]
-        self._stream.curves(f"{self._root}/reward", data.steps, rewards)
+    Args:
+        log: The log.
+        blueprint: The layout that a viewer shows at first.
+    """
+
+    def __init__(self, log: Log, blueprint: Any) -> None:
+        self.rr: Any = required("rerun", "rrd")
+        header = log.header
+        self._dt = header.control_dt
+        # The same log gives the same recording: a viewer shows a second export in its place.
+        name = f"{header.task}-{header.seed}-{header.start_ns}"
+        made: Any = self.rr.RecordingStream("embodichain", recording_id=name)
+        self._bytes: Any = made.binary_stream()
+        made.send_blueprint(blueprint, make_active=False)
+        made.set_log_time_enabled(False)  # neither belongs to the run
+        made.set_log_tick_enabled(False)
+        made.send_recording_name(f"{header.task}, seed {header.seed}")
+        made.send_recording_start_time_nanos(header.start_ns)
+        made.send_property("embodichain", self.rr.AnyValues(**about(log)))
+        self._recording = made
+
+    def save(self, path: Path) -> None:
+        """Write the file; nothing can be sent afterwards."""
+        with path.open("xb") as file:
+            file.write(self._bytes.read() or b"")
+        self._recording.disconnect()
+
+    def log(self, path: str, archetype: Any, step: int | None) -> None:
+        """Send something at a step; None is at all times."""
+        if step is not None:
+            self._recording.set_time("step", sequence=step)
+            self._recording.set_time("sim_time", duration=step * self._dt)
+        self._recording.log(path, archetype, static=step is None, strict=True)
+
+    def columns(self, path: str, steps: NDArray[np.int64], columns: Iterable[Any]) -> None:
+        """Send columns, a row for each of the steps."""
+        times = [
+            self.rr.TimeColumn("step", sequence=steps),
+            self.rr.TimeColumn("sim_time", duration=steps.astype(np.float64) * self._dt),
+        ]
+        self._recording.send_columns(path, times, columns, strict=True)
+
+    def name(self, path: str, names: Sequence[str]) -> None:
+        """Name the curves at a path."""
+        colors = np.resize(np.array(_PALETTE, np.uint32) << 8 | 0xFF, len(names))
+        self.log(path, self.rr.SeriesLines(names=names, colors=colors), None)
+
+    def curves(self, path: str, steps: NDArray[np.int64], values: NDArray[Any]) -> None:
+        """Send (T, K) numbers: K curves."""
+        if values.size:
+            flat = self.rr.Scalars.columns(scalars=values.astype(np.float64).reshape(-1))
+            self.columns(path, steps, flat.partition(np.full(len(values), values.shape[1])))
 
 
-def _tell(stream: Stream, log: Log, env: int, first: int, last: int) -> None:
-    """Add what is not there in every step: sampled metrics, episodes that ended, events."""
+def _layout(model: mujoco.MjModel, envs: Sequence[int], places: F64) -> Any:
+    """Return the layout: the scene, beside it joints, reward, events.
+
+    Args:
+        model: The scene's model.
+        envs: The environments that are shown; curves are those of the first.
+        places: (n, 3) position of each, metres.
+    """
+    rrb: Any = required("rerun.blueprint", "rrd")
+    center = np.array(model.stat.center, np.float64) + places.mean(axis=0)
+    size = float(model.stat.extent) + float(np.linalg.norm(np.ptp(places, axis=0)))
+    eye = center + size * _EYE / np.linalg.norm(_EYE)
+    controls = rrb.EyeControls3D(position=eye, look_target=center, eye_up=(0, 0, 1))
+
+    def curves(path: str, name: str) -> Any:
+        return rrb.TimeSeriesView(origin=f"/env_{envs[0]}/{path}", name=name)
+
+    tabs = rrb.Tabs(
+        rrb.TextLogView(origin=f"/env_{envs[0]}/log", name="log"),
+        curves("metrics", "metrics"),
+        curves("episode", "episodes"),
+        curves("actions", "actions"),
+    )
+    joints = curves("joint_positions", "joint positions (rad, m)")
+    right = rrb.Vertical(joints, curves("reward", "reward"), tabs, row_shares=[2, 1, 1])
+    left = rrb.Spatial3DView(origin="/world", name="scene", eye_controls=controls)
+    return rrb.Blueprint(
+        rrb.Horizontal(left, right, column_shares=[3, 2]),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline="sim_time"),
+    )
+
+
+# -- curves and lines ------------------------------------------------------------------------------
+
+
+def _name_curves(recording: _Recording, log: Log, env: int) -> None:
+    joints = list(scalar_joints(log.model))
+    actions = [column.name for column in log.columns.get("actions", [])]
+    for path, names in (
+        ("joint_positions", joints),
+        ("joint_velocities", joints),
+        ("actions", actions),
+        ("reward", ["reward"]),
+    ):
+        recording.name(f"/env_{env}/{path}", names)
+
+
+def _send_curves(recording: _Recording, log: Log, env: int, data: LogArrays, column: int) -> None:
+    """Send some steps of an environment, which has one column of the data."""
+    model, ids = log.model, list(scalar_joints(log.model).values())
+    for field, path, columns in (
+        ("qpos", "joint_positions", model.jnt_qposadr[ids]),
+        ("qvel", "joint_velocities", model.jnt_dofadr[ids]),
+        ("actions", "actions", slice(None)),
+    ):
+        if field in data.values:
+            values = data[field][:, column][:, columns]
+            recording.curves(f"/env_{env}/{path}", data.steps, values)
+    recording.curves(f"/env_{env}/reward", data.steps, data["rewards"][:, column, None])
+
+
+def _send_rest(recording: _Recording, log: Log, env: int, first: int, last: int) -> None:
+    """Send what not every step has: sampled metrics, episodes that ended, events."""
     root = f"/env_{env}"
     if env in log.header.view_envs:
         steps, values = log.metrics(env)
         chosen = (steps >= first) & (steps <= last)
         names = [name for name in values if name not in ("reward", "terminated", "truncated")]
         if names and chosen.any():
-            stream.name(f"{root}/metrics", names)
+            recording.name(f"{root}/metrics", names)
             table = np.stack([values[name][chosen] for name in names], axis=1)
-            stream.curves(f"{root}/metrics", steps[chosen], table)
-    ended = [
-        e
-        for e in log.episodes
-        if e.env == env and first <= e.last_step <= last and (e.terminated or e.truncated)
-    ]
+            recording.curves(f"{root}/metrics", steps[chosen], table)
+    ended = [e for e in log.episodes if e.env == env and (e.terminated or e.truncated)]
+    ended = [e for e in ended if first <= e.last_step <= last]
     at = np.array([e.last_step for e in ended], np.int64)
     for name, numbers in (
         ("return", [e.total_reward for e in ended]),
         ("length", [e.steps for e in ended]),
     ):
-        stream.curves(f"{root}/episode/{name}", at, np.array(numbers)[:, None])
-    stream.lines(f"{root}/log", _lines(log, env, first, last))
+        recording.curves(f"{root}/episode/{name}", at, np.array(numbers)[:, None])
+    lines = []
+    for event in log.events():
+        if first <= event.step <= last and (event.env_ids is None or env in event.env_ids):
+            row = env if event.env_ids is None else int(np.flatnonzero(event.env_ids == env)[0])
+            drawn = {name: values[row] for name, values in event.drawn.items()}
+            lines.append((event.step, event_text(env, event.term, event.mode, drawn)))
+    for e in ended:
+        how = "terminated" if e.terminated else "truncated"
+        ending = f"{how} after {e.steps} steps, return {e.total_reward:.4g}"
+        lines.append((e.last_step, f"environment {env}: episode {e.episode} {ending}"))
+    if lines:
+        at_steps, texts = zip(*sorted(lines, key=lambda line: line[0]), strict=True)
+        columns = recording.rr.TextLog.columns(text=texts, level=["INFO"] * len(texts))
+        recording.columns(f"{root}/log", np.array(at_steps, np.int64), columns)
 
 
-def _lines(log: Log, env: int, first: int, last: int) -> list[tuple[int, str, str]]:
-    """What happened: step, level, text; in the order of steps."""
-    found = [
-        (event.step, "INFO", event_text(env, event.term, event.mode, _drawn(event, env)))
-        for event in log.events()
-        if event.env_ids is None or env in event.env_ids
-    ]
-    for episode in log.episodes:
-        if episode.env == env and (episode.terminated or episode.truncated):
-            how = "terminated" if episode.terminated else "truncated"
-            text = (
-                f"environment {env}: episode {episode.episode} {how} after {episode.steps} steps, "
-                f"return {episode.total_reward:.4g}"
-            )
-            found.append((episode.last_step, "INFO", text))
-    return sorted((line for line in found if first <= line[0] <= last), key=lambda line: line[0])
+# -- the scene -------------------------------------------------------------------------------------
 
 
-def _drawn(event: Any, env: int) -> dict[str, NDArray[np.float64]]:
-    """What an event drew for an environment."""
-    row = env if event.env_ids is None else int(np.flatnonzero(event.env_ids == env)[0])
-    return {name: values[row] for name, values in event.drawn.items()}
+class _Scene:
+    """One environment in 3D: shapes below the path of their body, its pose over time.
 
-
-def _layout(model: mujoco.MjModel, envs: Sequence[int], places: NDArray[np.float64]) -> Any:
-    """Return what a viewer shows at first: the scene, beside it joints, reward and what happened.
+    Each body has its own pose in the environment, as in `/tf`.
 
     Args:
-        model: The scene's model.
-        envs: The environments that are shown; curves are those of the first.
-        places: (n, 3) where each stands, metres.
-
-    Raises:
-        ConfigError: If rerun is not installed.
+        recording: Where it goes.
+        log: The log.
+        env_id: The environment.
+        offset: (3,) its position in the world, metres.
     """
-    rrb: Any = required("rerun.blueprint", "rrd")
-    center = np.array(model.stat.center, np.float64) + places.mean(axis=0)
-    size = float(model.stat.extent) + float(np.linalg.norm(np.ptp(places, axis=0)))
-    eye = center + size * _FROM / np.linalg.norm(_FROM)
-    first = f"/env_{envs[0]}"
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Spatial3DView(
-                origin="/world",
-                name="scene",
-                eye_controls=rrb.EyeControls3D(position=eye, look_target=center, eye_up=(0, 0, 1)),
-            ),
-            rrb.Vertical(
-                rrb.TimeSeriesView(
-                    origin=f"{first}/joint_positions", name="joint positions (rad, m)"
-                ),
-                rrb.TimeSeriesView(origin=f"{first}/reward", name="reward"),
-                rrb.Tabs(
-                    rrb.TextLogView(origin=f"{first}/log", name="log"),
-                    rrb.TimeSeriesView(origin=f"{first}/metrics", name="metrics"),
-                    rrb.TimeSeriesView(origin=f"{first}/episode", name="episodes"),
-                    rrb.TimeSeriesView(origin=f"{first}/actions", name="actions"),
-                ),
-                row_shares=[2, 1, 1],
-            ),
-            column_shares=[3, 2],
-        ),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline="sim_time"),
+
+    def __init__(self, recording: _Recording, log: Log, env_id: int, offset: F64) -> None:
+        self._recording, self._log, self._env_id = recording, log, env_id
+        root = f"/world/env_{env_id}"
+        self._paths = _paths(recording.rr, log.model, root)
+        self._drawn: dict[str, tuple[Any, ...]] = {}  # path: the arrays that are drawn there
+        self._last: F64 | None = None
+        recording.log(root, recording.rr.Transform3D(translation=offset), None)
+
+    def send(self, part: Part) -> None:
+        """Send the control steps of a part."""
+        steps, rows = list[int](), list[F64]()
+        for step, data, changed in poses(self._log, self._env_id, part):
+            steps.append(step)
+            rows.append(np.concatenate([data.xpos[1:], data.xquat[1:]], axis=1))
+            if changed:
+                self._draw(data.model, step)
+            if len(steps) == _STEPS:
+                self._move(steps, rows)
+                steps, rows = [], []
+        if steps:
+            self._move(steps, rows)
+
+    def _draw(self, model: mujoco.MjModel, step: int) -> None:
+        """Draw what is new or looks other than before: kinds of primitives by body, each mesh."""
+        groups: dict[tuple[int, str], list[Shape]] = {}
+        for shape in shapes(model):
+            name = f"mesh_{shape.geom}" if shape.kind == "mesh" else shape.kind
+            groups.setdefault((shape.body, name), []).append(shape)
+        for (body, name), group in groups.items():
+            path, is_mesh = f"{self._paths[body]}/{name}", group[0].kind == "mesh"
+            look = _mesh(model, group[0]) if is_mesh else _primitives(group)
+            before = self._drawn.get(path)
+            if before is None or not all(map(np.array_equal, before, look)):
+                self._drawn[path] = look
+                made = _archetype(self._recording.rr, group[0].kind, look)
+                self._recording.log(path, made, step)
+
+    def _move(self, numbers: list[int], rows: list[F64]) -> None:
+        """Send (nbody - 1, 7) poses of some steps, each body's where it differs from before."""
+        steps, poses = np.array(numbers, np.int64), np.array(rows)
+        first = poses[:1] if self._last is None else self._last
+        changed = np.any(np.diff(poses, axis=0, prepend=first) != 0, axis=2)
+        changed[0] |= self._last is None
+        self._last = poses[-1:]
+        for body, path in enumerate(self._paths[1:]):
+            there = changed[:, body]
+            if there.any():
+                here = poses[there, body]
+                columns = self._recording.rr.Transform3D.columns(
+                    translation=here[:, :3], quaternion=here[:, [4, 5, 6, 3]]
+                )
+                self._recording.columns(path, steps[there], columns)
+
+
+def _paths(rr: Any, model: mujoco.MjModel, root: str) -> list[str]:
+    """Paths of bodies by id. None lies below another: poses below each other are chained."""
+    names = [model.body(i).name or f"body_{i}" for i in range(1, model.nbody)]
+    parts = [[rr.escape_entity_path_part(p) for p in name.split("/") if p] for name in names]
+    paths = ["/".join([root, *part]) for part in parts]
+    inner = {p for p in paths if any(other.startswith(f"{p}/") for other in paths)}
+    return [f"{root}/world", *(f"{p}/body" if p in inner else p for p in paths)]
+
+
+def _primitives(group: list[Shape]) -> tuple[Any, ...]:
+    pos, quat, half, rgba = (
+        np.array([getattr(shape, name) for shape in group])
+        for name in ("pos", "quat", "half", "rgba")
     )
+    if group[0].kind == "capsule":  # Rerun's begin at the centre of one cap
+        for center, turn, (_, _, z) in zip(pos, quat, half, strict=True):
+            axis = np.empty(3)
+            mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, z]), turn)
+            center -= axis
+    return pos, quat[:, [1, 2, 3, 0]], half, _packed(rgba)
+
+
+def _mesh(model: mujoco.MjModel, shape: Shape) -> tuple[Any, ...]:
+    """Vertices, faces and normals in the body's frame, and the colour; corners are not shared."""
+    mesh = mesh_of(model, shape.geom)
+    turn = np.empty(9)
+    mujoco.mju_quat2Mat(turn, shape.quat)
+    matrix = turn.reshape(3, 3).T
+    vertices = mesh.vertices[mesh.faces].reshape(-1, 3) @ matrix + shape.pos
+    normals = corner_normals(mesh) @ matrix
+    faces = np.arange(len(vertices), dtype=np.uint32).reshape(-1, 3)
+    return vertices.astype(np.float32), faces, normals.astype(np.float32), _packed(shape.rgba)
+
+
+def _archetype(rr: Any, kind: str, look: tuple[Any, ...]) -> Any:
+    if kind == "mesh":
+        vertices, faces, normals, rgba = look
+        arrays = {"vertex_positions": vertices, "triangle_indices": faces}
+        return rr.Mesh3D(**arrays, vertex_normals=normals, albedo_factor=int(rgba))
+    pos, quat, half, rgba = look
+    common = {"quaternions": quat, "colors": rgba, "fill_mode": "solid"}
+    if kind == "box":
+        return rr.Boxes3D(half_sizes=half, centers=pos, **common)
+    if kind == "ellipsoid":
+        return rr.Ellipsoids3D(half_sizes=half, centers=pos, **common)
+    lengths, radii = 2 * half[:, 2], half[:, 0]
+    if kind == "cylinder":
+        return rr.Cylinders3D(lengths=lengths, radii=radii, centers=pos, **common)
+    return rr.Capsules3D(lengths=lengths, radii=radii, translations=pos, **common)
+
+
+def _packed(rgba: F64) -> NDArray[np.uint32]:
+    """(..., 4) in 0 to 1 as 0xRRGGBBAA: four numbers could be four colours."""
+    levels = np.clip(np.rint(255 * rgba), 0, 255).astype(np.uint32)
+    shifted = levels << np.array([24, 16, 8, 0], np.uint32)
+    packed: NDArray[np.uint32] = np.bitwise_or.reduce(shifted, axis=-1)
+    return packed

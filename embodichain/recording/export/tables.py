@@ -1,9 +1,11 @@
-"""Tables (csv, parquet) with a row for each step and environment, and arrays (npz)."""
+"""Tables (csv, parquet) with a row for each step and environment, arrays (npz), episodes (hdf5)."""
 
 from __future__ import annotations
 
 import csv
+import io
 import json
+import zipfile
 from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
@@ -13,14 +15,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.recording.api import Log
-from embodichain.recording.export.formats import Part, required
-from embodichain.recording.model_columns import Column
+from embodichain.recording.arrays import LogArrays
+from embodichain.recording.columns import Column
+from embodichain.recording.export.formats import Part, about, demonstrations, required
+from embodichain.recording.log_error import LogError
 
-__all__ = ["about", "write_csv", "write_npz", "write_parquet"]
+__all__ = ["write_csv", "write_hdf5", "write_npz", "write_parquet"]
 
 _BYTES = 2**26
-"""About how much is held at a time."""
+"""About how much is in memory at a time."""
 _ROWS = 1000
+_OBS = ("qpos", "qvel", "mocap_pos", "mocap_quat")
+_STATE = ("time", "qpos", "qvel", "act")
+_GYM = 2  # robomimic's EnvType.GYM_TYPE
 
 
 def write_csv(log: Log, part: Part, path: Path) -> None:
@@ -30,7 +37,7 @@ def write_csv(log: Log, part: Part, path: Path) -> None:
         for index, (columns, values) in enumerate(_tables(log, part)):
             if index == 0:
                 writer.writerow([f"{c.name} [{c.unit}]" if c.unit else c.name for c in columns])
-            for at in range(0, len(values[0]), _ROWS):  # between these a signal is heard
+            for at in range(0, len(values[0]), _ROWS):  # signals are handled between blocks
                 block = (v[at : at + _ROWS].tolist() for v in values)
                 writer.writerows(zip(*block, strict=True))
 
@@ -53,24 +60,18 @@ def write_npz(log: Log, part: Part, path: Path) -> None:
 
 
 def write_parquet(log: Log, part: Part, path: Path) -> None:
-    """Write the table with types, a row group for every part that was read; units are metadata.
-
-    Raises:
-        ConfigError: If pyarrow is not installed.
-    """
+    """Write the table with types, a row group for every part that was read; units are metadata."""
     pa: Any = required("pyarrow", "parquet")
     pq: Any = required("pyarrow.parquet", "parquet")
     writer = None
     try:
         for columns, values in _tables(log, part):
             arrays = [pa.array(v) for v in values]
-            schema = pa.schema(
-                [
-                    pa.field(c.name, array.type, metadata={"unit": c.unit} if c.unit else None)
-                    for c, array in zip(columns, arrays, strict=True)
-                ],
-                metadata=about(log),
-            )
+            fields = [
+                pa.field(c.name, array.type, metadata={"unit": c.unit} if c.unit else None)
+                for c, array in zip(columns, arrays, strict=True)
+            ]
+            schema = pa.schema(fields, metadata=about(log))
             writer = writer or pq.ParquetWriter(path, schema)
             writer.write_table(pa.table(arrays, schema=schema))
     finally:
@@ -92,16 +93,58 @@ def _tables(log: Log, part: Part) -> Iterator[tuple[list[Column], list[NDArray[A
         yield list(columns), [v.astype(np.int8) if v.dtype == np.bool_ else v for v in values]
 
 
-def about(log: Log) -> dict[str, str]:
-    """What a table does not say: task, seed, versions, whether the log is whole."""
-    header = log.header
-    return {
-        "task": header.task,
-        "seed": str(header.seed),
-        "num_envs": str(header.num_envs),
-        "control_dt": repr(header.control_dt),
-        "physics_dt": repr(header.physics_dt),
-        "mujoco_version": header.mujoco_version,
-        "complete": str(log.complete).lower(),
-        "quaternions": "wxyz",
-    }
+def write_hdf5(log: Log, part: Part, path: Path) -> None:
+    """Write robomimic's layout: ``data/demo_I/{obs,actions,rewards,dones,states}`` an episode.
+
+    A log contains states, not observations of a policy, so ``obs`` is positions, velocities and
+    poses. ``states`` is time, qpos, qvel and act, flat, as in robosuite.
+
+    Raises:
+        ConfigError: If h5py is not installed, or the part has no episode.
+        LogError: If an episode has no states, as in a log with keyframes that is not simulated.
+    """
+    h5py: Any = required("h5py", "hdf5")
+    episodes = demonstrations(log, part)
+    attributes = {"model_file": _model_xml(log)}
+    fields = {*_OBS, *_STATE, "actions", "rewards", "terminated", "truncated"}
+    names = [name for name in log.columns if name in fields]
+    with h5py.File(path, "x") as file:
+        root = file.create_group("data")
+        for number, (episode, steps) in enumerate(episodes):
+            data = log.read(names, episode.env, None, steps.start, steps.stop)
+            if not len(data):
+                whose = f"episode {episode.episode} of environment {episode.env}"
+                raise LogError(f"{log.path} has no state of {whose}")
+            demo = root.create_group(f"demo_{number}")
+            demo.attrs.update(attributes, env=episode.env, episode=episode.episode)
+            _fill(demo, data)
+        root.attrs["total"] = sum(int(demo.attrs["num_samples"]) for demo in root.values())
+        env_args = {"env_name": log.task, "type": _GYM, "env_kwargs": log.config}
+        root.attrs.update(about(log), env_args=json.dumps(env_args))
+
+
+def _fill(demo: Any, data: LogArrays) -> None:
+    """Write the arrays of one episode."""
+    demo.attrs["num_samples"], demo.attrs["first_step"] = len(data), int(data.steps[0])
+    demo.create_dataset("actions", data=data["actions"][:, 0])
+    demo.create_dataset("rewards", data=data["rewards"][:, 0])
+    dones = data["terminated"][:, 0] | data["truncated"][:, 0]
+    demo.create_dataset("dones", data=dones.astype(np.int64))
+    state = [name for name in _STATE if name in data.values]
+    flat = np.concatenate([data[name][:, 0] for name in state], axis=1)
+    names = [f"{name}/{column}" for name in state for column in data.names(name)]
+    demo.create_dataset("states", data=flat).attrs["names"] = names
+    for name in _OBS:
+        if name in data.values:
+            made = demo.create_dataset(f"obs/{name}", data=data[name][:, 0])
+            made.attrs["names"] = data.names(name)
+            made.attrs["units"] = [column.unit for column in data.columns[name]]
+
+
+def _model_xml(log: Log) -> str:
+    """The scene as XML; 6 digits, like every XML of a compiled model."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(log.attachment("scene.mjz"))) as archive:
+            return archive.read("model.xml").decode()
+    except (zipfile.BadZipFile, KeyError) as error:
+        raise LogError(f"{log.path}: the attachment scene.mjz is damaged: {error!r}") from error

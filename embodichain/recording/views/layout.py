@@ -1,8 +1,8 @@
 """`foxglove_layout.json`: a layout that shows a log at once, in Foxglove and its open forks.
 
-With a viewer's default layout only coordinate axes appear: scenes are hidden until switched on.
-What is the same in every layout is in ``layout.json``: transforms are preloaded, so that poses are
-right after a jump in time, and the grid lies above the floor, where it does not flicker.
+A viewer's default layout shows coordinate axes only: scenes are hidden until switched on. The part
+common to all layouts is ``layout.json``: transforms are preloaded, so that poses are right after a
+jump in time, and the grid lies above the floor, where it does not flicker.
 """
 
 from __future__ import annotations
@@ -15,10 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.lab.sim.engine.base import F64
-from embodichain.recording.views.markers import Commands
-from embodichain.recording.views.motion import scalar_joints
-from embodichain.recording.views.scalars import identifier
+from embodichain.lab.sim.engine.api import F64
+from embodichain.recording.views.channels import identifier, scalar_joints
+from embodichain.recording.views.scene import Commands
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv
@@ -27,7 +26,6 @@ __all__ = ["foxglove_layout", "pitch_of", "places"]
 
 _EXTENTS = 2.5
 """Distance between viewed environments, in extents of the scene."""
-
 _PALETTE = ("#4e98e2", "#f5774d", "#f7df71", "#5cd6a9", "#61cbff", "#a395e2", "#ea4d6c")
 _PLOT = {
     "showXAxisLabels": True,
@@ -61,36 +59,25 @@ def foxglove_layout(env: ObservedEnv, view_envs: Sequence[int]) -> dict[str, Any
         "targetOffset": (model.stat.center + where.mean(axis=0)).tolist(),
     }
     first = f"/env_{view_envs[0]}" if view_envs else "/env_0"
-    joints = _short(list(scalar_joints(model)))
-    paths = {
-        k: f'{first}/joint_states.joints[:]{{name=="{v}"}}.position' for k, v in joints.items()
-    }
-    panels["Plot!joints"] = _plot("joint positions (rad, m)", paths)
-    manager = getattr(env, "reward_manager", None)  # environments of others may have none
+    joints = list(scalar_joints(model))
+    last = [name.rpartition("/")[2] for name in joints]  # `elbow` where only one robot has one
+    labels = [tail if last.count(tail) == 1 else n for n, tail in zip(joints, last, strict=True)]
+    paths = [f'{first}/joint_states.joints[:]{{name=="{n}"}}.position' for n in joints]
+    named = dict(zip(labels, paths, strict=True))
+    panels["Plot!joints"] = _plot("joint positions (rad, m)", named)
+    manager = getattr(env, "reward_manager", None)  # other classes may have no manager
     terms = [] if manager is None else sorted(manager.terms)
-    paths = {name: f"{first}/metrics.reward_{identifier(name)}" for name in terms}
-    paths = {"reward": f"{first}/metrics.reward", **paths}
-    panels["Plot!reward"] = _plot("reward and its terms", paths)
+    named = {name: f"{first}/metrics.reward_{identifier(name)}" for name in terms}
+    named = {"reward": f"{first}/metrics.reward", **named}
+    panels["Plot!reward"] = _plot("reward and its terms", named)
     return layout
-
-
-def _short(names: Sequence[str]) -> dict[str, str]:
-    """Names by what tells them apart: `arm/elbow` by `elbow` where only an arm has one."""
-    last = [name.rpartition("/")[2] for name in names]
-    pairs = zip(names, last, strict=True)
-    return {tail if last.count(tail) == 1 else name: name for name, tail in pairs}
 
 
 def _plot(title: str, values: Mapping[str, str]) -> dict[str, Any]:
     """Return a plot of message paths by label."""
+    common = {"enabled": True, "timestampMethod": "receiveTime"}
     paths = [
-        {
-            "value": value,
-            "label": label,
-            "enabled": True,
-            "timestampMethod": "receiveTime",
-            "color": _PALETTE[i % len(_PALETTE)],
-        }
+        {"value": value, "label": label, "color": _PALETTE[i % len(_PALETTE)], **common}
         for i, (label, value) in enumerate(values.items())
     ]
     # Foxglove's key, and that of its open fork Lichtblick.
@@ -101,15 +88,13 @@ def _plot(title: str, values: Mapping[str, str]) -> dict[str, Any]:
 def pitch_of(env: ObservedEnv) -> float:
     """Metres between environments that are viewed: the scene's size, at most `arena_space`."""
     pitch = _EXTENTS * float(env.sim.engine.model.stat.extent)
-    if env.num_envs > 1:
-        pitch = min(pitch, float(env.sim.arena_offsets[1, 0]))
-    return pitch
+    return pitch if env.num_envs == 1 else min(pitch, float(env.sim.arena_offsets[1, 0]))
 
 
 def places(env: ObservedEnv, env_ids: Sequence[int]) -> F64:
     """(n, 3) position of each of these environments in ``world``, in a square, metres."""
-    side = math.ceil(math.sqrt(len(env_ids)))
+    side = max(1, math.ceil(math.sqrt(len(env_ids))))
     index = np.arange(len(env_ids))
-    grid = np.stack([index % max(side, 1), index // max(side, 1), 0 * index], axis=1)
+    grid = np.stack([index % side, index // side, 0 * index], axis=1)
     found: F64 = np.asarray(grid * pitch_of(env), np.float64)
     return found

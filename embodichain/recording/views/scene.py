@@ -1,101 +1,105 @@
-"""`/env_I/scene`: one `SceneEntity` for each body, locked to the body's frame.
+"""What viewers draw of an environment: its bodies (`/env_I/scene`), its commands (`.../markers`).
 
-Shapes become Foxglove's primitives: a capsule is a cylinder with two spheres, a mesh a model as GLB
-inside the message.
+A scene has one `SceneEntity` for each body, locked to the body's frame; shapes are Foxglove's
+primitives, meshes are models as GLB inside the message. A commanded pose is drawn as axes, a
+commanded velocity as arrows; goals that are bodies are part of the scene.
 """
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
-from embodichain.recording.views.meshes import MEDIA_TYPE, glb
-from embodichain.recording.views.messages import (
-    Color,
-    Pose,
-    Quaternion,
-    SceneUpdate,
-    Vector3,
-    set_time,
+from embodichain.lab.sim.engine.api import F64
+from embodichain.recording.views.channels import frame_names
+from embodichain.recording.views.shapes import MEDIA_TYPE, PLANE_SIZE, Shape, glb, mesh_of, shapes
+from embodichain.utils.math import quat_multiply
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.observers import ObservedEnv
+
+__all__ = ["Commands", "Scenes"]
+
+AXIS_LENGTH = 0.15
+METRES_PER_SPEED = 0.5
+"""Length of an arrow in metres for each m/s or rad/s."""
+ABOVE = 0.25
+"""Height of a velocity's arrow above the body's origin, metres."""
+_RED, _GREEN, _BLUE = (
+    Color(r=r, g=g, b=b, a=1.0) for r, g, b in ((0.9, 0.2, 0.2), (0.2, 0.8, 0.2), (0.2, 0.4, 1.0))
 )
-from embodichain.recording.views.motion import frame_names
-from embodichain.recording.views.shapes import PLANE_SIZE, Shape, mesh_of, shapes
+_S = math.sqrt(0.5)
+_TO_AXES = np.array([[1.0, 0.0, 0.0, 0.0], [_S, 0.0, 0.0, _S], [_S, 0.0, -_S, 0.0]])
+"""Rotations of the x axis, along which arrows point, to each axis; wxyz."""
 
-__all__ = ["Props", "scene_update"]
 
-
-class Props:
-    """Encoded meshes, which all environments share.
+class Scenes:
+    """Encodes scenes; meshes are encoded once for all environments.
 
     Args:
-        ground: Metres that an infinite plane is drawn wide.
+        ground: Width at which an infinite plane is drawn, metres.
     """
 
     def __init__(self, ground: float = PLANE_SIZE) -> None:
-        self.ground = min(ground, PLANE_SIZE)
-        self._encoded: dict[tuple[int, int], bytes] = {}
+        self._ground = min(ground, PLANE_SIZE)
+        self._meshes: dict[tuple[int, int], bytes] = {}
 
-    def mesh(self, model: mujoco.MjModel, geom: int) -> bytes:
-        """Return the GLB of a geom whose shape is a mesh."""
+    def encode(self, time_ns: int, model: mujoco.MjModel, env_id: int) -> bytes:
+        """Return the serialized `SceneUpdate` that replaces all entities of an environment.
+
+        Args:
+            time_ns: Its time.
+            model: The environment's model; it has the same meshes in every call.
+            env_id: The environment.
+        """
+        names, update = frame_names(model, env_id), SceneUpdate()
+        entities: dict[int, Any] = {}
+        for shape in shapes(model):
+            entity = entities.get(shape.body)
+            if entity is None:
+                name = names[shape.body]
+                entity = update.entities.add(frame_id=name, id=name, frame_locked=True)
+                entities[shape.body] = entity
+                entity.timestamp.FromNanoseconds(time_ns)
+            self._draw(entity, model, shape)
+        data: bytes = update.SerializeToString()
+        return data
+
+    def _draw(self, entity: Any, model: mujoco.MjModel, shape: Shape) -> None:
+        """Add the primitives of a shape."""
+        size = 2 * shape.half
+        color = Color(**dict(zip("rgba", shape.rgba.tolist(), strict=True)))
+        common = {"pose": _pose(shape), "color": color}
+        if shape.kind == "box":
+            if int(model.geom_type[shape.geom]) == int(mujoco.mjtGeom.mjGEOM_PLANE):
+                size[:2] = np.where(model.geom_size[shape.geom][:2] > 0, size[:2], self._ground)
+            entity.cubes.add(size=_xyz(size), **common)
+        elif shape.kind == "ellipsoid":
+            entity.spheres.add(size=_xyz(size), **common)
+        elif shape.kind == "mesh":
+            unit, data = Vector3(x=1.0, y=1.0, z=1.0), self._mesh(model, shape.geom)
+            kind = {"media_type": MEDIA_TYPE, "override_color": True}
+            entity.models.add(scale=unit, data=data, **kind, **common)
+        else:  # a cylinder, or a capsule: a cylinder with two spheres
+            entity.cylinders.add(size=_xyz(size), bottom_scale=1.0, top_scale=1.0, **common)
+            if shape.kind == "capsule":
+                ball = _xyz(size[[0, 0, 0]])
+                for end in (-shape.half[2], shape.half[2]):
+                    entity.spheres.add(size=ball, pose=_pose(shape, along_z=end), color=color)
+
+    def _mesh(self, model: mujoco.MjModel, geom: int) -> bytes:
         key = int(model.geom_type[geom]), int(model.geom_dataid[geom])
-        if key not in self._encoded:
-            self._encoded[key] = glb(mesh_of(model, geom))
-        return self._encoded[key]
-
-
-def scene_update(time_ns: int, model: mujoco.MjModel, env_id: int, props: Props) -> bytes:
-    """Return the serialized `SceneUpdate` that replaces all entities of an environment.
-
-    Args:
-        time_ns: Its time.
-        model: The environment's model.
-        env_id: The environment.
-        props: Encoded meshes of this model, or of one with the same meshes.
-    """
-    names, update = frame_names(model, env_id), SceneUpdate()
-    entities: dict[int, Any] = {}
-    for shape in shapes(model):
-        entity = entities.get(shape.body)
-        if entity is None:
-            name = names[shape.body]
-            entity = update.entities.add(frame_id=name, id=name, frame_locked=True)
-            entities[shape.body] = entity
-            set_time(entity.timestamp, time_ns)
-        _draw(entity, model, shape, props)
-    data: bytes = update.SerializeToString()
-    return data
-
-
-def _draw(entity: Any, model: mujoco.MjModel, shape: Shape, props: Props) -> None:
-    """Add the primitives of a shape."""
-    size = 2 * shape.half
-    common = {
-        "pose": _pose(shape),
-        "color": Color(**dict(zip("rgba", shape.rgba.tolist(), strict=True))),
-    }
-    if shape.kind == "box":
-        if int(model.geom_type[shape.geom]) == int(mujoco.mjtGeom.mjGEOM_PLANE):
-            size[:2] = np.where(model.geom_size[shape.geom][:2] > 0, size[:2], props.ground)
-        entity.cubes.add(size=_xyz(size), **common)
-    elif shape.kind == "ellipsoid":
-        entity.spheres.add(size=_xyz(size), **common)
-    elif shape.kind == "mesh":
-        entity.models.add(
-            scale=Vector3(x=1.0, y=1.0, z=1.0),
-            override_color=True,
-            media_type=MEDIA_TYPE,
-            data=props.mesh(model, shape.geom),
-            **common,
-        )
-    else:  # a cylinder, or a capsule
-        entity.cylinders.add(size=_xyz(size), bottom_scale=1.0, top_scale=1.0, **common)
-        if shape.kind == "capsule":
-            ball = _xyz(size[[0, 0, 0]])
-            for end in (-shape.half[2], shape.half[2]):
-                entity.spheres.add(size=ball, **{**common, "pose": _pose(shape, along_z=end)})
+        if key not in self._meshes:
+            self._meshes[key] = glb(mesh_of(model, geom))
+        return self._meshes[key]
 
 
 def _pose(shape: Shape, along_z: float = 0.0) -> Pose:
@@ -106,6 +110,90 @@ def _pose(shape: Shape, along_z: float = 0.0) -> Pose:
     return Pose(position=_xyz(shape.pos + axis), orientation=Quaternion(x=x, y=y, z=z, w=w))
 
 
-def _xyz(values: NDArray[np.float64]) -> Vector3:
+def _xyz(values: F64) -> Vector3:
     x, y, z = values.tolist()
     return Vector3(x=x, y=y, z=z)
+
+
+class Commands:
+    """The commands of an environment, which may have none: their values and their markers."""
+
+    def __init__(self, env: ObservedEnv) -> None:
+        manager = getattr(env, "command_manager", None)  # other classes may have no manager
+        terms = {} if manager is None else manager.terms
+        self._commands: dict[str, Any] = {name: term.instance for name, term in terms.items()}
+        self._drawn = {n: term for n, term in self._commands.items() if term.marker is not None}
+        names = frame_names(env.sim.engine.model, 0) if self._drawn else []
+        self._frames = [name.removeprefix("env_0") for name in names]
+
+    @property
+    def drawn(self) -> bool:
+        """Whether any command has a marker."""
+        return bool(self._drawn)
+
+    def scalars(self) -> list[tuple[list[str], F64]]:
+        """Names of the columns of each command, and its values, (N, columns): live."""
+        found = []
+        for name, command in self._commands.items():
+            values = command.values
+            labels = command.names or map(str, range(values.shape[1]))
+            found.append(([f"{name}_{label}" for label in labels], values))
+        return found
+
+    def encode(self, time_ns: int, env_id: int, data: mujoco.MjData) -> bytes:
+        """Return the serialized `SceneUpdate` of an environment's commands.
+
+        Args:
+            time_ns: Its time.
+            env_id: The environment.
+            data: Its kinematics.
+        """
+        update = SceneUpdate()
+        for name, command in self._drawn.items():
+            is_pose, body = command.marker.kind == "pose", int(command.marker.body)
+            entity = update.entities.add(id=f"env_{env_id}/commands/{name}")
+            entity.timestamp.FromNanoseconds(time_ns)
+            entity.frame_locked = is_pose  # it moves with the body
+            entity.frame_id = f"env_{env_id}{self._frames[body if is_pose else 0]}"
+            if is_pose:
+                _add_axes(entity.arrows, command.values[env_id])
+            else:
+                _add_velocity(entity.arrows, command.values[env_id], data, body)
+        encoded: bytes = update.SerializeToString()
+        return encoded
+
+
+def _add_axes(arrows: Any, pose: F64) -> None:
+    """Add the axes of a frame: position and quaternion wxyz."""
+    for quat, color in zip(quat_multiply(pose[3:], _TO_AXES), (_RED, _GREEN, _BLUE), strict=True):
+        _add_arrow(arrows, pose[:3], quat, AXIS_LENGTH, color)
+
+
+def _add_velocity(arrows: Any, command: F64, data: mujoco.MjData, body: int) -> None:
+    """Add an arrow in the direction of motion in the plane, and one along z for the rotation.
+
+    Args:
+        arrows: Where to add them.
+        command: Velocity forward, to the left (m/s), and about z (rad/s).
+        data: Kinematics.
+        body: The body that moves.
+    """
+    forward, left, turn = command.tolist()
+    origin, matrix = data.xpos[body] + (0.0, 0.0, ABOVE), data.xmat[body]
+    speed = math.hypot(forward, left)
+    if speed:
+        half = 0.5 * (math.atan2(matrix[3], matrix[0]) + math.atan2(left, forward))
+        rotation = np.array([math.cos(half), 0.0, 0.0, math.sin(half)])
+        _add_arrow(arrows, origin, rotation, METRES_PER_SPEED * speed, _GREEN)
+    if turn:
+        rotation = np.array([_S, 0.0, math.copysign(_S, -turn), 0.0])
+        _add_arrow(arrows, origin, rotation, METRES_PER_SPEED * abs(turn), _BLUE)
+
+
+def _add_arrow(arrows: Any, origin: F64, quat: F64, length: float, color: Color) -> None:
+    head = min(0.3 * length, 0.06)
+    size = {"shaft_length": length - head, "head_length": head}
+    arrow = arrows.add(**size, shaft_diameter=0.015, head_diameter=0.035, color=color)
+    position, orientation = arrow.pose.position, arrow.pose.orientation
+    position.x, position.y, position.z = origin.tolist()
+    orientation.w, orientation.x, orientation.y, orientation.z = quat.tolist()

@@ -8,34 +8,53 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Iterator
+from itertools import chain
+from typing import TYPE_CHECKING, Protocol
 
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex, Write
-from embodichain.lab.sim.engine.layout import row_layout
+from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex, Write, row_layout
 from embodichain.recording.options import RecordLike
+from embodichain.recording.views.channels import (
+    METRICS,
+    Frames,
+    Joints,
+    Scalars,
+    ending_text,
+    event_text,
+    ids_text,
+    log_line,
+)
 from embodichain.recording.views.layout import pitch_of, places
-from embodichain.recording.views.log_lines import ending_text, event_text, ids_text, log_line
-from embodichain.recording.views.markers import Commands
-from embodichain.recording.views.messages import Sink
-from embodichain.recording.views.motion import Frames, Joints
-from embodichain.recording.views.scalars import METRICS, Scalars
-from embodichain.recording.views.scene import Props, scene_update
+from embodichain.recording.views.scene import Commands, Scenes
 from embodichain.recording.views.shapes import LOOKS, PLANE_SIZE
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import EventRecord, ObservedEnv, StepRecord
 
-__all__ = ["SEEN", "Views"]
+__all__ = ["Sink", "Views"]
 
-SEEN = (
+_SEEN = (
     *LOOKS,
     *("geom_sameframe", "body_pos", "body_quat", "body_sameframe", "jnt_pos", "jnt_axis", "qpos0"),
 )
-"""How the names of model fields begin that move or colour anything."""
+"""Prefixes of the model fields that move or colour anything."""
+
+
+class Sink(Protocol):
+    """Where messages go: a file, or connected viewers."""
+
+    def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
+        """Declare a channel; `data` is the schema's FileDescriptorSet if `schema` has none."""
+
+    def send(self, time_ns: int, messages: Iterable[tuple[str, bytes]]) -> None:
+        """Write or send serialized messages of one time, each with its topic.
+
+        Iterating encodes them: a file does so for many samples at a time, which is several times
+        as fast as among the steps of a simulation.
+        """
 
 
 class Views:
@@ -57,20 +76,19 @@ class Views:
         self._sink, self._now = sink, now
         self._every = max(1, math.ceil(1.0 / (options.view_hz * float(env.step_dt)) - 1e-9))
         self._period_ns = self._every * round(float(env.step_dt) * 1e9)
-        self._shown: dict[int, bool] = dict.fromkeys(self._ids.tolist(), True)
+        self._due: dict[int, bool] = dict.fromkeys(self._ids.tolist(), True)
         """Environments whose scene is due; whether even if it looks as before."""
         self._sampled = -1
         self._next_line: dict[str, int] = {}  # interval term: when it may have a line again
-        self._rewards = getattr(env, "reward_manager", None)  # environments of others may have none
+        self._rewards = getattr(env, "reward_manager", None)  # other classes may have no manager
         self._commands = Commands(env)
         self._scalars: Scalars | None = None
         engine = env.sim.engine
-        offsets = places(env, self._ids.tolist())
-        props = Props(pitch_of(env) if len(self._ids) > 1 else PLANE_SIZE)
-        changed = {name for name in engine.model_fields() if name.startswith(SEEN)}
-        self._viewed = {i: _Viewed(engine, i, props, changed) for i in self._ids.tolist()}
+        scenes = Scenes(pitch_of(env) if len(self._ids) > 1 else PLANE_SIZE)
+        changed = {name for name in engine.model_fields() if name.startswith(_SEEN)}
+        self._viewed = {i: _Viewed(engine, i, scenes, changed) for i in self._ids.tolist()}
         self._data = mujoco.MjData(engine.model)
-        self._frames = Frames(engine.model, list(self._viewed), offsets)
+        self._frames = Frames(engine.model, list(self._viewed), places(env, self._ids.tolist()))
         self._joints = Joints(engine.model)
         layout = row_layout(engine.model)
         inputs = {name: getattr(self._data, name) for name in ("qpos", "mocap_pos", "mocap_quat")}
@@ -86,24 +104,26 @@ class Views:
 
     def say(self, message: str, level: str = "INFO") -> None:
         """Write a line to `/log`."""
+        self._send_lines([message], level)
+
+    def _send_lines(self, texts: list[str], level: str = "INFO") -> None:
         time_ns = self._now()
-        self._sink.send(time_ns, [("/log", log_line(time_ns, message, level))])
+        self._sink.send(time_ns, (("/log", log_line(time_ns, text, level)) for text in texts))
 
     def show(self, env_ids: Iterable[int]) -> None:
-        """Show the scenes of these environments with the next sample, changed or not."""
-        self._shown.update(dict.fromkeys(self._viewed.keys() & set(env_ids), True))
+        """Write the scenes of these environments with the next sample, changed or not."""
+        self._due.update(dict.fromkeys(self._viewed.keys() & set(env_ids), True))
 
     def on_model_write(self, write: Write) -> None:
         """Note that a model field of viewed environments has changed."""
-        if write.field.startswith(SEEN):
-            for env_id in self._among(write.env_ids):
+        if write.field.startswith(_SEEN):
+            for env_id in self._viewed_of(write.env_ids):
                 self._viewed[env_id].changed.add(write.field)
 
-    def _among(self, env_ids: EnvIndex | None) -> list[int]:
+    def _viewed_of(self, env_ids: EnvIndex | None) -> list[int]:
         """Which of these environments (None: all) are viewed."""
-        found: list[int] = (
-            self._ids if env_ids is None else env_ids[self._is_viewed[env_ids]]
-        ).tolist()
+        ids = self._ids if env_ids is None else env_ids[self._is_viewed[env_ids]]
+        found: list[int] = ids.tolist()
         return found
 
     def on_rows(self, step: int, rows: F64, last: bool = False) -> None:
@@ -116,34 +136,44 @@ class Views:
         """
         if not self._viewed or step == self._sampled:
             return
-        if step % self._every and not self._shown and not last:
+        if step % self._every and not self._due and not last:
             return
         self._sampled, time_ns = step, self._now()
-        messages = [
+        scenes = [
             (self._viewed[env_id].scene, scene)
-            for env_id, anyway in self._shown.items()
+            for env_id, anyway in self._due.items()
             if (scene := self._viewed[env_id].look(time_ns, anyway)) is not None
         ]
-        self._shown = {}
+        self._due = {}
+        models = [viewed.model for viewed in self._viewed.values()]
+        samples = chain(scenes, self._encoded(time_ns, rows[self._ids], models))
+        # Values of commands and models of single environments may change before the file is
+        # written.
+        live = self._commands.drawn or any(viewed.owns_model for viewed in self._viewed.values())
+        self._sink.send(time_ns, list(samples) if live else samples)
+
+    def _encoded(
+        self, time_ns: int, rows: F64, models: list[mujoco.MjModel]
+    ) -> Iterator[tuple[str, bytes]]:
+        """Encode a sample of the n viewed environments: (n, nstate) rows, and n models."""
         data = self._data
         for index, (env_id, viewed) in enumerate(self._viewed.items()):
-            row = rows[env_id]
+            row = rows[index]
             for target, columns in self._inputs:
                 target[:] = row[columns]
-            mujoco.mj_kinematics(viewed.model, data)
+            mujoco.mj_kinematics(models[index], data)
             self._frames.place(index, data)
-            messages.append((viewed.joints, self._joints.encode(time_ns, row)))
+            yield viewed.joints, self._joints.encode(time_ns, row)
             if self._commands.drawn:
-                messages.append((viewed.markers, self._commands.update(time_ns, env_id, data)))
-        messages.append(("/tf", self._frames.encode(time_ns)))
-        self._sink.send(time_ns, messages)
+                yield viewed.markers, self._commands.encode(time_ns, env_id, data)
+        yield "/tf", self._frames.encode(time_ns)
 
     def on_reset(self, env_ids: EnvIndex) -> None:
         """Sample viewed environments that were reset, with their scene if it has changed."""
-        seen = self._among(env_ids)
+        seen = self._viewed_of(env_ids)
         if seen:
             for env_id in seen:
-                self._shown.setdefault(env_id, False)
+                self._due.setdefault(env_id, False)
             self.say(f"environments {ids_text(np.array(seen))} reset")
 
     def on_event(self, event: EventRecord) -> None:
@@ -152,19 +182,19 @@ class Views:
         Terms that fire at intervals have lines at most as often as environments are sampled; the
         log's events have all of them.
         """
-        time_ns, ids = self._now(), event.env_ids
+        ids = event.env_ids
         if event.mode == "interval":
+            time_ns = self._now()
             if time_ns < self._next_line.get(event.term, 0):
                 return
             self._next_line[event.term] = time_ns + self._period_ns
-        lines = []
-        for env_id in self._among(ids):
+        texts = []
+        for env_id in self._viewed_of(ids):
             row = env_id if ids is None else int(np.searchsorted(ids, env_id))
             drawn = {name: values[row] for name, values in event.drawn.items()}
-            text = event_text(env_id, event.term, event.mode, drawn)
-            lines.append(("/log", log_line(time_ns, text)))
-        if lines:
-            self._sink.send(time_ns, lines)
+            texts.append(event_text(env_id, event.term, event.mode, drawn))
+        if texts:
+            self._send_lines(texts)
 
     def on_step(self, step: int, record: StepRecord, ended: bool = True) -> None:
         """Write the numbers of viewed environments if they are due, and lines for what ended.
@@ -180,12 +210,12 @@ class Views:
             scalars, time_ns = self.declare(record), self._now()
             if self._rewards is not None:
                 scalars.weigh(self._rewards.weights)
-            metrics = zip(self._viewed.values(), scalars.encode(record), strict=True)
-            self._sink.send(time_ns, [(viewed.metrics, data) for viewed, data in metrics])
+            metrics = zip(self._viewed.values(), scalars.of(record), strict=True)
+            self._sink.send(time_ns, ((v.metrics, scalars.encode(values)) for v, values in metrics))
 
     def _say_endings(self, step: int, record: StepRecord) -> None:
         diverged = record.info.get("diverged")
-        if diverged is not None and record.terminated.any():  # to diverge is to terminate
+        if diverged is not None and record.terminated.any():  # divergence terminates
             ids = np.flatnonzero(np.asarray(diverged))
             if len(ids):
                 self.say(f"environments {ids_text(ids)} diverged in step {step}", "WARNING")
@@ -196,45 +226,46 @@ class Views:
     def declare(self, record: StepRecord) -> Scalars:
         """Return the run's scalars; the first call finds them and declares their channels."""
         if self._scalars is None:
-            self._scalars = Scalars(record, list(self._viewed), self._commands)
+            self._scalars = Scalars(record, list(self._viewed), self._commands.scalars())
             schema = self._scalars.descriptor_set
             for viewed in self._viewed.values():
                 self._sink.channel(viewed.metrics, f"embodichain.{METRICS}", schema)
         return self._scalars
 
     def close(self, step: int, rows: F64) -> None:
-        """Show the last state, and say that recording ends."""
+        """Write the last state, and that recording ends."""
         self.on_rows(step, rows, last=True)
         self.say(f"recording ends after {step} steps")
 
 
 class _Viewed:
-    """What one environment looks like.
+    """The topics and the model of one environment.
 
     Args:
         engine: Its engine.
         env_id: The environment.
-        props: Encoded meshes.
+        scenes: Encodes its scene.
         changed: Model fields that differ between environments already.
 
     Attributes:
         changed: Model fields that have changed since they were read.
+        owns_model: Whether the environment's model is a copy of its own.
         scene, joints, markers, metrics: Its topics.
     """
 
-    def __init__(self, engine: Engine, env_id: int, props: Props, changed: set[str]) -> None:
-        self._engine, self._env_id, self._props = engine, env_id, props
-        self._model, self._owned, self._stale = engine.model, False, True
+    def __init__(self, engine: Engine, env_id: int, scenes: Scenes, changed: set[str]) -> None:
+        self._engine, self._env_id, self._scenes = engine, env_id, scenes
+        self._model, self.owns_model, self._stale = engine.model, False, True
         self.changed = set(changed)
         names = "scene", "joint_states", "markers", "metrics"
         self.scene, self.joints, self.markers, self.metrics = (f"/env_{env_id}/{n}" for n in names)
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The environment's model as it is now, as far as `SEEN` goes."""
+        """The environment's model as it is now, as far as `_SEEN` goes."""
         if self.changed:
-            if not self._owned:
-                self._model, self._owned = copy.copy(self._model), True
+            if not self.owns_model:
+                self._model, self.owns_model = copy.copy(self._model), True
             for field in self.changed:
                 values = self._engine.model_field(field)[self._env_id]
                 getattr(self._model, field).reshape(-1)[:] = values
@@ -243,9 +274,9 @@ class _Viewed:
         return self._model
 
     def look(self, time_ns: int, anyway: bool) -> bytes | None:
-        """Return its `SceneUpdate`; None if it looks as before, unless that is wanted anyway."""
+        """Return its `SceneUpdate`; None if it looks as before, unless `anyway`."""
         model = self.model
         if not self._stale and not anyway:
             return None
         self._stale = False
-        return scene_update(time_ns, model, self._env_id, self._props)
+        return self._scenes.encode(time_ns, model, self._env_id)

@@ -190,14 +190,14 @@ def test_every_section_is_converted_or_listed() -> None:
         "sensor.1": "sensors: {NAME: {sensor_type: contact",
         "light.direct.1": "rect",
         "light.indirect": "one background light",
-        "rigid_object.0.max_convex_hull_num": "collides by its hull",
+        "rigid_object.0.max_convex_hull_num": "collides as its convex hull",
         "rigid_object_group": "one by one",
         "articulation.0.build_pk_chain": "kinematics",
         "env.control_parts": "actions have only these",
-        "env.dataset": "the log holds every step",
+        "env.dataset": "the log contains every step",
         "env.events.colour": "ray tracer",
         "env.observations.mask": "cameras",
-        "env.observations.cube.extra": "nothing reads it",
+        "env.observations.cube.extra": "it has no effect in EmbodiChain",
         "env.actions.arm.mode": "before physics",
     }.items():
         assert words in found[path], path
@@ -288,7 +288,7 @@ def test_components_of_a_robot_are_kept() -> None:
         "components": components,
     }
     found = notes(conversion)
-    assert found["robot.urdf_cfg.components.0.wheel_type"] == "nothing reads it"
+    assert found["robot.urdf_cfg.components.0.wheel_type"] == "it has no effect"
     assert "nothing is written" in found["robot.urdf_cfg.fname"]
     beside = convert({"robot": {"fpath": "c.urdf", "urdf_cfg": urdf}})
     assert beside.task["robot"] == {"fpath": "c.urdf"}

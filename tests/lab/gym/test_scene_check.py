@@ -3,7 +3,7 @@ import sys
 
 import pytest
 
-from embodichain.lab.gym.envs import scene_check
+from embodichain.lab.gym.envs import scene_setup
 from embodichain.lab.gym.envs.cfg import (
     ActionTermCfg,
     EnvCfg,
@@ -13,9 +13,13 @@ from embodichain.lab.gym.envs.cfg import (
     RewardCfg,
     SceneEntityCfg,
 )
-from embodichain.lab.gym.envs.drive_changes import drive_changes
-from embodichain.lab.gym.envs.scene_check import describe
-from embodichain.lab.gym.envs.scene_setup import add_declared_robots, add_declared_scene, frozen_cfg
+from embodichain.lab.gym.envs.scene_setup import (
+    add_declared_robots,
+    add_declared_scene,
+    describe,
+    drive_changes,
+    frozen_cfg,
+)
 from embodichain.lab.sim import scene as scene_module
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
@@ -268,7 +272,7 @@ def test_checking_a_scene_imports_no_torch():
         "import sys\n"
         "from embodichain.lab.gym.envs.cfg import EnvCfg\n"
         "from embodichain.lab.sim.cfg import RobotCfg\n"
-        "from embodichain.lab.gym.envs.scene_check import describe\n"
+        "from embodichain.lab.gym.envs.scene_setup import describe\n"
         f"cfg = EnvCfg(robot=RobotCfg(fpath={UR10!r}))\n"
         "assert not describe(cfg)\n"
         "assert 'torch' not in sys.modules"
@@ -311,7 +315,7 @@ def reading(monkeypatch):
 
         return call
 
-    for module in (scene_check, scene_module):
+    for module in (scene_setup, scene_module):
         monkeypatch.setattr(module, "compile_scene", counted("scenes", module.compile_scene))
     read = counted("files", articulation.read_robot)
     monkeypatch.setattr(articulation, "read_robot", read)

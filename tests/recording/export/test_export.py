@@ -18,7 +18,7 @@ import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.recording import RecordOptions
 from embodichain.recording.export import FORMATS, Part, export
-from embodichain.recording.export.urdf import urdf
+from embodichain.recording.export.ros2 import urdf
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import MODEL
 

@@ -13,7 +13,7 @@ from embodichain.cli.app import call
 from embodichain.recording import McapRecorder
 from embodichain.recording.viewers import log_player
 from embodichain.recording.viewers.log_player import NativeScreen, play_log
-from embodichain.recording.viewers.web_page import WebPage
+from embodichain.recording.viewers.web_page import PageOptions, WebPage
 from embodichain.utils.errors import ConfigError
 from tests.helpers.browser import chromium, needs_chromium, picture, share_of
 from tests.recording.scene import SmallEnv
@@ -180,7 +180,7 @@ def test_the_page_shows_the_log(tmp_path):
         env.step(np.zeros((1, 6), np.float32))
     env.close()
     with recording.open(tmp_path / "log.mcap") as log:
-        page = WebPage(log.model, resets=False)
+        page = WebPage(log.model, PageOptions(resets=False))
         stop = SimpleNamespace(now=False)
         arguments = {"speed": 0.1, "stopped": lambda: stop.now}
         thread = threading.Thread(target=play_log, args=(log, page), kwargs=arguments)

@@ -12,8 +12,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from embodichain.recording.viewers.controls import Controls, Facts
-from embodichain.recording.viewers.web_page import WebPage
+from embodichain.recording.viewers.web_page import Controls, Facts, PageOptions, WebPage
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import MODEL, SmallEnv
 
@@ -198,13 +197,13 @@ def test_an_address_that_cannot_be_listened_on():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(ConfigError, match=f"Port {port} is already in use"):
-            WebPage(MODEL, port=port)
+            WebPage(MODEL, PageOptions(port=port))
     with pytest.raises(ConfigError, match=r"viewer: cannot listen on 192\.0\.2\.77"):
-        WebPage(MODEL, "192.0.2.77")
+        WebPage(MODEL, PageOptions("192.0.2.77"))
 
 
 def test_two_pages_have_a_port_each(page):
-    other = WebPage(MODEL, "localhost")
+    other = WebPage(MODEL, PageOptions("localhost"))
     assert port_of(other) != port_of(page)
     assert ask(other)[0] == ask(page)[0] == 200
     other.close()
@@ -251,9 +250,9 @@ def crc_of(state):
 def test_a_studio_that_cannot_be_confined_serves_nothing(break_it, why):
     """A later MuJoCo may go another way: then there is an error, and no open port."""
     code = (
-        "import mujoco, embodichain.recording.viewers.studio as s\n"
+        "import mujoco, embodichain.recording.viewers.web_process as s\n"
         f"s._START_SECONDS = 2.0\n{break_it}\n"
-        "s.Studio(mujoco.MjSpec().compile(), '127.0.0.1', None, '', [])\n"
+        "s.Studio(mujoco.MjSpec().compile(), s.PageOptions())\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], check=False, timeout=60, capture_output=True, text=True

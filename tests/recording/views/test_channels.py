@@ -16,8 +16,7 @@ import embodichain.recording as recording
 from embodichain.recording import McapRecorder, inspect
 from embodichain.recording.options import RecordOptions
 from embodichain.recording.views.layout import foxglove_layout
-from embodichain.recording.views.meshes import glb
-from embodichain.recording.views.shapes import mesh_of
+from embodichain.recording.views.shapes import glb, mesh_of
 from tests.recording.scene import MODEL, SmallEnv
 
 VIEW = RecordOptions(view_envs=(0, 2), view_hz=1000)  # every control step

@@ -6,8 +6,7 @@ import struct
 import numpy as np
 import pytest
 
-from embodichain.recording.views.meshes import glb
-from embodichain.recording.views.shapes import Mesh
+from embodichain.recording.views.shapes import Mesh, glb
 
 CORNERS = np.array([(x, y, z) for x in (0, 1) for y in (0, 2) for z in (0, 3)], np.float32)
 BOX = Mesh(

@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.utils.spaces import joint_space
+from embodichain.lab.gym.envs.mdp.actions.joint_action import finite_limits
 from embodichain.lab.sim.objects._arrays import all_finite
 from embodichain.utils.tensor_mapping import leaves_of
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.action_manager import ActionManager
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.objects.robot import Robot
     from embodichain.lab.sim.types import EnvAction
 
@@ -26,12 +26,16 @@ __all__ = ["ActionCheck", "action_space", "drive_robot"]
 def action_space(
     robot: Robot | None, joint_ids: Sequence[int], manager: ActionManager
 ) -> gym.spaces.Box:
-    """Return the action space of one environment: that of action terms, or joint positions."""
+    """Return the action space of one environment: that of action terms, or joint positions.
+
+    The latter are finite for joints without limits too.
+    """
     if len(manager):
         return gym.spaces.Box(manager.low, manager.high, dtype=np.float32)
     if robot is None:
         return gym.spaces.Box(0.0, 0.0, (0,), np.float32)
-    return joint_space(robot, joint_ids)
+    low, high = finite_limits(robot.parsed.qpos_limits, joint_ids)
+    return gym.spaces.Box(low.astype(np.float32), high.astype(np.float32))
 
 
 class ActionCheck:

@@ -14,29 +14,26 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 import numpy as np
 import torch
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs import autoreset, restoring, scene_setup, seeding
+from embodichain.lab.gym.envs import restoring, scene_setup
 from embodichain.lab.gym.envs.actions import ActionCheck, action_space
-from embodichain.lab.gym.envs.autoreset import AutoresetMode
 from embodichain.lab.gym.envs.cfg import EnvCfg
-from embodichain.lab.gym.envs.divergence import StateDump
-from embodichain.lab.gym.envs.drive_changes import drive_changes
-from embodichain.lab.gym.envs.embodichain_members import EmbodiChainMembers
 from embodichain.lab.gym.envs.env_reads import EnvReads
-from embodichain.lab.gym.envs.episodes import Episodes
+from embodichain.lab.gym.envs.episodes import Episodes, add_finals, parse_mode, seed_globals, zeroed
 from embodichain.lab.gym.envs.hooks import EnvHooks, overridden_hooks
-from embodichain.lab.gym.envs.judging import StepJudge, as_mask, ends, none_set, reset_ids
+from embodichain.lab.gym.envs.judging import StateDump, StepJudge, as_mask, none_set, reset_ids
 from embodichain.lab.gym.envs.managers.action_manager import ActionManager
-from embodichain.lab.gym.envs.managers.base import Manager
-from embodichain.lab.gym.envs.managers.command_manager import CommandManager
-from embodichain.lab.gym.envs.managers.curriculum_manager import CurriculumManager
-from embodichain.lab.gym.envs.managers.event_manager import EventManager
-from embodichain.lab.gym.envs.managers.metric_manager import MetricManager
+from embodichain.lab.gym.envs.managers.drawing import CommandManager, EventManager
+from embodichain.lab.gym.envs.managers.manager import CurriculumManager, Manager
 from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
-from embodichain.lab.gym.envs.managers.reward_manager import RewardManager
-from embodichain.lab.gym.envs.managers.termination_manager import TerminationManager
+from embodichain.lab.gym.envs.managers.value_managers import (
+    MetricManager,
+    RewardManager,
+    TerminationManager,
+)
 from embodichain.lab.gym.envs.observation import Observation
 from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
 from embodichain.lab.gym.envs.observers import Observers, StepRecord
@@ -46,10 +43,10 @@ from embodichain.lab.sim.objects._arrays import as_env_ids
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
 from embodichain.utils.errors import ConfigError
-from embodichain.utils.random import RandomStreams
+from embodichain.utils.random import RandomStreams, first_seed
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["BaseEnv", "EmbodiedEnv"]
 
@@ -59,7 +56,7 @@ Info = dict[str, Any]
 _ZERO = np.float32(0.0)
 
 
-class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]):
+class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
     """N environments of one task: declared in an `EnvCfg`, or built by overriding hooks, or both.
 
     Observations are nested mappings of float32 tensors (N, ...), see `TensorMapping`;
@@ -103,29 +100,28 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         run_dir: Path | None = None,
         **kwargs: Any,
     ) -> None:
-        EmbodiChainMembers.__init__(self)
+        self.affordance_datas = {}
         self.cfg = cfg = scene_setup.frozen_cfg(cfg, num_envs)
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"unknown render_mode {render_mode!r}; one of: rgb_array, None")
         self.render_mode = render_mode
         self.run_dir, self.control_step = run_dir, 0
         self.sim_steps_per_control = cfg.sim_steps_per_control
-        self.metadata = autoreset.instance_metadata(self, autoreset.parse_mode(autoreset_mode))
+        self.metadata = {**type(self).metadata, "autoreset_mode": parse_mode(autoreset_mode)}
         self.metadata["render_fps"] = self.control_frequency
-        self.streams = RandomStreams(seeding.first_seed(cfg.seed), cfg.num_envs)
+        self.streams = RandomStreams(first_seed(cfg.seed), cfg.num_envs)
         if cfg.seed is not None:
-            seeding.seed_globals(self, self.streams.seed)
+            seed_globals(self, self.streams.seed)
         self.episodes = Episodes(cfg.num_envs, cfg.max_episode_steps)
         self.observers = Observers(self)
         # EmbodiChain shares one class-level list between all environments of a process.
         self.active_joint_ids = list(type(self).active_joint_ids)
-        self.sensors = {}
-        self._detached_uids: list[str] = []
+        self.sensors, self._detached_uids = {}, []
         self.overridden = overridden_hooks(type(self))
         self._task_success = torch.zeros(cfg.num_envs, dtype=torch.bool)
         self._closed = False
         self.sim = SimulationManager(cfg.sim_cfg)
-        self.sim.drive_changes = drive_changes(cfg.events)
+        self.sim.drive_changes = scene_setup.drive_changes(cfg.events)
         try:
             self._build_scene(kwargs)
             self._build_managers()
@@ -236,7 +232,8 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         options = dict(options or {})
         ids = reset_ids(options, self.num_envs)
         if seed is not None:
-            seeding.seed_globals(self, seeding.reseed(self.streams, seed))
+            self.streams.reseed(seed)
+            seed_globals(self, self.streams.seed)
         self._reset_rows(ids, options)
         self.episodes.settle(ids)
         return self._observe_reset(ids, options), dict(self.get_info(**options).items())
@@ -267,7 +264,7 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         saved = None if where is None else self.streams.state_dict()
         obs = self._observe(options, where)
         if saved is not None:
-            seeding.rewind(self.streams, saved, others)
+            self.streams.rewind(saved, others)
         return self.observation_buffer.store_first(obs, others)
 
     # -- step ----------------------------------------------------------------------------------
@@ -345,12 +342,12 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         info["elapsed_steps"], over = self.elapsed_steps, episodes.over()
         if "check_truncated" in self.overridden:
             over |= as_mask(self.check_truncated(obs, info), self.num_envs, "check_truncated")
-        terminated, truncated = ends(outcome, over, self.cfg.ignore_terminations)
+        terminated, truncated = outcome.ends(over, self.cfg.ignore_terminations)
         if pending is not None and saved is not None:
-            seeding.rewind(self.streams, saved, pending)
+            self.streams.rewind(saved, pending)
             terminated, truncated = terminated & ~pending, truncated & ~pending
             reward = np.where(pending, _ZERO, reward)
-            info = autoreset.blanked(info, torch.from_numpy(pending))
+            info = zeroed(info, torch.from_numpy(pending))
         flags = torch.from_numpy(terminated), torch.from_numpy(truncated)
         rewards = torch.from_numpy(reward)
         if "_hook_after_sim_step" in self.overridden:
@@ -383,7 +380,7 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         mode = self.metadata["autoreset_mode"]
         done = None if none_set(terminated) and none_set(truncated) else terminated | truncated
         if mode is AutoresetMode.SAME_STEP and done is not None:
-            autoreset.add_finals(info, obs, done)
+            add_finals(info, obs, done)
         elif mode is AutoresetMode.NEXT_STEP:
             done, self.episodes.pending = self.episodes.pending, done
         else:

@@ -25,6 +25,7 @@ from embodichain.lab.sim.sensors.cfg import AnySensorCfg
 from embodichain.utils.configclass import configclass
 
 __all__ = [
+    "NO_LIMIT",
     "ActionTermCfg",
     "CommandCfg",
     "CurriculumCfg",
@@ -42,6 +43,8 @@ __all__ = [
     "ValueCfg",
 ]
 
+NO_LIMIT = 2**31 - 1
+"""`max_episode_steps` of an environment whose episodes are not limited."""
 Names = str | list[str] | None
 """One name or regex, several, or None for all."""
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]

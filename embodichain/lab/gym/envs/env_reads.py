@@ -9,7 +9,8 @@ import gymnasium as gym
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.episodes import NO_LIMIT, Episodes
+from embodichain.lab.gym.envs.cfg import NO_LIMIT, EnvCfg
+from embodichain.lab.gym.envs.episodes import Episodes
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
 from embodichain.lab.gym.envs.observers import EventRecord, Observers, StepObserver
 from embodichain.lab.gym.utils.spaces import flat_space
@@ -18,12 +19,12 @@ from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.cfg import EnvCfg
-    from embodichain.lab.gym.envs.managers.metric_manager import MetricManager
+    import torch
+
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-    from embodichain.lab.gym.envs.managers.termination_manager import TerminationManager
+    from embodichain.lab.gym.envs.managers.value_managers import MetricManager, TerminationManager
     from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.utils.random import RandomStreams
 
@@ -31,8 +32,19 @@ __all__ = ["EnvReads"]
 
 
 class EnvReads:
-    """Size, clock, counters, random numbers and scene of N environments."""
+    """Size, clock, counters, random numbers and scene of N environments.
 
+    Attributes:
+        affordance_datas: Values that a task's own code shares; `state_dict` contains only the
+            entries that event terms write.
+        rollout_buffer, action_bank: Always None, `current_rollout_step` 0: names of EmbodiChain's;
+            learners have buffers of their own, and there are no action banks.
+    """
+
+    affordance_datas: dict[str, Any]
+    rollout_buffer: None = None
+    current_rollout_step: int = 0
+    action_bank: None = None
     cfg: EnvCfg
     sim: SimulationManager
     streams: RandomStreams
@@ -227,3 +239,30 @@ class EnvReads:
         """Tell observers that a term fired, and what it drew."""
         if self.observers:
             self.observers.on_event(EventRecord(term, mode, env_ids, drawn or {}))
+
+    # -- names of EmbodiChain 0.2.1 ------------------------------------------------------------
+
+    @property
+    def sim_freq(self) -> float:
+        """Physics steps a second."""
+        return self.physics_frequency
+
+    @property
+    def control_freq(self) -> float:
+        """Control steps a second."""
+        return self.control_frequency
+
+    @property
+    def _elapsed_steps(self) -> torch.Tensor:
+        return self.elapsed_steps
+
+    def add_camera_group_id(self, group_id: int) -> None:
+        """Accept a camera group, which EmbodiChain's renderer needs; no effect here."""
+
+    def set_affordance(self, key: str, value: Any) -> None:
+        """Set a value of `affordance_datas`."""
+        self.affordance_datas[key] = value
+
+    def get_affordance(self, key: str, default: Any = None) -> Any:
+        """Return a value of `affordance_datas`."""
+        return self.affordance_datas.get(key, default)

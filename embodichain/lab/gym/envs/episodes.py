@@ -1,16 +1,29 @@
-"""`Episodes`: counters of N environments' episodes, and how they end."""
+"""`Episodes`: counters of N environments' episodes, and how they end; autoreset modes.
+
+`add_finals` and `zeroed` change what `info` has of an episode that a reset replaced.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-__all__ = ["NO_LIMIT", "Episodes"]
+from embodichain.utils.suggest import did_you_mean
 
-NO_LIMIT = 2**31 - 1
-"""`max_episode_steps` of an environment whose episodes are not limited."""
+__all__ = [
+    "AutoresetMode",
+    "Episodes",
+    "add_finals",
+    "parse_mode",
+    "seed_globals",
+    "zeroed",
+]
 
 Mask = NDArray[np.bool_]
 
@@ -112,3 +125,62 @@ class Episodes:
         self.success, self.last_action = saved["success"].copy(), saved["last_action"].copy()
         self.pending = None if saved["pending"] is None else saved["pending"].copy()
         self.cut = None if saved["cut"] is None else saved["cut"].copy()
+
+
+FINAL_KEYS = ("final_obs", "final_info", "_final_obs", "_final_info", "final_observation")
+
+
+def parse_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    """Return Gymnasium's mode for a mode, its name or its value.
+
+    Raises:
+        ValueError: If there is no such mode; lists them.
+    """
+    if isinstance(mode, AutoresetMode):
+        return mode
+    names = {m.name: m for m in AutoresetMode} | {m.value: m for m in AutoresetMode}
+    found = names.get(mode) or names.get(str(mode).upper())
+    if found is None:
+        allowed = ", ".join(m.name for m in AutoresetMode)
+        raise ValueError(
+            f"unknown autoreset_mode {mode!r}; one of: {allowed}.{did_you_mean(str(mode), names)}"
+        )
+    return found
+
+
+def seed_globals(env: gym.Env[Any, Any], seed: int) -> None:
+    """Seed what code outside this package may draw from: `np_random` and torch's generator.
+
+    Nothing in this package draws from torch's generator; tutorial-like classes do.
+    """
+    gym.Env.reset(env, seed=seed if seed >= 0 else seed % 2**64)
+    torch.manual_seed(seed % 2**64)
+
+
+def add_finals(info: dict[str, Any], obs: Any, done: NDArray[np.bool_]) -> None:
+    """Put the final observation and info of environments that are done into ``info``.
+
+    ``final_obs`` (``final_observation`` is the same object) and ``final_info`` have a row for
+    every environment; only rows where ``_final_obs`` is True are final.
+    """
+    mask = torch.from_numpy(done)
+    info["final_info"] = {key: value for key, value in info.items() if key not in FINAL_KEYS}
+    info["final_obs"] = info["final_observation"] = obs
+    info["_final_obs"] = info["_final_info"] = mask
+
+
+def zeroed(info: Mapping[str, Any], rows: torch.Tensor) -> dict[str, Any]:
+    """Return a copy of ``info`` with some rows of every (N, ...) tensor zeroed, nested ones too.
+
+    Args:
+        info: Left as it is, its tensors too.
+        rows: (N,) bool.
+    """
+    copy = dict(info)
+    for key, value in info.items():
+        if isinstance(value, Mapping):
+            copy[key] = zeroed(value, rows)
+        elif isinstance(value, torch.Tensor) and value.shape[:1] == rows.shape:
+            copy[key] = value.clone()
+            copy[key][rows] = 0
+    return copy

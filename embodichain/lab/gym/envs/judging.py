@@ -1,35 +1,41 @@
 """How a step is judged: success and failure, rewards, divergence, whose episode ends.
 
 `StepJudge` asks the hooks and managers of an environment; the functions are of arrays (N,).
+`StateDump` writes the states of environments that diverged to files.
 """
 
 from __future__ import annotations
 
+import logging
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.autoreset import blanked
-from embodichain.lab.gym.envs.managers.dry_run import JudgedEnv, check_shapes
+from embodichain.lab.gym.envs.episodes import zeroed
+from embodichain.lab.gym.envs.managers.value_managers import JudgedEnv, check_shapes
 from embodichain.lab.sim.objects._arrays import all_finite, as_env_ids
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.episodes import Episodes
-    from embodichain.lab.gym.envs.managers.command_manager import CommandManager
-    from embodichain.lab.gym.envs.managers.curriculum_manager import CurriculumManager
+    from embodichain.lab.gym.envs.managers.drawing import CommandManager
+    from embodichain.lab.gym.envs.managers.manager import CurriculumManager
     from embodichain.lab.gym.envs.observation import Observation
+    from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.engine.cpu import CpuEngine
     from embodichain.lab.sim.types import EnvObs
 
 __all__ = [
     "Outcome",
+    "StateDump",
     "StepJudge",
     "as_mask",
     "bad_rows",
-    "ends",
     "none_set",
     "reset_ids",
     "task_state",
@@ -58,24 +64,22 @@ class Outcome:
             self.time_out = self.time_out & ~diverged
         self.diverged = diverged
 
+    def ends(self, truncated: Mask, ignore_terminations: bool) -> tuple[Mask, Mask]:
+        """Return who is terminated and who is truncated.
 
-def ends(outcome: Outcome, truncated: Mask, ignore_terminations: bool) -> tuple[Mask, Mask]:
-    """Return who is terminated and who is truncated.
-
-    Args:
-        outcome: What the task says.
-        truncated: (N,) episodes at their limit; may be changed.
-        ignore_terminations: Whether success and failure end nothing.
-    """
-    if outcome.time_out is not None:
-        truncated |= outcome.time_out
-    terminated = outcome.success | outcome.fail
-    if ignore_terminations:
-        terminated = np.zeros_like(terminated)
-    if outcome.diverged is not None:
-        terminated |= outcome.diverged
-        truncated &= ~outcome.diverged
-    return terminated, truncated
+        Args:
+            truncated: (N,) episodes at their limit; may be changed.
+            ignore_terminations: Whether success and failure end nothing.
+        """
+        if self.time_out is not None:
+            truncated |= self.time_out
+        terminated = self.success | self.fail
+        if ignore_terminations:
+            terminated = np.zeros_like(terminated)
+        if self.diverged is not None:
+            terminated |= self.diverged
+            truncated &= ~self.diverged
+        return terminated, truncated
 
 
 def task_state(state: Any, num_envs: int, name: str) -> dict[str, Any]:
@@ -253,10 +257,75 @@ class StepJudge:
 
     def exclude(self, mask: Mask, info: Info, outcome: Outcome) -> Info:
         """Leave environments (N,) that diverged out of ``info``, sums and outcome."""
-        info = blanked(info, torch.from_numpy(mask))
+        info = zeroed(info, torch.from_numpy(mask))
         rewards, episodes = self._env.reward_manager, self._env.episodes
         rewards.take_back(mask)
         info["episode_sums"] = rewards.episode_sums
         outcome.exclude(mask)
         episodes.success = episodes.success & ~mask
         return info
+
+
+MAX_DUMPS = 10
+"""Files a run keeps at most; a task that always diverges would fill the disk."""
+
+logger = logging.getLogger(__name__)
+
+
+class StateDump:
+    """Copies the rows before physics, and writes those of environments that diverge to files.
+
+    Args:
+        engine: The simulations.
+    """
+
+    def __init__(self, engine: CpuEngine) -> None:
+        self._engine = engine
+        self._before: F64 = engine.rows.copy()
+        self._written = 0
+
+    def keep(self) -> None:
+        """Copy all rows as physics is about to receive them."""
+        np.copyto(self._before, self._engine.rows)
+
+    def write(
+        self, folder: Path | None, rows: NDArray[np.bool_], control_step: int, action: F64
+    ) -> None:
+        """Log which environments diverged, and write the first `MAX_DUMPS` of them to files.
+
+        A file ``diverged/step_S_env_I.npz`` holds the integration state ``before`` and ``after``
+        the physics of that control step, the ``action`` (A,) as given, and the environment's own
+        ``model.FIELD`` values.
+
+        Args:
+            folder: The run's folder; None writes nothing.
+            rows: (N,) bool, who diverged.
+            control_step: Number of the step, from 0: the one that a log of this run gives it.
+            action: (N, A).
+        """
+        ids = np.flatnonzero(rows)
+        logger.warning(
+            "control step %d: %d of %d environments diverged (%s%s); they end and are reset",
+            control_step,
+            len(ids),
+            len(rows),
+            ", ".join(map(str, ids[:8])),
+            ", ..." if len(ids) > 8 else "",
+        )
+        if folder is None or self._written >= MAX_DUMPS:
+            return
+        fields = self._engine.state_dict()["model"]
+        target = folder / "diverged"
+        target.mkdir(parents=True, exist_ok=True)
+        for env_id in ids[: MAX_DUMPS - self._written]:
+            path = target / f"step_{control_step}_env_{env_id}.npz"
+            values = {
+                "before": self._before[env_id],
+                "after": self._engine.rows[env_id],
+                "action": action[env_id],
+                **{f"model.{name}": field[env_id] for name, field in fields.items()},
+            }
+            partial = path.with_suffix(".partial.npz")
+            np.savez(partial, allow_pickle=False, **values)
+            os.replace(partial, path)
+            self._written += 1

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.sim.engine.base import F64, EnvIndex, PhysicsEvent, Write
+    from embodichain.lab.sim.engine.api import F64, EnvIndex, PhysicsEvent, Write
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.lab.sim.types import EnvObs
 

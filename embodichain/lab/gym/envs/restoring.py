@@ -14,14 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.snapshot import Drawn, Snapshot, SnapshotSource
-from embodichain.lab.sim.engine.layout import row_layout
+from embodichain.lab.sim.engine.api import row_layout
 from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.episodes import Episodes
-    from embodichain.lab.gym.envs.managers.base import Manager
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.gym.envs.managers.manager import Manager
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.engine.cpu import CpuEngine
     from embodichain.lab.sim.sim_manager import SimulationManager
 

@@ -146,7 +146,7 @@ def make_vec(
         flatten: Whether observations are what a policy sees, likewise.
         **kwargs: As for `make`.
     """
-    from embodichain.lab.gym.envs.autoreset import parse_mode
+    from embodichain.lab.gym.envs.episodes import parse_mode
     from embodichain.lab.gym.vector import NumpyVectorEnv
 
     mode = parse_mode(autoreset_mode)  # an unknown one is found before anything is built

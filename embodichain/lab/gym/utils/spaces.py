@@ -1,8 +1,8 @@
-"""Gymnasium spaces of observations and joints, and observations as numpy arrays."""
+"""Gymnasium spaces of observations, and observations as numpy arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -10,30 +10,16 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.utils.bounds import joint_bounds
-
 if TYPE_CHECKING:
-    from embodichain.lab.sim.objects.articulation import Articulation
+    pass
 
 __all__ = [
     "entry_spaces",
     "flat_space",
-    "joint_space",
     "named_obs",
     "numpy_obs",
     "observation_space",
 ]
-
-
-def joint_space(articulation: Articulation, joint_ids: Sequence[int]) -> spaces.Box:
-    """Return the Box of absolute joint positions, finite for joints without limits too.
-
-    Args:
-        articulation: The robot.
-        joint_ids: Its A joints, in the order of the action.
-    """
-    low, high = joint_bounds(articulation.parsed.qpos_limits, joint_ids)
-    return spaces.Box(low, high, dtype=np.float32)
 
 
 def observation_space(obs: Mapping[str, Any]) -> spaces.Dict:

@@ -1,4 +1,4 @@
-"""`CpuEngine`: `Engine` on `mujoco.batch.Batch`. Methods are documented in `base`.
+"""`CpuEngine`: `Engine` on `mujoco.batch.Batch`. Methods are documented in `api`.
 
 Use one instance from one Python thread at a time (`mujoco.batch`).
 """
@@ -13,31 +13,49 @@ import numpy as np
 from mujoco import batch as mjbatch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.base import (
+from embodichain.lab.sim.engine.api import (
+    ALL,
     F64,
+    Columns,
     Engine,
     EngineListener,
     EnvIndex,
     PhysicsEvent,
     Write,
+    row_layout,
 )
-from embodichain.lab.sim.engine.divergence import Divergence
-from embodichain.lab.sim.engine.kinematics import Kinematics
-from embodichain.lab.sim.engine.layout import entries, row_layout
 from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS, ModelFields
 from embodichain.lab.sim.engine.mujoco_process import install_log_handler, stop_timers
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["CpuEngine"]
+__all__ = ["KINEMATIC_STAGES", "CpuEngine", "entries"]
 
 _STAGE_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
+_STAGE_POS = int(mujoco.mjtStage.mjSTAGE_POS)
 _STAGE_VEL = int(mujoco.mjtStage.mjSTAGE_VEL)
 _STAGE_ACC = int(mujoco.mjtStage.mjSTAGE_ACC)
+
+KINEMATIC_STAGES = dict.fromkeys(
+    (
+        "xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "geom_xpos", "geom_xmat",
+        "site_xpos", "site_xmat", "subtree_com", "cdof",
+    ),
+    _STAGE_POS,
+) | dict.fromkeys(("cvel", "cdof_dot", "sensordata"), _STAGE_VEL)  # fmt: skip
+"""Fields that contacts do not enter, and the stage that computes each."""
 
 # They change no position- or velocity-stage field.
 _INPUTS = frozenset({"ctrl", "qfrc_applied", "xfrc_applied"})
 # Models whose bookkeeping lives in the MjData need one each (MuJoCo's manual, "batch").
 _HIDDEN_STATE = int(mujoco.mjtEnableBit.mjENBL_SLEEP) | int(mujoco.mjtEnableBit.mjENBL_IPC)
+_NO_CONTACT = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+_NO_CONSTRAINT = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+_NO_SENSOR = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+# Warnings that mean the state is no longer physics.
+_DIVERGED = [
+    int(getattr(mujoco.mjtWarning, f"mjWARN_{name}"))
+    for name in ("BADQPOS", "BADQVEL", "BADQACC", "BADCTRL", "CONTACTFULL", "CNSTRFULL")
+]
 
 
 class CpuEngine(Engine):
@@ -66,6 +84,7 @@ class CpuEngine(Engine):
         hidden = bool(model.opt.enableflags & _HIDDEN_STATE) or model.nplugin > 0
         self.model = model
         self.num_envs = num_envs
+        self.version = 0
         self.num_threads = min(threads, num_envs)
         self.persistent = hidden if persistent is None else persistent
         self.listeners: list[EngineListener] = []
@@ -82,14 +101,14 @@ class CpuEngine(Engine):
         self._fields = ModelFields(self._batch, num_envs)
         self._default_row: F64 = self._rows[0].copy()
         self._derived: dict[str, F64] = {}
-        self._kinematics = Kinematics()
+        self._kinematics = _Kinematics()
         # Outputs of the batch, and copies of them as of the last step or full forward: a call of
         # the batch for derived fields writes its outputs too.
         self._accelerations: dict[str, tuple[F64, F64]] = {}
         self._dirty = np.ones(num_envs, np.bool_)
         self._any_dirty = True
         self._all_dirty = True
-        self._divergence = Divergence(self._batch)
+        self._divergence = _Divergence(self._batch)
 
     # -- reads ---------------------------------------------------------------------------------
 
@@ -176,7 +195,7 @@ class CpuEngine(Engine):
         elif not self._all_dirty:
             self._dirty[env_ids] = False
             self._any_dirty = bool(self._dirty.any())
-        self._notify(Write("forward", "", env_ids, slice(None), None))
+        self._notify(Write("forward", "", env_ids, ALL, None))
 
     def _call(self, function: Any, *args: Any, **kwargs: int) -> EnvIndex | None:
         """Run a batch call; remember and return the environments in which MuJoCo raised."""
@@ -189,7 +208,7 @@ class CpuEngine(Engine):
         return None
 
     def reset(self, env_ids: EnvIndex | None = None) -> None:
-        rows: Any = slice(None) if env_ids is None else env_ids
+        rows: Any = ALL if env_ids is None else env_ids
         if self._plain_reset and self._fields.resets_alike:
             # What `Batch.reset` leaves in a row, without loading every simulation's MjData: a
             # hundredth of the time.
@@ -199,7 +218,7 @@ class CpuEngine(Engine):
             self._batch.reset(env_ids, stage=_STAGE_NONE)
         self._mark(env_ids)
         self._divergence.forget(rows)
-        self._notify(Write("reset", "row", env_ids, slice(None), None))
+        self._notify(Write("reset", "row", env_ids, ALL, None))
 
     def take_diverged(self) -> NDArray[np.bool_] | None:
         return self._divergence.take()
@@ -207,11 +226,7 @@ class CpuEngine(Engine):
     # -- writes --------------------------------------------------------------------------------
 
     def write(
-        self,
-        field: str,
-        values: Any,
-        env_ids: EnvIndex | None = None,
-        columns: NDArray[np.int64] | slice = slice(None),
+        self, field: str, values: Any, env_ids: EnvIndex | None = None, columns: Columns = ALL
     ) -> None:
         view = self._rows if field == "row" else self._views[field]
         view[entries(env_ids, columns)] = values
@@ -221,14 +236,10 @@ class CpuEngine(Engine):
             self._notify(Write("state", field, env_ids, columns, view[entries(env_ids, columns)]))
 
     def write_model(
-        self,
-        field: str,
-        values: Any,
-        env_ids: EnvIndex | None = None,
-        columns: NDArray[np.int64] | slice = slice(None),
+        self, field: str, values: Any, env_ids: EnvIndex | None = None, columns: Columns = ALL
     ) -> None:
         fields = self._fields
-        if fields.stale and fields.is_derived(field):
+        if fields.stale and field in DERIVED_FIELDS:
             self._set_const_now()  # it must not undo this write
         view = fields.view(field)
         view[entries(env_ids, columns)] = values
@@ -239,14 +250,14 @@ class CpuEngine(Engine):
 
     def model_field(self, field: str) -> NDArray[Any]:
         fields = self._fields
-        if fields.stale and fields.is_derived(field):
+        if fields.stale and field in DERIVED_FIELDS:
             self._set_const_now()
         return fields.view(field)
 
     def set_const(self, env_ids: EnvIndex | None = None) -> None:
         self._call(self._batch.set_const, env_ids)
         self._mark(env_ids)
-        self._notify(Write("set_const", "", env_ids, slice(None), None))
+        self._notify(Write("set_const", "", env_ids, ALL, None))
 
     def set_const_later(self, env_ids: EnvIndex | None = None) -> None:
         self._fields.mark(env_ids)
@@ -256,6 +267,7 @@ class CpuEngine(Engine):
         self.set_const(self._fields.take_stale())
 
     def _mark(self, env_ids: EnvIndex | None) -> None:
+        self.version += 1
         self._any_dirty = True
         if env_ids is None:
             self._all_dirty = True
@@ -308,3 +320,101 @@ class CpuEngine(Engine):
             self.acceleration(field)[...] = values
         # Counters are restored as a baseline: only new warnings count as divergence.
         self._divergence.begin()
+
+
+def entries(env_ids: EnvIndex | None, columns: Columns) -> tuple[Any, Any]:
+    """Return the index of columns in the rows of environments; None is all environments."""
+    if env_ids is None:
+        return ALL, columns
+    return (env_ids if isinstance(columns, slice) else env_ids[:, None]), columns
+
+
+class _Kinematics:
+    """Forward kinematics of a batch: less than half of its position and velocity stages.
+
+    Contacts are switched off meanwhile; that they have no room in memory is found by the next step.
+
+    Attributes:
+        enough: Whether it computes all fields that were asked for.
+    """
+
+    def __init__(self) -> None:
+        self.enough = True
+        self._stage = _STAGE_POS
+        self._left_out = _NO_CONTACT | _NO_CONSTRAINT | _NO_SENSOR
+
+    def need(self, name: str) -> None:
+        """Compute this field, too, from now on."""
+        stage = KINEMATIC_STAGES.get(name)
+        if stage is None:
+            self.enough = False
+        else:
+            self._stage = max(self._stage, stage)
+        if name == "sensordata":  # a sensor may be about the constraint of a joint's limit
+            self._left_out = _NO_CONTACT
+
+    def forward(
+        self, batch: mjbatch.Batch, flags: NDArray[np.int32], env_ids: EnvIndex | None
+    ) -> None:
+        """Compute the fields at the batch's present state.
+
+        Args:
+            batch: The batch.
+            flags: (N, 1) its live ``opt.disableflags``, which are left as they are.
+            env_ids: (n,) environments, or None for all.
+
+        Raises:
+            mujoco.batch.SimulationError: If MuJoCo raised in one.
+        """
+        kept = flags.copy()
+        flags |= self._left_out
+        try:
+            batch.forward(env_ids, stage=self._stage)
+        finally:
+            flags[...] = kept
+
+
+class _Divergence:
+    """Compares MuJoCo's warning counters of a batch, and stores where MuJoCo raised.
+
+    Args:
+        batch: The batch; its counters now are the baseline.
+    """
+
+    def __init__(self, batch: mjbatch.Batch) -> None:
+        self._warning: NDArray[np.int32] = batch.warning
+        self._numbers: NDArray[np.int32] = batch.warning[:, :, 1]
+        self.begin()
+
+    def begin(self) -> None:
+        """Take the warnings so far as the baseline: only new ones count."""
+        self._counts: NDArray[np.int32] = self._numbers[:, _DIVERGED].copy()
+        self._warned = self._warning.tobytes()
+        self._failed: NDArray[np.bool_] | None = None
+
+    def failed(self, env_ids: EnvIndex) -> None:
+        """Remember environments (n,) in which MuJoCo raised."""
+        if self._failed is None:
+            self._failed = np.zeros(len(self._warning), np.bool_)
+        self._failed[env_ids] = True
+
+    def forget(self, rows: Any) -> None:
+        """Begin anew where environments were reset: their indices, or a slice."""
+        self._counts[rows] = self._numbers[:, _DIVERGED][rows]
+        self._warned = self._warning.tobytes()
+        if self._failed is not None:
+            self._failed[rows] = False
+
+    def take(self) -> NDArray[np.bool_] | None:
+        """(N,) mask of environments that diverged since the last call, or None."""
+        warned = self._warning.tobytes()  # compared as a whole: a tenth of a sum's time
+        if warned == self._warned and self._failed is None:
+            return None
+        counts = self._numbers[:, _DIVERGED]
+        mask: NDArray[np.bool_] = np.asarray((counts > self._counts).any(axis=1))
+        self._counts[:] = counts
+        self._warned = warned
+        if self._failed is not None:
+            mask |= self._failed
+            self._failed = None
+        return mask if mask.any() else None

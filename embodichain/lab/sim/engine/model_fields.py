@@ -12,7 +12,7 @@ import numpy as np
 from mujoco import batch as mjbatch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.base import EnvIndex
+from embodichain.lab.sim.engine.api import EnvIndex
 from embodichain.utils.suggest import did_you_mean
 
 __all__ = ["DERIVED_FIELDS", "ModelFields"]
@@ -116,10 +116,6 @@ class ModelFields:
         return np.asarray(getattr(owner, last)).reshape(-1)[: self.view(name).shape[1]]
 
     # -- derived constants -------------------------------------------------------------------------
-
-    def is_derived(self, name: str) -> bool:
-        """Whether MuJoCo derives this field from others."""
-        return name in DERIVED_FIELDS
 
     def mark(self, env_ids: EnvIndex | None) -> None:
         """Remember that these environments' constants are out of date."""

@@ -5,7 +5,7 @@ Checks of environment indices, shapes, devices and finiteness live here, once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -13,22 +13,19 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.compiler.names import match
-
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    import mujoco
+
+    from embodichain.lab.sim.engine.api import F64, Columns, EnvIndex
 
 __all__ = [
-    "Columns",
     "all_finite",
     "as_env_ids",
     "as_rows",
-    "bool_rows",
     "columns_of",
+    "field_values",
     "to_tensor",
 ]
-
-Columns = slice | NDArray[np.int64]
 
 
 def all_finite(values: NDArray[np.floating[Any]]) -> bool:
@@ -40,6 +37,25 @@ def all_finite(values: NDArray[np.floating[Any]]) -> bool:
 def to_tensor(array: NDArray[Any]) -> torch.Tensor:
     """Return a float32 tensor that shares nothing with ``array``."""
     return torch.from_numpy(array.astype(np.float32))
+
+
+def field_values(
+    model: mujoco.MjModel, fields: Mapping[str, NDArray[Any]], name: str, columns: Columns
+) -> tuple[F64, F64]:
+    """Columns (k,) of a flattened model field, and the same as compiled.
+
+    Args:
+        model: As compiled.
+        fields: Name -> (size,) values; absent ones are as compiled.
+        name: The field.
+        columns: (k,) of it.
+    """
+    compiled = getattr(model, name)
+    now, before = (
+        np.asarray(values, np.float64).reshape(-1)[columns]
+        for values in (fields.get(name, compiled), compiled)
+    )
+    return now, before
 
 
 def columns_of(ids: Sequence[int] | NDArray[Any]) -> Columns:
@@ -123,29 +139,3 @@ def as_rows(
         bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
         raise ValueError(f"{what} is not finite in rows {bad[:8].tolist()}")
     return array
-
-
-def bool_rows(values: Any, rows: int, what: str) -> NDArray[np.bool_]:
-    """Return values as (rows,) booleans; raises ValueError for another shape or type."""
-    if isinstance(values, torch.Tensor):
-        values = values.detach().cpu().numpy()
-    array = np.asarray(values)
-    if array.shape != (rows,) or array.dtype != np.bool_:
-        raise ValueError(f"{what} must be booleans of shape ({rows},), got {array.shape}")
-    return array
-
-
-def names_matching(patterns: str | Sequence[str], names: Sequence[str], what: str) -> list[int]:
-    """Indices of names that a pattern matches in full, in the order of ``names``.
-
-    Raises:
-        ValueError: If a pattern matches nothing; lists the names.
-    """
-    wanted = [patterns] if isinstance(patterns, str) else list(patterns)
-    found: set[int] = set()
-    for pattern in wanted:
-        indices, problems = match(pattern, names, what, "")
-        if problems:
-            raise ValueError(problems[0].message)
-        found |= set(indices)
-    return sorted(found)

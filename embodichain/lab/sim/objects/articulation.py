@@ -9,18 +9,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from embodichain.lab.sim.body_motion import origin_velocities
+from embodichain.lab.sim.compiler.names import match
 from embodichain.lab.sim.objects._arrays import (
-    Columns,
-    as_rows,
+    as_env_ids,
     columns_of,
-    names_matching,
     to_tensor,
 )
 from embodichain.lab.sim.objects.articulation_data import ArticulationData
-from embodichain.lab.sim.objects.articulation_links import ArticulationLinks
-from embodichain.lab.sim.objects.drives import ActuatorControls, Drives
+from embodichain.lab.sim.objects.drives import GAINS, Drives
 from embodichain.lab.sim.objects.entity import BatchEntity
-from embodichain.lab.sim.objects.joint_state import JointState
 from embodichain.lab.sim.unavailable import not_available
 from embodichain.utils.math import pose_to_matrix
 from embodichain.utils.suggest import did_you_mean
@@ -29,7 +27,7 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import ArticulationCfg
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation
     from embodichain.lab.sim.compiler.index import EntityIndex
-    from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, Columns, Engine, EnvIndex
     from embodichain.lab.sim.host import Host
 
 __all__ = ["Articulation"]
@@ -50,7 +48,16 @@ class Articulation(BatchEntity):
     Attributes:
         parsed: Names, limits and initial values.
         drives: Gains and targets of the joints' drives.
-        links: Poses, velocities and masses of the links.
+        body_data: Reads of joints, root and links.
+        dof: D.
+        joint_names: (D,) in qpos order.
+        all_joint_names: Same as `joint_names`: fixed joints are gone after parsing.
+        mimic_ids, mimic_parents: Joints that follow another one, and which one each follows.
+        mimic_multipliers, mimic_offsets: Slope and offset (rad or m) of each mimic joint.
+        active_joint_ids, active_joint_names, active_dof: The joints that mimic no other one.
+        link_names: (L,) parents before children.
+        root_link_name: The root link.
+        actuator_names: (M,) controls: the actuator's name, with ``.INPUT`` where it has several.
     """
 
     cfg: ArticulationCfg
@@ -58,118 +65,47 @@ class Articulation(BatchEntity):
     def __init__(self, cfg: ArticulationCfg, parsed: ParsedArticulation, host: Host) -> None:
         super().__init__(cfg, parsed.uid, host)
         self.parsed = parsed
-        self._state = JointState(self.binding, len(parsed.joint_names))
-        self.drives = Drives(self.binding, parsed, self._state)
-        self.links = ArticulationLinks(self.binding, parsed.link_names)
-        self._controls = ActuatorControls(self.binding, self.drives)
-        self._data = ArticulationData(
-            self.binding, self._state, self.drives, self.links, self.get_local_pose
-        )
-        self._all = np.arange(len(parsed.joint_names))
-        self._driven: Ids = self._all
-        self._ctrl: Columns = slice(0)
+        self.joint_names = self.all_joint_names = list(parsed.joint_names)
+        self.dof = len(self.joint_names)
+        self.mimic_ids = list(parsed.mimic_ids)
+        self.mimic_parents = list(parsed.mimic_parents)
+        self.mimic_multipliers = list(parsed.mimic_multipliers)
+        self.mimic_offsets = list(parsed.mimic_offsets)
+        self.active_joint_ids = self.get_joint_ids(remove_mimic=True)
+        self.active_joint_names = [self.joint_names[i] for i in self.active_joint_ids]
+        self.active_dof = len(self.active_joint_ids)
+        self.link_names = list(parsed.link_names)
+        self.root_link_name = parsed.root_link_name
+        self.actuator_names = list(parsed.control_names)
+        self.drives = Drives(self, parsed)
+        self.body_data = ArticulationData(self)
+        self._all: Ids = np.arange(self.dof)
+        # Live views of the joints' columns, where these are evenly spaced.
+        self._qpos: F64 | None = None
+        self._qvel: F64 | None = None
+        # (N, D) simulated seconds at which efforts were set by hand; NaN where they were not.
+        self._effort_times: F64 | None = None
 
     def bind(self, engine: Engine, index: EntityIndex) -> None:
         """Set the engine and the articulation's indices. Called once, by the simulation."""
         super().bind(engine, index)
-        controls = np.asarray(index.ctrl_ids, np.int64)
-        self._driven = self._all if (controls >= 0).all() else np.flatnonzero(controls >= 0)
-        self._ctrl = columns_of(controls[self._driven])
-        for part in (self._state, self._controls, self.drives):
-            part.bind()
+        self._qpos_columns, self._dofs = columns_of(index.qpos_adr), columns_of(index.dof_adr)
+        self._controls = columns_of(index.own_ctrl_ids)
+        if isinstance(self._qpos_columns, slice):
+            self._qpos = engine.state("qpos")[:, self._qpos_columns]
+        if isinstance(self._dofs, slice):
+            self._qvel = engine.state("qvel")[:, self._dofs]
+        # The first request of an acceleration field computes it anew, so it is made here.
+        engine.acceleration("qfrc_actuator")
+        self.drives.bind()
 
     def destroy(self) -> None:
         """Drop the engine and the model of the file; names and limits remain."""
         super().destroy()
+        self._qpos = self._qvel = None
         self.parsed = self.drives.parsed = self.parsed.without_model()
 
-    @property
-    def body_data(self) -> ArticulationData:
-        """Reads of joints, root and links."""
-        return self._data
-
     # -- names ---------------------------------------------------------------------------------
-
-    @property
-    def dof(self) -> int:
-        """D."""
-        return len(self.parsed.joint_names)
-
-    @property
-    def joint_names(self) -> list[str]:
-        """Names of the D joints, in qpos order."""
-        return list(self.parsed.joint_names)
-
-    @property
-    def all_joint_names(self) -> list[str]:
-        """Same as `joint_names`: fixed joints are gone after parsing."""
-        return self.joint_names
-
-    @property
-    def mimic_ids(self) -> list[int]:
-        """Joints that follow another one."""
-        return list(self.parsed.mimic_ids)
-
-    @property
-    def mimic_parents(self) -> list[int]:
-        """The joint each of `mimic_ids` follows."""
-        return list(self.parsed.mimic_parents)
-
-    @property
-    def mimic_multipliers(self) -> list[float]:
-        """Slope of each mimic joint."""
-        return list(self.parsed.mimic_multipliers)
-
-    @property
-    def mimic_offsets(self) -> list[float]:
-        """Offset of each mimic joint, rad or m."""
-        return list(self.parsed.mimic_offsets)
-
-    @property
-    def active_joint_ids(self) -> list[int]:
-        """Joints that do not mimic another one."""
-        return self.get_joint_ids(remove_mimic=True)
-
-    @property
-    def active_joint_names(self) -> list[str]:
-        """Names of `active_joint_ids`."""
-        return [self.parsed.joint_names[i] for i in self.active_joint_ids]
-
-    @property
-    def active_dof(self) -> int:
-        """Number of `active_joint_ids`."""
-        return len(self.active_joint_ids)
-
-    @property
-    def link_names(self) -> list[str]:
-        """Names of the L links, parents before children."""
-        return list(self.parsed.link_names)
-
-    @property
-    def root_link_name(self) -> str:
-        """Name of the root link."""
-        return self.parsed.root_link_name
-
-    @property
-    def actuator_names(self) -> list[str]:
-        """Names of the M controls: the actuator's, with ``.INPUT`` where it has several."""
-        return list(self.parsed.control_names)
-
-    def find_joints(self, patterns: str | Sequence[str]) -> list[int]:
-        """Indices of joints whose names a regex matches in full, in joint order.
-
-        Raises:
-            ValueError: If a pattern matches nothing; lists the joints.
-        """
-        return names_matching(patterns, self.parsed.joint_names, f"joint of {self.uid}")
-
-    def find_links(self, patterns: str | Sequence[str]) -> list[int]:
-        """Indices of links whose names a regex matches in full; see `find_joints`."""
-        return names_matching(patterns, self.parsed.link_names, f"link of {self.uid}")
-
-    def find_actuators(self, patterns: str | Sequence[str]) -> list[int]:
-        """Indices of controls whose names a regex matches in full; see `find_joints`."""
-        return names_matching(patterns, self.parsed.control_names, f"actuator of {self.uid}")
 
     def get_joint_ids(self, name: str | None = None, remove_mimic: bool = False) -> list[int]:
         """Joint indices of a control part, or of the whole articulation.
@@ -184,7 +120,7 @@ class Articulation(BatchEntity):
                 f"{', '.join(parts) or 'none'}.{did_you_mean(name, parts)}"
             )
         ids = range(self.dof) if name is None else parts[name]
-        return [i for i in ids if not remove_mimic or i not in self.parsed.mimic_ids]
+        return [i for i in ids if not remove_mimic or i not in self.mimic_ids]
 
     def _indices(self, ids: Any, count: int, what: str) -> Ids:
         found = np.asarray(ids.tolist() if isinstance(ids, torch.Tensor) else ids, np.int64)
@@ -201,32 +137,44 @@ class Articulation(BatchEntity):
     # -- reads of joints: (N, D) float64, live views or copies, not to be written or kept ----------
 
     def read_qpos(self) -> F64:
-        """(N, D) joint positions."""
-        return self._state.qpos()
+        """(N, D) joint positions, rad or m."""
+        if self._qpos is not None:
+            return self._qpos
+        return self.engine.state("qpos")[:, self._qpos_columns]
 
     def read_qvel(self) -> F64:
-        """(N, D) joint velocities."""
-        return self._state.qvel()
+        """(N, D) joint velocities, rad/s or m/s."""
+        if self._qvel is not None:
+            return self._qvel
+        return self.engine.state("qvel")[:, self._dofs]
+
+    def read_qacc(self) -> F64:
+        """(N, D) joint accelerations of the last physics step, rad/s^2 or m/s^2."""
+        return self.engine.acceleration("qacc")[:, self._dofs]
 
     def read_qf(self) -> F64:
-        """(N, D) drive effort of the last physics step, without passive damping."""
-        return self._state.qf()
+        """(N, D) drive effort of the last physics step, without passive damping; N m or N."""
+        return self.engine.acceleration("qfrc_actuator")[:, self._dofs]
 
     def read_efforts(self) -> F64:
         """(N, D) `read_qf`; efforts set by `set_qf` since the last physics step are read as set."""
-        return self._state.efforts()
+        efforts = self.read_qf()
+        if self._effort_times is None:
+            return efforts
+        applied = self.engine.state("qfrc_applied")[:, self._dofs]
+        return np.where(self._effort_times == self.engine.state("time"), applied, efforts)
 
     # -- joints --------------------------------------------------------------------------------
 
     def get_qpos(self, name: str | None = None, target: bool = False) -> torch.Tensor:
         """Joint positions (N, k), or their drive targets."""
-        values = self._data.target_qpos if target else self._data.qpos
-        return values[:, self.get_joint_ids(name)]
+        values = self.drives.read_target_qpos() if target else self.read_qpos()
+        return to_tensor(values[:, self.get_joint_ids(name)])
 
     def get_qvel(self, name: str | None = None, target: bool = False) -> torch.Tensor:
         """Joint velocities (N, k), or their drive targets."""
-        values = self._data.target_qvel if target else self._data.qvel
-        return values[:, self.get_joint_ids(name)]
+        values = self.drives.target_qvel if target else self.read_qvel()
+        return to_tensor(values[:, self.get_joint_ids(name)])
 
     def get_qf(self, name: str | None = None) -> torch.Tensor:
         """Joint efforts (N, k): what `set_qf` has set, until a physics step.
@@ -234,7 +182,7 @@ class Articulation(BatchEntity):
         After a step, and where nothing was set, they are what the drives gave in the last physics
         step; an effort that was set still acts then, but is not counted.
         """
-        return self._data.qf[:, self.get_joint_ids(name)]
+        return to_tensor(self.read_efforts()[:, self.get_joint_ids(name)])
 
     def set_qpos(
         self,
@@ -256,38 +204,34 @@ class Articulation(BatchEntity):
         Raises:
             ValueError: If a shape, an index or a value is wrong, or a joint has no drive.
         """
-        ids, rows = self._ids(env_ids)
         joints = None if joint_ids is None and name is None else self._joints(joint_ids, name)
         width = self.dof if joints is None else len(joints)
-        values = as_rows(qpos, rows, width, f"{self.uid}: qpos", shared=True)
-        if target:
-            self.write_target(values, joints, ids)
-        else:
-            self.write_qpos(values, joints, ids)
+        values, ids = self._checked(qpos, width, env_ids, "qpos", shared=True)
+        (self.write_target if target else self.write_qpos)(values, joints, ids)
 
     def write_target(
         self, values: F64, joints: Ids | None = None, ids: EnvIndex | None = None
     ) -> None:
         """Set drive targets (n, k) from checked arrays; without ``joints`` of all with a drive."""
-        self.entity  # noqa: B018  (compiles, which fills the columns)
-        if joints is None:
-            joints, columns = self._driven, self._ctrl
-            if joints is not self._all:
-                if not len(joints):
-                    self.drives.columns(self._all)
-                values = values[:, joints]
+        self.index  # noqa: B018  (compiles, which fills the columns)
+        drives = self.drives
+        if joints is not None:
+            columns: Columns = columns_of(drives.columns(joints))
         else:
-            columns = columns_of(self.drives.columns(joints))
-        self.drives.write_target_qpos(values, joints, columns, ids)
+            joints, columns = drives.joints, drives.control_columns
+            if len(joints) < self.dof:
+                values = values[:, joints]
+                if not len(joints):
+                    drives.columns(self._all)  # raises
+        drives.write_target_qpos(values, joints, columns, ids)
 
     def write_qpos(
         self, values: F64, joints: Ids | None = None, ids: EnvIndex | None = None
     ) -> None:
         """Set joint positions (n, k) from checked arrays, clamped to the limits."""
         joints = self._all if joints is None else joints
-        columns = np.asarray(self.entity.qpos_adr, np.int64)[joints]
-        clamped = self.drives.limits.clamp(values, joints, ids)
-        self.engine.write("qpos", clamped, ids, columns_of(columns))
+        columns = columns_of(self.index.qpos_adr[joints])
+        self.engine.write("qpos", self.drives.limits.clamp(values, joints, ids), ids, columns)
 
     def set_qvel(
         self,
@@ -298,14 +242,12 @@ class Articulation(BatchEntity):
         name: str | None = None,
     ) -> None:
         """Set drive velocity targets, or the velocities themselves; arguments as `set_qpos`."""
-        ids, rows = self._ids(env_ids)
         joints = self._joints(joint_ids, name)
-        values = as_rows(qvel, rows, len(joints), f"{self.uid}: qvel", shared=True)
+        values, ids = self._checked(qvel, len(joints), env_ids, "qvel", shared=True)
         if target:
             self.drives.write_target_qvel(values, joints, ids)
         else:
-            dofs = np.asarray(self.entity.dof_adr, np.int64)[joints]
-            self.engine.write("qvel", values, ids, dofs)
+            self.engine.write("qvel", values, ids, self.index.dof_adr[joints])
 
     def set_qf(
         self, qf: Any, joint_ids: Any = None, env_ids: Any = None, name: str | None = None
@@ -314,14 +256,17 @@ class Articulation(BatchEntity):
 
         `get_qf` reads them back until the next physics step.
         """
-        ids, rows = self._ids(env_ids)
         joints = self._joints(joint_ids, name)
-        values = as_rows(qf, rows, len(joints), f"{self.uid}: qf", shared=True)
-        self._state.set_efforts(values, joints, ids)
+        values, ids = self._checked(qf, len(joints), env_ids, "qf", shared=True)
+        self.engine.write("qfrc_applied", values, ids, self.index.dof_adr[joints])
+        if self._effort_times is None:
+            self._effort_times = np.full((self.num_instances, self.dof), np.nan)
+        rows = np.arange(self.num_instances) if ids is None else ids
+        self._effort_times[np.ix_(rows, joints)] = self.engine.state("time")[rows]
 
     def get_qpos_limits(self, name: str | None = None) -> torch.Tensor:
         """(N, k, 2) lower and upper limits."""
-        return self._data.qpos_limits[:, self._joints(None, name)]
+        return to_tensor(self.drives.limits.values[:, self._joints(None, name)])
 
     def set_joint_drive(
         self,
@@ -339,10 +284,15 @@ class Articulation(BatchEntity):
         Raises:
             ValueError: If a shape is wrong, a value is negative or a joint has no drive.
         """
-        ids, rows = self._ids(env_ids)
-        gains = {"stiffness": stiffness, "damping": damping, "max_effort": max_effort}
-        others = {"max_velocity": max_velocity, "friction": friction, "armature": armature}
-        self.drives.set(ids, rows, self._joints(joint_ids), **gains, **others)
+        joints = self._joints(joint_ids)
+        given = (stiffness, damping, max_effort, max_velocity, friction, armature)
+        for name, value in zip(GAINS, given, strict=True):
+            if value is None:
+                continue
+            array, ids = self._checked(value, len(joints), env_ids, name, finite=False)
+            if not (array >= 0).all():
+                raise ValueError(f"{self.uid}: {name} must not be negative or NaN")
+            self.drives.put(name, array, ids, joints)
 
     def get_joint_drive(
         self, joint_ids: Any = None, env_ids: Any = None
@@ -350,17 +300,14 @@ class Articulation(BatchEntity):
         """Stiffness, damping, max_effort, max_velocity and friction, each (n, k).
 
         The armature is `body_data.joint_armature`.
-
-        Args:
-            joint_ids: The k joints; None is all of them.
-            env_ids: The n environments; None is all N.
         """
-        ids, _ = self._ids(env_ids)
-        d, rows = self.drives, np.arange(self.num_instances) if ids is None else ids
-        where = np.ix_(rows, self._joints(joint_ids))
-        first = to_tensor(d.stiffness[where]), to_tensor(d.damping[where])
-        limits = to_tensor(d.max_effort[where]), to_tensor(d.max_velocity[where])
-        return *first, *limits, to_tensor(d.friction[where])
+        rows, joints, drives = self._rows(env_ids), self._joints(joint_ids), self.drives
+
+        def pick(values: F64) -> torch.Tensor:
+            return to_tensor(values[rows][:, joints])
+
+        gains = pick(drives.stiffness), pick(drives.damping)
+        return *gains, pick(drives.max_effort), pick(drives.max_velocity), pick(drives.friction)
 
     # -- controls ------------------------------------------------------------------------------
 
@@ -372,11 +319,25 @@ class Articulation(BatchEntity):
         """
         return to_tensor(self.parsed.ctrl_limits)
 
+    def find_actuators(self, patterns: str | Sequence[str]) -> list[int]:
+        """Indices of controls whose names a regex matches in full, in their order.
+
+        Raises:
+            ValueError: If a pattern matches nothing; lists the controls.
+        """
+        found: set[int] = set()
+        for pattern in [patterns] if isinstance(patterns, str) else patterns:
+            ids, problems = match(pattern, self.actuator_names, f"actuator of {self.uid}", "")
+            if problems:
+                raise ValueError(problems[0].message)
+            found.update(ids)
+        return sorted(found)
+
     def _picked(self, actuator_ids: Any, names: str | Sequence[str] | None) -> Ids:
+        count = len(self.actuator_names)
         if names is not None:
             actuator_ids = self.find_actuators(names)
-        count = len(self.parsed.control_names)
-        if actuator_ids is None:
+        elif actuator_ids is None:
             return np.arange(count)
         return self._indices(actuator_ids, count, "actuator_ids")
 
@@ -395,6 +356,9 @@ class Articulation(BatchEntity):
     ) -> None:
         """Set controls; they stay until they are overwritten or the environment is reset.
 
+        What a control means depends on the actuator (`embodichain show`): a force, a position or a
+        velocity target, a muscle's excitation.
+
         Args:
             ctrl: (n, k) in the actuators' units, or (k,) for all n environments.
             actuator_ids: The k controls; None is all M.
@@ -404,75 +368,106 @@ class Articulation(BatchEntity):
         Raises:
             ValueError: If a shape, an index or a value is wrong, or a regex matches nothing.
         """
-        ids, rows = self._ids(env_ids)
         which = self._picked(actuator_ids, names)
-        values = as_rows(ctrl, rows, len(which), f"{self.uid}: ctrl", shared=True)
+        values, ids = self._checked(ctrl, len(which), env_ids, "ctrl", shared=True)
         self.write_ctrl(values, which, ids)
 
     def read_ctrl(self) -> F64:
         """(N, M) controls: a live view or a copy; do not write or keep."""
-        return self._controls.read()
+        return self.engine.state("ctrl")[:, self._controls]
 
     def write_ctrl(
         self, values: F64, which: Ids, ids: EnvIndex | None = None, seconds: float | None = None
     ) -> None:
-        """Set controls (n, k) from checked arrays; see `ActuatorControls.write`."""
-        self._controls.write(values, which, ids, seconds)
+        """Set controls (n, k) from checked arrays, in the actuators' units.
+
+        Args:
+            values: The controls.
+            which: (k,) indices: the file's actuators in their order, then those of drives.
+            ids: (n,) environments, or None for all.
+            seconds: If given, targets of drives move within their `max_velocity` times it.
+        """
+        columns = self.index.own_ctrl_ids[which]
+        values = self.drives.take_controls(values, columns, ids, seconds)
+        self.engine.write("ctrl", values, ids, columns_of(columns))
 
     # -- links ---------------------------------------------------------------------------------
 
     def body_of(self, link: str | None) -> int:
-        """MuJoCo body id of a link; None is the root link. See `ArticulationLinks.body_of`."""
-        return self.links.body_of(link)
+        """MuJoCo body id of a link; None is the root link.
+
+        Raises:
+            ValueError: If there is no such link; lists the links.
+        """
+        if link is None:
+            return self.index.root_body_id
+        names = self.link_names
+        if link not in names:
+            there = f"{', '.join(names)}.{did_you_mean(link, names)}"
+            raise ValueError(f"{self.uid} has no link {link!r}; there are: {there}")
+        return int(self.index.body_ids[names.index(link)])
+
+    def _bodies_of(self, links: Sequence[str] | None) -> Ids:
+        return np.asarray([self.body_of(link) for link in links or self.link_names], np.int64)
+
+    def pose_of(self, bodies: int | Ids) -> F64:
+        """(N, 7) pose of a body, x, y, z, qw, qx, qy, qz; or (N, k, 7) of k (MuJoCo's ids)."""
+        pos = self.engine.derived("xpos")[:, bodies]
+        return np.concatenate([pos, self.engine.derived("xquat")[:, bodies]], axis=-1)
+
+    def velocity_of(self, bodies: int | Ids) -> F64:
+        """(N, 6) linear velocity of a body's origin, then angular, world axes; or (N, k, 6)."""
+        return np.concatenate(origin_velocities(self.engine, bodies), axis=-1)
 
     def get_link_pose(
         self, link_name: str, env_ids: Any = None, to_matrix: bool = False
     ) -> torch.Tensor:
         """Pose of a link in the environment's frame, (n, 7) or (n, 4, 4)."""
-        body = self.body_of(link_name)
-        ids, _ = self._ids(env_ids)
-        pose = to_tensor(self.links.pose(body) if ids is None else self.links.pose(body)[ids])
-        return pose_to_matrix(pose) if to_matrix else pose
+        pose = self.pose_of(self.body_of(link_name))[self._rows(env_ids)]
+        return to_tensor(pose_to_matrix(pose) if to_matrix else pose)
 
     def get_link_vel(self, link_name: str, env_ids: Any = None) -> torch.Tensor:
         """(n, 6) linear velocity of the link's origin, then angular velocity, world axes."""
-        velocity, (ids, _) = self.links.velocity(self.body_of(link_name)), self._ids(env_ids)
-        return to_tensor(velocity if ids is None else velocity[ids])
-
-    def link_velocity(self, body: int) -> torch.Tensor:
-        """(N, 6) `get_link_vel` of a MuJoCo body."""
-        return to_tensor(self.links.velocity(body))
+        return to_tensor(self.velocity_of(self.body_of(link_name))[self._rows(env_ids)])
 
     def get_mass(self, link_names: Sequence[str] | None = None) -> torch.Tensor:
         """(N, k) link masses in kg."""
-        return to_tensor(self.links.masses(self.links.bodies_of(link_names)))
+        return to_tensor(self.engine.model_field("body_mass")[:, self._bodies_of(link_names)])
 
     def set_mass(
         self, mass: Any, link_names: Sequence[str] | None = None, env_ids: Any = None
     ) -> None:
         """Set link masses (n, k) in kg; each link's inertia scales with its mass."""
-        ids, rows = self._ids(env_ids)
-        bodies = self.links.bodies_of(link_names)
-        new = as_rows(mass, rows, len(bodies), f"{self.uid}: mass")
+        bodies = self._bodies_of(link_names)
+        new, ids = self._checked(mass, len(bodies), env_ids, "mass")
         if (new <= 0).any():
             raise ValueError(f"{self.uid}: masses must be positive, got {new.min()}")
-        self.links.write_mass(new, bodies, ids)
+        self.write_mass(new, bodies, ids)
 
     def write_mass(
         self, mass: F64, bodies: Ids, ids: EnvIndex | None, inertia: bool = True
     ) -> None:
-        """Set masses from checked arrays; see `ArticulationLinks.write_mass`."""
-        self.links.write_mass(mass, bodies, ids, inertia)
+        """Set masses (n, k) in kg of MuJoCo's bodies (k,) from checked arrays.
+
+        Inertias scale with the masses, unless ``inertia`` is False.
+        """
+        self.engine.write_model("body_mass", mass, ids, columns_of(bodies))
+        if inertia:
+            self.write_inertia(mass / self.engine.model.body_mass[bodies], bodies, ids)
+        else:
+            self.engine.set_const_later(ids)
 
     def write_inertia(self, factor: F64, bodies: Ids, ids: EnvIndex | None) -> None:
-        """Scale inertias by checked factors; see `ArticulationLinks.write_inertia`."""
-        self.links.write_inertia(factor, bodies, ids)
+        """Set inertias of bodies (k,) to (n, k) times the compiled ones."""
+        moments = self.engine.model.body_inertia[bodies] * factor[:, :, None]
+        columns = columns_of((3 * bodies[:, None] + np.arange(3)).reshape(-1))
+        self.engine.write_model("body_inertia", moments.reshape(len(factor), -1), ids, columns)
+        self.engine.set_const_later(ids)
 
     def clear_dynamics(self, env_ids: Any = None) -> None:
         """Stop all joints and the root, and remove applied efforts."""
-        ids, _ = self._ids(env_ids)
-        dofs = np.asarray(self.entity.dof_adr, np.int64)
-        start = self.entity.free_qvel_adr
+        ids = as_env_ids(env_ids, self.num_instances)
+        dofs, start = self.index.dof_adr, self.index.free_qvel_adr
         if start >= 0:
             dofs = np.concatenate([np.arange(start, start + 6), dofs])
         for field in ("qvel", "qacc_warmstart", "qfrc_applied"):
@@ -481,7 +476,8 @@ class Articulation(BatchEntity):
     def forget_targets(self, ids: EnvIndex | None) -> None:
         """Note that a reset has given environments (n,), or all, their initial row."""
         self.drives.clear(ids)
-        self._state.forget_efforts(ids)
+        if self._effort_times is not None:
+            self._effort_times[slice(None) if ids is None else ids] = np.nan
 
     set_fix_base = not_available("set_fix_base", "declare fix_base: it is compiled into the model")
     set_self_collision = not_available("set_self_collision", "declare disable_self_collision")

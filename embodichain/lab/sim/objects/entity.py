@@ -1,22 +1,118 @@
-"""`BatchEntity`: what every handle has - a uid, a config, one simulated thing in N environments."""
+"""`Handle` of one thing in N environments, and `BatchEntity`: a handle of what has a pose."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, overload
 
 import numpy as np
 import torch
 
-from embodichain.lab.sim.host import Handle, Host
+from embodichain.lab.sim.body_motion import BodyMotion
 from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows, to_tensor
 from embodichain.utils.math import matrix_to_pose, normalize_quat, pose_to_matrix
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from embodichain.lab.sim.cfg import ObjectBaseCfg
     from embodichain.lab.sim.compiler.index import EntityIndex
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
+    from embodichain.lab.sim.host import Host
 
-__all__ = ["BatchEntity"]
+__all__ = ["BatchEntity", "Handle", "TensorRead", "TensorReads"]
+
+Index = TypeVar("Index")
+
+
+class Handle(Generic[Index]):
+    """A named thing in N environments of a simulation.
+
+    Args:
+        uid: Its name.
+        host: The simulation.
+
+    Attributes:
+        num_instances: N.
+        device: Device of the tensors that reads return.
+    """
+
+    def __init__(self, uid: str, host: Host) -> None:
+        self.uid = uid
+        self.host = host
+        self.num_instances = host.num_envs
+        self.device = host.device
+
+    def bind(self, engine: Engine, index: Index) -> None:
+        """Set the engine and the indices in the compiled model. Called once, by the simulation."""
+        self.engine, self.index = engine, index
+
+    @cached_property
+    def engine(self) -> Engine:
+        """The engine; compiles the scene at first use.
+
+        Raises:
+            RuntimeError: If the simulation was destroyed.
+        """
+        return self.host.engine
+
+    @cached_property
+    def index(self) -> Index:
+        """Indices in the compiled model; compiles the scene at first use.
+
+        Raises:
+            RuntimeError: If the handle was removed from the scene, or the simulation destroyed.
+        """
+        self.host.compile()  # calls `bind`
+        if "index" not in self.__dict__:
+            raise RuntimeError(f"{self.uid} was removed from the scene before it was compiled")
+        found: Index = self.__dict__["index"]
+        return found
+
+    def destroy(self) -> None:
+        """Drop the reference to the engine."""
+        self.__dict__.pop("engine", None)
+
+    def _checked(
+        self, values: Any, width: int, env_ids: Any, what: str, **options: bool
+    ) -> tuple[F64, EnvIndex | None]:
+        """Values (n, width) and the n environments that they are for; options as in `as_rows`."""
+        ids = as_env_ids(env_ids, self.num_instances)
+        rows = self.num_instances if ids is None else len(ids)
+        return as_rows(values, rows, width, f"{self.uid}: {what}", **options), ids
+
+    def _rows(self, env_ids: Any) -> Any:
+        """Index of the rows of environments."""
+        ids = as_env_ids(env_ids, self.num_instances)
+        return slice(None) if ids is None else ids
+
+
+class TensorRead:
+    """An attribute of `TensorReads`: a fresh float32 tensor of numbers that a handle reads."""
+
+    def __init__(self, read: Callable[[Any], NDArray[Any]]) -> None:
+        self._read = read
+
+    @overload
+    def __get__(self, instance: None, cls: type) -> Self: ...
+
+    @overload
+    def __get__(self, instance: TensorReads, cls: type) -> torch.Tensor: ...
+
+    def __get__(self, instance: TensorReads | None, cls: type) -> Self | torch.Tensor:
+        return self if instance is None else to_tensor(self._read(instance.owner))
+
+
+class TensorReads:
+    """Reads of a handle, each a `TensorRead`.
+
+    Args:
+        owner: The handle.
+    """
+
+    def __init__(self, owner: BatchEntity) -> None:
+        self.owner = owner
 
 
 class BatchEntity(Handle["EntityIndex"]):
@@ -31,92 +127,93 @@ class BatchEntity(Handle["EntityIndex"]):
     def __init__(self, cfg: ObjectBaseCfg, uid: str, host: Host) -> None:
         super().__init__(uid, host)
         self.cfg = cfg
+        self._motions: dict[int, BodyMotion] = {}
+
+    def destroy(self) -> None:
+        """Drop the references to the engine."""
+        super().destroy()
+        self._motions.clear()
 
     @property
     def entity(self) -> EntityIndex:
         """The entity's indices in the compiled model; compiles the scene at first use."""
-        return self.binding.index
+        return self.index
 
     def reset(self, env_ids: Any = None) -> None:
         """Give the entity its configured state: root, joints and drive targets, no velocity."""
-        self.binding.host.reset_objects_state(env_ids, only=(self.uid,))
+        self.host.reset_objects_state(env_ids, only=(self.uid,))
+
+    def row_columns(self) -> NDArray[np.int64]:
+        """Sorted columns of the state row that belong to the entity."""
+        engine, index = self.engine, self.index
+        model = engine.model
+        joints = np.flatnonzero(np.isin(model.jnt_bodyid, index.body_ids))  # ball and free as well
+        dofs = np.flatnonzero(np.isin(model.dof_jntid, joints))
+        ends = np.append(model.jnt_qposadr, model.nq)
+        mocap = np.arange(index.mocap_id, index.mocap_id + 1) if index.mocap_id >= 0 else dofs[:0]
+        columns = {
+            "qpos": [np.arange(ends[joint], ends[joint + 1]) for joint in joints],
+            **dict.fromkeys(("qvel", "qacc_warmstart", "qfrc_applied"), [dofs]),
+            "act": [index.own_act_ids],
+            "ctrl": [index.own_ctrl_ids],
+            "xfrc_applied": [6 * body + np.arange(6) for body in index.body_ids],
+            "mocap_pos": [3 * row + np.arange(3) for row in mocap],
+            "mocap_quat": [4 * row + np.arange(4) for row in mocap],
+        }
+        parts = [engine.component(name).start + c for name, cs in columns.items() for c in cs]
+        return np.unique(np.concatenate(parts).astype(np.int64))
 
     # -- root pose -----------------------------------------------------------------------------
 
-    def _ids(self, env_ids: Any) -> tuple[EnvIndex | None, int]:
+    def _pose_rows(self, pose: Any, env_ids: Any, what: str) -> tuple[F64, EnvIndex | None]:
+        """Return (n, 7) float64 with unit quaternions from (n, 7) or (n, 4, 4)."""
         ids = as_env_ids(env_ids, self.num_instances)
-        return ids, self.num_instances if ids is None else len(ids)
-
-    def _pose_rows(self, pose: Any, rows: int) -> F64:
-        """Return (rows, 7) float64 with unit quaternions from (rows, 7) or (rows, 4, 4)."""
         shape = tuple(np.shape(pose))
         if len(shape) == 3 and shape[1:] == (4, 4):
-            flat = pose.reshape(shape[0], 16)
-            matrix = as_rows(flat, rows, 16, f"{self.uid}: pose").reshape(rows, 4, 4)
-            return matrix_to_pose(matrix)
+            flat, _ = self._checked(pose.reshape(shape[0], 16), 16, ids, what)
+            return matrix_to_pose(flat.reshape(-1, 4, 4)), ids
         if len(shape) != 2 or shape[1] != 7:
+            count = self.num_instances if ids is None else len(ids)
             raise ValueError(
-                f"{self.uid}: pose must have shape ({rows}, 7) (x, y, z, qw, qx, qy, qz) or "
-                f"({rows}, 4, 4), got {shape}"
+                f"{self.uid}: {what} must have shape ({count}, 7) (x, y, z, qw, qx, qy, qz) or "
+                f"({count}, 4, 4), got {shape}"
             )
-        array = as_rows(pose, rows, 7, f"{self.uid}: pose").copy()
+        array = self._checked(pose, 7, ids, what)[0].copy()
         array[:, 3:] = normalize_quat(array[:, 3:])
-        return array
+        return array, ids
 
     def write_pose(
         self, pos: F64, quat: F64 | None = None, env_ids: EnvIndex | None = None
     ) -> None:
-        """Set the root pose from checked numpy arrays.
-
-        Args:
-            pos: (n, 3) metres in the environment's frame.
-            quat: (n, 4) unit wxyz, or None to leave the orientation.
-            env_ids: (n,) sorted unique int64, or None for all.
-        """
-        engine, index = self.engine, self.entity
+        """Set the root position (n, 3) and, if given, orientation (n, 4) from checked arrays."""
+        index, write = self.index, self.engine.write
         if index.mocap_id >= 0:
-            start = 3 * index.mocap_id
-            engine.write("mocap_pos", pos, env_ids, slice(start, start + 3))
-            if quat is not None:
-                start = 4 * index.mocap_id
-                engine.write("mocap_quat", quat, env_ids, slice(start, start + 4))
-            return
-        start = index.free_qpos_adr
-        if start >= 0:
-            engine.write("qpos", pos, env_ids, slice(start, start + 3))
-            if quat is not None:
-                engine.write("qpos", quat, env_ids, slice(start + 3, start + 7))
-            return
-        start = index.root_body_id
-        engine.write_model("body_pos", pos, env_ids, slice(3 * start, 3 * start + 3))
+            fields, starts = ("mocap_pos", "mocap_quat"), (3 * index.mocap_id, 4 * index.mocap_id)
+        elif index.free_qpos_adr >= 0:
+            fields, starts = ("qpos", "qpos"), (index.free_qpos_adr, index.free_qpos_adr + 3)
+        else:
+            write, body = self.engine.write_model, index.root_body_id
+            fields, starts = ("body_pos", "body_quat"), (3 * body, 4 * body)
+        write(fields[0], pos, env_ids, slice(starts[0], starts[0] + 3))
         if quat is not None:
-            engine.write_model("body_quat", quat, env_ids, slice(4 * start, 4 * start + 4))
+            write(fields[1], quat, env_ids, slice(starts[1], starts[1] + 4))
 
     def read_pose(self) -> tuple[F64, F64]:
         """Root position (N, 3) and wxyz orientation (N, 4): live views, do not write or keep."""
-        engine, index = self.engine, self.entity
-        if index.mocap_id >= 0:
-            p, q = 3 * index.mocap_id, 4 * index.mocap_id
-            return (
-                engine.state("mocap_pos")[:, p : p + 3],
-                engine.state("mocap_quat")[:, q : q + 4],
-            )
-        start = index.free_qpos_adr
-        if start >= 0:
-            qpos = engine.state("qpos")
-            return qpos[:, start : start + 3], qpos[:, start + 3 : start + 7]
-        body = index.root_body_id
-        return engine.derived("xpos")[:, body], engine.derived("xquat")[:, body]
+        root = self.motion(self.index.root_body_id)
+        return root.position(), root.orientation()
+
+    def motion(self, body: int) -> BodyMotion:
+        """Motion of a body of the entity, by MuJoCo's id: one object for all who read it."""
+        found = self._motions.get(body)
+        if found is None:
+            found = self._motions[body] = BodyMotion(self.engine, self.index, body)
+        return found
 
     def get_local_pose(self, to_matrix: bool = False) -> torch.Tensor:
-        """Return the root pose in the environment's own frame, float32.
-
-        Args:
-            to_matrix: Whether to return (N, 4, 4) matrices instead of (N, 7) vectors
-                (x, y, z, qw, qx, qy, qz).
-        """
-        pose = to_tensor(np.concatenate(self.read_pose(), axis=1))
-        return pose_to_matrix(pose) if to_matrix else pose
+        """Root pose in the environment's frame: (N, 7) x, y, z, qw, qx, qy, qz, or (N, 4, 4)."""
+        pose = np.concatenate(self.read_pose(), axis=1)
+        return to_tensor(pose_to_matrix(pose) if to_matrix else pose)
 
     def set_local_pose(self, pose: Any, env_ids: Any = None) -> None:
         """Set the root pose in the environment's own frame.
@@ -128,6 +225,5 @@ class BatchEntity(Handle["EntityIndex"]):
         Raises:
             ValueError: If the shape does not match ``env_ids`` or a value is not finite.
         """
-        ids, rows = self._ids(env_ids)
-        array = self._pose_rows(pose, rows)
+        array, ids = self._pose_rows(pose, env_ids, "pose")
         self.write_pose(array[:, :3], array[:, 3:], ids)

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 
-from embodichain.lab.sim.host import Handle, Host
-from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows, to_tensor
+from embodichain.lab.sim.objects._arrays import to_tensor
+from embodichain.lab.sim.objects.entity import Handle
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import LightCfg
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.host import Host
 
 __all__ = ["Light"]
 
@@ -36,7 +37,7 @@ class Light(Handle[int]):
     def __init__(self, cfg: LightCfg, uid: str, host: Host) -> None:
         super().__init__(uid, host)
         self.cfg = cfg
-        count = host.num_envs
+        count = self.num_instances
         self._color: F64 = np.tile(np.asarray(cfg.color, np.float64), (count, 1))
         self._intensity: F64 = np.full((count, 1), float(cfg.intensity))
         self._falloff: F64 = np.full((count, 1), float(cfg.radius))
@@ -45,7 +46,7 @@ class Light(Handle[int]):
 
     def write(self, field: str, values: F64, ids: EnvIndex | None) -> None:
         """Set ``light_pos`` or ``light_dir``, (n, 3), from checked arrays."""
-        start = 3 * self.binding.index
+        start = 3 * self.index
         self.engine.write_model(field, values, ids, slice(start, start + 3))
 
     def write_emission(self, color: F64, intensity: F64, ids: EnvIndex | None) -> None:
@@ -63,38 +64,34 @@ class Light(Handle[int]):
 
     # -- EmbodiChain's handle ----------------------------------------------------------------------
 
-    def _rows(
-        self, values: Any, width: int, env_ids: Any, what: str
-    ) -> tuple[F64, EnvIndex | None]:
-        ids = as_env_ids(env_ids, self.num_instances)
-        rows = self.num_instances if ids is None else len(ids)
-        array = values.detach().numpy() if isinstance(values, torch.Tensor) else np.asarray(values)
-        if width == 1:
-            array = array.reshape(-1, 1) if array.size == rows > 1 else array.reshape(-1)
-        return as_rows(array, rows, width, f"{self.uid}: {what}", shared=True), ids
+    def _scalars(self, values: Any, env_ids: Any, what: str) -> tuple[F64, EnvIndex | None]:
+        """Values (n,), (n, 1) or one for all n, as (n, 1)."""
+        array = _array(values)
+        array = array.reshape(-1, 1) if array.size > 1 else array.reshape(-1)
+        return self._checked(array, 1, env_ids, what, shared=True)
 
     def set_color(self, colors: Any, env_ids: Any = None) -> None:
         """Set RGB in [0, 1], (n, 3), or (3,) for all n environments."""
-        values, ids = self._rows(colors, 3, env_ids, "color")
+        values, ids = self._checked(colors, 3, env_ids, "color", shared=True)
         if not ((values >= 0) & (values <= 1)).all():
             raise ValueError(f"{self.uid}: RGB in [0, 1], got {values.tolist()}")
         self.write_emission(values, self.emission(ids)[1], ids)
 
     def set_intensity(self, intensities: Any, env_ids: Any = None) -> None:
         """Set intensities (n,), or one for all n environments; 30 is MuJoCo's full colour."""
-        values, ids = self._rows(intensities, 1, env_ids, "intensity")
+        values, ids = self._scalars(intensities, env_ids, "intensity")
         if (values < 0).any():
             raise ValueError(f"{self.uid}: intensity must not be negative, got {values.min()}")
         self.write_emission(self.emission(ids)[0], values, ids)
 
     def set_falloff(self, falloffs: Any, env_ids: Any = None) -> None:
         """Remember radii (n,), or one: without effect, as MuJoCo's lights have none."""
-        values, ids = self._rows(falloffs, 1, env_ids, "falloff")
+        values, ids = self._scalars(falloffs, env_ids, "falloff")
         self._falloff[slice(None) if ids is None else ids] = values
 
     def get_local_pose(self, to_matrix: bool = False) -> torch.Tensor:
         """Positions (N, 3) in metres, or matrices (N, 4, 4) that only translate."""
-        start = 3 * self.binding.index
+        start = 3 * self.index
         position = to_tensor(self.engine.model_field("light_pos")[:, start : start + 3])
         if not to_matrix:
             return position
@@ -104,32 +101,33 @@ class Light(Handle[int]):
 
     def set_local_pose(self, pose: Any, env_ids: Any = None, to_matrix: bool = False) -> None:
         """Set positions: (n, 3) or (3,), or with `to_matrix` those of (n, 4, 4) or (4, 4)."""
-        array = pose.detach().numpy() if isinstance(pose, torch.Tensor) else np.asarray(pose)
+        array = _array(pose)
         if to_matrix:
             if array.shape[-2:] != (4, 4):
                 raise ValueError(f"{self.uid}: pose must be (n, 4, 4) or (4, 4), got {array.shape}")
             array = array[..., :3, 3]
-        values, ids = self._rows(array, 3, env_ids, "pose")
+        values, ids = self._checked(array, 3, env_ids, "pose", shared=True)
         self.write("light_pos", values, ids)
 
     def reset(self, env_ids: Any = None) -> None:
         """Give the light its configured position, colour and intensity."""
-        self.set_local_pose(np.asarray(self.cfg.init_pos, np.float64), env_ids)
-        self.set_color(np.asarray(self.cfg.color, np.float64), env_ids)
-        self.set_intensity(float(self.cfg.intensity), env_ids)
-        self.set_falloff(float(self.cfg.radius), env_ids)
+        self.set_local_pose(self.cfg.init_pos, env_ids)
+        self.set_color(self.cfg.color, env_ids)
+        self.set_intensity(self.cfg.intensity, env_ids)
+        self.set_falloff(self.cfg.radius, env_ids)
 
     # -- state -------------------------------------------------------------------------------------
 
     def state_dict(self) -> dict[str, F64]:
         """Colour, intensity and falloff (copies); the engine keeps the rest."""
-        return {
-            "color": self._color.copy(),
-            "intensity": self._intensity.copy(),
-            "falloff": self._falloff.copy(),
-        }
+        state = {"color": self._color, "intensity": self._intensity, "falloff": self._falloff}
+        return {name: values.copy() for name, values in state.items()}
 
     def load_state_dict(self, state: dict[str, F64]) -> None:
         """Continue where `state_dict` was taken; the engine restores model fields."""
         self._color[:], self._intensity[:] = state["color"], state["intensity"]
         self._falloff[:] = state["falloff"]
+
+
+def _array(values: Any) -> Any:
+    return values.detach().numpy() if isinstance(values, torch.Tensor) else np.asarray(values)

@@ -1,4 +1,4 @@
-"""`RigidObject`: handle over one rigid body in N environments."""
+"""`RigidObject`: handle over one rigid body in N environments, and its `RigidBodyData`."""
 
 from __future__ import annotations
 
@@ -9,96 +9,58 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.objects._arrays import as_rows, bool_rows, to_tensor
-from embodichain.lab.sim.objects.entity import BatchEntity
-from embodichain.lab.sim.objects.rigid_inertia import RigidInertia
+from embodichain.lab.sim.compiler.rigid_math import inertia_about_axes
+from embodichain.lab.sim.objects._arrays import as_env_ids, field_values, to_tensor
+from embodichain.lab.sim.objects.entity import BatchEntity, TensorRead, TensorReads
+from embodichain.lab.sim.objects.solid import Solid
 from embodichain.lab.sim.unavailable import not_available
-from embodichain.utils.math import quat_conjugate, quat_rotate
+from embodichain.utils.math import quat_conjugate, quat_rotate, rotate
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.cfg import RigidObjectCfg
     from embodichain.lab.sim.compiler.index import EntityIndex
-    from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
     from embodichain.lab.sim.host import Host
-    from embodichain.lab.sim.objects.rigid_inertia import Solid
 
 __all__ = ["RigidBodyData", "RigidObject"]
 
 
-class RigidBodyData:
-    """Reads of one body in all environments; every property is a fresh float32 tensor."""
+class RigidBodyData(TensorReads):
+    """Reads of one body: every attribute is a fresh float32 tensor.
 
-    def __init__(self, owner: RigidObject) -> None:
-        self._owner = owner
+    Velocities and accelerations are those of the body's origin, in world axes.
+    """
 
-    @property
-    def pose(self) -> torch.Tensor:
-        """(N, 7) x, y, z, qw, qx, qy, qz in the environment's frame."""
-        return self._owner.get_local_pose()
-
-    @property
-    def lin_vel(self) -> torch.Tensor:
-        """(N, 3) m/s, world axes, of the body's origin."""
-        return to_tensor(self._owner.read_velocity()[0])
-
-    @property
-    def ang_vel(self) -> torch.Tensor:
-        """(N, 3) rad/s, world axes."""
-        return to_tensor(self._owner.read_velocity()[1])
-
-    @property
-    def vel(self) -> torch.Tensor:
-        """(N, 6) linear, then angular."""
-        return to_tensor(np.concatenate(self._owner.read_velocity(), axis=1))
-
-    @property
-    def lin_acc(self) -> torch.Tensor:
-        """(N, 3) m/s^2 of the last physics step, world axes; zero for bodies that do not move."""
-        return to_tensor(self._owner.read_acceleration()[0])
-
-    @property
-    def ang_acc(self) -> torch.Tensor:
-        """(N, 3) rad/s^2 of the last physics step, world axes."""
-        return to_tensor(self._owner.read_acceleration()[1])
-
-    @property
-    def acc(self) -> torch.Tensor:
-        """(N, 6) linear, then angular."""
-        return to_tensor(np.concatenate(self._owner.read_acceleration(), axis=1))
-
-    @property
-    def default_com_pose(self) -> torch.Tensor:
-        """(N, 7) compiled centre-of-mass frame in the body's frame."""
-        owner = self._owner
-        model, body = owner.engine.model, owner.entity.root_body_id
-        row = np.concatenate([model.body_ipos[body], model.body_iquat[body]])
-        return to_tensor(np.tile(row, (owner.num_instances, 1)))
-
-    @property
-    def com_pose(self) -> torch.Tensor:
-        """(N, 7) centre-of-mass frame in the body's frame."""
-        owner = self._owner
-        body = owner.entity.root_body_id
-        pos = owner.engine.model_field("body_ipos")[:, 3 * body : 3 * body + 3]
-        quat = owner.engine.model_field("body_iquat")[:, 4 * body : 4 * body + 4]
-        return to_tensor(np.concatenate([pos, quat], axis=1))
-
-    @property
-    def mass(self) -> torch.Tensor:
-        """(N,) kg."""
-        return self._owner.get_mass()
-
-    @property
-    def inertia(self) -> torch.Tensor:
-        """(N, 3) principal moments, kg m^2."""
-        return self._owner.get_inertia()
+    pose = TensorRead(lambda body: np.concatenate(body.read_pose(), axis=1))
+    """(N, 7) x, y, z, qw, qx, qy, qz in the environment's frame."""
+    lin_vel = TensorRead(lambda body: body.read_velocity()[0])
+    """(N, 3) m/s."""
+    ang_vel = TensorRead(lambda body: body.read_velocity()[1])
+    """(N, 3) rad/s."""
+    vel = TensorRead(lambda body: np.concatenate(body.read_velocity(), axis=1))
+    """(N, 6) linear, then angular."""
+    lin_acc = TensorRead(lambda body: body.read_acceleration()[0])
+    """(N, 3) m/s^2 of the last physics step; zero for bodies that do not move."""
+    ang_acc = TensorRead(lambda body: body.read_acceleration()[1])
+    """(N, 3) rad/s^2 of the last physics step."""
+    acc = TensorRead(lambda body: np.concatenate(body.read_acceleration(), axis=1))
+    """(N, 6) linear, then angular."""
+    default_com_pose = TensorRead(lambda body: body.read_com_pose(compiled=True))
+    """(N, 7) compiled centre-of-mass frame in the body's frame."""
+    com_pose = TensorRead(lambda body: body.read_com_pose())
+    """(N, 7) centre-of-mass frame in the body's frame."""
+    mass = TensorRead(lambda body: body.read_inertia()[0])
+    """(N,) kg."""
+    inertia = TensorRead(lambda body: body.read_inertia()[1])
+    """(N, 3) principal moments, kg m^2."""
 
 
 class RigidObject(BatchEntity):
     """One rigid body with one shape, in N environments.
 
     `dynamic` bodies are simulated, `kinematic` ones move only by `set_local_pose`, `static` ones
-    stand still unless `set_local_pose` moves them.
+    stand still unless `set_local_pose` moves them. Writes keep mass, inertia and damping of the
+    body consistent.
 
     Args:
         cfg: Its config (kept as given).
@@ -110,13 +72,21 @@ class RigidObject(BatchEntity):
 
     def __init__(self, cfg: RigidObjectCfg, uid: str, host: Host) -> None:
         super().__init__(cfg, uid, host)
-        self._inertia = RigidInertia(self.binding, cfg)
         self._data = RigidBodyData(self)
+        count, attrs = self.num_instances, cfg.attrs
+        self._declared_damping = np.array([attrs.linear_damping, attrs.angular_damping], np.float64)
+        self._damping: F64 = np.tile(self._declared_damping, (count, 1))  # 1/s
+        self._scale: F64 = np.ones((count, 3))  # over the compiled size
+        self._zeros: F64 = np.zeros((count, 3))
+        self._mass0 = 0.0
+        self._inertia: F64 = np.zeros((count, 3))  # at the compiled mass and the present scale
+        self._solid: Solid | None = None
 
     def bind(self, engine: Engine, index: EntityIndex) -> None:
         """Set the engine and the body's indices. Called once, by the simulation."""
         super().bind(engine, index)
-        self._inertia.bind()
+        self._mass0 = float(engine.model.body_mass[index.root_body_id])
+        self._inertia[:] = engine.model.body_inertia[index.root_body_id]
 
     @property
     def is_static(self) -> bool:
@@ -138,32 +108,39 @@ class RigidObject(BatchEntity):
         """(N, 13): pose 7, linear velocity 3, angular velocity 3."""
         return torch.cat([self._data.pose, self._data.vel], dim=1)
 
+    @property
+    def _dofs(self) -> slice | None:
+        """The 6 columns of the body's free joint in qvel; None if it is not dynamic."""
+        start = self.index.free_qvel_adr
+        return slice(start, start + 6) if start >= 0 else None
+
     def _need_dynamic(self, what: str) -> slice:
-        dofs = self._inertia.dofs
+        dofs = self._dofs
         if dofs is None:
             raise ValueError(f"{self.uid} is {self.cfg.body_type}: {what} needs body_type: dynamic")
         return dofs
+
+    def _columns(self, width: int) -> slice:
+        """Columns of the body in a flattened field with ``width`` numbers a body."""
+        body = self.index.root_body_id
+        return slice(width * body, width * body + width)
 
     # -- velocity and force --------------------------------------------------------------------
 
     def read_velocity(self) -> tuple[F64, F64]:
         """Linear and angular velocity, (N, 3) each, world axes; zeros unless dynamic."""
-        dofs = self._inertia.dofs
-        if dofs is None:
-            zero = np.zeros((self.num_instances, 3))
-            return zero, zero
-        qvel = self.engine.state("qvel")[:, dofs]
-        # A free joint's angular velocity is in the body's frame, its linear one in the world's.
-        return qvel[:, :3], quat_rotate(self.read_pose()[1], qvel[:, 3:])
+        if self._dofs is None:
+            return self._zeros, self._zeros
+        root = self.motion(self.index.root_body_id)
+        return root.linear_velocity(), root.angular_velocity()
 
     def read_acceleration(self) -> tuple[F64, F64]:
         """Linear and angular acceleration of the last physics step, (N, 3) each, world axes."""
-        dofs = self._inertia.dofs
-        if dofs is None:
-            zero = np.zeros((self.num_instances, 3))
-            return zero, zero
-        qacc = self.engine.acceleration("qacc")[:, dofs]
-        return qacc[:, :3], quat_rotate(self.read_pose()[1], qacc[:, 3:])
+        if self._dofs is None:
+            return self._zeros, self._zeros
+        qacc = self.engine.acceleration("qacc")[:, self._dofs]
+        # A free joint's angular part is in the body's axes, its linear one in the world's.
+        return qacc[:, :3], rotate(self.motion(self.index.root_body_id).axes(), qacc[:, 3:])
 
     def set_velocity(self, lin_vel: Any = None, ang_vel: Any = None, env_ids: Any = None) -> None:
         """Set velocities of a dynamic body.
@@ -173,16 +150,14 @@ class RigidObject(BatchEntity):
             ang_vel: (n, 3) rad/s, world axes, or None to leave it.
             env_ids: The n environments; None is all N.
         """
-        dofs = self._need_dynamic("set_velocity")
-        ids, rows = self._ids(env_ids)
+        start = self._need_dynamic("set_velocity").start
         if lin_vel is not None:
-            lin = as_rows(lin_vel, rows, 3, f"{self.uid}: lin_vel")
-            self.engine.write("qvel", lin, ids, slice(dofs.start, dofs.start + 3))
+            lin, ids = self._checked(lin_vel, 3, env_ids, "lin_vel")
+            self.engine.write("qvel", lin, ids, slice(start, start + 3))
         if ang_vel is not None:
-            ang = as_rows(ang_vel, rows, 3, f"{self.uid}: ang_vel")
-            quat = self.read_pose()[1]
-            local = quat_rotate(quat_conjugate(quat if ids is None else quat[ids]), ang)
-            self.engine.write("qvel", local, ids, slice(dofs.start + 3, dofs.stop))
+            ang, ids = self._checked(ang_vel, 3, env_ids, "ang_vel")
+            local = quat_rotate(quat_conjugate(self.read_pose()[1][self._rows(ids)]), ang)
+            self.engine.write("qvel", local, ids, slice(start + 3, start + 6))
 
     def add_force_torque(
         self, force: Any = None, torque: Any = None, pos: Any = None, env_ids: Any = None
@@ -196,42 +171,45 @@ class RigidObject(BatchEntity):
             env_ids: The n environments; None is all N.
         """
         self._need_dynamic("add_force_torque")
-        ids, rows = self._ids(env_ids)
-        body = self.entity.root_body_id
-        total = np.zeros((rows, 6))
+        ids, columns = as_env_ids(env_ids, self.num_instances), self._columns(6)
+        rows = self._rows(ids)
+        total = self.engine.state("xfrc_applied")[rows, columns].copy()
+        given = np.zeros_like(total)
         if force is not None:
-            total[:, :3] = as_rows(force, rows, 3, f"{self.uid}: force")
+            given[:, :3] = self._checked(force, 3, ids, "force")[0]
         if torque is not None:
-            total[:, 3:] = as_rows(torque, rows, 3, f"{self.uid}: torque")
+            given[:, 3:] = self._checked(torque, 3, ids, "torque")[0]
         if pos is not None:
-            com = self.engine.derived("xipos")[:, body]
-            arm = as_rows(pos, rows, 3, f"{self.uid}: pos") - (com if ids is None else com[ids])
-            total[:, 3:] += np.cross(arm, total[:, :3])
-        columns = slice(6 * body, 6 * body + 6)
-        now = self.engine.state("xfrc_applied")[:, columns]
-        self.engine.write("xfrc_applied", total + (now if ids is None else now[ids]), ids, columns)
+            com = self.engine.derived("xipos")[rows, self.index.root_body_id]
+            arm = self._checked(pos, 3, ids, "pos")[0] - com
+            given[:, 3:] += np.cross(arm, given[:, :3])
+        self.engine.write("xfrc_applied", given + total, ids, columns)
 
     def clear_dynamics(self, env_ids: Any = None) -> None:
         """Stop the body and remove applied forces."""
-        ids, _ = self._ids(env_ids)
-        self.stop(ids)
+        self.stop(as_env_ids(env_ids, self.num_instances))
 
-    def stop(self, ids: NDArray[np.int64] | None) -> None:
+    def stop(self, ids: EnvIndex | None) -> None:
         """`clear_dynamics` for checked indices."""
-        dofs = self._inertia.dofs
+        dofs = self._dofs
         if dofs is None:
             return
         self.engine.write("qvel", 0.0, ids, dofs)
         self.engine.write("qacc_warmstart", 0.0, ids, dofs)
-        body = self.entity.root_body_id
-        if self.engine.state("xfrc_applied")[:, 6 * body : 6 * body + 6].any():
-            self.engine.write("xfrc_applied", 0.0, ids, slice(6 * body, 6 * body + 6))
+        if self.engine.state("xfrc_applied")[:, self._columns(6)].any():
+            self.engine.write("xfrc_applied", 0.0, ids, self._columns(6))
 
     # -- mass, inertia, damping --------------------------------------------------------------------
 
+    def read_inertia(self, ids: EnvIndex | None = None) -> tuple[F64, F64]:
+        """Mass (n,) in kg and principal moments (n, 3) in kg m^2 (copies)."""
+        rows = slice(None) if ids is None else ids
+        mass = self.engine.model_field("body_mass")[rows, self.index.root_body_id].copy()
+        return mass, self.engine.model_field("body_inertia")[rows, self._columns(3)].copy()
+
     def get_mass(self, env_ids: Any = None) -> torch.Tensor:
         """(n,) kg."""
-        return to_tensor(self._inertia.read(self._ids(env_ids)[0])[0])
+        return to_tensor(self.read_inertia()[0][self._rows(env_ids)])
 
     def set_mass(self, mass: Any, env_ids: Any = None) -> None:
         """Set the mass (n,) in kg; the inertia scales with it, so the body stays consistent.
@@ -240,23 +218,28 @@ class RigidObject(BatchEntity):
             ValueError: If a mass is not positive.
         """
         self._need_dynamic("set_mass")
-        ids, rows = self._ids(env_ids)
-        new = as_rows(np.reshape(mass, (-1, 1)), rows, 1, f"{self.uid}: mass")[:, 0]
+        new, ids = self._checked(np.reshape(mass, (-1, 1)), 1, env_ids, "mass")
         if (new <= 0).any():
             raise ValueError(f"{self.uid}: mass must be positive, got {new.min()}")
-        self._inertia.write_mass(new, ids)
+        self.write_mass(new[:, 0], ids)
 
     def write_mass(self, mass: F64, ids: EnvIndex | None, inertia: bool = True) -> None:
-        """Set the mass from checked arrays; see `RigidInertia.write_mass`."""
-        self._inertia.write_mass(mass, ids, inertia)
+        """Set the mass (n,) in kg from checked arrays, and with it damping.
+
+        The inertia scales with it, unless ``inertia`` is False: another distribution of mass.
+        """
+        moments = self._inertia[slice(None) if ids is None else ids]
+        self._write_inertia(ids, mass, moments * (mass / self._mass0)[:, None], inertia)
 
     def write_inertia_scale(self, factor: F64, ids: EnvIndex | None) -> None:
-        """Scale the inertia by checked factors (n,); see `RigidInertia.write_inertia_scale`."""
-        self._inertia.write_inertia_scale(factor, ids)
+        """Scale the inertia that belongs to the present mass and size by (n,) checked factors."""
+        mass = self.read_inertia(ids)[0]
+        moments = self._inertia[slice(None) if ids is None else ids]
+        self._write_inertia(ids, mass, moments * (mass / self._mass0 * factor)[:, None])
 
     def get_inertia(self, env_ids: Any = None) -> torch.Tensor:
         """(n, 3) principal moments of inertia, kg m^2."""
-        return to_tensor(self._inertia.read(self._ids(env_ids)[0])[1])
+        return to_tensor(self.read_inertia()[1][self._rows(env_ids)])
 
     def set_inertia(self, inertia: Any, env_ids: Any = None) -> None:
         """Set the principal moments of inertia (n, 3) in kg m^2.
@@ -265,53 +248,98 @@ class RigidObject(BatchEntity):
             ValueError: If a moment is not positive or the triangle inequality fails.
         """
         self._need_dynamic("set_inertia")
-        ids, rows = self._ids(env_ids)
-        new = as_rows(inertia, rows, 3, f"{self.uid}: inertia")
+        new, ids = self._checked(inertia, 3, env_ids, "inertia")
         if (new <= 0).any() or (2 * new.max(axis=1) > new.sum(axis=1) + 1e-12).any():
             raise ValueError(
                 f"{self.uid}: moments must be positive, the largest at most the sum "
                 "of the other two"
             )
-        self._inertia.write_inertia(new, ids)
+        mass = self.read_inertia(ids)[0]
+        self._inertia[self._rows(ids)] = new * (self._mass0 / mass)[:, None]
+        self._write_inertia(ids, mass, new)
+
+    def _write_inertia(
+        self, ids: EnvIndex | None, mass: F64, moments: F64, inertia: bool = True
+    ) -> None:
+        self.engine.write_model("body_mass", mass[:, None], ids, self._columns(1))
+        if inertia:
+            self.engine.write_model("body_inertia", moments, ids, self._columns(3))
+        self._damp(ids, mass, moments if inertia else self.read_inertia(ids)[1])
+        self.engine.set_const_later(ids)
+
+    def _damp(self, ids: EnvIndex | None, mass: F64, moments: F64) -> None:
+        """Keep velocities decaying at the same rates; see the compiler's `damping_of`."""
+        if self._dofs is None:
+            return
+        rate = self._damping[slice(None) if ids is None else ids]
+        values = np.empty((len(mass), 6))
+        values[:, :3] = (rate[:, 0] * mass)[:, None]
+        iquat = self.engine.model.body_iquat[self.index.root_body_id]
+        values[:, 3:] = rate[:, 1:] * inertia_about_axes(iquat, moments)
+        self.engine.write_model("dof_damping", values, ids, self._dofs)
 
     def get_damping(self, env_ids: Any = None) -> torch.Tensor:
         """(n, 2) linear and angular damping, 1/s."""
-        ids, _ = self._ids(env_ids)
-        damping = self._inertia.read_damping()
-        return to_tensor(damping if ids is None else damping[ids])
+        return to_tensor(self._damping[self._rows(env_ids)])
 
     def set_damping(self, damping: Any, env_ids: Any = None) -> None:
         """Set linear and angular damping, (n, 2) in 1/s."""
         self._need_dynamic("set_damping")
-        ids, rows = self._ids(env_ids)
-        self._inertia.write_damping(as_rows(damping, rows, 2, f"{self.uid}: damping"), ids)
+        new, ids = self._checked(damping, 2, env_ids, "damping")
+        self._damping[self._rows(ids)] = new
+        self._damp(ids, *self.read_inertia(ids))
+
+    def read_com_pose(self, compiled: bool = False) -> F64:
+        """(N, 7) centre-of-mass frame in the body's frame, now or as compiled."""
+        if compiled:
+            model, body = self.engine.model, self.index.root_body_id
+            row = np.concatenate([model.body_ipos[body], model.body_iquat[body]])
+            return np.tile(row, (self.num_instances, 1))
+        pos = self.engine.model_field("body_ipos")[:, self._columns(3)]
+        quat = self.engine.model_field("body_iquat")[:, self._columns(4)]
+        return np.concatenate([pos, quat], axis=1)
 
     def set_com_pose(self, com_pose: Any, env_ids: Any = None) -> None:
         """Set the centre-of-mass frame in the body's frame, (n, 7)."""
         self._need_dynamic("set_com_pose")
-        ids, rows = self._ids(env_ids)
-        pose = self._pose_rows(com_pose, rows)
-        body = self.entity.root_body_id
-        self.engine.write_model("body_ipos", pose[:, :3], ids, slice(3 * body, 3 * body + 3))
-        self.engine.write_model("body_iquat", pose[:, 3:], ids, slice(4 * body, 4 * body + 4))
+        pose, ids = self._pose_rows(com_pose, env_ids, "pose")
+        self.engine.write_model("body_ipos", pose[:, :3], ids, self._columns(3))
+        self.engine.write_model("body_iquat", pose[:, 3:], ids, self._columns(4))
         self.engine.set_const_later(ids)
 
     # -- size ------------------------------------------------------------------------------------
 
     @property
     def solid(self) -> Solid:
-        """The shape at other sizes; see `RigidInertia.solid`."""
-        return self._inertia.solid
+        """The shape at other sizes.
+
+        Raises:
+            ValueError: If the shape has no size that could change: a mesh or a plane.
+        """
+        if self._solid is None:
+            self._solid = Solid.of(self.uid, self.engine.model, int(self.index.geom_ids[0]))
+        return self._solid
 
     def write_scale(self, scale: F64, ids: EnvIndex | None, fixed_density: bool = True) -> None:
-        """Scale the shape by checked factors (n, 3); see `RigidInertia.write_scale`."""
-        self._inertia.write_scale(scale, ids, fixed_density)
+        """Scale the declared shape by checked factors (n, 3) along its axes, and its inertia.
+
+        The mass follows the volume if the density is fixed; else it is the compiled one.
+        """
+        solid, where = self.solid, self._rows(ids)
+        size, volume, moments = solid.scaled(scale)
+        self._scale[where] = scale
+        columns = slice(3 * solid.geom, 3 * solid.geom + 3)
+        self.engine.write_model("geom_size", size, ids, columns)
+        if self._dofs is None:
+            self.engine.set_const_later(ids)
+            return
+        self._inertia[where] = self.engine.model.body_inertia[self.index.root_body_id] * moments
+        mass = self._mass0 * (volume if fixed_density else np.ones_like(volume))
+        self.write_mass(mass, ids)
 
     def get_body_scale(self, env_ids: Any = None) -> torch.Tensor:
         """(n, 3) scale of the shape."""
-        ids, _ = self._ids(env_ids)
-        scale = np.asarray(self.cfg.body_scale, np.float64) * self._inertia.read_scale()
-        return to_tensor(scale if ids is None else scale[ids])
+        return to_tensor((np.asarray(self.cfg.body_scale) * self._scale)[self._rows(env_ids)])
 
     def set_body_scale(self, scale: Any, env_ids: Any = None) -> None:
         """Set the shape's scale (n, 3); mass and inertia follow at the same density.
@@ -319,8 +347,7 @@ class RigidObject(BatchEntity):
         Raises:
             ValueError: If the shape is a mesh or a plane, or cannot be scaled so.
         """
-        ids, rows = self._ids(env_ids)
-        wanted = as_rows(scale, rows, 3, f"{self.uid}: scale")
+        wanted, ids = self._checked(scale, 3, env_ids, "scale")
         relative = wanted / np.asarray(self.cfg.body_scale, np.float64)
         self.solid.check(relative)
         self.write_scale(relative, ids)
@@ -329,58 +356,78 @@ class RigidObject(BatchEntity):
 
     def get_friction(self, env_ids: Any = None) -> torch.Tensor:
         """(n,) sliding friction coefficient."""
-        ids, _ = self._ids(env_ids)
-        geom = int(self.entity.geom_ids[0])
-        values = self.engine.model_field("geom_friction")[:, 3 * geom]
-        return to_tensor(values if ids is None else values[ids])
+        column = 3 * int(self.index.geom_ids[0])
+        return to_tensor(self.engine.model_field("geom_friction")[self._rows(env_ids), column])
 
     def set_friction(self, friction: Any, env_ids: Any = None) -> None:
         """Set the sliding friction coefficient, (n,); a contact takes the larger of its two."""
-        ids, rows = self._ids(env_ids)
-        new = as_rows(np.reshape(friction, (-1, 1)), rows, 1, f"{self.uid}: friction")
+        new, ids = self._checked(np.reshape(friction, (-1, 1)), 1, env_ids, "friction")
         if (new < 0).any():
             raise ValueError(f"{self.uid}: friction must not be negative, got {new.min()}")
-        for geom in self.entity.geom_ids:
-            self.engine.write_model(
-                "geom_friction", new, ids, slice(3 * int(geom), 3 * int(geom) + 1)
-            )
+        for geom in self.index.geom_ids.tolist():
+            self.engine.write_model("geom_friction", new, ids, slice(3 * geom, 3 * geom + 1))
 
     def enable_collision(self, enable: Any, env_ids: Any = None) -> None:
         """Switch contacts on or off, (n,) booleans."""
-        ids, rows = self._ids(env_ids)
-        on = bool_rows(enable, rows, f"{self.uid}: enable").astype(np.float64)[:, None]
-        model, body = self.engine.model, self.entity.root_body_id
-        groups = [("geom", int(g)) for g in self.entity.geom_ids] + [("body", body)]
-        for kind, index in groups:
-            for field in ("contype", "conaffinity"):
-                name = f"{kind}_{field}"
-                value = int(getattr(model, name)[index])
-                self.engine.write_model(name, on * value, ids, slice(index, index + 1))
+        given = np.asarray(enable)
+        if given.dtype != np.bool_ or given.ndim != 1:
+            raise ValueError(f"{self.uid}: enable must be booleans (n,), got {given.shape}")
+        on, ids = self._checked(given[:, None], 1, env_ids, "enable")
+        for kind, numbers in (
+            ("geom", self.index.geom_ids.tolist()),
+            ("body", [self.index.root_body_id]),
+        ):
+            for name in (f"{kind}_contype", f"{kind}_conaffinity"):
+                for number in numbers:
+                    value = on * int(getattr(self.engine.model, name)[number])
+                    self.engine.write_model(name, value, ids, slice(number, number + 1))
 
     def get_user_ids(self) -> torch.Tensor:
         """(N,) id of the body in segmentation images: its MuJoCo body id."""
-        return torch.full((self.num_instances,), self.entity.root_body_id, dtype=torch.int32)
+        return torch.full((self.num_instances,), self.index.root_body_id, dtype=torch.int32)
 
     def set_visible(self, visible: bool = True) -> None:
         """Draw the body or not, in pictures of every environment."""
-        for geom in self.entity.geom_ids:
-            column = slice(4 * int(geom) + 3, 4 * int(geom) + 4)
+        for geom in self.index.geom_ids.tolist():
             alpha = float(self.engine.model.geom_rgba[geom, 3]) if visible else 0.0
-            self.engine.write_model("geom_rgba", alpha, None, column)
+            self.engine.write_model("geom_rgba", alpha, None, slice(4 * geom + 3, 4 * geom + 4))
 
     # -- whole simulations -------------------------------------------------------------------------
 
     def take_over(self, ids: EnvIndex | None, fields: Mapping[str, NDArray[Any]]) -> None:
-        """Read size, inertia and damping out of a model; see `RigidInertia.take_over`."""
-        self._inertia.take_over(ids, fields)
+        """Read size, inertia and damping out of a model that environments were given.
+
+        Args:
+            ids: (n,) environments, or None for all.
+            fields: Model fields, (size,) each, of all of them; absent ones are as compiled.
+        """
+        where, model = self._rows(ids), self.engine.model
+        mass, _ = field_values(model, fields, "body_mass", self._columns(1))
+        inertia, _ = field_values(model, fields, "body_inertia", self._columns(3))
+        self._inertia[where] = inertia * (self._mass0 / mass) if mass[0] > 0 else inertia
+        geom = int(self.index.geom_ids[0])
+        columns = slice(3 * geom, 3 * geom + 3)
+        size, compiled = field_values(model, fields, "geom_size", columns)
+        self._scale[where] = np.divide(size, compiled, out=np.ones(3), where=compiled > 0)
+        if self._dofs is None:
+            return
+        damping, _ = field_values(model, fields, "dof_damping", self._dofs)
+        about = inertia_about_axes(model.body_iquat[self.index.root_body_id], inertia[None])[0]
+        rate = damping[0] / mass[0], damping[3] / about[0]
+        same = np.isclose(rate, self._declared_damping, rtol=1e-9)
+        self._damping[where] = np.where(same, self._declared_damping, rate)
 
     def state_dict(self) -> dict[str, F64]:
         """Values that are in no model field (copies)."""
-        return self._inertia.state_dict()
+        self.index  # noqa: B018  (compiles, which sets the inertia)
+        state = {"damping": self._damping, "scale": self._scale, "inertia": self._inertia}
+        return {name: values.copy() for name, values in state.items()}
 
     def load_state_dict(self, state: dict[str, F64]) -> None:
         """Continue exactly where `state_dict` was taken; the engine restores model fields."""
-        self._inertia.load_state_dict(state)
+        self._damping[...] = state["damping"]
+        self._scale[...] = state["scale"]
+        self._inertia[...] = state["inertia"]
 
     set_body_type = not_available("set_body_type", "the body type is compiled into the model")
     set_attrs = not_available("set_attrs", "use set_mass, set_friction, set_damping, set_inertia")

@@ -4,10 +4,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from embodichain.lab.sim.engine.base import PhysicsEvent, Write
-from embodichain.lab.sim.engine.cpu import CpuEngine
-from embodichain.lab.sim.engine.kinematics import STAGES
-from embodichain.lab.sim.engine.layout import row_layout
+from embodichain.lab.sim.engine.api import PhysicsEvent, Write, row_layout
+from embodichain.lab.sim.engine.cpu import KINEMATIC_STAGES, CpuEngine
 
 XML = """
 <mujoco>
@@ -289,7 +287,7 @@ SENSED = """
 """
 
 
-@pytest.mark.parametrize("names", [*([name] for name in STAGES), list(STAGES)])
+@pytest.mark.parametrize("names", [*([name] for name in KINEMATIC_STAGES), list(KINEMATIC_STAGES)])
 def test_a_look_computes_what_all_of_mujocos_stages_do(names):
     """With one MjData a thread collisions are left out, with one an environment nothing is."""
     model = mujoco.MjModel.from_xml_string(SENSED)

@@ -1,4 +1,4 @@
-"""Managers, one file each: what runs a task's declared terms. Also the registry of terms."""
+"""Managers: what runs a task's declared terms. Also the registry of terms."""
 
 import lazy_loader
 
@@ -7,16 +7,12 @@ __getattr__, __dir__, __all__ = lazy_loader.attach(
     submod_attrs={
         "action_manager": ["ActionManager"],
         "check": ["check_terms"],
-        "command_manager": ["CommandManager"],
-        "curriculum_manager": ["CurriculumManager"],
-        "dry_run": ["check_shapes"],
-        "event_manager": ["EventManager"],
-        "metric_manager": ["MetricManager"],
+        "drawing": ["CommandManager", "EventManager"],
+        "manager": ["CurriculumManager"],
         "observation_manager": ["ObservationManager"],
         "registry": ["TERMS", "TermSpec", "register_term", "resolve_term"],
-        "reward_manager": ["RewardManager"],
         "scene_entity": ["ResolvedEntity", "resolve_entity"],
         "term": ["ActionTerm", "CommandTerm", "Term"],
-        "termination_manager": ["TerminationManager"],
+        "value_managers": ["MetricManager", "RewardManager", "TerminationManager", "check_shapes"],
     },
 )

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import ActionTermCfg
-from embodichain.lab.gym.envs.managers.action_pipeline import ActionPipeline
-from embodichain.lab.gym.envs.managers.base import BuiltTerm, Manager
+from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
+from embodichain.lab.gym.envs.managers.pipeline import ActionPipeline
 from embodichain.lab.gym.envs.managers.term import ActionTerm
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["ActionManager", "ActionTerm"]  # EmbodiChain has both here
 

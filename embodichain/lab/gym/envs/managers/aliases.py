@@ -1,8 +1,8 @@
-"""Names for a quantity with a shape: `alias` describes one, `register_aliases` adds a table.
+"""Other names of terms: `alias` describes one, `register_aliases` adds a table of them.
 
 ``"joint_vel_l2": alias("joint_velocity", "l2")`` makes ``{func: joint_vel_l2}`` mean ``{func:
-joint_velocity, shape: l2}``. A parameter of the alias may be one of the quantity or of a shape
-under another name: `P`.
+joint_velocity, shape: l2}``. A parameter of the target may have a fixed value, another name (`P`),
+or a value that a function makes of parameters of its own.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from embodichain.lab.gym.envs.managers.registry import (
     SHAPES,
@@ -19,7 +19,11 @@ from embodichain.lab.gym.envs.managers.registry import (
     Kind,
     TermSpec,
     add_term,
+    describe_term,
 )
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.context import TermContext
 
 __all__ = ["Alias", "AliasSpec", "P", "alias", "register_aliases"]
 
@@ -33,10 +37,10 @@ class P:
     """A parameter of an alias.
 
     Attributes:
-        name: What the alias calls it; ``*`` stands for all parameters of a shape.
-        default: Its value where a config gives none; without it that of what it stands for.
-        hint: Its type, if that is narrower than of what it stands for.
-        needed: Whether a config must give it, although what it stands for has a default.
+        name: What the alias calls it; ``*`` is all parameters of a shape.
+        default: Its value where a config gives none; the target's default if absent.
+        hint: Its type, if it is narrower than the target's.
+        needed: Whether a config must give it although the target has a default.
     """
 
     name: str
@@ -47,62 +51,93 @@ class P:
 
 @dataclass(frozen=True)
 class Alias:
-    """What a name stands for; see `alias`."""
+    """The meaning of a name; see `alias`."""
 
-    quantity: str
+    target: str
     shapes: tuple[tuple[str, Any], ...]
     params: Mapping[str, Any]
+    only: Sequence[str] | None
+    example: str
 
 
-def alias(quantity: str, shape: Any = None, /, **params: Any) -> Alias:
-    """Describe a name for a quantity with a shape.
+def alias(
+    target: str,
+    shape: Any = None,
+    /,
+    *,
+    only: Sequence[str] | None = None,
+    example: str = "",
+    **params: Any,
+) -> Alias:
+    """Describe another name of a term, or of a quantity with a shape.
 
     Args:
-        quantity: The quantity's name.
+        target: The term's or the quantity's name.
         shape: As in a config: ``l2``, ``{tanh: P("std")}`` or a list of these.
-        **params: Parameters of the quantity (``from_`` for ``from``): a fixed value, or a `P`. The
-            others keep their names, but for ``of``, ``from`` and ``to``, which become
-            ``entity_cfg``, ``source_entity_cfg`` and ``target_entity_cfg``.
+        only: Parameters of the target that keep their names and defaults; None is all that are not
+            in `params`. ``of``, ``from`` and ``to`` are then called ``entity_cfg``,
+            ``source_entity_cfg`` and ``target_entity_cfg``.
+        example: Parameters of the alias in its example, as YAML; without it they are taken from
+            the examples of the target and of the shapes.
+        **params: Parameters of the target (``from_`` for ``from``): a fixed value, a `P`, or a
+            function that takes the environment and parameters of the alias and returns the value.
     """
     steps = shape if isinstance(shape, list) else [] if shape is None else [shape]
     pairs = [(s, None) if isinstance(s, str) else next(iter(s.items())) for s in steps]
-    return Alias(quantity, tuple(pairs), {k.removesuffix("_"): v for k, v in params.items()})
+    given = {k.removesuffix("_"): v for k, v in params.items()}
+    return Alias(target, tuple(pairs), given, only, example)
 
 
 @dataclass(frozen=True)
 class AliasSpec(TermSpec):
-    """A term whose name stands for a quantity with shapes.
+    """A term that is another name of a term, or of a quantity with shapes.
 
     Attributes:
-        target: The quantity.
+        target: The term.
         steps: The shapes, in order.
-        fixed: The values that the alias sets: of the quantity, then of each shape.
-        exposed: Parameter -> which of these (0 is the quantity) and its parameter there.
-        narrower: Parameter -> its type, where that is not the type of what it stands for.
+        makers: Parameter of the target -> the function that makes its value.
+        fixed: The values that the alias sets, one map for each of `parts`.
+        exposed: Parameter -> index in `parts` and its name there.
+        narrower: Parameter -> its type, where it is narrower than the target's.
+        example: Parameters in its example, as YAML; empty if they follow from those of `parts`.
     """
 
     target: TermSpec = field(default=None)  # type: ignore[assignment]
     steps: tuple[TermSpec, ...] = ()
+    makers: Mapping[str, TermSpec] = field(default_factory=dict)
     fixed: tuple[dict[str, Any], ...] = ()
     exposed: Mapping[str, tuple[int, str]] = field(default_factory=dict)
     narrower: Mapping[str, Any] = field(default_factory=dict)
+    example: str = ""
 
     @property
     def place(self) -> str:
-        """Where the quantity is defined, and the name, which tells aliases apart."""
+        """Where the target is defined, and the name, which tells aliases apart."""
         return f"{self.target.place} as {self.name}"
 
+    @property
+    def parts(self) -> tuple[TermSpec, ...]:
+        """What takes the parameters: the target, the shapes, and the functions in `makers`."""
+        return (self.target, *self.steps, *self.makers.values())
+
+    @property
+    def names(self) -> dict[str, str]:
+        """Parameter of the target or of a shape -> the alias's name of it."""
+        return {key: name for name, (_, key) in self.exposed.items()}
+
     def hints(self) -> dict[str, Any]:
-        """Types of the parameters: those of what they stand for."""
-        parts = (self.target, *self.steps)
-        hints = {name: parts[i].hints()[key] for name, (i, key) in self.exposed.items()}
+        """Types of the parameters: those of the target's, or of a shape's."""
+        hints = {n: self.parts[i].hints()[key] for n, (i, key) in self.exposed.items()}
         return {**hints, **self.narrower}
 
-    def meaning(self, values: Mapping[str, Any]) -> list[tuple[TermSpec, dict[str, Any]]]:
-        """The quantity and its parameters, then each shape and its own.
+    def meaning(
+        self, values: Mapping[str, Any], env: TermContext | None = None
+    ) -> list[tuple[TermSpec, dict[str, Any]]]:
+        """The target and its parameters, then each shape and its own.
 
         Args:
             values: Parameters of the alias.
+            env: The environment, for `makers`.
         """
         given = [dict(fixed) for fixed in self.fixed]
         for name, (part, key) in self.exposed.items():
@@ -111,70 +146,75 @@ class AliasSpec(TermSpec):
                 given[part][key] = values[name]
             elif default is not _EMPTY:
                 given[part][key] = default
-        return list(zip((self.target, *self.steps), given, strict=True))
+        shaped = 1 + len(self.steps)
+        for (key, maker), own in zip(self.makers.items(), given[shaped:], strict=True):
+            given[0][key] = maker.func(env, **own)
+        return list(zip((self.target, *self.steps), given[:shaped], strict=True))
 
 
 def register_aliases(table: Mapping[str, Alias], *kinds: Kind) -> None:
     """Register names as terms.
 
     Args:
-        table: Name -> what it stands for.
-        *kinds: The managers that may use them; none are those that the last shape allows: reward
+        table: Name -> its meaning.
+        *kinds: The managers that may use it; none are those that the last shape allows: reward
             and metric, and termination if it is a truth.
     """
-    TERMS["reward"]  # what they stand for is registered first
+    TERMS["reward"]  # targets are registered first
     for name, meant in table.items():
         last = meant.shapes[-1][0] if meant.shapes else ""
-        chosen = kinds or (VALUE_KINDS[1:] if last in _TRUTHS else ("reward", "metric"))
-        for kind in chosen:
+        for kind in kinds or (VALUE_KINDS[1:] if last in _TRUTHS else ("reward", "metric")):
             add_term(_spec(name, kind, meant))
 
 
 def _spec(name: str, kind: Kind, meant: Alias) -> AliasSpec:
-    target = next(TERMS.registered[k][meant.quantity] for k in (kind, *VALUE_KINDS)
-                  if meant.quantity in TERMS.registered[k])  # fmt: skip
+    tables = [TERMS.registered[k] for k in (kind, *VALUE_KINDS)]
+    target = next(table[meant.target] for table in tables if meant.target in table)
     steps = tuple(SHAPES[shape] for shape, _ in meant.shapes)
-    fixed: list[dict[str, Any]] = [{} for _ in range(len(steps) + 1)]
+    functions = {key: value for key, value in meant.params.items() if callable(value)}
+    makers = {key: describe_term("shape", function) for key, function in functions.items()}
+    parts = (target, *steps, *makers.values())
+    kept = target.params if meant.only is None else meant.only
+    usual = {key: P(_OLD.get(key, key)) for key in target.params if key in kept}
+    given = [
+        {
+            k: meant.params.get(k, usual.get(k))
+            for k in target.params
+            if k not in makers and (k in meant.params or k in usual)
+        },
+        *(_of_shape(step, one) for step, (_, one) in zip(steps, meant.shapes, strict=True)),
+        *({key: P(key) for key in maker.params} for maker in makers.values()),
+    ]
     exposed: dict[str, tuple[int, str]] = {}
     params: dict[str, inspect.Parameter] = {}
     narrower: dict[str, Any] = {}
-
-    def add(part: int, key: str, given: P) -> None:
-        source = (target, *steps)[part].params[key]
-        default = source.default if given.default is _EMPTY else given.default
-        default = _EMPTY if given.needed else default
-        exposed[given.name] = (part, key)
-        if given.hint is not None:
-            narrower[given.name] = given.hint
-        params[given.name] = source.replace(default=default)
-
-    for part, (_, given) in enumerate(meant.shapes, 1):
-        for key, value in _of_shape(steps[part - 1], given).items():
+    for part in (*range(1, len(parts)), 0):
+        for key, value in given[part].items():
             if isinstance(value, P):
-                add(part, key, value)
-            else:
-                fixed[part][key] = value
-    for key in target.params:
-        value = meant.params.get(key, P(_OLD.get(key, key)))
-        if isinstance(value, P):
-            add(0, key, value)
-        else:
-            fixed[0][key] = value
-    entities = [n for n, (part, key) in exposed.items() if part == 0 and key in _OLD]
-    needed = [n for n, p in params.items() if p.default is _EMPTY and n not in entities]
-    order = dict.fromkeys([*(n for n in entities if params[n].default is _EMPTY), *needed, *params])
+                source = parts[part].params[key]
+                default = source.default if value.default is _EMPTY else value.default
+                exposed[value.name] = part, key
+                params[value.name] = source.replace(default=_EMPTY if value.needed else default)
+                if value.hint is not None:
+                    narrower[value.name] = value.hint
+    needed = [n for n, p in params.items() if p.default is _EMPTY]
+    entities = [n for n in needed if exposed[n][1] in _OLD or n in _OLD.values()]
+    order = dict.fromkeys([*entities, *needed, *params])
+    fixed = tuple({k: v for k, v in one.items() if not isinstance(v, P)} for one in given)
     return AliasSpec(
         name=name,
         kind=kind,
         func=target.func,
         params={n: params[n] for n in order},
-        doc=_doc(meant, target, fixed),
+        doc=_doc(meant, target),
         lead=target.lead,
         target=target,
         steps=steps,
-        fixed=tuple(fixed),
+        makers=makers,
+        fixed=fixed,
         exposed=exposed,
         narrower=narrower,
+        example=meant.example,
     )
 
 
@@ -187,33 +227,36 @@ def _of_shape(shape: TermSpec, given: Any) -> dict[str, Any]:
     return dict(given) if isinstance(given, Mapping) else {next(iter(shape.params)): given}
 
 
-def _doc(meant: Alias, target: TermSpec, fixed: Sequence[Mapping[str, Any]]) -> str:
-    """Say what a name stands for."""
+def _doc(meant: Alias, target: TermSpec) -> str:
+    """Describe the meaning of a name."""
     shapes = ", ".join(_written(name, given) for name, given in meant.shapes)
     shape = f", shape: {f'[{shapes}]' if len(meant.shapes) > 1 else shapes}" if shapes else ""
-    values = {k: f"{v.name.upper()}" for k, v in meant.params.items() if isinstance(v, P)}
-    values |= {k: _yaml(v) for k, v in fixed[0].items() if v != target.params[k].default}
-    set_ = ", ".join(f"{k}: {v}" for k, v in values.items())
-    params = f", params: {{{set_}}}" if set_ else ""
-    return f"Stands for ``{{func: {target.name}{shape}{params}}}``."
+    shown = {
+        k: v.default if isinstance(v, P) and v.name == k else v for k, v in meant.params.items()
+    }
+    shown = {k: v for k, v in shown.items() if v not in (_EMPTY, target.params[k].default)}
+    values = ", ".join(f"{k}: {_yaml(v)}" for k, v in shown.items())
+    params = f", params: {{{values}}}" if values else ""
+    return f"Alias of ``{{func: {target.name}{shape}{params}}}``."
 
 
 def _written(name: str, given: Any) -> str:
     if given is None:
         return name
-    if isinstance(given, P):
-        return f"{{{name}: {'...' if given.name == '*' else given.name.upper()}}}"
-    if isinstance(given, Mapping):
-        inner = ", ".join(f"{k}: {_yaml(v)}" for k, v in given.items())
-        return f"{{{name}: {{{inner}}}}}"
+    if isinstance(given, P) and given.name == "*":
+        return f"{{{name}: ...}}"
     return f"{{{name}: {_yaml(given)}}}"
 
 
 def _yaml(value: Any) -> str:
     if isinstance(value, P):
         return value.name.upper()
+    if callable(value):
+        return "..."
     if isinstance(value, bool):
         return str(value).lower()
+    if isinstance(value, Mapping):
+        return f"{{{', '.join(f'{k}: {_yaml(v)}' for k, v in value.items())}}}"
     if isinstance(value, (list, tuple)):
         return f"[{', '.join(map(_yaml, value))}]"
     return {float("inf"): ".inf", float("-inf"): "-.inf"}.get(value, str(value))

@@ -1,74 +1,42 @@
-"""Random numbers of events and commands, and the times at which they are due.
+"""Managers whose terms draw random numbers: `EventManager` and `CommandManager`.
 
-`DrawingManager` gives each term a random stream of its own and logs what it draws, `Uniform` is a
-range that a term draws from, `Timer` counts control steps.
+Each term has a random stream of its own, and what it draws is logged. `Timer` counts the control
+steps until a term is due.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
+import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.cfg import TermCfg
-from embodichain.lab.gym.envs.managers.base import BuiltTerm, Manager
+from embodichain.lab.gym.envs.cfg import CommandCfg, EventCfg, TermCfg
+from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
+from embodichain.lab.gym.envs.managers.term import CommandTerm
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean, listing
 
 if TYPE_CHECKING:
-    from embodichain.lab.gym.envs.context import Draws, TermContext
-    from embodichain.lab.gym.envs.managers.registry import Kind
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    import torch
 
-__all__ = ["DrawingManager", "Timer", "Uniform", "constant"]
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.gym.envs.managers.registry import Kind
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
+else:
+    torch = lazy_loader.load("torch")
+
+__all__ = [
+    "CommandManager",
+    "DrawingManager",
+    "EventManager",
+    "Timer",
+]
 
 C = TypeVar("C", bound=TermCfg)
-
-
-def constant(values: Any) -> F64:
-    """A read-only float64 copy: streams scale many draws at once by bounds that cannot change."""
-    array = np.array(values, np.float64)
-    array.setflags(write=False)
-    return array
-
-
-class Uniform:
-    """Numbers that a term draws uniformly, logged under a name.
-
-    Args:
-        name: Name in the log.
-        low: Scalar or array, of the shape of one environment's draw.
-        high: Likewise; exclusive.
-
-    Attributes:
-        low, high: Those, read-only float64.
-    """
-
-    def __init__(self, name: str, low: Any, high: Any) -> None:
-        self.name = name
-        self.low, self.high = constant(low), constant(high)
-
-    @classmethod
-    def within(
-        cls, name: str, bounds: Sequence[Any] | None, degrees: bool = False
-    ) -> Uniform | None:
-        """The numbers of a parameter [low, high], or of a box [[...], [...]]; None for None.
-
-        Args:
-            name: Name in the log.
-            bounds: The parameter; [low, high] is a draw of shape (1,).
-            degrees: Whether the bounds are in degrees; draws are in rad.
-        """
-        if bounds is None:
-            return None
-        low, high = (np.atleast_1d(np.asarray(bound, np.float64)) for bound in bounds)
-        return cls(name, *(np.deg2rad(low), np.deg2rad(high)) if degrees else (low, high))
-
-    def __call__(self, draws: Draws, env_ids: EnvIndex | None) -> F64:
-        """(n, ...) numbers for the environments given, or for all. Do not write into it."""
-        return draws.draw(self.name, self.low.shape, self.low, self.high, env_ids)
 
 
 class DrawingManager(Manager[C]):
@@ -220,3 +188,291 @@ class Timer:
             return np.flatnonzero(self.left <= 0)
         self.left[env_ids] -= steps
         return env_ids[self.left[env_ids] <= 0]
+
+
+class EventManager(DrawingManager[EventCfg]):
+    """Runs events and their timers.
+
+    `interval` events count control steps per environment. A reset restarts the environment's
+    count, so nothing fires for an environment in the step that reset it. With `is_global` all
+    environments share one count that runs on through resets, and the event gets ``env_ids=None``.
+
+    Args:
+        env: The environment; its scene is complete.
+        cfgs: Name -> event.
+    """
+
+    def __init__(self, env: TermContext, cfgs: Mapping[str, EventCfg]) -> None:
+        self._intervals: list[_Interval] = []
+        super().__init__(env, "events", "event", cfgs)
+        self._intervals = [_Interval(env, t) for t in self._by_mode["interval"]]
+        self._started = False
+
+    def _bind(self) -> None:
+        self._by_mode: dict[str, list[BuiltTerm[EventCfg]]] = {
+            mode: [t for t in self.terms.values() if t.cfg.mode == mode]
+            for mode in ("startup", "reset", "interval")
+        }
+        for interval in self._intervals:
+            interval.term = self.terms[interval.term.name]
+
+    def apply(self, mode: Literal["startup", "reset"], env_ids: EnvIndex | None = None) -> None:
+        """Fire every event of a mode; `startup` events fire once, whoever asks again.
+
+        Args:
+            mode: Which events.
+            env_ids: (n,) sorted unique int64 environments, or None for all.
+        """
+        if mode == "startup":
+            if self._started:
+                return
+            self._started = True
+        for term in self._by_mode[mode]:
+            self._run(term, mode, env_ids)
+
+    def step(self, env_ids: EnvIndex | None = None) -> None:
+        """Advance the timers by one control step and fire the `interval` events that are due.
+
+        Args:
+            env_ids: (n,) environments that took the step, or None for all. Environments that were
+                reset instead of stepped are left out by the caller.
+        """
+        for interval in self._intervals:
+            due = interval.advance(env_ids)
+            if due is None or len(due):
+                self._run(interval.term, "interval", due)
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Restart the timers of these environments and reset the terms that are classes."""
+        super().reset(env_ids)
+        for interval in self._intervals:
+            interval.restart(env_ids)
+
+    def restart_global(self) -> None:
+        """Start the timers anew that all environments share: for a reset with a seed."""
+        for interval in self._intervals:
+            if interval.is_global:
+                interval.timer.left[:] = 0
+
+    def _run(self, term: BuiltTerm[EventCfg], mode: str, env_ids: EnvIndex | None) -> None:
+        self._call(term, mode, env_ids, self.env, env_ids)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Timers, and the state of terms that are classes (copies)."""
+        timers = {i.term.name: i.timer.left.copy() for i in self._intervals}
+        return {**super().state_dict(), "timers": timers, "started": self._started}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        super().load_state_dict(state)
+        self._started = bool(state["started"])
+        for interval in self._intervals:
+            interval.timer.left[:] = state["timers"][interval.term.name]
+
+
+class _Interval:
+    """When an event fires next."""
+
+    def __init__(self, env: TermContext, term: BuiltTerm[EventCfg]) -> None:
+        self.term = term
+        self._streams = env.streams
+        cfg = term.cfg
+        self.is_global = cfg.is_global
+        self.every_step = cfg.interval_range_s is None and cfg.interval_step == 1
+        self.timer = Timer(1 if cfg.is_global else env.num_envs, env.step_dt)
+
+    def _start(self, env_ids: EnvIndex | None) -> None:
+        """Start the timer anew. A global one draws from environment 0's stream."""
+        cfg = self.term.cfg
+        if cfg.interval_range_s is None:
+            self.timer.left[slice(None) if env_ids is None else env_ids] = cfg.interval_step
+            return
+        low, high = cfg.interval_range_s
+        ids = np.zeros(1, np.int64) if self.is_global else env_ids
+        name = f"events.{self.term.name}.interval"
+        self.timer.start(env_ids, self._streams.uniform(name, (), low, high, ids))
+
+    def restart(self, env_ids: EnvIndex | None) -> None:
+        """Begin to count anew where an episode begins; a global timer runs on."""
+        if not self.is_global and not self.every_step:
+            self._start(env_ids)
+
+    def advance(self, env_ids: EnvIndex | None) -> EnvIndex | None:
+        """Count one step; returns the environments that are due, None meaning all of them."""
+        if self.every_step:
+            return None if self.is_global else env_ids
+        if self.is_global and self.timer.left[0] == 0:
+            self._start(None)
+        found = self.timer.advance(None if self.is_global else env_ids)
+        due = None if len(found) == len(self.timer.left) else found
+        if len(found):
+            self._start(due)
+        return due
+
+
+class CommandManager(DrawingManager[CommandCfg]):
+    """Draws commands at resets, after reset events, and in between at their own intervals.
+
+    A command draws by `draw`, from a stream of its own, and what it drew goes to the environment's
+    observers as an event of mode ``command``. Where a term gives metrics, their means over the
+    episode are ``info["metrics"]["COMMAND/METRIC"]``.
+
+    Args:
+        env: The environment; its scene is complete.
+        cfgs: Name -> command.
+
+    Raises:
+        ConfigError: If a term is wrong, or has no values (N, K).
+    """
+
+    def __init__(self, env: TermContext, cfgs: Mapping[str, CommandCfg]) -> None:
+        super().__init__(env, "commands", "command", cfgs)
+        self._timers = {
+            name: Timer(self.num_envs, env.step_dt)
+            for name, term in self.terms.items()
+            if term.cfg.resampling_time_s is not None
+        }
+        self._sums: dict[str, F64] = {}
+        self._steps: F64 = np.zeros(self.num_envs)
+
+    def _bind(self) -> None:
+        for name, term in self.terms.items():
+            values = getattr(term.instance, "values", None)
+            if not isinstance(values, np.ndarray) or values.ndim != 2:
+                message = f"{term.spec.label} must set values, an array (N, K)"
+                raise ConfigError([Problem(f"commands.{name}.func", message)])
+            if values.shape[0] != self.num_envs or values.dtype != np.float64:
+                message = f"needs float64 values ({self.num_envs}, K), got {values.shape}"
+                raise ConfigError([Problem(f"commands.{name}", message)])
+        instances = [(name, term.instance) for name, term in self.terms.items()]
+        self._updates = [
+            term.update for _, term in instances if type(term).update is not CommandTerm.update
+        ]
+        self._measured = [
+            (name, term.metrics)
+            for name, term in instances
+            if type(term).metrics is not CommandTerm.metrics
+        ]
+
+    # -- what others read ----------------------------------------------------------------------
+
+    def require(self, name: str, key: str = "command_name") -> str:
+        """Return the name of a command if it exists: for terms that are built with one.
+
+        Args:
+            name: What a parameter says.
+            key: The parameter, for the message.
+
+        Raises:
+            ConfigError: If there is no such command; lists those that exist.
+        """
+        if name not in self.terms:
+            known = listing(self.terms, name)
+            message = f"no command is called {name!r}; there are: {known}"
+            raise ConfigError([Problem(key, message, did_you_mean(name, self.terms).strip())])
+        return name
+
+    def values(self, name: str) -> F64:
+        """(N, K) float64 commands in force: a live view, not to be written to or kept."""
+        values: F64 = self.terms[name].instance.values
+        return values
+
+    def get_command(self, name: str) -> torch.Tensor:
+        """(N, K) float32 commands in force; a copy."""
+        return torch.from_numpy(self.values(name).astype(np.float32))
+
+    def names(self, name: str) -> tuple[str, ...]:
+        """What each column of a command is."""
+        instance = self.terms[name].instance
+        return tuple(instance.names) or tuple(map(str, range(instance.values.shape[1])))
+
+    # -- what the environment calls ------------------------------------------------------------
+
+    def resample(self, env_ids: EnvIndex | None) -> None:
+        """Draw every command anew: for environments that were reset.
+
+        Args:
+            env_ids: (n,) sorted unique int64, or None for all.
+        """
+        for term in self.terms.values():
+            self._run(term, "command", env_ids)
+        for update in self._updates:
+            update(env_ids)
+
+    def step(self, env_ids: EnvIndex | None = None) -> None:
+        """Count one control step, draw the commands that are due, and update all.
+
+        Args:
+            env_ids: (n,) environments that took the step, or None for all.
+        """
+        where: Any = slice(None) if env_ids is None else env_ids
+        for name, timer in self._timers.items():
+            due = timer.advance(env_ids)
+            if len(due):
+                everyone = len(due) == self.num_envs
+                self._run(self.terms[name], "command", None if everyone else due)
+        for update in self._updates:
+            update(env_ids)
+        if self._measured:
+            self._steps[where] += 1.0
+            self._measure(where)
+
+    def _measure(self, where: Any) -> None:
+        for name, metrics in self._measured:
+            for key, value in metrics().items():
+                total = self._sums.setdefault(f"{name}/{key}", np.zeros(self.num_envs))
+                total[where] += value[where]
+
+    def report(self, metrics: dict[str, torch.Tensor]) -> None:
+        """Add the means over the episode so far, this step included.
+
+        Args:
+            metrics: Gains ``COMMAND/METRIC`` -> (N,) float32.
+        """
+        count = np.maximum(self._steps, 1.0)
+        for name, total in self._sums.items():
+            metrics[name] = torch.from_numpy((total / count).astype(np.float32))
+
+    @property
+    def has_metrics(self) -> bool:
+        """Whether a command measures how well it is followed."""
+        return bool(self._measured)
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Start the episode of these environments; the draw itself comes after reset events."""
+        super().reset(env_ids)
+        where: Any = slice(None) if env_ids is None else env_ids
+        self._steps[where] = 0.0
+        for total in self._sums.values():
+            total[where] = 0.0
+
+    def _run(self, term: BuiltTerm[CommandCfg], mode: str, env_ids: EnvIndex | None) -> None:
+        self._call(term, mode, env_ids, env_ids)
+        timer, times = self._timers.get(term.name), term.cfg.resampling_time_s
+        if timer is not None and times is not None:
+            stream, (low, high) = f"commands.{term.name}.interval", times
+            timer.start(env_ids, self.env.streams.uniform(stream, (), low, high, env_ids))
+
+    def update(self, env_ids: EnvIndex | None) -> None:
+        """Adjust the commands of environments to a state that they were given."""
+        for update in self._updates:
+            update(env_ids)
+
+    # -- saving --------------------------------------------------------------------------------
+
+    def state_dict(self) -> dict[str, Any]:
+        """Commands, timers and sums (copies)."""
+        return {
+            **super().state_dict(),
+            "left": {name: timer.left.copy() for name, timer in self._timers.items()},
+            "sums": {name: total.copy() for name, total in self._sums.items()},
+            "steps": self._steps.copy(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        super().load_state_dict(state)
+        for name, timer in self._timers.items():
+            timer.left[:] = state["left"][name]
+        self._sums = {name: total.copy() for name, total in state["sums"].items()}
+        self._steps[:] = state["steps"]

@@ -10,26 +10,25 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import GetCoreSchemaHandler
 
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
+from embodichain.lab.sim.body_motion import BodyMotion, Frame, origin_velocities
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.from_dict import from_dict
-from embodichain.utils.math import cross, quat_conjugate, quat_multiply, quat_rotate
+from embodichain.utils.math import quat_conjugate, quat_multiply, quat_rotate
 
 if TYPE_CHECKING:
-    import torch
     from numpy.typing import NDArray
 
-    from embodichain.lab.sim.engine.base import F64, Engine
+    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.sim_manager import SimulationManager
 
-__all__ = ["Frame", "ResolvedEntity", "origin_velocities", "resolve_entity"]
+__all__ = ["ResolvedEntity", "resolve_entity"]
 
-Frame = Literal["world", "body", "yaw"]
 _HINGE = 3
 """MuJoCo's ``mjJNT_HINGE``: terms are listed without MuJoCo."""
 UNLIMITED = 1e9
@@ -209,72 +208,30 @@ class ResolvedEntity:
 
     # -- the picked link, else the root: environment's frame, wxyz, float64 ----------------------
 
+    @cached_property
+    def _motion(self) -> BodyMotion:
+        found: BodyMotion = self.asset.motion(self.body_id)
+        return found
+
     def position(self) -> F64:
         """(N, 3) m: a live view, not to be written to or stored."""
-        body = self.link_body
-        found: F64 = (
-            self.asset.read_pose()[0]
-            if body is None
-            else self.asset.engine.derived("xpos")[:, body]
-        )
-        return found
+        return self._motion.position()
 
     def orientation(self) -> F64:
         """(N, 4) wxyz: a live view, not to be written to or stored."""
-        body = self.link_body
-        found: F64 = (
-            self.asset.read_pose()[1]
-            if body is None
-            else self.asset.engine.derived("xquat")[:, body]
-        )
-        return found
+        return self._motion.orientation()
 
-    def pose(self) -> torch.Tensor:
-        """(N, 7) float32 x, y, z, qw, qx, qy, qz."""
-        link = self.link_name
-        found: torch.Tensor = (
-            self.asset.get_local_pose() if link is None else self.asset.get_link_pose(link)
-        )
-        return found
-
-    def _free_qvel(self) -> F64 | None:
-        """(N, 6) velocity of a floating root: linear in world axes, angular in its own."""
-        start = self.asset.entity.free_qvel_adr
-        if self.link_body is not None or start < 0:
-            return None
-        found: F64 = self.asset.engine.state("qvel")[:, start : start + 6]
-        return found
+    def axes(self) -> F64:
+        """(N, 3, 3) rotation matrix; not to be written to."""
+        return self._motion.axes()
 
     def linear_velocity(self, frame: Frame = "world") -> F64:
-        """(N, 3) m/s of the origin.
-
-        A floating root's is its joint's own. Else it is MuJoCo's `cvel`, which is (angular, linear)
-        at the centre of mass of the kinematic tree, moved to the origin:
-        v = v_com + w x (origin - com).
-
-        Args:
-            frame: The axes: of the ``world``, of the ``body`` itself, or of its heading (``yaw``),
-                which are level and turned about z to where the body's x axis points.
-        """
-        free = self._free_qvel()
-        engine = self.asset.engine
-        linear = origin_velocities(engine, self.body_id)[0] if free is None else free[:, :3]
-        if frame == "body":
-            return quat_rotate(quat_conjugate(self.orientation()), linear)
-        return _in_heading(self.orientation(), linear) if frame == "yaw" else linear
+        """(N, 3) m/s of the origin; not to be written to. See `BodyMotion.linear_velocity`."""
+        return self._motion.linear_velocity(frame)
 
     def angular_velocity(self, frame: Frame = "world") -> F64:
-        """(N, 3) rad/s; see `linear_velocity`."""
-        free = self._free_qvel()
-        if free is not None and frame == "body":
-            return free[:, 3:]
-        if free is not None:
-            angular = quat_rotate(self.orientation(), free[:, 3:])
-        else:
-            angular = self.asset.engine.derived("cvel")[:, self.body_id, :3]
-        if frame == "body":
-            return quat_rotate(quat_conjugate(self.orientation()), angular)
-        return _in_heading(self.orientation(), angular) if frame == "yaw" else angular
+        """(N, 3) rad/s; not to be written to. See `BodyMotion.linear_velocity`."""
+        return self._motion.angular_velocity(frame)
 
     # -- all picked links; L is their number, 1 for the root -------------------------------------
 
@@ -325,42 +282,9 @@ class ResolvedEntity:
         return ResolvedEntity(self.uid, self.asset) if self.link_names else self
 
 
-def origin_velocities(engine: Engine, bodies: Any) -> tuple[F64, F64]:
-    """Velocities of bodies' origins from MuJoCo's `cvel`, world axes.
-
-    Args:
-        engine: The engine.
-        bodies: B ids of bodies, a slice, or one id.
-
-    Returns:
-        Linear in m/s and angular in rad/s, (N, B, 3) each; (N, 3) of one id.
-    """
-    roots = engine.model.body_rootid[bodies].astype(np.int64)
-    cvel = engine.derived("cvel")[:, bodies]
-    arm = engine.derived("xpos")[:, bodies] - engine.derived("subtree_com")[:, roots]
-    angular = cvel[..., :3]
-    return cvel[..., 3:] + cross(angular, arm), angular
-
-
 def _repeated(quat: F64, count: int) -> F64:
     """(N, count, 4) of (N, 4)."""
     return np.broadcast_to(quat[:, None], (len(quat), count, 4))
-
-
-def _in_heading(quat: F64, vectors: F64) -> F64:
-    """(N, 3) vectors in level axes, turned about z to a body's x axis.
-
-    The heading of a body whose x axis is vertical is the world's x axis.
-    """
-    w, x, y, z = (quat[:, i] for i in range(4))
-    ahead, left = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
-    length = np.sqrt(ahead * ahead + left * left)
-    vertical = length == 0.0
-    length = np.where(vertical, 1.0, length)
-    cos, sin = np.where(vertical, 1.0, ahead / length), left / length
-    forward = cos * vectors[:, 0] + sin * vectors[:, 1]
-    sideways = cos * vectors[:, 1] - sin * vectors[:, 0]
-    return np.stack([forward, sideways, vectors[:, 2]], axis=1)
 
 
 def resolve_entity(

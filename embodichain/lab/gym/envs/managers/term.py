@@ -1,8 +1,8 @@
-"""`Term`, `ActionTerm` and `CommandTerm`: bases of terms that are classes."""
+"""Bases of terms that are classes: `Term`, `ActionTerm`, `CommandTerm`; and what they draw from."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.gym.envs.context import Draws
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
-__all__ = ["ActionTerm", "CommandMarker", "CommandTerm", "Term"]
+__all__ = ["ActionTerm", "CommandMarker", "CommandTerm", "Term", "Uniform", "constant"]
 
 
 class Term:
@@ -129,3 +130,47 @@ class CommandTerm(Term):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         self.values[:] = state["values"]
+
+
+def constant(values: Any) -> F64:
+    """A read-only float64 copy: streams scale many draws at once by bounds that cannot change."""
+    array = np.array(values, np.float64)
+    array.setflags(write=False)
+    return array
+
+
+class Uniform:
+    """Numbers that a term draws uniformly, logged under a name.
+
+    Args:
+        name: Name in the log.
+        low: Scalar or array, of the shape of one environment's draw.
+        high: Likewise; exclusive.
+
+    Attributes:
+        low, high: Those, read-only float64.
+    """
+
+    def __init__(self, name: str, low: Any, high: Any) -> None:
+        self.name = name
+        self.low, self.high = constant(low), constant(high)
+
+    @classmethod
+    def within(
+        cls, name: str, bounds: Sequence[Any] | None, degrees: bool = False
+    ) -> Uniform | None:
+        """The numbers of a parameter [low, high], or of a box [[...], [...]]; None for None.
+
+        Args:
+            name: Name in the log.
+            bounds: The parameter; [low, high] is a draw of shape (1,).
+            degrees: Whether the bounds are in degrees; draws are in rad.
+        """
+        if bounds is None:
+            return None
+        low, high = (np.atleast_1d(np.asarray(bound, np.float64)) for bound in bounds)
+        return cls(name, *(np.deg2rad(low), np.deg2rad(high)) if degrees else (low, high))
+
+    def __call__(self, draws: Draws, env_ids: EnvIndex | None) -> F64:
+        """(n, ...) numbers for the environments given, or for all. Do not write into it."""
+        return draws.draw(self.name, self.low.shape, self.low, self.high, env_ids)

@@ -14,7 +14,7 @@ import numpy as np
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = ["SIGMOIDS", "Sigmoid", "Tolerance", "gaussian", "tanh_kernel"]
 

@@ -5,26 +5,60 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import lazy_loader
 import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.mdp._draws import Operation, Values, Write
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     import mujoco
 
-    from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
 else:
     mujoco = lazy_loader.load("mujoco")
 
-__all__ = ["FIELDS", "SCENE_FIELDS", "Field", "Options", "need_articulation", "need_object"]
+__all__ = [
+    "FIELDS",
+    "SCENE_FIELDS",
+    "Field",
+    "Operation",
+    "Options",
+    "Values",
+    "Write",
+    "need_articulation",
+    "need_object",
+]
 
+Operation = Literal["add", "scale", "abs"]
+"""What a drawn number does to the compiled one: is added, multiplies it, or replaces it."""
+Write = Callable[["F64", "EnvIndex | None"], None]
+"""Writes values (n, m) in the environments given, or in all."""
 GROUND = "default_plane"
+
+
+@dataclass(frozen=True, eq=False)
+class Values:
+    """k values of named things: a field of one entity.
+
+    Attributes:
+        names: What the things are called, for ranges by name and for messages.
+        default: (k,) compiled values.
+        write: Gives what writes the values (n, m) of the things with indices (m,).
+        lowest: The least value that makes sense; None is any.
+        unlimited: Why a default may be infinite, for messages.
+        needs_default: Whether an infinite default is an error whatever the operation.
+    """
+
+    names: Sequence[str]
+    default: F64
+    write: Callable[[NDArray[np.int64]], Write]
+    lowest: float | None = None
+    unlimited: str = ""
+    needs_default: bool = False
 
 
 @dataclass(frozen=True)
@@ -59,7 +93,7 @@ def need_object(entity: ResolvedEntity, dynamic: str = "") -> None:
         ConfigError: If it is not.
     """
     if not hasattr(entity.asset, "is_non_dynamic"):
-        message = f"{entity.uid!r} is no rigid object but has joints and links"
+        message = f"{entity.uid!r} is not a rigid object: it has joints and links"
         raise ConfigError([Problem("entity_cfg.uid", message)])
     if dynamic and entity.asset.is_non_dynamic:
         kind = entity.asset.cfg.body_type

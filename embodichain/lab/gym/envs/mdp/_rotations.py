@@ -9,7 +9,7 @@ import numpy as np
 from embodichain.utils.math import quat_to_matrix
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = ["Heading", "Rotation", "as_rotation", "heading", "pose_matrix", "unique_quat"]
 

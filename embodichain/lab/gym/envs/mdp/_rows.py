@@ -1,6 +1,7 @@
-"""Sums over the columns of (N, K) arrays in a fixed order, and what turns arrays into tensors.
+"""Sums over the columns of (N, K) arrays, and what turns arrays into tensors.
 
-A reduction of numpy's may round differently for another number of environments; these do not.
+A sum is a dot product of each row that lies in memory side by side: it rounds alike for any number
+of environments, which a reduction of numpy's may not.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 else:
     torch = lazy_loader.load("torch")
 
@@ -25,41 +26,46 @@ __all__ = [
     "every_column",
     "mean",
     "norm",
+    "squares",
     "tensor",
     "total",
 ]
 
 
-def total(values: F64) -> F64:
-    """Sum of the rows, (N, K) -> (N,), from the first column on; 0 where K is 0."""
-    if values.shape[1] == 0:
-        return np.zeros(len(values))
-    found = values[:, 0]
-    for column in range(1, values.shape[1]):
-        found = found + values[:, column]
+def squares(vectors: NDArray[Any]) -> F64:
+    """Sum of the squares of the rows, (N, K) -> (N,)."""
+    rows = np.ascontiguousarray(vectors, np.float64)
+    found: F64 = np.vecdot(rows, rows)
+    return found
+
+
+def total(values: NDArray[Any]) -> F64:
+    """Sum of the rows, (N, K) -> (N,); 0 where K is 0."""
+    rows = np.ascontiguousarray(values, np.float64)
+    found: F64 = np.vecdot(rows, np.ones(rows.shape[1]))
     return found
 
 
 def mean(values: F64) -> F64:
-    """Mean of the rows, (N, K) -> (N,), summed in the order of the columns."""
+    """Mean of the rows, (N, K) -> (N,)."""
     found: F64 = total(values) / max(values.shape[1], 1)
     return found
 
 
-def norm(vectors: F64) -> F64:
+def norm(vectors: NDArray[Any]) -> F64:
     """Euclidean length of the rows, (N, K) -> (N,)."""
-    found: F64 = np.sqrt(total(vectors * vectors))
+    found: F64 = np.sqrt(squares(vectors))
     return found
 
 
 def any_column(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Whether a row has a True, (N, K) -> (N,)."""
-    return np.asarray(mask.any(axis=1))
+    """Whether a row has a True, (N,) or (N, K) -> (N,)."""
+    return mask if mask.ndim == 1 else np.asarray(mask.any(axis=1))
 
 
 def every_column(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Whether all of a row are True, (N, K) -> (N,)."""
-    return np.asarray(mask.all(axis=1))
+    """Whether all of a row are True, (N,) or (N, K) -> (N,)."""
+    return mask if mask.ndim == 1 else np.asarray(mask.all(axis=1))
 
 
 def angle_between(a: F64, b: F64) -> F64:

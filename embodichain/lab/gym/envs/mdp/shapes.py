@@ -23,13 +23,13 @@ from embodichain.lab.gym.envs.managers.param_types import (
 from embodichain.lab.gym.envs.managers.registry import register_shape
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp import _kernels
-from embodichain.lab.gym.envs.mdp._rows import any_column, every_column, mean, norm, total
+from embodichain.lab.gym.envs.mdp._rows import any_column, every_column, mean, norm, squares, total
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
     Mask = NDArray[np.bool_]
 
@@ -83,12 +83,7 @@ def l2(env: TermContext) -> Values:
     Example:
         ``{func: joint_velocity, shape: l2, weight: -0.001, params: {of: {uid: ur10}}}``
     """
-
-    def squares(values: F64) -> F64:
-        columns = _columns(values)
-        return total(columns * columns)
-
-    return squares
+    return lambda values: squares(_columns(values))
 
 
 @register_shape
@@ -130,12 +125,7 @@ def gaussian(env: TermContext, std: Positive) -> Values:
         ``{func: linear_velocity_error, shape: {gaussian: 0.5}, weight: 1.0, params: {of: {uid:
         go}, command_name: velocity}}``
     """
-
-    def kernel(values: F64) -> F64:
-        columns = _columns(values)
-        return _kernels.gaussian(total(columns * columns), std)
-
-    return kernel
+    return lambda values: _kernels.gaussian(squares(_columns(values)), std)
 
 
 @register_shape
@@ -177,7 +167,7 @@ def above(env: TermContext, threshold: float, inclusive: bool = False) -> Truths
         ``{func: height, shape: {above: 0.1}, weight: 15.0, params: {of: {uid: cube}}}``
     """
     compare = np.greater_equal if inclusive else np.greater
-    return lambda values: any_column(compare(_columns(values), threshold))
+    return lambda values: any_column(compare(values, threshold))
 
 
 @register_shape
@@ -192,7 +182,7 @@ def below(env: TermContext, threshold: float, inclusive: bool = False) -> Truths
         ``{func: distance, shape: {below: 0.05}, params: {from: {uid: cube}, to: {uid: goal}}}``
     """
     compare = np.less_equal if inclusive else np.less
-    return lambda values: every_column(compare(_columns(values), threshold))
+    return lambda values: every_column(compare(values, threshold))
 
 
 @register_shape
@@ -307,7 +297,8 @@ class Rate(Term):
     ) -> None:
         self._unit = env.step_dt**order if per == "second" else 1.0
         self._order = order
-        self._calls: NDArray[np.int64] = np.zeros(env.num_envs, np.int64)
+        self._left: NDArray[np.int64] = np.full(env.num_envs, order)  # steps without a rate yet
+        self._all_known = False
         self._past: list[F64] = []
 
     def __call__(self, values: F64) -> F64:
@@ -315,23 +306,25 @@ class Rate(Term):
         rows = values.astype(np.float64)
         past = self._past or [rows] * self._order
         self._past = [rows, *past[: self._order - 1]]
-        self._calls = self._calls + 1
         change = rows - past[0] if self._order == 1 else rows - 2.0 * past[0] + past[1]
-        known = self._calls > self._order
-        if values.ndim > 1:
-            known = known[:, None]
-        return np.where(known, change / self._unit, 0.0)
+        change /= self._unit
+        if not self._all_known:
+            change[self._left > 0] = 0.0
+            self._left = np.maximum(self._left - 1, 0)
+            self._all_known = not self._left.any()
+        return change
 
     def reset(self, env_ids: EnvIndex | None) -> None:
         """Forget the steps of these environments."""
-        self._calls = self._calls.copy()
-        self._calls[slice(None) if env_ids is None else env_ids] = 0
+        self._left[slice(None) if env_ids is None else env_ids] = self._order
+        self._all_known = False
 
     def state_dict(self) -> dict[str, Any]:
-        """The steps that count, and their values (copies)."""
-        return {"calls": self._calls.copy(), "past": [rows.copy() for rows in self._past]}
+        """The steps that are missing, and the values of the last ones (copies)."""
+        return {"left": self._left.copy(), "past": [rows.copy() for rows in self._past]}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
-        self._calls = state["calls"].copy()
+        self._left = state["left"].copy()
+        self._all_known = not self._left.any()
         self._past = [rows.copy() for rows in state["past"]]

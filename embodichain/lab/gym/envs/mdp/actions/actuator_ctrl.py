@@ -10,9 +10,12 @@ from embodichain.lab.gym.envs.cfg import Names
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import ActionTerm
-from embodichain.lab.gym.envs.mdp.actions._affine import Affine
-from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint
-from embodichain.lab.gym.utils.bounds import finite_limits
+from embodichain.lab.gym.envs.mdp.actions.joint_action import (
+    Affine,
+    JointClip,
+    PerJoint,
+    finite_limits,
+)
 from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -21,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = ["ActuatorCtrl"]
 

@@ -1,28 +1,385 @@
-"""The action that moves joints: positions, velocities or efforts, affine in the action."""
+"""The action that moves joints: positions, velocities or efforts, affine in the action.
+
+`PerJoint` and `JointClip` are parameters with one value a joint; `Affine` computes values and
+bounds; `JointTerm`, `VelocityTargets` and `Efforts` write them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal
+import logging
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
+from pydantic import PlainValidator
 
 from embodichain.lab.gym.envs.managers.param_types import Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.mdp.actions._affine import Affine
-from embodichain.lab.gym.envs.mdp.actions._joint_term import Efforts, JointTerm, VelocityTargets
-from embodichain.lab.gym.envs.mdp.actions._per_joint import JointClip, PerJoint
-from embodichain.lab.gym.utils.bounds import finite_limits
+from embodichain.lab.gym.envs.managers.term import ActionTerm
+from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     import torch
+    from numpy.typing import ArrayLike, NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+    from embodichain.lab.sim.engine.api import F64
 
-__all__ = ["JointAction"]
+__all__ = [
+    "Affine",
+    "Efforts",
+    "JointAction",
+    "JointClip",
+    "JointTerm",
+    "PerJoint",
+    "VelocityTargets",
+    "finite_limits",
+    "joint_clip",
+    "per_joint",
+]
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _numbers(value: Any) -> Any:
+    parts = (
+        value.values()
+        if isinstance(value, Mapping)
+        else value
+        if isinstance(value, (list, tuple))
+        else [value]
+    )
+    if not parts or not all(map(_is_number, parts)):
+        raise ValueError("wants a finite number, a list of one a joint, or {joint regex: number}")
+    return value
+
+
+def _interval(value: Any) -> tuple[float, float]:
+    """[low, high], or a number c for [-c, c]."""
+    if _is_number(value):
+        value = (-value, value)
+    if not (isinstance(value, (list, tuple)) and len(value) == 2 and all(map(_is_number, value))):
+        raise ValueError(
+            "wants [low, high] or one number for both sides, a list of such pairs (one a joint), "
+            "or {joint regex: [low, high]}"
+        )
+    low, high = map(float, value)
+    if low >= high:
+        relation = "equals" if low == high else "exceeds"
+        raise ValueError(f"low {low} {relation} high {high}")
+    return low, high
+
+
+def _intervals(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {pattern: _interval(one) for pattern, one in value.items()}
+    if isinstance(value, (list, tuple)) and any(isinstance(v, (list, tuple)) for v in value):
+        return [_interval(one) for one in value]
+    return _interval(value)
+
+
+PerJoint = Annotated[float | list[float] | dict[str, float], PlainValidator(_numbers)]
+"""A number for all joints, a list of one a joint, or {joint regex: number}."""
+JointClip = Annotated[
+    float | list[float] | list[list[float]] | dict[str, list[float]], PlainValidator(_intervals)
+]
+"""[low, high] (or c for [-c, c]) for all joints, a list of such pairs, or {joint regex: pair}."""
+
+
+def per_joint(
+    value: Any,
+    names: Sequence[str],
+    path: str,
+    default: float | None = None,
+    what: str = "joint",
+) -> F64:
+    """Spread a `PerJoint` over joints, or other named things.
+
+    Args:
+        value: As declared.
+        names: The A joints.
+        path: Key path of the parameter, for messages.
+        default: What joints get that no regex of a map matches; None demands that all match.
+        what: What a name is, for messages.
+
+    Returns:
+        (A,) float64.
+
+    Raises:
+        ConfigError: If a list is not one a joint; if a regex matches no joint, or one that another
+            regex matches as well; or if a joint is left without a value. Lists the joints.
+    """
+    fallback = () if default is None else (default,)
+    return _spread(value, names, path, fallback, False, what)[:, 0]
+
+
+def joint_clip(value: Any, names: Sequence[str], path: str, what: str = "joint") -> tuple[F64, F64]:
+    """Low and high, (A,) each, of a `JointClip`; raises as `per_joint`, without a default."""
+    low, high = _spread(_intervals(value), names, path, (), True, what).T.copy()
+    return low, high
+
+
+def _spread(
+    value: Any, names: Sequence[str], path: str, default: Any, paired: bool, what: str
+) -> F64:
+    """(A, width) one row a joint."""
+    count, width = len(names), 2 if paired else 1
+    if isinstance(value, Mapping):
+        rows = _matched(value, names, path, what)
+        missing = [name for name in names if name not in rows]
+        if missing and not default:
+            problem = Problem(path, f"says nothing about {what}s: {', '.join(missing)}")
+            raise ConfigError([problem])
+        value = [rows.get(name, default[0] if default else None) for name in names]
+    elif not isinstance(value, (list, tuple)) or (paired and isinstance(value, tuple)):
+        value = [value] * count
+    if len(value) != count:
+        message = f"needs one value or {count}, one a {what}; got {len(value)}"
+        raise ConfigError([Problem(path, message)])
+    found: F64 = np.asarray(value, np.float64).reshape(count, width)
+    return found
+
+
+def _matched(
+    value: Mapping[str, Any], names: Sequence[str], path: str, what: str
+) -> dict[str, Any]:
+    """Name -> value of the one regex that matches it in full."""
+    found: dict[str, Any] = {}
+    source: dict[str, str] = {}
+    for pattern, one in value.items():
+        where = f"{path}.{pattern}"
+        hits, problems = match(pattern, names, f"{what} of this term", where)
+        if problems:
+            raise ConfigError(problems)
+        for name in (names[i] for i in hits):
+            if name in source:
+                message = f"{what} {name!r} is matched by {source[name]!r} as well"
+                raise ConfigError([Problem(where, message)])
+            source[name], found[name] = pattern, one
+    return found
+
+
+_UNLIMITED = 2.0 * np.pi
+"""Bound of an action for a joint without a limit, rad (or m): a turn either way.
+
+Action spaces must be finite, for learners and for random actions.
+"""
+
+
+def finite_limits(
+    limits: ArrayLike, joint_ids: Sequence[int] | NDArray[np.int64]
+) -> tuple[F64, F64]:
+    """Return (A,) lowest and highest positions, rad or m; unlimited sides get +-`_UNLIMITED`.
+
+    Args:
+        limits: (D, 2) joint limits, infinite where there is none.
+        joint_ids: The A joints, in the order of the action.
+    """
+    chosen = np.asarray(limits, np.float64)[np.asarray(joint_ids, np.int64)]
+    low, high = np.where(np.isfinite(chosen), chosen, [-_UNLIMITED, _UNLIMITED]).T
+    return low, high
+
+
+class Affine:
+    """The values of an action, in float64, and the bounds that follow.
+
+    Args:
+        names: What the A columns move.
+        scale: `PerJoint`, not 0; names that a map leaves out get 1.
+        offset: `PerJoint`; names that a map leaves out get 0.
+        clip: `JointClip`, or None: the bounds of the action then follow from `limits`.
+        centre: (A,) added to the offset.
+        limits: Low and high of the value, (A,) each, finite: needed without `clip`.
+        what: What a name is, for messages.
+
+    Attributes:
+        low, high: (A,) float32 bounds of the action; unset with neither `clip` nor `limits`.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        scale: Any,
+        offset: Any,
+        clip: Any,
+        centre: F64 | float = 0.0,
+        limits: tuple[Any, Any] | None = None,
+        what: str = "joint",
+    ) -> None:
+        self._scale: F64 = per_joint(scale, names, "scale", 1.0, what)
+        if (self._scale == 0).any():
+            raise ConfigError([Problem("scale", "must not be 0")])
+        self._centre: F64 = per_joint(offset, names, "offset", 0.0, what) + centre
+        self._clips = clip is not None
+        if clip is not None:
+            self._least, self._most = joint_clip(clip, names, "clip", what)
+        elif limits is not None:
+            ends = (np.asarray(limits, np.float64) - self._centre) / self._scale
+            self._least, self._most = np.minimum(*ends), np.maximum(*ends)
+        self.low: NDArray[np.float32] = self._least.astype(np.float32)
+        self.high: NDArray[np.float32] = self._most.astype(np.float32)
+        self._plain = bool((self._scale == 1).all() and not self._centre.any())
+
+    def value(self, action: torch.Tensor) -> F64:
+        """(N, A) the value of an action."""
+        given: F64 = action.numpy()
+        if self._clips:
+            given = np.minimum(np.maximum(given, self.low), self.high)  # float32: no conversion
+        return given if self._plain else self._centre + self._scale * given
+
+    def action_for(self, value: F64 | float) -> F64:
+        """(A,) or (N, A) the action that gives a value, as far as the bounds allow."""
+        found: F64 = np.clip((value - self._centre) / self._scale, self._least, self._most)
+        return found
+
+
+logger = logging.getLogger(__name__)
+
+
+class JointTerm(ActionTerm):
+    """An action term of the picked joints.
+
+    Args:
+        env: The environment.
+        entity: The robot and the joints picked.
+        driven: Whether every joint must have a drive.
+        positions: Whether the drives must take position targets.
+
+    Raises:
+        ConfigError: If there is no joint, or one without such a drive.
+    """
+
+    def __init__(
+        self,
+        env: TermContext,
+        entity: ResolvedEntity,
+        driven: bool = True,
+        positions: bool = True,
+    ) -> None:
+        self._period = env.step_dt
+        asset = entity.asset
+        if not hasattr(asset, "parsed"):
+            raise ConfigError([Problem("entity_cfg.uid", f"{entity.uid!r} has no joints")])
+        if not entity.joint_ids:
+            raise ConfigError([Problem("entity_cfg", f"{entity.uid!r} has no active joint")])
+        self.names = entity.joint_names
+        self._asset: Any = asset
+        self._ids: NDArray[np.int64] = np.asarray(entity.joint_ids, np.int64)
+        self._joints = None if entity.all_joints else self._ids
+        actuators = np.asarray(asset.entity.actuator_ids)[self._ids]
+        undriven = [n for n, a in zip(self.names, actuators, strict=True) if a < 0]
+        if driven and undriven:
+            message = (
+                f"joints {undriven} have no drive and no position servo (drive_type none, mimics, "
+                "or joints of an MJCF that its actuators or drive_pros leave alone)"
+            )
+            raise ConfigError([Problem("entity_cfg", message)])
+        parsed = asset.parsed
+        speeds = (parsed.servos.drive >= 0) & ~parsed.driven & (parsed.stiffness == 0)
+        fast = [n for n, i in zip(self.names, self._ids, strict=True) if speeds[i]]
+        if driven and positions and fast:
+            names = ", ".join(map(repr, fast))
+            message = f"joints {names} take velocity targets only: use joint_velocity"
+            raise ConfigError([Problem("entity_cfg", message)])
+        self._default: F64 = np.asarray(asset.parsed.init_qpos, np.float64)[self._ids]
+
+    def _write_targets(self, target: F64) -> None:
+        """Set the drives' position targets (N, A), clamped to the joints' limits.
+
+        In a control step they move by at most the drives' `max_velocity` times its period.
+        """
+        moved = self._asset.drives.within_rate(target, self._ids, self._period)
+        self._asset.write_target(moved, self._joints)
+
+    def _targets(self) -> F64:
+        """(N, A) current position targets of the drives."""
+        targets: F64 = self._asset.drives.read_target_qpos()[:, self._ids]
+        return targets
+
+    def _qpos(self) -> F64:
+        """(N, A) measured positions: not to be written to or kept."""
+        qpos: F64 = self._asset.read_qpos()
+        return qpos if self._joints is None else qpos[:, self._ids]
+
+
+class VelocityTargets:
+    """Writes velocity targets: a velocity drive's, or a moving position target of a stiff drive.
+
+    Args:
+        asset: The articulation.
+        joints: (A,) indices of its joints.
+        period: Seconds of a control step.
+
+    Raises:
+        ConfigError: If a joint has neither stiffness nor damping.
+    """
+
+    def __init__(self, asset: Any, joints: NDArray[np.int64], period: float) -> None:
+        self._asset, self._joints, self._period = asset, joints, period
+        drives = asset.drives
+        stiff, damping = (v[0, joints] > 0 for v in (drives.stiffness, drives.damping))
+        lame = [asset.parsed.joint_names[j] for j in joints[~(stiff | damping)]]
+        if lame:
+            message = f"joints {lame} have neither stiffness nor damping: nothing drives them"
+            raise ConfigError([Problem("entity_cfg", message)])
+        self._stiff: NDArray[np.int64] = np.flatnonzero(stiff)
+        self._free: NDArray[np.int64] = np.flatnonzero(~stiff)
+
+    def write(self, velocity: F64) -> None:
+        """Set velocities (N, A), rad/s or m/s, within the drives' `max_velocity`."""
+        most = self._asset.drives.max_velocity[:, self._joints]
+        target = np.minimum(np.maximum(velocity.astype(np.float64), -most), most)
+        if len(self._stiff):
+            self._move(target[:, self._stiff])
+        if len(self._free):
+            joints = self._joints[self._free]
+            self._asset.drives.write_target_qvel(target[:, self._free], joints, None)
+
+    def _move(self, velocity: F64) -> None:
+        """Move the position targets of stiff drives, as far ahead as the drives can pull."""
+        joints, asset = self._joints[self._stiff], self._asset
+        drives = asset.drives
+        target = drives.read_target_qpos()[:, joints] + velocity * self._period
+        reach = drives.max_effort[:, joints] / drives.stiffness[:, joints]
+        qpos = asset.read_qpos()[:, joints]
+        target = np.minimum(np.maximum(target, qpos - reach), qpos + reach)
+        drives.target_qvel[:, joints] = velocity
+        drives.has_velocity_target = True
+        asset.write_target(target, joints)
+
+
+class Efforts:
+    """Applies efforts to joints, constant over a control step.
+
+    Args:
+        asset: The articulation.
+        joints: (A,) indices of its joints.
+    """
+
+    def __init__(self, asset: Any, joints: NDArray[np.int64]) -> None:
+        self._asset, self._joints = asset, joints
+        self._dofs = np.asarray(asset.entity.dof_adr, np.int64)[joints]
+        stiff = joints[asset.drives.stiffness[0, joints] > 0]
+        if len(stiff):
+            logger.warning(
+                "joint_effort: joints %s have a drive with stiffness that holds its own target "
+                "beside the effort; drive_pros: {stiffness: 0, damping: 0} leaves the effort alone",
+                ", ".join(asset.parsed.joint_names[j] for j in stiff),
+            )
+
+    def write(self, effort: F64) -> None:
+        """Apply (N, A) efforts, N m or N, within `max_effort`, times the drives' strength."""
+        drives = self._asset.drives
+        most = drives.max_effort[:, self._joints]
+        effort = np.minimum(np.maximum(effort, -most), most) * drives.strength[:, self._joints]
+        self._asset.engine.write("qfrc_applied", effort, None, self._dofs)
+
 
 Centre = Literal["zero", "home", "qpos", "target", "limits"]
 
@@ -44,7 +401,7 @@ class JointAction(JointTerm):
         control: What the value is: ``position`` (rad or m), ``velocity`` (rad/s or m/s), or
             ``effort`` (N m or N), within +-``max_effort``.
         centre: Of positions: ``zero``; ``home``, the initial position; ``qpos``, the measured
-            position; ``target``, the previous target, so that nothing sags under gravity;
+            position; ``target``, the previous target, so that joints do not sag under gravity;
             ``limits`` maps `range` to the joint's declared limits (+-2 pi without any), with
             u = clamp(offset + scale x clamp(action, clip), range), target = low + (high - low) x
             (u - range[0]) / (range[1] - range[0]).

@@ -8,9 +8,12 @@ import numpy as np
 
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.mdp.actions._joint_term import JointTerm
-from embodichain.lab.gym.envs.mdp.actions._per_joint import PerJoint, per_joint
-from embodichain.lab.gym.utils.bounds import finite_limits
+from embodichain.lab.gym.envs.mdp.actions.joint_action import (
+    JointTerm,
+    PerJoint,
+    finite_limits,
+    per_joint,
+)
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -18,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = ["ParallelGripper"]
 

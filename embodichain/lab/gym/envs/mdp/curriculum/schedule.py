@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
@@ -13,15 +13,88 @@ from embodichain.lab.gym.envs.managers.check import check_params
 from embodichain.lab.gym.envs.managers.param_types import Finite
 from embodichain.lab.gym.envs.managers.registry import SECTIONS, register_term, resolve_term
 from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.mdp._schedule import between, get_at, progress, with_value
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
 
-__all__ = ["ModifyRewardWeight", "ModifyTermParam"]
+__all__ = [
+    "ModifyRewardWeight",
+    "ModifyTermParam",
+]
+
+_STAGES = 100
+"""A value that changes gradually does so in this many stages: each builds its term anew."""
+
+
+def get_at(tree: Any, path: Sequence[str]) -> Any:
+    """Return what stands at a path of keys and indices.
+
+    Raises:
+        ConfigError: If nothing does; lists what is there.
+    """
+    for depth, part in enumerate(path):
+        keys = _keys(tree)
+        if part not in keys:
+            where = ".".join(path[:depth]) or "the parameters"
+            known = ", ".join(keys) or "nothing"
+            raise ConfigError(
+                f"there is no {part!r} in {where}; there is: {known}.{did_you_mean(part, keys)}"
+            )
+        tree = tree[part] if isinstance(tree, dict) else tree[int(part)]
+    return tree
+
+
+def _keys(tree: Any) -> list[str]:
+    if isinstance(tree, dict):
+        return [str(key) for key in tree]
+    return [str(i) for i in range(len(tree))] if isinstance(tree, (list, tuple)) else []
+
+
+def with_value(tree: Any, path: Sequence[str], value: Any) -> Any:
+    """Return a copy of nested lists and maps with another value at a path that exists."""
+    if not path:
+        return value
+    part, rest = path[0], path[1:]
+    if isinstance(tree, dict):
+        return {**tree, part: with_value(tree.get(part), rest, value)}
+    return [with_value(v, rest, value) if str(i) == part else v for i, v in enumerate(tree)]
+
+
+def between(start: Any, end: Any, fraction: float) -> Any:
+    """Return the value at a fraction of the way, number by number in lists and maps.
+
+    Raises:
+        ConfigError: If the two are not numbers, or lists or maps of the same form.
+    """
+    if isinstance(start, dict) and isinstance(end, dict) and start.keys() == end.keys():
+        return {key: between(start[key], end[key], fraction) for key in start}
+    lists = isinstance(start, (list, tuple)) and isinstance(end, (list, tuple))
+    if lists and len(start) == len(end):
+        return [between(a, b, fraction) for a, b in zip(start, end, strict=True)]
+    if any(isinstance(v, bool) or not isinstance(v, (int, float)) for v in (start, end)):
+        raise ConfigError(f"cannot go gradually from {start!r} to {end!r}")
+    # Exact at both ends.
+    return start if fraction == 0.0 else (1.0 - fraction) * start + fraction * end
+
+
+def progress(step: int, start: int, end: int, gradual: bool) -> float:
+    """Return how much of a change is done at a control step: 0 to 1, in `_STAGES` stages.
+
+    Args:
+        step: Now.
+        start: When it begins, if it is gradual.
+        end: When it is complete.
+        gradual: Otherwise it is all or nothing.
+    """
+    if step >= end:
+        return 1.0
+    if not gradual or step <= start:
+        return 0.0
+    return (step - start) * _STAGES // (end - start) / _STAGES
+
 
 Steps = Annotated[int, Field(ge=0)]
 Section = Literal["commands", "events", "observations", "rewards", "terminations", "metrics"]
@@ -29,7 +102,7 @@ Section = Literal["commands", "events", "observations", "rewards", "terminations
 
 @register_term("curriculum", name="modify_reward_weight")
 class ModifyRewardWeight(Term):
-    """Gives a reward another weight, once or gradually. Isaac Lab's term of the same name.
+    """Changes the weight of a reward, at once or gradually. Isaac Lab's term of the same name.
 
     Its value is the weight in force.
 
@@ -38,10 +111,10 @@ class ModifyRewardWeight(Term):
 
     Args:
         term_name: The reward.
-        weight: The weight it will have.
-        num_steps: Control steps after which it has it: from the first reset on that follows them.
-        interpolate: Whether the weight goes there gradually, in a line.
-        start_step: When a gradual change begins.
+        weight: The new weight.
+        num_steps: Control steps until the change is complete; a reset after them applies it.
+        interpolate: Whether the weight changes linearly.
+        start_step: Control steps before a gradual change begins.
     """
 
     def __init__(
@@ -72,7 +145,7 @@ class ModifyRewardWeight(Term):
 
 @register_term("curriculum", name="modify_term_param")
 class ModifyTermParam(Term):
-    """Gives a parameter of a term another value, once or gradually.
+    """Changes a parameter of a term, at once or gradually.
 
     What Isaac Lab's ``modify_term_cfg`` does, without code. Its value is the parameter, if that is
     a number, else the share of the change that is done.
@@ -81,13 +154,13 @@ class ModifyTermParam(Term):
         ``{func: modify_term_param, params: {section: commands, term_name: velocity, param: ranges.lin_vel_x, value: [-2, 2], num_steps: 9000}}``
 
     Args:
-        section: The section of the task that holds the term.
+        section: The section of the task with the term.
         term_name: The term.
         param: The parameter; with dots it is a part of one: ``position_range.1.2``.
-        value: The value it will have.
-        num_steps: Control steps after which it has it: from the first reset on that follows them.
-        interpolate: Whether the value goes there gradually, number by number, in a line.
-        start_step: When a gradual change begins.
+        value: The new value.
+        num_steps: Control steps until the change is complete; a reset after them applies it.
+        interpolate: Whether the value changes linearly, number by number.
+        start_step: Control steps before a gradual change begins.
     """  # noqa: E501  (an example is one line)
 
     def __init__(

@@ -1,39 +1,48 @@
-"""The event that randomizes model fields: masses, frictions, gains, sizes, gravity."""
+"""The event that randomizes model fields: masses, frictions, gains, sizes, gravity.
+
+An operation is folded into the bounds, so that the number drawn is the value itself; equal bounds
+then give exactly the compiled value times one, or plus nothing.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.managers.param_types import Box3, Positive, Ranges, ScaleRange
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.mdp._draws import (
-    Distribution,
-    Draw,
+from embodichain.lab.gym.envs.managers.term import Term, constant
+from embodichain.lab.gym.envs.mdp._model_fields import (
+    FIELDS,
+    SCENE_FIELDS,
     Operation,
-    Quantity,
+    Options,
     Values,
     Write,
 )
-from embodichain.lab.gym.envs.mdp._model_fields import FIELDS, SCENE_FIELDS, Options
+from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = ["Randomize"]
+
+Distribution = Literal["uniform", "log_uniform", "gaussian"]
+"""Over [low, high]: uniform; uniform in the logarithm; normal with its mean in the middle and the
+bounds at three standard deviations, clipped there."""
 
 
 @register_term("event", name="randomize")
 class Randomize(Term):
     """Draws model fields of an entity, or of the scene, in each environment by itself.
 
-    Every draw starts from the compiled values, so repeated firing does not drift. A range is
+    Every draw starts from the compiled values, so repeated calls do not drift. A range is
     [low, high] for all bodies or joints, or {name regex: [low, high]}; only fields with a range
     change. MuJoCo's derived constants are recomputed once a reset.
 
@@ -43,14 +52,14 @@ class Randomize(Term):
             friction of the ground plane.
         entity_cfgs: Several entities instead, each with draws of its own.
         scale: Factors of the size of a box, sphere, ellipsoid, cylinder or capsule: [low, high],
-            or [[x, y, z] low, [x, y, z] high]. Mass and inertia follow; `get_body_scale` says the
-            scale. The pose stays: place an object that grows higher. Meshes and planes, whose
-            size environments share, are refused.
+            or [[x, y, z] low, [x, y, z] high]. Mass and inertia follow; `get_body_scale` returns
+            the scale. The pose does not change: place a larger object higher. Meshes and planes,
+            whose size environments share, are refused.
         mass: kg, of an object or of each link; links without mass are left out.
         com: [[x, y, z] low, [x, y, z] high] in metres, in the body's frame, added to the compiled
             centre of mass. Inertias about the centre of mass stay.
-        inertia: Factors, positive, of the three principal moments together, which belong to the
-            present mass.
+        inertia: Factors, positive, of the three principal moments together, for the mass at that
+            time.
         friction: Sliding coefficient of each object or link that collides. A contact takes the
             larger coefficient of its two geoms.
         torsional_friction: Torsional coefficient, m; acts where a geom's ``condim`` is 4 or 6.
@@ -74,7 +83,7 @@ class Randomize(Term):
             `strength` always multiply.
         distribution: ``uniform``, ``log_uniform`` or ``gaussian`` within the range.
         recompute_inertia: Whether inertias (and an object's damping) follow a mass.
-        min_mass: Masses below it become it, kg.
+        min_mass: The smallest mass, kg: smaller draws are raised to it.
         same_scale_all_axes: Whether one factor scales all axes; False draws one an axis (round
             shapes stay round).
         fixed_density: Whether the mass follows the volume of a scaled object; False keeps the
@@ -157,7 +166,7 @@ class Randomize(Term):
             raise ConfigError([Problem("scale", message)])
         if shared_sample and set(self._ranges) - {"scale"}:
             raise ConfigError([Problem("shared_sample", "only objects' scales may be shared")])
-        self._quantities: dict[str, Quantity] = {}
+        self._quantities: dict[str, DrawnField] = {}
         self._writes: list[list[Write]] = []
         entities = [*([] if entity_cfg is None else [entity_cfg]), *(entity_cfgs or [])]
         if not entities:
@@ -192,7 +201,7 @@ class Randomize(Term):
     def _add(self, label: str, param: str, values: Sequence[Values], operation: Operation) -> None:
         """Add a quantity that is written to each of the entities with these values."""
         first, given = values[0], self._ranges[param]
-        quantity = Quantity(param, given, operation, first)
+        quantity = DrawnField(param, given, operation, first)
         self._quantities[label] = quantity
         self._writes.append([one.write(quantity.ids) for one in values])
 
@@ -203,7 +212,7 @@ class Randomize(Term):
                 write(values, env_ids)
 
 
-def _check_limits(entity: ResolvedEntity, sides: Sequence[Quantity | None]) -> None:
+def _check_limits(entity: ResolvedEntity, sides: Sequence[DrawnField | None]) -> None:
     """Refuse ranges in which a lower position limit may exceed the upper one.
 
     Args:
@@ -223,3 +232,110 @@ def _check_limits(entity: ResolvedEntity, sides: Sequence[Quantity | None]) -> N
     if crossed:
         message = f"a lower limit may exceed the upper one: {', '.join(crossed)}"
         raise ConfigError([Problem(drawn[0].param, message)])
+
+
+class DrawnField:
+    """What some of an entity's values of one field are drawn from.
+
+    Args:
+        param: The parameter that gives the range, for messages.
+        ranges: [low, high], {name regex: [low, high]}, or [[low, ...], [high, ...]] with a column
+            for every thing, or for each of a group of things that repeats.
+        operation: See `Operation`.
+        values: The field's.
+
+    Attributes:
+        ids: (m,) which of the things are drawn.
+        low, high: (m,) bounds of the value.
+        factors: (m,) bounds of the number drawn, low and high.
+
+    Raises:
+        ConfigError: If a key matches nothing, or impossible values would be drawn.
+    """
+
+    def __init__(self, param: str, ranges: Any, operation: Operation, values: Values) -> None:
+        self.param, self.operation = param, operation
+        names, lowest = values.names, values.lowest
+        low, high = _by_name(param, ranges, names)
+        self.ids: NDArray[np.int64] = np.flatnonzero(~np.isnan(low))
+        self.factors = low[self.ids], high[self.ids]
+        self.default: F64 = np.array(values.default, np.float64)[self.ids]
+        endless = [names[int(i)] for i in self.ids if not np.isfinite(values.default[i])]
+        if endless and (operation != "abs" or values.needs_default):
+            message = f"{values.unlimited}: {', '.join(endless)}"
+            message += "" if values.needs_default else "; use operation: abs"
+            raise ConfigError([Problem(param, message)])
+        ends = [self.apply(f) for f in self.factors]
+        self.low, self.high = constant(ends[0]), constant(ends[1])
+        least = np.minimum(self.low, self.high)
+        if lowest is not None and (least < lowest).any():
+            worst = int(np.argmin(least))
+            message = f"would give {names[int(self.ids[worst])]} {least[worst]:g}, below {lowest:g}"
+            raise ConfigError([Problem(param, message)])
+
+    def apply(self, drawn: F64) -> F64:
+        """Values (..., m) of drawn numbers (..., m)."""
+        if self.operation == "add":
+            return self.default + drawn
+        return self.default * drawn if self.operation == "scale" else drawn
+
+
+def _by_name(param: str, ranges: Any, names: Sequence[str]) -> tuple[F64, F64]:
+    """Lower and upper bounds (k,) each; NaN for what no key names. Later keys win."""
+    low, high = np.full(len(names), np.nan), np.full(len(names), np.nan)
+    if not isinstance(ranges, Mapping):
+        bounds = np.asarray(ranges, np.float64).reshape(2, -1)
+        low[:], high[:] = np.tile(bounds, (1, len(names) // bounds.shape[1]))
+        return low, high
+    for pattern, (least, most) in ranges.items():
+        found, problems = match(pattern, names, "name", f"{param}.{pattern}")
+        if problems:
+            raise ConfigError(problems)
+        low[list(found)], high[list(found)] = least, most
+    if not ranges:
+        raise ConfigError([Problem(param, f"names nothing; there are: {', '.join(names)}")])
+    return low, high
+
+
+class Draw:
+    """Draws the quantities of one term together: one draw costs as much as a thousand numbers.
+
+    Args:
+        quantities: Name in the log -> what is drawn.
+        distribution: See `Distribution`.
+
+    Raises:
+        ConfigError: If there is nothing to draw, or a logarithm is asked of what is not positive.
+    """
+
+    def __init__(self, quantities: Mapping[str, DrawnField], distribution: Distribution) -> None:
+        if not quantities:
+            raise ConfigError([Problem("", "randomizes nothing: give it at least one range")])
+        self._quantities = list(quantities.values())
+        self._normal = distribution == "gaussian"
+        self._log = distribution == "log_uniform"
+        edges = np.cumsum([0, *(len(q.ids) for q in self._quantities)]).tolist()
+        slices = [slice(a, b) for a, b in zip(edges, edges[1:], strict=False)]
+        prefix = "log_" if self._log else ""
+        self._columns = {prefix + n: s for n, s in zip(quantities, slices, strict=True)}
+        if not self._log:
+            self._low = constant(np.concatenate([q.low for q in self._quantities]))
+            self._high = constant(np.concatenate([q.high for q in self._quantities]))
+            return
+        for q in self._quantities:
+            if (q.factors[0] <= 0).any():
+                message = f"log_uniform needs positive bounds, got {q.factors[0].min():g}"
+                raise ConfigError([Problem(q.param, message)])
+        self._bounds = [np.concatenate([q.factors[i] for q in self._quantities]) for i in (0, 1)]
+        self._low, self._high = (constant(np.log(bound)) for bound in self._bounds)
+
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> list[F64]:
+        """Values (n, m) of every quantity; do not write into them."""
+        manager, slices = env.event_manager, self._columns.values()
+        drawn = manager.draw_columns(self._columns, self._low, self._high, env_ids, self._normal)
+        if not self._log:
+            return [drawn[:, where] for where in slices]
+        # Rounding of log and exp must not leave the range.
+        factors = np.clip(np.exp(np.ascontiguousarray(drawn)), *self._bounds)
+        pairs = zip(self._quantities, slices, strict=True)
+        return [quantity.apply(factors[:, where]) for quantity, where in pairs]

@@ -8,17 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from embodichain.lab.gym.envs.managers.drawing import Uniform
 from embodichain.lab.gym.envs.managers.param_types import Box3, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.managers.term import Term
+from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.sim.shapes import VisualMaterialCfg
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = ["RandomizeVisualMaterial", "SetRigidObjectVisualMaterial"]
 
@@ -99,7 +98,7 @@ def _within_one(name: str, values: Any) -> None:
 class RandomizeVisualMaterial(Term):
     """Gives an entity a random colour, roughness and metallic value in each environment.
 
-    Seen in pictures and in the viewer's log. EmbodiChain's event of the same name without textures
+    Visible in images and viewers. EmbodiChain's event of the same name without textures
     and refraction: MuJoCo compiles textures into the model, and its rasterizer does not refract.
 
     Args:

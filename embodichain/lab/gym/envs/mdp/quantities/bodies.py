@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.param_types import Positive, Vec3
-from embodichain.lab.gym.envs.managers.references import Body
+from embodichain.lab.gym.envs.managers.param_types import Body, Positive, Vec3
 from embodichain.lab.gym.envs.managers.registry import quantity
-from embodichain.lab.gym.envs.managers.scene_entity import Frame
 from embodichain.lab.gym.envs.mdp import _kernels
 from embodichain.lab.gym.envs.mdp._rotations import (
     Heading,
@@ -21,15 +19,15 @@ from embodichain.lab.gym.envs.mdp._rotations import (
     heading,
     unique_quat,
 )
-from embodichain.lab.gym.envs.mdp._rows import norm, total
+from embodichain.lab.gym.envs.mdp._rows import norm, squares, total
+from embodichain.lab.sim.body_motion import Frame
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.math import quat_conjugate, quat_rotate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
     "angular_velocity",
@@ -89,12 +87,12 @@ def height(env: TermContext, of: Body, above: float = 0.0) -> F64:
 
 @quantity("observation")
 def orientation(env: TermContext, of: Body, representation: Rotation = "rot6d") -> F64:
-    """Orientation of an entity in the environment's frame, in the form of your choice.
+    """Orientation of an entity in the environment's frame, in a chosen representation.
 
     Args:
         of: The entity, or one link of it.
         representation: ``quat`` (N, 4) wxyz with w >= 0; ``matrix`` (N, 3, 3); ``rot6d`` (N, 6),
-            the matrix's first column, then its second (Zhou et al., CVPR 2019): without jumps.
+            the matrix's first column, then its second (Zhou et al., CVPR 2019): continuous.
 
     Example:
         ``{func: orientation, params: {of: {uid: cube}, representation: rot6d}}``
@@ -126,7 +124,7 @@ def yaw(env: TermContext, of: Body, representation: Heading = "yaw") -> F64:
     Args:
         of: The entity, or one link of it.
         representation: ``yaw`` (N, 1), the angle in (-pi, pi] rad about z; ``sin_cos`` (N, 2), its
-            sine and cosine, which have no jump.
+            sine and cosine, which are continuous.
 
     Example:
         ``{func: yaw, params: {of: {uid: cube}, representation: sin_cos}}``
@@ -147,9 +145,7 @@ def projected_gravity(env: TermContext, of: Body, axes: Axes = "xyz") -> F64:
     Example:
         ``{func: projected_gravity, params: {of: {uid: go}}}``
     """
-    w, x, y, z = (of.orientation()[:, i] for i in range(4))
-    down = [2.0 * (w * y - x * z), -2.0 * (y * z + w * x), 2.0 * (x * x + y * y) - 1.0]
-    return np.stack([down["xyz".index(axis)] for axis in axes], axis=1)
+    return _of_axes(-of.axes()[:, 2], axes)
 
 
 @quantity()
@@ -162,9 +158,9 @@ def tilt(env: TermContext, of: Body) -> F64:
     Example:
         ``{func: tilt, params: {of: {uid: go}}}``
     """
-    down = projected_gravity(env, of)
-    # Exact at both ends, where an arc cosine is not.
-    found: F64 = np.arctan2(norm(down[:, :2]), -down[:, 2])
+    up = of.axes()[:, 2]
+    # Exact at both ends, where an arc cosine is not. The copy rounds alike for any N.
+    found: F64 = np.arctan2(norm(up[:, :2]), np.ascontiguousarray(up[:, 2]))
     return found
 
 
@@ -182,11 +178,9 @@ def upright(env: TermContext, of: Body, std: Positive | None = None) -> F64:
         ``{func: upright, params: {of: {uid: go}, std: 0.45}}``
     """
     if std is None:
-        quat = of.orientation()
-        x, y = quat[:, 1], quat[:, 2]
-        return 0.5 * (1.0 + (1.0 - 2.0 * (x * x + y * y)))
+        return 0.5 * (1.0 + of.axes()[:, 2, 2])
     down = projected_gravity(env, of, "xy")
-    return _kernels.gaussian(total(down * down), std)
+    return _kernels.gaussian(squares(down), std)
 
 
 @quantity()
@@ -263,7 +257,7 @@ def speed(
     if length == 0.0:
         raise ConfigError([Problem("direction", "must not be zero")])
     if frame == "body":
-        moving = quat_rotate(quat_conjugate(of.orientation()), moving)
+        moving = of.linear_velocity("body")
     return total(moving * (along / length))
 
 

@@ -10,25 +10,25 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.param_types import Positive
-from embodichain.lab.gym.envs.managers.references import (
+from embodichain.lab.gym.envs.managers.param_types import (
     Body,
     Command,
     PlanarCommand,
     PoseCommand,
     PositionCommand,
+    Positive,
     VelocityCommand,
 )
 from embodichain.lab.gym.envs.managers.registry import quantity
-from embodichain.lab.gym.envs.managers.scene_entity import Frame
 from embodichain.lab.gym.envs.mdp._rows import angle_between, norm
+from embodichain.lab.sim.body_motion import Frame
 from embodichain.utils.math import quat_multiply, quat_rotate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
     "angular_velocity_error",

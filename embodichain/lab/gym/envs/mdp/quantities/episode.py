@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from embodichain.lab.gym.envs.cfg import NO_LIMIT
 from embodichain.lab.gym.envs.managers.param_types import Finite, Positive
 from embodichain.lab.gym.envs.managers.registry import quantity, register_term
 from embodichain.lab.gym.envs.managers.term import Term
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
     Mask = NDArray[np.bool_]
 
@@ -43,7 +44,6 @@ __all__ = [
 ]
 
 Info = dict[str, Any]
-_NEVER = 2**31 - 1
 
 
 @quantity(name="action")
@@ -60,7 +60,7 @@ def action_(env: TermContext, action: Any) -> F64:
 
 @quantity("reward", "metric")
 def constant(env: TermContext, value: float = 1.0) -> F64:
-    """(N,) the same number in every step: a price of time, or a point to start from.
+    """(N,) the same number in every step: a cost of time, or an offset.
 
     Args:
         value: The number.
@@ -73,7 +73,7 @@ def constant(env: TermContext, value: float = 1.0) -> F64:
 
 @quantity("reward", "metric")
 def success_reward(env: TermContext, info: Info) -> F64:
-    """(N,) 1 where the task's success holds at this step, else 0. EmbodiChain's of the same name.
+    """(N,) 1 where the task succeeds in this step, else 0. EmbodiChain's reward of the same name.
 
     Success is the metric `success`; in a task without one, ``info["success"]``: what the
     terminations of kind success or the environment's `evaluate` give.
@@ -154,7 +154,7 @@ class _Clock(Term):
         Raises:
             ConfigError: If the task has no limit.
         """
-        if self._env.max_episode_steps == _NEVER:
+        if self._env.max_episode_steps == NO_LIMIT:
             message = "the task has no time limit (max_episode_steps: -1): nothing remains"
             raise ConfigError([Problem("", message)])
         return self._env.max_episode_steps * self._env.step_dt
@@ -206,7 +206,7 @@ class RemainingTime(_Clock):
 class ElapsedFraction(RemainingTime):
     """(N,) share of the longest episode (``max_episode_steps``) that is over: from 0 to 1.
 
-    With it a value function can know when a time limit strikes (Pardo et al., "Time limits in
+    With it a value function can predict the time limit (Pardo et al., "Time limits in
     reinforcement learning", ICML 2018).
 
     Example:

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from embodichain.lab.gym.envs.cfg import ValueCfg
-from embodichain.lab.gym.envs.managers.base import Manager
+from embodichain.lab.gym.envs.managers.manager import Manager
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.utils.errors import ConfigError, Problem
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["AllOf", "AnyOf", "HeldFor", "ProductOf"]
 
@@ -110,7 +110,7 @@ class AnyOf(_Joined):
 
 @register_term("reward", "metric", name="product_of")
 class ProductOf(_Joined):
-    """The product of several terms: large only where all are. dm_control's rewards are such.
+    """The product of several terms: large only where all are, as in dm_control.
 
     Args:
         terms: Name -> metric term.

@@ -11,8 +11,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.param_types import Fraction, NonNegative, Positive
-from embodichain.lab.gym.envs.managers.references import Command, Joints
+from embodichain.lab.gym.envs.managers.param_types import (
+    Command,
+    Fraction,
+    Joints,
+    NonNegative,
+    Positive,
+)
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.mdp._rows import norm, total
 from embodichain.utils.errors import ConfigError, Problem
@@ -22,7 +27,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
     "joint_effort",
@@ -116,7 +121,7 @@ def joint_power(env: TermContext, of: Joints, positive_only: bool = False) -> F6
 
     Args:
         of: The robot; its joint names or control parts pick joints.
-        positive_only: Whether joints that are braked count 0.
+        positive_only: Whether negative power, of braking, counts as 0.
 
     Example:
         ``{func: joint_power, params: {of: {uid: ur10}}}``
@@ -215,7 +220,7 @@ def stand_still(
 
 @quantity("observation")
 def joint_sin_cos(env: TermContext, of: Joints) -> F64:
-    """(N, 2 K) sines of the picked joints' positions, then their cosines: for joints without end.
+    """(N, 2 K) sines of the picked joints' positions, then their cosines.
 
     Args:
         of: The robot; its joint names or control parts pick joints.

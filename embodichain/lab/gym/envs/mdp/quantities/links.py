@@ -12,7 +12,7 @@ from embodichain.lab.gym.envs.mdp._rotations import pose_matrix
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = ["link_pose", "link_velocity"]
 

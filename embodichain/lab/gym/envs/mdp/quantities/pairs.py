@@ -6,19 +6,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.param_types import Angle, Positive
-from embodichain.lab.gym.envs.managers.references import Body
+from embodichain.lab.gym.envs.managers.param_types import Angle, Body, Positive
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.mdp._rotations import Rotation, as_rotation, pose_matrix
 from embodichain.lab.gym.envs.mdp._rows import angle_between, norm
 from embodichain.lab.gym.envs.mdp.quantities.bodies import tilt
-from embodichain.utils.math import quat_conjugate, quat_multiply, quat_rotate
+from embodichain.utils.math import quat_conjugate, quat_multiply, rotate_back
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
     "angle",
@@ -71,7 +70,7 @@ def within_pose(
     position_threshold: Positive,
     orientation_threshold: Angle,
 ) -> NDArray[np.bool_]:
-    """True where two entities are closer than one threshold and turned by less than another.
+    """True where the positions and the orientations of two entities are close.
 
     Args:
         from_: An entity, or a link of one.
@@ -103,7 +102,7 @@ def relative_position(
         goal}}}``
     """
     delta = to.position() - from_.position()
-    return quat_rotate(quat_conjugate(from_.orientation()), delta) if in_source_frame else delta
+    return rotate_back(from_.axes(), delta) if in_source_frame else delta
 
 
 @quantity("observation")
@@ -141,9 +140,8 @@ def relative_pose(
         ``{func: relative_pose, params: {from: {uid: cube}, to: {uid: goal}, representation:
         rot6d}}``
     """
-    inverse = quat_conjugate(from_.orientation())
-    place = quat_rotate(inverse, to.position() - from_.position())
-    quat = quat_multiply(inverse, to.orientation())
+    place = rotate_back(from_.axes(), to.position() - from_.position())
+    quat = quat_multiply(quat_conjugate(from_.orientation()), to.orientation())
     if representation == "matrix":
         return pose_matrix(place, quat)
     return np.concatenate([place, as_rotation(quat, representation)], axis=1)
@@ -169,6 +167,6 @@ def relative_velocity(
     linear = to.linear_velocity() - from_.linear_velocity()
     angular = to.angular_velocity() - from_.angular_velocity()
     if in_source_frame:
-        inverse = quat_conjugate(from_.orientation())
-        linear, angular = quat_rotate(inverse, linear), quat_rotate(inverse, angular)
+        axes = from_.axes()
+        linear, angular = rotate_back(axes, linear), rotate_back(axes, angular)
     return np.concatenate([linear, angular], axis=1)

@@ -11,21 +11,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.lab.gym.envs.managers.param_types import NonNegative
-from embodichain.lab.gym.envs.managers.references import (
+from embodichain.lab.gym.envs.managers.param_types import (
     ContactOf,
     ForceTorqueOf,
     ImuOf,
+    NonNegative,
     PlanarCommand,
 )
 from embodichain.lab.gym.envs.managers.registry import quantity
-from embodichain.lab.gym.envs.managers.scene_entity import origin_velocities
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._rows import norm, total
+from embodichain.lab.sim.body_motion import origin_velocities
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = [
     "FeetAirTime",
@@ -80,7 +80,7 @@ def contact_force(env: TermContext, sensor: ContactOf, norm: bool = False) -> F6
 
 @quantity("reward", "metric", name="feet_air_time")
 class FeetAirTime(Term):
-    """Sum over feet that land in this step of (time in the air - threshold), s: longer steps pay.
+    """Sum over feet that land in this step of (time in the air - threshold), s: rewards long steps.
 
     0 where the command asks for less than `min_command`. Air time counts control steps, the one of
     the landing included; feet that an episode begins in the air count from its first step. Isaac
@@ -88,8 +88,8 @@ class FeetAirTime(Term):
 
     Args:
         sensor: A contact sensor on the feet.
-        command_name: A command whose first two columns are vx and vy, m/s; None always pays.
-        threshold: s in the air that earns nothing; shorter steps cost.
+        command_name: A command whose first two columns are vx and vy, m/s; None is no condition.
+        threshold: Air time with reward 0, s; shorter steps give a negative one.
         min_command: m/s.
         force_threshold: N above which a foot touches.
 

@@ -1,7 +1,11 @@
-"""`build_term`: a declared term made ready to be called, with its shapes and what it refers to."""
+"""`Manager`: builds the declared terms of one section once, resets and saves those with state.
+
+`build_term` makes a declared term ready to be called. `CurriculumManager` is the simplest manager.
+"""
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -10,10 +14,10 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
-from embodichain.lab.gym.envs.cfg import SceneEntityCfg, TermCfg
+from embodichain.lab.gym.envs.cfg import CurriculumCfg, SceneEntityCfg, TermCfg
 from embodichain.lab.gym.envs.managers.aliases import AliasSpec
 from embodichain.lab.gym.envs.managers.check import CheckedTerm, check_in_task, check_term
-from embodichain.lab.gym.envs.managers.references import references
+from embodichain.lab.gym.envs.managers.param_types import references
 from embodichain.lab.gym.envs.managers.registry import Kind, TermSpec
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
 from embodichain.utils.errors import ConfigError, Problem
@@ -22,9 +26,15 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
 
-__all__ = ["BuiltTerm", "build_term"]
+__all__ = [
+    "BuiltTerm",
+    "CurriculumManager",
+    "Manager",
+    "build_term",
+    "checked_rows",
+]
 
 C = TypeVar("C", bound=TermCfg)
 Shape = Callable[[Any], Any]
@@ -69,10 +79,12 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
     if checked is None or problems:
         raise ConfigError(problems)
     spec = checked.spec
-    values = _resolved_values(env, checked, where)
-    parts = spec.meaning(values) if isinstance(spec, AliasSpec) else [(spec, values)]
-    (source, values), steps = parts[0], parts[1:]
-    with _under(where, checked.names):
+    values, names = _resolved_values(env, checked, where), checked.names
+    if isinstance(spec, AliasSpec):
+        names = {**names, **{key: names.get(name, name) for key, name in spec.names.items()}}
+    with _under(where, names):
+        parts = spec.meaning(values, env) if isinstance(spec, AliasSpec) else [(spec, values)]
+        (source, values), steps = parts[0], parts[1:]
         instance = source.func(env, **source.arguments(values)) if source.is_class else None
         shapes = [step.func(env, **step.arguments(given)) for step, given in steps]
     for step, given in checked.shapes:
@@ -224,3 +236,151 @@ def _moved(error: ConfigError, path: str, names: Mapping[str, str] | None = None
         return Problem(f"{path}.{head}{dot}{rest}".rstrip("."), problem.message, problem.hint)
 
     return ConfigError(map(moved, error.problems))
+
+
+class Manager(Generic[C]):
+    """Terms of one kind, built once in declared order.
+
+    Args:
+        env: The environment; its scene is complete.
+        section: The section of the task, for messages.
+        kind: The kind of its terms.
+        cfgs: Name -> declaration.
+
+    Raises:
+        ConfigError: If a term or an entity that it points at does not exist, or a parameter is
+            wrong; holds the mistakes of all terms.
+    """
+
+    def __init__(self, env: TermContext, section: str, kind: Kind, cfgs: Mapping[str, C]) -> None:
+        self.env = env
+        self.num_envs = env.num_envs
+        self.section = section
+        self._kind: Kind = kind
+        self._declared = dict(cfgs)
+        self._changed: dict[str, dict[str, Any]] = {}
+        problems: list[Problem] = []
+        self.terms: dict[str, BuiltTerm[C]] = {}
+        for name, cfg in cfgs.items():
+            try:
+                self.terms[name] = build_term(env, kind, name, cfg, f"{section}.{name}")
+            except ConfigError as error:
+                problems += error.problems
+        if problems:
+            raise ConfigError(problems)
+        self._collect()
+
+    def _collect(self) -> None:
+        """Look up what is called of the terms; again when one was built anew."""
+        instances = {n: t.instance for n, t in self.terms.items() if t.instance is not None}
+        self._resets = [i.reset for i in instances.values() if hasattr(i, "reset")]
+        self._stateful = {n: i for n, i in instances.items() if hasattr(i, "state_dict")}
+        self._bind()
+
+    def _bind(self) -> None:
+        """What a manager keeps of its terms besides; the default is nothing."""
+
+    def params(self, name: str) -> dict[str, Any]:
+        """The parameters that a term has now (a deep copy), as the config writes them."""
+        return copy.deepcopy(self._changed.get(name, self._declared[name].params))
+
+    def set_params(self, name: str, params: dict[str, Any]) -> None:
+        """Build a term anew with other parameters; what it keeps between calls is carried over.
+
+        Args:
+            name: The term.
+            params: All its parameters, as the config would write them.
+
+        Raises:
+            ConfigError: If they are wrong; the term stays as it was.
+        """
+        old = self.terms[name]
+        cfg = copy.copy(self._declared[name])
+        cfg.params = params
+        term = build_term(self.env, self._kind, name, cfg, f"{self.section}.{name}")
+        if old.instance is not None and hasattr(old.instance, "state_dict"):
+            term.instance.load_state_dict(old.instance.state_dict())
+        self.terms[name] = term
+        self._changed[name] = copy.deepcopy(params)
+        self._collect()
+
+    def __len__(self) -> int:
+        return len(self.terms)
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Reset the terms that are classes; (n,) environments, or None for all."""
+        for reset in self._resets:
+            reset(env_ids)
+
+    def state_dict(self) -> dict[str, Any]:
+        """State of the terms that keep any (copies), by name."""
+        return {
+            "terms": {name: term.state_dict() for name, term in self._stateful.items()},
+            "params": copy.deepcopy(self._changed),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        for name in {*self._changed, *state["params"]}:
+            params = state["params"].get(name, self._declared[name].params)
+            self.set_params(name, copy.deepcopy(params))
+        for name, term in self._stateful.items():
+            term.load_state_dict(state["terms"][name])
+
+
+def checked_rows(value: Any, num_envs: int, kind: Kind, name: str) -> None:
+    """Check that a term's value is a tensor or an array of shape (N,).
+
+    Raises:
+        ValueError: If it is not; names the term. (N, 1) is refused too: it would broadcast.
+    """
+    if not hasattr(value, "shape") or not hasattr(value, "dtype"):
+        raise ValueError(
+            f"{kind} term {name!r} must return a tensor of shape ({num_envs},), "
+            f"got {type(value).__name__}"
+        )
+    if tuple(value.shape) != (num_envs,):
+        raise ValueError(
+            f"{kind} term {name!r} must return shape ({num_envs},), got {tuple(value.shape)}"
+        )
+
+
+class CurriculumManager(Manager[CurriculumCfg]):
+    """Calls every term for environments that are about to be reset, before anything of the reset.
+
+    A term returns what it has set, a number, or several by name, or None; ``info["curriculum"]`` of
+    every step holds them as they stand. Time is `env.control_step`, which goes on through resets.
+
+    Args:
+        env: The environment, with all other managers.
+        cfgs: Name -> curriculum.
+
+    Attributes:
+        values: What the terms returned last: ``TERM``, or ``TERM/NAME``.
+    """
+
+    def __init__(self, env: TermContext, cfgs: Mapping[str, CurriculumCfg]) -> None:
+        super().__init__(env, "curriculum", "curriculum", cfgs)
+        self.values: dict[str, float] = {}
+
+    def compute(self, env_ids: EnvIndex | None) -> None:
+        """Call the terms.
+
+        Args:
+            env_ids: (n,) sorted unique int64 environments about to be reset, or None for all.
+        """
+        for name, term in self.terms.items():
+            value = term.call(self.env, env_ids)
+            if isinstance(value, Mapping):
+                self.values |= {f"{name}/{key}": float(v) for key, v in value.items()}
+            elif value is not None:
+                self.values[name] = float(value)
+
+    def state_dict(self) -> dict[str, Any]:
+        """What was set, and the state of terms that are classes (copies)."""
+        return {**super().state_dict(), "values": dict(self.values)}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        super().load_state_dict(state)
+        self.values = dict(state["values"])

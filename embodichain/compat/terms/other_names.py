@@ -1,0 +1,291 @@
+"""Terms under the names of EmbodiChain, Isaac Lab, mjlab, dm_control and earlier tasks.
+
+Each has the parameters it has there; `from`, `to` and `of` are called `source_entity_cfg`,
+`target_entity_cfg` and `entity_cfg`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final, Literal
+
+from embodichain.compat.terms._targets import Articulation, RigidObject, joints_of
+from embodichain.lab.gym.envs.managers.aliases import Alias, P, alias, register_aliases
+from embodichain.lab.gym.envs.managers.param_types import (
+    Angle,
+    Bounds,
+    Box3,
+    NonNegative,
+    Positive,
+    Ranges,
+    ScaleRange,
+)
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.mdp._model_fields import Operation
+from embodichain.utils.errors import ConfigError, Problem
+
+__all__ = ["ACTIONS", "EVENTS", "OBSERVATIONS", "VALUES"]
+
+_STD = {"tanh": P("std")}
+_NEAR = {"below": P("threshold", hint=Positive)}
+_TOUCH = P("threshold", 1.0, hint=NonNegative)
+_TOLERANCE = {"tolerance": P("*")}
+_EXCESS = [{"excess": 0.0}, "l1"]
+
+VALUES: Final[Mapping[str, Alias]] = {
+    # Joints
+    "joint_vel_l1": alias("joint_velocity", "l1"),
+    "joint_vel_l2": alias("joint_velocity", "l2"),
+    "joint_acc_l2": alias("joint_velocity", ["rate", "l2"]),
+    "joint_velocity_penalty": alias(
+        "joint_velocity", ["norm", "negative"], of=joints_of, example="{robot_uid: ur10}"
+    ),
+    "joint_torques_l2": alias("joint_effort", "l2"),
+    "joint_deviation_l1": alias("joint_position", "l1", relative=True, periodic=False),
+    "joint_pos_limits": alias("joint_position_excess", _EXCESS),
+    "joint_vel_limits": alias(
+        "joint_velocity_excess", [{"clip": [0.0, 1.0]}, "l1"], max_velocity=None
+    ),
+    "applied_torque_limits": alias("joint_effort_excess", _EXCESS),
+    "joint_within": alias("joint_position", {"within": P("bounds", hint=Bounds)}),
+    "joint_vel_within": alias("joint_speed", _NEAR),
+    "joint_pos_out_of_limit": alias("joint_position_excess", {"above": 0.0}),
+    "joint_pos_outside": alias(
+        "joint_position", {"outside": P("bounds", hint=Bounds)}, relative=False, periodic=False
+    ),
+    "joint_vel_out_of_limit": alias("joint_velocity_excess", {"above": 0.0}, soft_ratio=1.0),
+    "joint_effort_out_of_limit": alias(
+        "joint_effort_excess", {"above": {"threshold": 0.0, "inclusive": True}}
+    ),
+    "tolerance_joint_position": alias("joint_position", _TOLERANCE, relative=False),
+    "tolerance_joint_velocity": alias("joint_velocity", _TOLERANCE),
+    # Actions
+    "action_l2": alias("action", "l2"),
+    "action_rate_l2": alias("action", [{"rate": "step"}, "l2"]),
+    "action_acc_l2": alias("action", [{"rate": {"per": "step", "order": 2}}, "l2"]),
+    "action_smoothness_penalty": alias("action", [{"rate": "step"}, "norm", "negative"]),
+    "tolerance_action": alias("action", _TOLERANCE),
+    # Distances and angles of two entities
+    "within_distance": alias("distance", _NEAR),
+    "distance_tanh": alias("distance", _STD),
+    "tolerance_distance": alias("distance", _TOLERANCE),
+    "within_orientation": alias("angle", {"below": P("threshold", hint=Angle)}),
+    "orientation_error": alias("angle"),
+    "orientation_tanh": alias("angle", _STD),
+    "tolerance_orientation": alias(
+        "angle", _TOLERANCE, from_=P("entity_cfg"), to=P("target_entity_cfg")
+    ),
+    # One entity, or link
+    "height_above": alias("height", {"above": P("threshold")}, above=0.0),
+    "height_below": alias("height", {"below": P("threshold")}, above=0.0),
+    "root_height_below_minimum": alias("height", {"below": P("minimum_height")}, above=0.0),
+    "base_height_l2": alias("height", "l2", above=P("target_height", needed=True)),
+    "object_height": alias(
+        "height", [{"excess": 0.0}, {"at_most": P("most", None, hint=Positive | None)}]
+    ),
+    "tolerance_height": alias("height", _TOLERANCE, above=0.0),
+    "out_of_bounds": alias("position", {"outside": P("bounds")}, axes="xyz"),
+    "bad_orientation": alias("tilt", {"above": P("limit_angle", hint=Angle)}),
+    "flat_orientation_l2": alias("projected_gravity", "l2", axes="xy"),
+    "lin_vel_z_l2": alias("linear_velocity", "l2", frame="body", axes="z"),
+    "ang_vel_xy_l2": alias("angular_velocity", "l2", frame="body", axes="xy"),
+    "body_lin_acc_l2": alias("linear_velocity", ["rate", "l2"], frame="world", axes="xyz"),
+    "tolerance_velocity": alias("speed", _TOLERANCE),
+    # Commands
+    "track_lin_vel_xy_exp": alias("linear_velocity_error", {"gaussian": P("std")}),
+    "track_ang_vel_z_exp": alias("angular_velocity_error", {"gaussian": P("std")}),
+    "position_command_error_tanh": alias("position_command_error", _STD),
+    # Contacts
+    "undesired_contacts": alias("contact_found", "l1", threshold=_TOUCH),
+    "desired_contacts": alias("contact_found", ["l1", {"below": 0.5}], threshold=_TOUCH),
+    "contact_forces": alias(
+        "contact_force",
+        [{"excess": P("threshold", needed=True, hint=NonNegative)}, "l1"],
+        norm=True,
+    ),
+    "illegal_contact": alias("contact_found", {"above": 0.5}, threshold=_TOUCH),
+}
+"""Rewards and metrics, and terminations where they are truths."""
+OBSERVATIONS: Final[Mapping[str, Alias]] = {
+    "joint_position_relative": alias("joint_position", relative=True, periodic=False),
+    "root_pos_w": alias("position", axes="xyz"),
+    "root_lin_vel_w": alias("linear_velocity", frame="world", axes="xyz"),
+    "root_ang_vel_w": alias("angular_velocity", frame="world", axes="xyz"),
+    "base_lin_vel": alias("linear_velocity", frame="body", axes="xyz"),
+    "base_ang_vel": alias("angular_velocity", frame="body", axes="xyz"),
+    "base_height": alias("height", above=0.0),
+    "generated_command": alias("command"),
+    "get_rigid_object_pose": alias("get_object_pose"),
+}
+
+# -- actions: `joint_action` ----------------------------------------------------------------------
+
+_AFFINE = ("entity_cfg", "scale", "offset", "clip")
+_UNIT = P("clip", (-1.0, 1.0))
+
+ACTIONS: Final[Mapping[str, Alias]] = {
+    "joint_position": alias("joint_action", only=_AFFINE),
+    "default_offset_joint_position": alias("joint_action", only=_AFFINE, centre="home", clip=_UNIT),
+    "relative_joint_position": alias(
+        "joint_action",
+        only=_AFFINE,
+        centre=P("reference", "qpos", hint=Literal["qpos", "target"]),
+        example="{entity_cfg: {uid: ur10}, scale: 0.05}",
+        clip=_UNIT,
+    ),
+    "joint_position_to_limits": alias("joint_action", only=(*_AFFINE, "range"), centre="limits"),
+    "joint_velocity": alias("joint_action", only=_AFFINE, control="velocity", clip=_UNIT),
+    "joint_effort": alias("joint_action", only=_AFFINE, control="effort", clip=_UNIT),
+}
+
+# -- events: `randomize` and `randomize_pose` -----------------------------------------------------
+
+_WAYS = ("operation", "distribution")
+_DRAW = ("distribution",)
+_OBJECT = P("entity_cfg", needed=True, hint=RigidObject)
+_ARTICULATION = P("entity_cfg", needed=True, hint=Articulation)
+
+
+def _range(name: str, hint: Any = Ranges) -> P:
+    return P(name, needed=True, hint=hint)
+
+
+def _fields(uid: str, example: str, only: Sequence[str] = _WAYS, **params: Any) -> Alias:
+    """`randomize` for fields of one entity; the example is of the entity `uid`."""
+    entity = P("entity_cfg", needed=True, hint=ResolvedEntity)
+    example = f"{{entity_cfg: {{uid: {uid}}}, {example}}}"
+    return alias("randomize", only=only, example=example, **{"entity_cfg": entity, **params})
+
+
+def _operation(
+    env: Any, relative: bool = False, operation: Operation | None = None
+) -> Operation | None:
+    """What a drawn mass does to the compiled one.
+
+    Args:
+        relative: True adds the draw to the compiled mass, False takes it as the mass.
+        operation: ``abs`` replaces the compiled mass, ``scale`` multiplies it, ``add`` adds to it;
+            None is what `relative` says.
+    """
+    if relative and operation not in (None, "add"):
+        message = f"relative: true adds, but operation is {operation!r}: give one of them"
+        raise ConfigError([Problem("operation", message)])
+    return "add" if relative else operation
+
+
+def _links(
+    env: Any, entity_cfg: Articulation, link_names: str | list[str] | None = None
+) -> ResolvedEntity:
+    """A robot with links that are picked by a parameter of their own.
+
+    Args:
+        entity_cfg: The robot or articulation.
+        link_names: Regexes that pick links; None is those of `entity_cfg`.
+    """
+    if link_names is None:
+        return entity_cfg
+    if entity_cfg.link_names:
+        raise ConfigError([Problem("link_names", "entity_cfg names links already")])
+    found: ResolvedEntity = env.scene_entity({"uid": entity_cfg.uid, "link_names": link_names})
+    return found
+
+
+_MASS: Final[Mapping[str, Any]] = {
+    "only": ("recompute_inertia", "min_mass", "distribution"),
+    "mass": _range("mass_range"),
+    "operation": _operation,
+}
+_FRICTION: Final[Mapping[str, Any]] = {
+    "friction": P("friction_range"),
+    "torsional_friction": P("torsional_range"),
+    "rolling_friction": P("rolling_range"),
+}
+_SCALE = ("same_scale_all_axes", "fixed_density", "distribution")
+_PLACE = (
+    *("position_range", "rotation_range", "relative_position", "relative_rotation"),
+    *("relative_to", "physics_update_step"),
+)
+
+EVENTS: Final[Mapping[str, Alias]] = {
+    "randomize_rigid_object_mass": _fields(
+        "cube", "mass_range: [0.5, 2.0]", entity_cfg=_OBJECT, **_MASS
+    ),
+    "randomize_articulation_mass": _fields(
+        "ur10", "mass_range: [0.8, 1.2], operation: scale", entity_cfg=_links, **_MASS
+    ),
+    "randomize_rigid_object_center_of_mass": _fields(
+        "cube",
+        "com_pos_offset_range: [[-0.01, 0, 0], [0.01, 0, 0]]",
+        _DRAW,
+        entity_cfg=_OBJECT,
+        com=_range("com_pos_offset_range", Box3),
+    ),
+    "randomize_link_com": _fields(
+        "ur10",
+        "com_range: [[-0.02, -0.02, -0.02], [0.02, 0.02, 0.02]]",
+        _DRAW,
+        entity_cfg=_ARTICULATION,
+        com=_range("com_range", Box3),
+    ),
+    "randomize_link_inertia": _fields(
+        "ur10", "inertia_range: [0.9, 1.1]", _DRAW, inertia=_range("inertia_range")
+    ),
+    "randomize_rigid_body_material": _fields("cube", "friction_range: [0.3, 1.2]", **_FRICTION),
+    "randomize_ground_material": alias(
+        "randomize", only=_WAYS, example="{friction_range: [0.4, 1.0]}", **_FRICTION
+    ),
+    "randomize_actuator_gains": _fields(
+        "ur10",
+        "stiffness_range: [0.8, 1.2], operation: scale",
+        stiffness=P("stiffness_range"),
+        damping=P("damping_range"),
+    ),
+    "randomize_effort_limits": _fields(
+        "ur10",
+        "effort_limit_range: {'.*': [50.0, 300.0]}",
+        effort_limit=_range("effort_limit_range"),
+    ),
+    "randomize_joint_parameters": _fields(
+        "ur10",
+        "friction_range: [0.0, 2.0], armature_range: [0.0, 0.1]",
+        joint_friction=P("friction_range"),
+        armature=P("armature_range"),
+        joint_damping=P("damping_range"),
+        lower_limit=P("lower_limit_range"),
+        upper_limit=P("upper_limit_range"),
+    ),
+    "randomize_actuator_strength": _fields(
+        "ur10", "strength_range: [0.8, 1.1]", _DRAW, strength=_range("strength_range")
+    ),
+    "randomize_physics_scene_gravity": alias(
+        "randomize",
+        only=_WAYS,
+        gravity=_range("gravity_range", Box3),
+        example="{gravity_range: [[-0.2, -0.2, -0.5], [0.2, 0.2, 0.5]]}",
+    ),
+    "randomize_rigid_object_scale": _fields(
+        "cube",
+        "scale_factor_range: [0.8, 1.2]",
+        _SCALE,
+        scale=_range("scale_factor_range", ScaleRange),
+    ),
+    "randomize_rigid_objects_scale": alias(
+        "randomize",
+        only=("shared_sample", *_SCALE),
+        entity_cfgs=P("entity_cfgs", needed=True, hint=list[ResolvedEntity]),
+        scale=_range("scale_factor_range", ScaleRange),
+        example="{entity_cfgs: [{uid: cube}, {uid: goal}], scale_factor_range: [0.9, 1.1]}",
+    ),
+    "randomize_rigid_object_pose": alias("randomize_pose", only=_PLACE, entity_cfg=_OBJECT),
+    "randomize_articulation_root_pose": alias(
+        "randomize_pose",
+        only=_PLACE,
+        entity_cfg=_ARTICULATION,
+        example="{entity_cfg: {uid: ur10}, position_range: [[-0.05, -0.05, 0], [0.05, 0.05, 0]]}",
+    ),
+}
+
+register_aliases(VALUES)
+register_aliases(OBSERVATIONS, "observation")
+register_aliases(ACTIONS, "action")
+register_aliases(EVENTS, "event")

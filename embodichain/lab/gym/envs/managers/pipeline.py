@@ -1,0 +1,304 @@
+"""What is done to the values of actions and observations: noise, delay, history."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import lazy_loader
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.envs.cfg import ActionTermCfg, NoiseCfg
+from embodichain.utils.errors import ConfigError, Problem
+
+if TYPE_CHECKING:
+    import torch
+    from numpy.typing import NDArray
+
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.utils.random import RandomStreams
+else:
+    torch = lazy_loader.load("torch")
+
+__all__ = [
+    "ActionPipeline",
+    "Delay",
+    "Noise",
+    "Past",
+    "Rows",
+    "first_given",
+]
+
+F32 = NDArray[np.float32]
+
+
+def first_given(*values: Any) -> Any:
+    """Return the first value that is not None, or None."""
+    return next((value for value in values if value is not None), None)
+
+
+class Noise:
+    """Draws noise for environments that step, each from its own stream, and applies it.
+
+    The last draw is stored: an observation between two steps has the same noise again.
+
+    Args:
+        cfg: What kind of noise.
+        shape: Of one environment's value.
+        path: Key path of the value: the name of its stream, and for messages.
+        streams: The environment's random numbers.
+
+    Attributes:
+        last: (N, ...) float32, the last draw.
+
+    Raises:
+        ConfigError: If a list has another length than the value's last dimension.
+    """
+
+    def __init__(
+        self, cfg: NoiseCfg, shape: tuple[int, ...], path: str, streams: RandomStreams
+    ) -> None:
+        self._operation = cfg.operation
+        self._gaussian = cfg.type == "gaussian"
+        self._stream = f"{path}.noise"
+        self._streams = streams
+        self._shape = (streams.num_envs, *shape)
+        self._width = int(np.prod(shape, dtype=np.int64))
+
+        def sized(*names: str) -> F64:
+            return _sized(cfg, names, shape, path)
+
+        self._draws = cfg.type != "constant"
+        if self._gaussian:
+            self._low, self._high = sized("mean"), sized("std")
+        elif self._draws:
+            self._low, self._high = sized("low", "n_min"), sized("high", "n_max")
+        else:
+            self._low = self._high = sized("bias")
+        # Before the first draw nothing changes; a value that is replaced is the lower bound.
+        start: Any = {"add": 0.0, "scale": 1.0, "abs": self._low}[cfg.operation]
+        rows = np.broadcast_to(start if self._draws else self._low, (streams.num_envs, self._width))
+        self.last = self._shaped(rows)
+
+    def _shaped(self, rows: NDArray[np.float64]) -> F32:
+        return rows.astype(np.float32).reshape(-1, *self._shape[1:])
+
+    def apply(self, value: NDArray[Any], rows: EnvIndex | None) -> NDArray[Any]:
+        """Return a value with noise.
+
+        Args:
+            value: (N, ...), left as it is.
+            rows: (n,) environments that draw anew, or None for all.
+        """
+        if self._draws and (rows is None or len(rows)):
+            drawn = self._shaped(self._draw(rows))
+            if rows is None:
+                self.last = drawn
+            else:
+                self.last[rows] = drawn
+        if self._operation == "add":
+            return value + self.last
+        return value * self.last if self._operation == "scale" else self.last.copy()
+
+    def _draw(self, rows: EnvIndex | None) -> F64:
+        """(n, width) float64."""
+        if self._gaussian:
+            normal = self._streams.normal(self._stream, (self._width,), rows)
+            return self._low + self._high * normal
+        shape = (self._width,)
+        return self._streams.uniform(self._stream, shape, self._low, self._high, rows)
+
+
+def _sized(cfg: NoiseCfg, names: tuple[str, ...], shape: tuple[int, ...], path: str) -> F64:
+    """(width,) read-only numbers of the first field that is given; a mean may be absent."""
+    name = next((n for n in names if getattr(cfg, n) is not None), names[0])
+    given = first_given(getattr(cfg, name), 0.0)
+    width = shape[-1] if shape else 1
+    if isinstance(given, list) and len(given) != width:
+        message = f"has {len(given)} values; the observation's last dimension is {width}"
+        raise ConfigError([Problem(f"{path}.noise.{name}", message)])
+    array: F64 = np.broadcast_to(np.asarray(given, np.float64), shape or (1,)).reshape(-1).copy()
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """Which environments an observation is of.
+
+    Attributes:
+        stepped: (n,) environments that stepped or were reset, or None for all; empty for an
+            observation between two steps.
+        fresh: (N,) bool, environments whose episode has no earlier observation, or None.
+    """
+
+    stepped: EnvIndex | None
+    fresh: NDArray[np.bool_] | None
+
+
+class Past:
+    """The last values of each environment, the oldest first.
+
+    Args:
+        num_envs: N.
+        depth: Number of values.
+
+    Attributes:
+        values: (N, depth, ...), None before the first value.
+    """
+
+    def __init__(self, num_envs: int, depth: int) -> None:
+        self._num_envs = num_envs
+        self._depth = depth
+        self.values: NDArray[Any] | None = None
+
+    def append(
+        self, value: NDArray[Any], rows: Rows, before: NDArray[Any] | None = None
+    ) -> NDArray[Any]:
+        """Append a value where environments stepped.
+
+        Args:
+            value: (N, ...), left as it is.
+            rows: Environments that did not step keep their values; for fresh ones all values but
+                the last are `before`.
+            before: (N, ...); None is the value itself.
+
+        Returns:
+            (N, depth, ...): do not write into it.
+        """
+        newest = value[:, None]
+        old = self.values
+        if old is None:
+            old = np.zeros((self._num_envs, self._depth, *value.shape[1:]), value.dtype)
+        moved = np.concatenate([old[:, 1:], newest], axis=1)
+        stepped = np.ones(self._num_envs, np.bool_)
+        if rows.stepped is not None:
+            stepped[:] = False
+            stepped[rows.stepped] = True
+            moved = np.where(_column(stepped, moved), moved, old)
+        if rows.fresh is not None:
+            filled = newest if before is None else before[:, None]
+            moved = np.where(_column(rows.fresh, moved), filled, moved)
+            moved[rows.fresh, -1] = value[rows.fresh]
+        # An observation between two steps changes nothing that is stored.
+        self.values = (
+            moved if rows.stepped is None else np.where(_column(stepped, moved), moved, old)
+        )
+        return moved
+
+
+def _column(mask: NDArray[np.bool_], like: NDArray[Any]) -> NDArray[np.bool_]:
+    return mask.reshape(-1, *[1] * (like.ndim - 1))
+
+
+class Delay:
+    """Returns the value of some steps ago; at the beginning of an episode the one before it.
+
+    Args:
+        steps: Control steps, or [low, high]: each episode of each environment draws its own.
+        stream: Name of its random stream.
+        streams: The environment's random numbers.
+
+    Attributes:
+        past: The values that are still delayed.
+        lag: (N,) int64 current delay in steps.
+    """
+
+    def __init__(self, steps: int | list[int], stream: str, streams: RandomStreams) -> None:
+        self._low, self._high = (steps, steps) if isinstance(steps, int) else steps
+        self._stream = stream
+        self._streams = streams
+        self.past = Past(streams.num_envs, self._high + 1)
+        self.lag: NDArray[np.int64] = np.full(streams.num_envs, self._low, np.int64)
+        self._rows = np.arange(streams.num_envs)
+
+    def restart(self, env_ids: EnvIndex | None) -> None:
+        """Draw the delay of a new episode; (n,) environments, or None for all."""
+        if self._low == self._high:
+            return
+        drawn = self._streams.uniform(self._stream, (), self._low, self._high + 1, env_ids)
+        # A number just below the upper bound may round up to it.
+        steps = np.minimum(drawn, self._high).astype(np.int64)
+        self.lag[slice(None) if env_ids is None else env_ids] = steps
+
+    def __call__(
+        self, value: NDArray[Any], rows: Rows, before: NDArray[Any] | None = None
+    ) -> NDArray[Any]:
+        """(N, ...) the delayed value; `before` is the one before an episode's first."""
+        recent = self.past.append(value, rows, before)
+        delayed: NDArray[Any] = recent[self._rows, self._high - self.lag]
+        return delayed
+
+
+class ActionPipeline:
+    """Delays the actions of one term by whole control steps, then adds noise.
+
+    With a delay of d steps the term receives the action of d steps ago; in the first d steps of an
+    episode, when none has arrived, the one that changes nothing (`ActionTerm.hold`).
+
+    Args:
+        name: The term's name.
+        cfg: Its declaration.
+        width: Its columns A.
+        streams: Where random numbers come from: each environment draws its own, the delay once an
+            episode, the noise in every step.
+
+    Attributes:
+        hold: Gives the action, (A,) or (N, A), that changes nothing now.
+
+    Raises:
+        ConfigError: If a list of the noise's is not one value a column.
+    """
+
+    hold: Callable[[], F64]
+
+    def __init__(self, name: str, cfg: ActionTermCfg, width: int, streams: RandomStreams) -> None:
+        path = f"actions.{name}"
+        self._delay: Delay | None = None
+        if cfg.delay not in (0, [0, 0]):
+            self._delay = Delay(cfg.delay, f"{path}.delay", streams)
+        self._fresh: NDArray[np.bool_] = np.ones(streams.num_envs, np.bool_)
+        self._noise = None if cfg.noise is None else Noise(cfg.noise, (width,), path, streams)
+
+    def __call__(self, action: torch.Tensor) -> torch.Tensor:
+        """(N, A) float32 what the term receives for this step's action."""
+        values: NDArray[Any] = action.numpy()
+        if self._delay is not None:
+            rows, hold = Rows(None, None), None
+            if self._fresh.any():
+                rows = Rows(None, self._fresh)
+                hold = np.broadcast_to(self.hold(), values.shape)
+                self._fresh = np.zeros_like(self._fresh)
+            values = self._delay(values, rows, hold).astype(np.float32)
+        if self._noise is not None:
+            values = self._noise.apply(values, None)
+        return torch.from_numpy(values)
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Forget these environments' actions, and draw their delays."""
+        self._fresh = self._fresh.copy()
+        self._fresh[slice(None) if env_ids is None else env_ids] = True
+        if self._delay is not None:
+            self._delay.restart(env_ids)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Actions under way, and delays (copies)."""
+        if self._delay is None:
+            return {}
+        past, lag = self._delay.past.values, self._delay.lag.copy()
+        return {
+            "past": None if past is None else past.copy(),
+            "lag": lag,
+            "fresh": self._fresh.copy(),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        if self._delay is None:
+            return
+        past = state["past"]
+        self._delay.past.values = None if past is None else past.copy()
+        self._delay.lag[:] = state["lag"]
+        self._fresh = state["fresh"].copy()

@@ -1,0 +1,400 @@
+"""Managers of terms that give a number of each environment: rewards, terminations and metrics.
+
+`TermRows` are their values by name; `check_shapes` calls each once when an environment is built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, Protocol
+
+import lazy_loader
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.envs.cfg import MetricCfg, RewardCfg, TerminationCfg
+from embodichain.lab.gym.envs.context import TermContext
+from embodichain.lab.gym.envs.managers.manager import Manager, checked_rows
+
+if TYPE_CHECKING:
+    import torch
+
+    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.lab.sim.types import EnvObs
+else:
+    torch = lazy_loader.load("torch")
+
+__all__ = [
+    "JudgedEnv",
+    "MetricManager",
+    "RewardManager",
+    "TermRows",
+    "TerminationManager",
+    "check_shapes",
+]
+
+
+class TermRows(Mapping[str, "torch.Tensor"]):
+    """Name -> (N,) tensor, a copy of a row.
+
+    Args:
+        names: Of the terms, T of them.
+        rows: (T, N), or T arrays (N,); never written to afterwards.
+
+    Attributes:
+        names: Those.
+        rows: Those; tensors that were read and changed since do not change them.
+    """
+
+    __slots__ = ("_tensors", "names", "rows")
+
+    def __init__(self, names: Sequence[str], rows: Any = ()) -> None:
+        self.names, self.rows = names, rows
+        self._tensors: dict[str, torch.Tensor] = {}
+
+    def __getitem__(self, name: str) -> torch.Tensor:
+        """Return a term's values; the same tensor at every call."""
+        found = self._tensors.get(name)
+        if found is None:
+            try:
+                row = self.names.index(name)
+            except ValueError:
+                raise KeyError(name) from None
+            found = self._tensors[name] = torch.from_numpy(np.array(self.rows[row]))
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names."""
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        """Return the number of terms."""
+        return len(self.names)
+
+    def __repr__(self) -> str:
+        """Return names and values."""
+        return f"TermRows({dict(self)})"
+
+
+Masks = dict[str, NDArray[np.bool_]]
+
+
+class TerminationManager(Manager[TerminationCfg]):
+    """Joins the terms of each kind by "or".
+
+    Args:
+        env: The environment; its scene is complete.
+        cfgs: Name -> termination.
+
+    Attributes:
+        values: Name -> (N,) bool of the last step; empty before the first.
+    """
+
+    def __init__(self, env: TermContext, cfgs: Mapping[str, TerminationCfg]) -> None:
+        super().__init__(env, "terminations", "termination", cfgs)
+        self._names = tuple(self.terms)
+        self.values = TermRows(())
+
+    def _bind(self) -> None:
+        self._checked = False
+        self._calls = [(name, t.call, t.cfg.kind) for name, t in self.terms.items()]
+
+    @property
+    def has_success(self) -> bool:
+        """Whether a term of kind ``success`` exists."""
+        return any(kind == "success" for _, _, kind in self._calls)
+
+    def compute(self, obs: Any, action: Any, info: dict[str, Any]) -> Masks:
+        """Evaluate every term of this step.
+
+        Args:
+            obs: The step's observation.
+            action: The step's action.
+            info: What `evaluate` gave, and ``elapsed_steps``.
+
+        Returns:
+            (N,) bool masks by kind, ``success``, ``fail``, ``time_out``; kinds without a term are
+            absent. Success and fail terminate, time_out truncates.
+
+        Raises:
+            ValueError: If a term's value has another shape than (N,); names the term.
+        """
+        masks: Masks = {}
+        if not self._calls:
+            return masks
+        values: list[NDArray[np.bool_]] = []
+        for name, call, kind in self._calls:
+            value = call(self.env, obs, action, info)
+            if not self._checked:
+                checked_rows(value, self.num_envs, "termination", name)
+            flags = value if type(value) is np.ndarray else value.numpy(force=True)
+            flags = flags.astype(np.bool_)  # a copy: the term may reuse its own
+            values.append(flags)
+            masks[kind] = masks[kind] | flags if kind in masks else flags
+        self._checked = True
+        self.values = TermRows(self._names, values)
+        return masks
+
+
+_REDUCE: dict[str, tuple[Callable[[Any, Any], Any], bool | float]] = {
+    "last": (lambda so_far, value: value, 0.0),
+    "any": (np.logical_or, False),
+    "all": (np.logical_and, True),
+    "sum": (np.add, 0.0),
+    "mean": (np.add, 0.0),
+    "max": (np.maximum, float("-inf")),
+    "min": (np.minimum, float("inf")),
+}
+"""What joins the value so far with the next one, and the first value."""
+
+
+class MetricManager(Manager[MetricCfg]):
+    """Reduces every metric over the episode so far.
+
+    The values are float32, or bool where `reduce` is ``any`` or ``all``. The metric called
+    ``success`` is the task's success; it is evaluated before the others.
+
+    Args:
+        env: The environment; its scene is complete.
+        cfgs: Name -> metric.
+    """
+
+    def __init__(self, env: TermContext, cfgs: Mapping[str, MetricCfg]) -> None:
+        super().__init__(env, "metrics", "metric", cfgs)
+        # Arrays (N,), replaced and never written to: those handed out stay as they are.
+        self._so_far: dict[str, NDArray[Any]] = {
+            name: np.full(self.num_envs, start, dtype)
+            for name, _, dtype, _, start, _ in self._calls
+        }
+        self._count: NDArray[np.float32] = np.zeros(self.num_envs, np.float32)
+
+    def _bind(self) -> None:
+        self._checked = False
+        # `success` first: other metrics may read it.
+        ordered = sorted(self.terms.items(), key=lambda item: item[0] != "success")
+        self._calls = []
+        for name, term in ordered:
+            join, start = _REDUCE[term.cfg.reduce]
+            dtype = np.bool_ if isinstance(start, bool) else np.float32
+            mean = term.cfg.reduce == "mean"
+            self._calls.append((name, term.call, dtype, join, start, mean))
+
+    @property
+    def has_success(self) -> bool:
+        """Whether the metric ``success`` exists."""
+        return "success" in self.terms
+
+    def compute(self, obs: Any, action: Any, info: dict[str, Any]) -> NDArray[np.bool_] | None:
+        """Evaluate every term of this step.
+
+        Args:
+            obs: The step's observation.
+            action: The step's action.
+            info: ``metrics`` in it gains name -> (N,), this step included, which does not change
+                afterwards; entries of the environment's class remain.
+
+        Returns:
+            (N,) bool, the metric ``success``; None if there is none.
+
+        Raises:
+            ValueError: If a term's value has another shape than (N,); names the term.
+        """
+        metrics: dict[str, torch.Tensor] = dict(info.get("metrics", {}))
+        info["metrics"] = metrics
+        if not self._calls:
+            return None
+        self._count = self._count + np.float32(1.0)
+        success: NDArray[np.bool_] | None = None
+        for name, call, dtype, join, _, mean in self._calls:
+            value = call(self.env, obs, action, info)
+            if not self._checked:
+                checked_rows(value, self.num_envs, "metric", name)
+            array = value if type(value) is np.ndarray else value.numpy(force=True)
+            so_far = self._so_far[name] = join(self._so_far[name], array.astype(dtype))
+            shown = so_far / self._count if mean else so_far.copy()
+            metrics[name] = torch.from_numpy(shown)
+            if name == "success":
+                success = shown.astype(np.bool_)
+        self._checked = True
+        return success
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Start these environments' episodes anew."""
+        super().reset(env_ids)
+        where: Any = slice(None) if env_ids is None else env_ids
+        self._count = self._count.copy()
+        self._count[where] = 0.0
+        for name, _, _, _, start, _ in self._calls:
+            so_far = self._so_far[name] = self._so_far[name].copy()
+            so_far[where] = start
+
+    def state_dict(self) -> dict[str, Any]:
+        """Values so far, and the state of terms that are classes (copies)."""
+        so_far = {name: values.copy() for name, values in self._so_far.items()}
+        return {**super().state_dict(), "count": self._count.copy(), "kept": so_far}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        super().load_state_dict(state)
+        self._count = state["count"].copy()
+        self._so_far = {name: values.copy() for name, values in state["kept"].items()}
+
+
+F32 = NDArray[np.float32]
+
+
+class RewardManager(Manager[RewardCfg]):
+    """Adds up value x weight over the terms; never x dt.
+
+    Args:
+        env: The environment; its scene is complete.
+        cfgs: Name -> reward.
+
+    Attributes:
+        weights: Name -> current weight; another object when one has changed.
+    """
+
+    def __init__(self, env: TermContext, cfgs: Mapping[str, RewardCfg]) -> None:
+        weights = {name: float(cfg.weight) for name, cfg in cfgs.items()}
+        self.weights: Mapping[str, float] = MappingProxyType(weights)
+        super().__init__(env, "rewards", "reward", cfgs)
+        # Arrays (T, N), replaced and never written to: those handed out stay as they are.
+        self._sums: F32 = np.zeros((len(self.terms), self.num_envs), np.float32)
+        self._sums_before = self._sums
+        self._names = tuple(self.terms)
+
+    def _bind(self) -> None:
+        self._checked = False
+        self._calls = [(name, t.call) for name, t in self.terms.items()]
+        replacing = [i for i, t in enumerate(self.terms.values()) if t.cfg.mode == "replace"]
+        self._first = replacing[-1] + 1 if replacing else 0
+        weights = [self.weights[name] for name in self.terms]
+        self._factors: F32 = np.array(weights, np.float32)[:, None]
+
+    @property
+    def episode_sums(self) -> TermRows:
+        """Name -> (N,) float32 sum of value x weight since the episode began (copies)."""
+        return TermRows(self._names, self._sums)
+
+    def set_weight(self, name: str, weight: float) -> None:
+        """Give a term another weight from the next step on."""
+        if self.weights[name] != weight:
+            self.weights = MappingProxyType({**self.weights, name: float(weight)})
+            self._bind()
+
+    def compute(self, rewards: F32 | None, obs: Any, action: Any, info: dict[str, Any]) -> F32:
+        """Evaluate every term of this step.
+
+        Args:
+            rewards: (N,) of the environment's own hooks, or None; terms are added to it, and one
+                with ``mode: replace`` replaces the sum before it.
+            obs: The step's observation.
+            action: The step's action.
+            info: Gains ``rewards`` (values without weights) and ``episode_sums`` (with weights,
+                this step included), neither of which changes afterwards.
+
+        Returns:
+            (N,) float32.
+
+        Raises:
+            ValueError: If a term's value has another shape than (N,); names the term.
+        """
+        if not self._calls:
+            info["rewards"], info["episode_sums"] = {}, {}
+            return np.zeros(self.num_envs, np.float32) if rewards is None else rewards
+        values = np.empty(self._sums.shape, np.float32)
+        for row, (name, call) in enumerate(self._calls):
+            value = call(self.env, obs, action, info)
+            if not self._checked:
+                checked_rows(value, self.num_envs, "reward", name)
+            values[row] = value if type(value) is np.ndarray else value.numpy(force=True)
+        self._checked = True
+        parts = np.empty((len(values) + 1, self.num_envs), np.float32)
+        parts[0] = 0.0 if rewards is None else rewards
+        weighted = np.multiply(values, self._factors, out=parts[1:])
+        self._sums_before, self._sums = self._sums, self._sums + weighted
+        # One row after the other: the rounding does not depend on the number of environments.
+        total: F32 = np.add.accumulate(parts[self._first :], axis=0)[-1]
+        info["rewards"] = TermRows(self._names, values)
+        info["episode_sums"] = self.episode_sums
+        return total
+
+    def take_back(self, rows: NDArray[np.bool_]) -> None:
+        """Undo the last step in the sums of environments, (N,) bool."""
+        self._sums = np.where(rows, self._sums_before, self._sums)
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Start the sums of these environments anew."""
+        super().reset(env_ids)
+        self._sums = self._sums.copy()
+        self._sums[:, slice(None) if env_ids is None else env_ids] = 0.0
+
+    def state_dict(self) -> dict[str, Any]:
+        """Sums and weights, and the state of terms that are classes (copies)."""
+        return {
+            **super().state_dict(),
+            "weights": dict(self.weights),
+            "episode_sums": dict(zip(self._names, self._sums.copy(), strict=True)),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        super().load_state_dict(state)
+        self.weights = MappingProxyType(dict(state["weights"]))
+        self._bind()
+        sums = [np.asarray(state["episode_sums"][name], np.float32) for name in self._names]
+        self._sums = np.array(sums, np.float32).reshape(len(sums), self.num_envs)
+
+
+class JudgedEnv(TermContext, Protocol):
+    """An environment whose managers of steps are built."""
+
+    @property
+    def termination_manager(self) -> TerminationManager:
+        """The terminations."""
+        ...
+
+    @property
+    def metric_manager(self) -> MetricManager:
+        """The metrics."""
+        ...
+
+    @property
+    def reward_manager(self) -> RewardManager:
+        """The rewards."""
+        ...
+
+
+def check_shapes(env: JudgedEnv, obs: EnvObs) -> None:
+    """Call every termination, metric and reward once, and take back what that changed.
+
+    Random streams are put back and terms are reset, so that nothing of it shows later. For
+    environments whose `evaluate` is the default: another one may put entries into ``info`` that
+    terms rely on, and may need a reset first; there the first step checks.
+
+    Args:
+        env: The environment, complete.
+        obs: An observation of it.
+
+    Raises:
+        ValueError: If a term's value has another shape than (N,); names the term.
+    """
+    managers = env.termination_manager, env.metric_manager, env.reward_manager
+    if not any(len(manager) for manager in managers):
+        return
+    count = env.num_envs
+    nobody = torch.zeros(count, dtype=torch.bool)
+    info: dict[str, Any] = {
+        "elapsed_steps": env.elapsed_steps,
+        "success": nobody,
+        "fail": nobody.clone(),
+    }
+    action = env.last_action
+    saved = env.streams.state_dict()
+    env.termination_manager.compute(obs, action, info)
+    env.metric_manager.compute(obs, action, info)
+    env.reward_manager.compute(None, obs, action, info)
+    env.streams.load_state_dict(saved)
+    for manager in managers:
+        manager.reset(None)

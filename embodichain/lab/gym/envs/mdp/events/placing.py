@@ -1,0 +1,371 @@
+"""Events that place whole entities: objects, roots of robots, and tools.
+
+A free joint stores its linear velocity in the environment's axes and its angular one in the body's;
+velocities here are in the environment's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from embodichain.lab.gym.envs.managers.param_types import Axes6, Box3, Range
+from embodichain.lab.gym.envs.managers.registry import register_term
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import Term, Uniform
+from embodichain.lab.gym.envs.mdp._ik import Reach
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import euler_xyz_to_quat, quat_conjugate, quat_multiply, quat_rotate
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
+
+__all__ = [
+    "AXES",
+    "RandomizeObjectPositionInShell",
+    "RandomizePose",
+    "RandomizeRobotEefPose",
+    "ResetRootStateUniform",
+    "need_free_root",
+    "read_root_velocity",
+    "reset_scene_to_default",
+    "rpy_to_quat",
+    "six_axes",
+    "write_root_velocity",
+]
+
+AXES = ("x", "y", "z", "roll", "pitch", "yaw")
+
+
+def six_axes(name: str, ranges: Mapping[Any, Sequence[float]] | None) -> Uniform | None:
+    """A draw of shape (6,) from a map from axes to [low, high]; absent axes are 0.
+
+    None if no axis is named: there is nothing to draw.
+    """
+    if not ranges:
+        return None
+    low, high = np.array([ranges.get(axis, (0.0, 0.0)) for axis in AXES], np.float64).T
+    return Uniform(name, low, high)
+
+
+def rpy_to_quat(angles: F64) -> F64:
+    """Wxyz quaternions of roll, pitch, yaw in rad about fixed axes, R = Rz Ry Rx, (..., 3)."""
+    return quat_conjugate(euler_xyz_to_quat(-angles))
+
+
+def need_free_root(entity: ResolvedEntity, path: str = "entity_cfg.uid") -> None:
+    """Refuse an entity whose root has no velocity.
+
+    Raises:
+        ConfigError: If its base is fixed, or it is an object that is not dynamic.
+    """
+    if entity.asset.entity.free_qvel_adr < 0:
+        message = (
+            f"{entity.uid!r} cannot get a velocity: it needs body_type: dynamic (an object) or "
+            "fix_base: false (a robot)"
+        )
+        raise ConfigError([Problem(path, message)])
+
+
+def read_root_velocity(asset: Any) -> F64:
+    """(N, 6) linear velocity of the root's origin in m/s, then angular in rad/s; a copy."""
+    start = asset.entity.free_qvel_adr
+    qvel = asset.engine.state("qvel")[:, start : start + 6]
+    turned = quat_rotate(asset.read_pose()[1], qvel[:, 3:])
+    return np.concatenate([qvel[:, :3], turned], axis=1)
+
+
+def write_root_velocity(asset: Any, velocity: F64, env_ids: EnvIndex | None) -> None:
+    """Set the root's velocity.
+
+    Args:
+        asset: A handle with a free root.
+        velocity: (n, 6) linear in m/s, then angular in rad/s.
+        env_ids: (n,) environments, or None for all.
+    """
+    start = asset.entity.free_qvel_adr
+    quat = asset.read_pose()[1]
+    local = quat_rotate(quat_conjugate(quat if env_ids is None else quat[env_ids]), velocity[:, 3:])
+    values = np.concatenate([velocity[:, :3], local], axis=1)
+    asset.engine.write("qvel", values, env_ids, slice(start, start + 6))
+
+
+@register_term("event")
+def reset_scene_to_default(env: TermContext, env_ids: EnvIndex | None) -> None:
+    """Puts every entity into its configured state: poses, joints, drive targets, no velocity.
+
+    Isaac Lab's event. A reset here does so before any event runs; as an `interval` event it resets
+    the scene within an episode. Entities that are excluded from resets are reset too.
+
+    Args:
+        env: The environment.
+        env_ids: (n,) environments, or None for all.
+
+    Example:
+        ``{func: reset_scene_to_default, mode: interval, interval_step: 100}``
+    """
+    env.sim.reset_objects_state(env_ids)
+
+
+@register_term("event", name="reset_root_state_uniform")
+class ResetRootStateUniform(Term):
+    """Moves and turns an entity's root away from its configured pose, and gives it a velocity.
+
+    pos = pos0 + U(x, y, z); quat = quat0 * q(roll, pitch, yaw) with q = Rz Ry Rx, so that the turn
+    is in the entity's own frame; velocity = U. Isaac Lab's event of the same name.
+
+    Args:
+        entity_cfg: A rigid object or a robot.
+        pose_range: {x, y, z: [low, high] in metres; roll, pitch, yaw: [low, high] in rad}. An axis
+            that is absent is 0.
+        velocity_range: {x, y, z: [low, high] in m/s; roll, pitch, yaw: in rad/s}, environment's
+            axes. Needs a dynamic object or a floating base; joints do not change.
+
+    Example:
+        ``{func: reset_root_state_uniform, mode: reset, params: {entity_cfg: {uid: cube}, pose_range: {x: [-0.2, 0.2], yaw: [-3.14, 3.14]}, velocity_range: {z: [-0.5, 0.5]}}}``
+    """  # noqa: E501  (an example is one line)
+
+    def __init__(
+        self,
+        env: TermContext,
+        entity_cfg: ResolvedEntity,
+        pose_range: Axes6 | None = None,
+        velocity_range: Axes6 | None = None,
+    ) -> None:
+        self._pose = six_axes("pose", pose_range)
+        self._velocity = six_axes("velocity", velocity_range)
+        if self._velocity is not None:
+            need_free_root(entity_cfg)
+        self._asset = asset = entity_cfg.asset
+        index = asset.entity
+        self._floats = index.free_qvel_adr >= 0
+        self._pos0: F64 = np.tile(np.asarray(index.pos0, np.float64), (env.num_envs, 1))
+        self._quat0: F64 = np.tile(np.asarray(index.quat0, np.float64), (env.num_envs, 1))
+
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+        """Draw and write the root states of these environments."""
+        count = env.num_envs if env_ids is None else len(env_ids)
+        pos, quat = self._pos0[:count], self._quat0[:count]
+        if self._pose is not None:
+            drawn = self._pose(env.event_manager, env_ids)
+            pos = pos + drawn[:, :3]
+            quat = quat_multiply(quat, rpy_to_quat(drawn[:, 3:]))
+        asset = self._asset
+        asset.write_pose(pos, quat, env_ids)
+        if self._velocity is not None:
+            velocity = self._velocity(env.event_manager, env_ids)
+            write_root_velocity(asset, velocity, env_ids)
+        elif self._floats:
+            write_root_velocity(asset, np.zeros((count, 6)), env_ids)
+
+
+@register_term("event", name="randomize_pose")
+class RandomizePose(Term):
+    """Places an object, or the root of a robot or articulation, at random, with velocity 0.
+
+    The pose is the declared initial pose, moved by uniform draws. Joint positions stay.
+
+    Args:
+        entity_cfg: The object, robot or articulation.
+        position_range: [[x, y, z] low, [x, y, z] high] in metres; None draws no position.
+        rotation_range: The same for Euler angles in **degrees**, intrinsic XYZ (R = Rx Ry Rz);
+            None keeps the initial orientation.
+        relative_position: True adds the draw to the initial position (or to `relative_to`), False
+            takes it as the position in the environment's frame.
+        relative_rotation: True turns the initial orientation by the draw, in the entity's own
+            frame; False takes it as the orientation.
+        relative_to: An entity, or a link of one, to whose present position the draw is added
+            instead; its orientation does not matter.
+        physics_update_step: Physics steps that these environments take afterwards, so that the
+            entity can settle; -1 or 0 takes none.
+
+    Example:
+        ``{func: randomize_pose, mode: reset, params: {entity_cfg: {uid: cube}, position_range: [[-0.1, -0.1, 0], [0.1, 0.1, 0]], rotation_range: [[0, 0, -180], [0, 0, 180]]}}``
+    """  # noqa: E501  (an example is one line)
+
+    def __init__(
+        self,
+        env: TermContext,
+        entity_cfg: ResolvedEntity,
+        position_range: Box3 | None = None,
+        rotation_range: Box3 | None = None,
+        relative_position: bool = True,
+        relative_rotation: bool = False,
+        relative_to: ResolvedEntity | None = None,
+        physics_update_step: Annotated[int, Field(ge=-1)] = -1,
+    ) -> None:
+        self._asset = asset = entity_cfg.asset
+        if hasattr(asset, "parsed"):
+            self._stop = asset.clear_dynamics
+        else:
+            self._stop = None if asset.is_non_dynamic else asset.stop
+        self._steps = physics_update_step
+        if relative_to is not None and not relative_position:
+            message = "relative_to needs relative_position: true"
+            raise ConfigError([Problem("relative_position", message)])
+        base = np.asarray(asset.entity.pos0, np.float64)
+        self._pos0: F64 = np.tile(base, (env.num_envs, 1))
+        self._quat0: F64 = np.tile(np.asarray(asset.entity.quat0, np.float64), (env.num_envs, 1))
+        self._near = relative_to
+        self._position: Uniform | None = None
+        if position_range is not None:
+            shift = base if relative_position and relative_to is None else 0.0
+            self._position = Uniform("position", *(np.asarray(b) + shift for b in position_range))
+        self._rotation = Uniform.within("rotation", rotation_range, degrees=True)
+        self._relative_rotation = relative_rotation
+
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+        """Draw and write the poses of these environments."""
+        quat0 = self._quat0 if env_ids is None else self._quat0[: len(env_ids)]
+        quat: F64 | None = quat0
+        if self._rotation is None and self._is_turned_so(quat0, env_ids):
+            quat = None
+        pos = self._pos0[: len(quat0)]
+        if self._position is not None:
+            pos = self._position(env.event_manager, env_ids)
+        if self._near is not None:
+            origin = self._near.position()
+            origin = origin if env_ids is None else origin[env_ids]
+            pos = origin + (0.0 if self._position is None else pos)
+        if self._rotation is not None:
+            turn = euler_xyz_to_quat(self._rotation(env.event_manager, env_ids))
+            quat = quat_multiply(quat0, turn) if self._relative_rotation else turn
+        self._asset.write_pose(pos, quat, env_ids)
+        if self._stop is not None:
+            self._stop(env_ids)
+        if self._steps > 0:
+            self._asset.engine.step(self._steps, env_ids)
+
+    def _is_turned_so(self, wanted: F64, env_ids: EnvIndex | None) -> bool:
+        """Whether orientations need no write, which a log would contain."""
+        if self._stop is not None or not self._asset.engine.listeners:
+            return False
+        now = self._asset.read_pose()[1]
+        return bool(((now if env_ids is None else now[env_ids]) == wanted).all())
+
+
+_RIGHT_ANGLE = 1.5707963267948966
+
+
+@register_term("event", name="randomize_object_position_in_shell")
+class RandomizeObjectPositionInShell(Term):
+    """Places a rigid object between two spheres around an entity, uniformly in volume.
+
+    With u uniform: r = cbrt(U(r0^3, r1^3)), azimuth = U, sin(elevation) = U(sin e0, sin e1). The
+    object keeps its initial orientation.
+
+    Args:
+        entity_cfg: The object.
+        relative_to: The entity, or link of one, at the centre, at its position at that time.
+        radius_range: [low, high] in metres.
+        azimuth_range: [low, high] in rad about z, from +x towards +y.
+        elevation_range: [low, high] in rad above the horizontal, within +-pi/2.
+
+    Example:
+        ``{func: randomize_object_position_in_shell, mode: reset, params: {entity_cfg: {uid: goal}, relative_to: {uid: ur10}, radius_range: [0.4, 1.1]}}``
+    """  # noqa: E501  (an example is one line)
+
+    def __init__(
+        self,
+        env: TermContext,
+        entity_cfg: ResolvedEntity,
+        relative_to: ResolvedEntity,
+        radius_range: Range,
+        azimuth_range: Range = (-3.141592653589793, 3.141592653589793),
+        elevation_range: Range = (-_RIGHT_ANGLE, _RIGHT_ANGLE),
+    ) -> None:
+        problems = []
+        if not hasattr(entity_cfg.asset, "is_non_dynamic"):
+            problems.append(Problem("entity_cfg.uid", f"{entity_cfg.uid!r} is not a rigid object"))
+        if radius_range[0] < 0:
+            problems.append(
+                Problem("radius_range", f"must not be negative, got {list(radius_range)}")
+            )
+        if max(map(abs, elevation_range)) > _RIGHT_ANGLE + 1e-9:
+            problems.append(
+                Problem("elevation_range", f"is within +-pi/2, got {list(elevation_range)}")
+            )
+        if problems:
+            raise ConfigError(problems)
+        self._asset = entity_cfg.asset
+        self._centre = relative_to
+        bounds = [
+            [radius_range[i] ** 3, azimuth_range[i], np.sin(elevation_range[i])] for i in (0, 1)
+        ]
+        self._shell = Uniform("shell", *bounds)
+        quat = np.asarray(self._asset.entity.quat0, np.float64)
+        self._quat: F64 = np.tile(quat, (env.num_envs, 1))
+        self._stop = None if self._asset.is_non_dynamic else self._asset.stop
+
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+        """Draw and write the positions of these environments."""
+        drawn = self._shell(env.event_manager, env_ids)
+        # Contiguous columns: numpy may round a strided transcendental function differently.
+        radius, azimuth, rise = (np.ascontiguousarray(drawn[:, i]) for i in range(3))
+        radius = np.cbrt(radius)
+        flat = radius * np.sqrt(np.maximum(0.0, 1.0 - rise * rise))
+        offset = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), radius * rise], axis=1)
+        origin = self._centre.position()
+        pos = (origin if env_ids is None else origin[env_ids]) + offset
+        self._asset.write_pose(pos, self._quat[: len(pos)], env_ids)
+        if self._stop is not None:
+            self._stop(env_ids)
+
+
+@register_term("event", name="randomize_robot_eef_pose")
+class RandomizeRobotEefPose(Term):
+    """Moves a robot's tool away from where it is, by inverse kinematics; its velocity is 0.
+
+    The tool's pose is moved by U(position_range) in the environment's axes and turned by
+    U(rotation_range) in its own; joints are solved for from where they are (damped least squares),
+    and drive targets follow. An environment in which the pose is out of reach keeps its joints.
+    EmbodiChain's event of the same name.
+
+    Args:
+        entity_cfg: The robot; control parts or joint names pick the joints that move, a link name
+            picks the tool (else it is the link farthest from the base that they move).
+        position_range: [[x, y, z] low, [x, y, z] high] in metres; None keeps the position.
+        rotation_range: The same for Euler angles in **degrees**, intrinsic XYZ; None keeps the
+            orientation.
+
+    Example:
+        ``{func: randomize_robot_eef_pose, mode: reset, params: {entity_cfg: {uid: ur10, link_names: [ee_link]}, position_range: [[-0.05, -0.05, -0.05], [0.05, 0.05, 0.05]], rotation_range: [[-10, -10, -10], [10, 10, 10]]}}``
+    """  # noqa: E501  (an example is one line)
+
+    def __init__(
+        self,
+        env: TermContext,
+        entity_cfg: ResolvedEntity,
+        position_range: Box3 | None = None,
+        rotation_range: Box3 | None = None,
+    ) -> None:
+        self._asset = asset = entity_cfg.asset
+        self._reach = Reach(entity_cfg)
+        self._position = Uniform.within("position", position_range)
+        self._rotation = Uniform.within("rotation", rotation_range, degrees=True)
+        index = asset.entity
+        self._dofs = np.asarray(index.dof_adr, np.int64)
+        self._driven = np.flatnonzero(np.asarray(index.actuator_ids) >= 0)
+
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+        """Draw, solve and write the joint positions of these environments."""
+        asset, engine, body = self._asset, self._asset.engine, self._reach.body
+        ids = np.arange(env.num_envs) if env_ids is None else env_ids
+        pos, quat = engine.derived("xpos")[ids, body], engine.derived("xquat")[ids, body]
+        if self._position is not None:
+            pos = pos + self._position(env.event_manager, env_ids)
+        if self._rotation is not None:
+            angles = self._rotation(env.event_manager, env_ids)
+            quat = quat_multiply(quat, euler_xyz_to_quat(angles))
+        root_pos, root_quat = (part[ids] for part in asset.read_pose())
+        qpos = asset.read_qpos()[ids]
+        found, solved = self._reach.solve(root_pos, root_quat, qpos, pos, quat)
+        qpos = np.where(solved[:, None], found, qpos)
+        asset.write_qpos(qpos, None, env_ids)
+        engine.write("qvel", 0.0, env_ids, self._dofs)
+        if len(self._driven):
+            asset.write_target(qpos[:, self._driven], self._driven, env_ids)

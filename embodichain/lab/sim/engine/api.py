@@ -1,0 +1,227 @@
+"""`Engine`: the contract of what steps N environments, its state rows, and what it reports.
+
+`CpuEngine` implements it on `mujoco.batch`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal, NamedTuple, Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "ALL",
+    "F64",
+    "Columns",
+    "Engine",
+    "EngineListener",
+    "EnvIndex",
+    "PhysicsEvent",
+    "Write",
+    "WriteOp",
+    "row_layout",
+]
+
+F64 = NDArray[np.float64]
+EnvIndex = NDArray[np.int64]
+"""Sorted unique environment indices."""
+Columns = slice | NDArray[np.int64]
+"""Columns of a flattened field: (k,) indices, or a slice of them."""
+ALL = slice(None)
+WriteOp = Literal["state", "model", "reset", "set_const", "forward"]
+
+
+class Write(NamedTuple):
+    """One write to the simulation outside physics, exactly as it was applied.
+
+    Attributes:
+        op: ``state`` sets columns of state rows; ``model`` sets columns of a per-environment model
+            field; ``reset`` gives rows MuJoCo's reset state (`mj_resetData`), ``values`` is None;
+            ``set_const`` recomputes the constants that MuJoCo derives, ``values`` is None;
+            ``forward`` ran `mj_forward` (it may change nothing of the row), ``values`` is None.
+        field: A component of the state row (``qpos``, ``ctrl``, ``mocap_pos``, ``row`` for whole
+            rows...) or a model field (``body_mass``, ``opt.gravity``); empty for other ops.
+        env_ids: (n,) int64, or None for all N.
+        columns: Columns within the flattened field.
+        values: (n, k) float64, or None. It may be a live view of the engine: copy it to store it.
+    """
+
+    op: WriteOp
+    field: str
+    env_ids: EnvIndex | None
+    columns: Columns
+    values: F64 | None
+
+
+class PhysicsEvent(NamedTuple):
+    """Physics is about to step (``before``) or has just stepped (``after``).
+
+    Attributes:
+        phase: Which of the two.
+        nstep: Physics steps of this call.
+        env_ids: (n,) environments that step, or None for all.
+        rows: (N, nstate) **live** integration-state rows: copy them to store them.
+        failed: After: (m,) environments in which the engine raised and kept the previous row.
+    """
+
+    phase: Literal["before", "after"]
+    nstep: int
+    env_ids: EnvIndex | None
+    rows: F64
+    failed: EnvIndex | None = None
+
+
+class EngineListener(Protocol):
+    """Receives everything that changes the simulation."""
+
+    def on_write(self, write: Write) -> None:
+        """Called after a write was applied to the rows or model fields."""
+
+    def on_physics(self, event: PhysicsEvent) -> None:
+        """Called right before and right after physics steps."""
+
+
+class Engine(Protocol):
+    """N simulations of one model.
+
+    All arrays are float64 numpy, row *i* is environment *i*. `env_ids` is None (all) or sorted
+    unique int64. Reads marked *fresh* run the position and velocity stages of environments whose
+    rows changed since.
+    """
+
+    version: int
+    """Rises with everything that may change positions, velocities or the model."""
+    model: mujoco.MjModel
+    num_envs: int
+    listeners: list[EngineListener]
+
+    @property
+    def rows(self) -> F64:
+        """(N, nstate) live integration-state rows (`mjSTATE_INTEGRATION`). Do not write."""
+
+    def component(self, name: str) -> slice:
+        """Columns of a state component (``qpos``, ``mocap_pos``...) within a row.
+
+        Raises:
+            KeyError: If there is none of that name; lists them.
+        """
+
+    def state(self, name: str) -> F64:
+        """(N, width) live view of a state component. Do not write: use `write`.
+
+        The view of a component is the same array as long as the engine lives, so handles may store
+        it and slices of it.
+        """
+
+    def derived(self, name: str) -> F64:
+        """(N, ...) fresh position- or velocity-stage field (``xpos``, ``cvel``, ``sensordata``)."""
+
+    def acceleration(self, name: str) -> F64:
+        """(N, ...) acceleration-stage field (``qfrc_actuator``) of the last physics step.
+
+        After `forward` it is that of the state then. The first request of a field computes it at
+        the current state. The array is valid until the next step or full forward.
+        """
+
+    def step(self, nstep: int, env_ids: EnvIndex | None = None) -> None:
+        """Advance physics by ``nstep`` steps of the model's timestep; see `take_diverged`."""
+
+    def forward(self, env_ids: EnvIndex | None = None) -> None:
+        """Compute every derived field, acceleration stage included, without stepping."""
+
+    def reset(self, env_ids: EnvIndex | None = None) -> None:
+        """Give rows MuJoCo's reset state: warm start, ctrl, act, applied forces, time.
+
+        Warning counters are cleared.
+        """
+
+    def write(
+        self, field: str, values: Any, env_ids: EnvIndex | None = None, columns: Columns = ALL
+    ) -> None:
+        """Set columns of a state component: every change outside physics passes here.
+
+        Args:
+            field: The component (``qpos``, ``ctrl``, ``mocap_pos``...), or ``row`` for whole rows.
+            values: Broadcasts to (n, k); copied.
+            env_ids: (n,) environments, or None for all.
+            columns: (k,) columns within the component.
+        """
+
+    def write_model(
+        self, field: str, values: Any, env_ids: EnvIndex | None = None, columns: Columns = ALL
+    ) -> None:
+        """Set columns of a model field per environment, as `write` does; see `set_const`.
+
+        Raises:
+            ValueError: If the field is none of `mujoco.batch.MODEL_FIELDS` (an `MjModel` field or
+                ``opt.NAME``), which can differ between environments.
+        """
+
+    def model_field(self, field: str) -> NDArray[Any]:
+        """(N, size) flattened per-environment values of a model field. Do not write."""
+
+    def set_const(self, env_ids: EnvIndex | None = None) -> None:
+        """Recompute what MuJoCo derives from model fields (`mj_setConst`), at once."""
+
+    def set_const_later(self, env_ids: EnvIndex | None = None) -> None:
+        """The same before the next read or step: once for all writes until then."""
+
+    def take_diverged(self) -> NDArray[np.bool_] | None:
+        """(N,) mask of environments that diverged since the last call, or None."""
+
+    def model_of(self, env_id: int) -> mujoco.MjModel:
+        """A copy of one environment's model, its own field values included."""
+
+    def data_of(self, env_id: int) -> mujoco.MjData:
+        """One environment as an MjData: derived fields computed, its model with its own values."""
+
+    def model_fields(self) -> dict[str, NDArray[Any]]:
+        """Name -> (N, ...) copies of per-environment model fields, derived ones as they are."""
+
+    def state_dict(self) -> dict[str, Any]:
+        """Rows, per-environment model fields, warning counters, acceleration fields (copies)."""
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue exactly where `state_dict` was taken."""
+
+
+_COMPONENTS = {
+    "time": "TIME",
+    "qpos": "QPOS",
+    "qvel": "QVEL",
+    "act": "ACT",
+    "history": "HISTORY",
+    "qacc_warmstart": "WARMSTART",
+    "ctrl": "CTRL",
+    "qfrc_applied": "QFRC_APPLIED",
+    "xfrc_applied": "XFRC_APPLIED",
+    "eq_active": "EQ_ACTIVE",
+    "mocap_pos": "MOCAP_POS",
+    "mocap_quat": "MOCAP_QUAT",
+    "userdata": "USERDATA",
+    "plugin_state": "PLUGIN",
+    "plastic": "PLASTIC",
+}
+
+
+def row_layout(model: mujoco.MjModel) -> dict[str, slice]:
+    """Return the columns of every state component within an integration-state row.
+
+    The order of components is MuJoCo's: ascending bits of `mjtState` within `mjSTATE_INTEGRATION`.
+    """
+    bits = {
+        int(getattr(mujoco.mjtState, f"mjSTATE_{suffix}")): name
+        for name, suffix in _COMPONENTS.items()
+        if hasattr(mujoco.mjtState, f"mjSTATE_{suffix}")
+    }
+    layout: dict[str, slice] = {}
+    start = 0
+    for position in range(32):
+        bit = 1 << position
+        if int(mujoco.mjtState.mjSTATE_INTEGRATION) & bit:
+            size = mujoco.mj_stateSize(model, bit)
+            layout[bits.get(bit, f"state_{position}")] = slice(start, start + size)
+            start += size
+    return layout

@@ -1,0 +1,129 @@
+"""`Solid`: a primitive shape at other sizes, with the formulas of its volume and moments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.engine.api import F64
+
+__all__ = ["Solid"]
+
+_GEOM = mujoco.mjtGeom
+_NAMES = {
+    int(_GEOM.mjGEOM_BOX): "box",
+    int(_GEOM.mjGEOM_SPHERE): "sphere",
+    int(_GEOM.mjGEOM_ELLIPSOID): "ellipsoid",
+    int(_GEOM.mjGEOM_CYLINDER): "cylinder",
+    int(_GEOM.mjGEOM_CAPSULE): "capsule",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """One primitive geom.
+
+    Attributes:
+        uid: Its entity.
+        kind: ``box``, ``sphere``, ``ellipsoid``, ``cylinder`` or ``capsule``.
+        geom: Its id in the model.
+        size: (3,) its compiled half sizes in metres: see MuJoCo's `geom_size`.
+        axes: (3,) which axis of the geom each principal axis of the body is.
+    """
+
+    uid: str
+    kind: str
+    geom: int
+    size: F64
+    axes: NDArray[np.int64]
+
+    @staticmethod
+    def of(uid: str, model: mujoco.MjModel, geom: int) -> Solid:
+        """The shape of a geom.
+
+        Raises:
+            ValueError: If it has no size that could differ between environments.
+        """
+        kind = _NAMES.get(int(model.geom_type[geom]))
+        if kind is None:
+            what = _GEOM(int(model.geom_type[geom])).name.removeprefix("mjGEOM_").lower()
+            raise ValueError(
+                f"{uid} is a {what}, whose size is compiled into the model's assets: only "
+                f"{', '.join(_NAMES.values())} have a size per environment"
+            )
+        principal, own = np.zeros(9), np.zeros(9)
+        mujoco.mju_quat2Mat(principal, model.body_iquat[model.geom_bodyid[geom]])
+        mujoco.mju_quat2Mat(own, model.geom_quat[geom])
+        aligned = np.abs(principal.reshape(3, 3).T @ own.reshape(3, 3))
+        return Solid(uid, kind, geom, model.geom_size[geom].copy(), aligned.argmax(axis=1))
+
+    @property
+    def equal_axes(self) -> tuple[int, ...]:
+        """Axes whose scales must be equal for the shape to stay what it is."""
+        return {"sphere": (0, 1, 2), "cylinder": (0, 1), "capsule": (0, 1)}.get(self.kind, ())
+
+    def check(self, scale: F64) -> None:
+        """Refuse scales (n, 3) that are not positive or make another kind of shape.
+
+        Raises:
+            ValueError: Says which.
+        """
+        if not (scale > 0).all():
+            raise ValueError(f"{self.uid}: scales must be positive, got {scale.min()}")
+        equal = list(self.equal_axes)
+        if equal and (scale[:, equal] != scale[:, equal[:1]]).any():
+            axes = ", ".join("xyz"[axis] for axis in equal)
+            raise ValueError(f"{self.uid}: a {self.kind} scales equally along {axes}")
+
+    def scaled(self, scale: F64) -> tuple[F64, F64, F64]:
+        """Sizes (n, 3), and volume (n,) and moments at equal mass (n, 3) over the compiled ones.
+
+        Args:
+            scale: (n, 3) factors along the geom's axes.
+        """
+        if self.kind in ("box", "ellipsoid"):
+            size = self.size * scale
+        elif self.kind == "sphere":
+            size = self.size * scale[:, :1]
+        else:
+            size = self.size * scale[:, [0, 2, 2]]
+        volume = _volume(self.kind, size) / _volume(self.kind, self.size[None])
+        moments = _moments(self.kind, size) / _moments(self.kind, self.size[None])
+        return size, volume, moments[:, self.axes]
+
+
+def _volume(kind: str, size: F64) -> F64:
+    """Up to a constant factor, (n,)."""
+    a, b, c = size[:, 0], size[:, 1], size[:, 2]
+    if kind == "sphere":
+        return a * a * a
+    if kind == "cylinder":
+        return a * a * b
+    if kind == "capsule":
+        return a * a * (2.0 * b + 4.0 / 3.0 * a)
+    return a * b * c
+
+
+def _moments(kind: str, size: F64) -> F64:
+    """About the geom's axes per mass, up to a constant factor; (n, 3)."""
+    a, b, c = size[:, 0], size[:, 1], size[:, 2]
+    if kind == "sphere":
+        x = y = z = a * a
+    elif kind == "cylinder":
+        x = y = (3.0 * a * a + 4.0 * b * b) / 12.0
+        z = 0.5 * a * a
+    elif kind == "capsule":
+        ball = 4.0 / 3.0 * a / (2.0 * b + 4.0 / 3.0 * a)  # its share of the mass
+        tube = 1.0 - ball
+        x = y = tube * (3.0 * a * a + 4.0 * b * b) / 12.0 + ball * (
+            0.4 * a * a + b * b + 0.75 * a * b
+        )
+        z = tube * 0.5 * a * a + ball * 0.4 * a * a
+    else:
+        x, y, z = b * b + c * c, a * a + c * c, a * a + b * b
+    return np.stack([x, y, z], axis=1)

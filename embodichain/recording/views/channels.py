@@ -1,0 +1,272 @@
+"""Messages for viewers, one encoder a channel: `/tf`, joint states, metrics, lines of `/log`.
+
+Frames are named ``env_I/uid/link``; their parent is ``env_I``, whose parent is ``world``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from numpy.typing import NDArray
+
+from embodichain.lab.gym.envs.managers.value_managers import TermRows
+from embodichain.lab.sim.engine.api import F64, row_layout
+from embodichain.recording.schema import scalars_class, scalars_descriptor_set
+
+if TYPE_CHECKING:
+    from embodichain.lab.gym.envs.observers import StepRecord
+
+__all__ = [
+    "METRICS",
+    "Frames",
+    "Joints",
+    "Scalars",
+    "ending_text",
+    "event_text",
+    "frame_names",
+    "identifier",
+    "ids_text",
+    "log_line",
+    "scalar_joints",
+]
+
+METRICS = "Metrics"
+"""Name of the message with the scalars of a run."""
+_SCALAR = (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE))
+_COUNTS = ("elapsed_steps", "success", "fail")
+_GROUPS = (("rewards", "reward"), ("episode_sums", "sum"), ("metrics", "metric"))
+_REASONS = ("success", "fail", "diverged")
+_LISTED = 8
+"""Numbers and environments that a line of `/log` lists at most."""
+
+
+def frame_names(model: mujoco.MjModel, env_id: int) -> list[str]:
+    """Frames of an environment's bodies by body id; the first one is the environment's own."""
+    root = f"env_{env_id}"
+    names = (model.body(i).name or f"body_{i}" for i in range(1, model.nbody))
+    return [root, *(f"{root}/{name}" for name in names)]
+
+
+def scalar_joints(model: mujoco.MjModel) -> dict[str, int]:
+    """Ids of the hinge and slide joints by name."""
+    ids = [j for j in range(model.njnt) if int(model.jnt_type[j]) in _SCALAR]
+    return {model.joint(j).name or f"joint_{j}": j for j in ids}
+
+
+class Frames:
+    """`/tf`: one `FrameTransforms` for all viewed environments, updated for each sample.
+
+    The parent of every body's frame is its environment's, so poses need no chain of products, and
+    a viewer that misses one frame still shows the others.
+
+    Args:
+        model: The model; only names are read.
+        env_ids: (n,) environments.
+        offsets: (n, 3) position of each in ``world``, metres.
+    """
+
+    def __init__(self, model: mujoco.MjModel, env_ids: Sequence[int], offsets: F64) -> None:
+        self._message = FrameTransforms()
+        add = self._message.transforms.add
+        self._bodies = []
+        for env_id, (x, y, z) in zip(env_ids, offsets.tolist(), strict=True):
+            root, *names = frame_names(model, env_id)
+            base = add(parent_frame_id="world", child_frame_id=root)
+            base.translation.x, base.translation.y, base.translation.z = x, y, z
+            base.rotation.w = 1.0
+            frames = [add(parent_frame_id=root, child_frame_id=name) for name in names]
+            self._bodies.append([(frame.translation, frame.rotation) for frame in frames])
+        self._times = [frame.timestamp for frame in self._message.transforms]
+
+    def place(self, index: int, data: mujoco.MjData) -> None:
+        """Take the body poses of the index-th environment from its kinematics."""
+        positions, rotations = data.xpos[1:].tolist(), data.xquat[1:].tolist()
+        for (p, q), xyz, wxyz in zip(self._bodies[index], positions, rotations, strict=True):
+            p.x, p.y, p.z = xyz
+            q.w, q.x, q.y, q.z = wxyz
+
+    def encode(self, time_ns: int) -> bytes:
+        """Return the serialized message."""
+        seconds, nanos = divmod(time_ns, 1_000_000_000)
+        for timestamp in self._times:
+            timestamp.seconds, timestamp.nanos = seconds, nanos
+        data: bytes = self._message.SerializeToString()
+        return data
+
+
+class Joints:
+    """`/env_I/joint_states`: every hinge and slide joint, updated for each environment."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        joints, layout = scalar_joints(model), row_layout(model)
+        ids = np.array(list(joints.values()), np.int64)
+        self._qpos = layout["qpos"].start + model.jnt_qposadr[ids]
+        self._qvel = layout["qvel"].start + model.jnt_dofadr[ids]
+        self._message = JointStates()
+        self._joints = [self._message.joints.add(name=name) for name in joints]
+
+    def encode(self, time_ns: int, row: F64) -> bytes:
+        """Return the serialized message of a state.
+
+        Args:
+            time_ns: Its time.
+            row: (nstate,) state: positions (rad or m) and velocities (rad/s or m/s) are read.
+        """
+        self._message.timestamp.FromNanoseconds(time_ns)
+        positions, velocities = row[self._qpos].tolist(), row[self._qvel].tolist()
+        for joint, qpos, qvel in zip(self._joints, positions, velocities, strict=True):
+            joint.position, joint.velocity = qpos, qvel
+        data: bytes = self._message.SerializeToString()
+        return data
+
+
+class Scalars:
+    """`/env_I/metrics`: the numbers of a step as flat fields of a message declared for the run.
+
+    Plotting tools draw flat fields; which fields there are depends on the task's terms.
+
+    Args:
+        step: Any step of the run.
+        env_ids: Viewed environments.
+        commands: Names of the columns of each command, and its values, (N, columns): live.
+    """
+
+    def __init__(
+        self, step: StepRecord, env_ids: Sequence[int], commands: Sequence[tuple[list[str], F64]]
+    ) -> None:
+        self._ids = env_ids
+        self._commands = [values.T for _, values in commands]
+        self._counts = [key for key in _COUNTS if key in step.info]
+        self._terms = {key: list(step.info.get(key, {})) for key, _ in _GROUPS}
+        self.names: list[str] = []
+        """Of the fields."""
+        for name in map(identifier, self._titles([n for names, _ in commands for n in names])):
+            taken = sum(n == name or n.startswith(f"{name}__") for n in self.names)
+            self.names.append(f"{name}__{taken + 1}" if taken else name)
+        self._factors: list[float] = []  # of the scalars; empty: all are 1
+        self._weights: object = None  # those in `_factors`
+        self._message = scalars_class(METRICS, self.names)
+
+    def _titles(self, commands: list[str]) -> Iterator[str]:
+        yield from ("reward", "terminated", "truncated", *self._counts)
+        for key, prefix in _GROUPS:
+            yield from (f"{prefix}_{name}" for name in self._terms[key])
+        yield from (f"command_{name}" for name in commands)
+
+    @property
+    def descriptor_set(self) -> bytes:
+        """Schema of the message."""
+        return scalars_descriptor_set(METRICS, self.names)
+
+    def weigh(self, weights: Mapping[str, float]) -> None:
+        """Multiply reward terms with these weights from now on, as they add to the reward."""
+        if weights is not self._weights:
+            self._weights = weights
+            factors = [1.0] * len(self.names)
+            for at, name in enumerate(self._terms["rewards"], 3 + len(self._counts)):
+                factors[at] = weights.get(name, 1.0)
+            self._factors = factors if set(factors) != {1.0} else []
+
+    def of(self, step: StepRecord) -> list[list[float]]:
+        """The values of each viewed environment in a step, in the order of `names`.
+
+        Raises:
+            ValueError: If the step has other scalars than the first one.
+        """
+        try:
+            blocks = self._blocks(step)
+        except KeyError as error:
+            raise ValueError(
+                f"a step's scalars are not those of the first one: {self.names}"
+            ) from error
+        found = []
+        for env_id in self._ids:
+            values: list[float] = []
+            for block in blocks:
+                if block.ndim == 1:
+                    values.append(block.item(env_id))
+                else:
+                    values += block[:, env_id].tolist()
+            if self._factors:
+                values = [a * b for a, b in zip(values, self._factors, strict=True)]
+            found.append(values)
+        return found
+
+    def encode(self, values: Sequence[float]) -> bytes:
+        """Return the serialized message of values that `of` returned."""
+        data: bytes = self._message(
+            **dict(zip(self.names, values, strict=True))
+        ).SerializeToString()
+        return data
+
+    def _blocks(self, step: StepRecord) -> list[NDArray[Any]]:
+        """All scalars in order, as (N,) arrays or (K, N) of K scalars."""
+        info = step.info
+        blocks: list[NDArray[Any]] = [step.reward, step.terminated, step.truncated]
+        blocks += [_array(info[key]) for key in self._counts]
+        for key, names in self._terms.items():
+            group: Mapping[str, Any] = info.get(key, {})
+            if len(group) != len(names):
+                raise KeyError(names)
+            if isinstance(group, TermRows) and list(group) == names:
+                blocks.append(group.rows)
+            else:
+                blocks += [_array(group[name]) for name in names]
+        return blocks + self._commands
+
+
+def _array(value: Any) -> NDArray[Any]:
+    """Return a tensor or an array as an array."""
+    array: NDArray[Any] = value if type(value) is np.ndarray else value.numpy()
+    return array
+
+
+def identifier(name: str) -> str:
+    """Return a legal protobuf field name."""
+    return re.sub(r"[^A-Za-z0-9_]", "_", name).lower()
+
+
+# -- lines of `/log` -------------------------------------------------------------------------------
+
+
+def log_line(time_ns: int, message: str, level: str = "INFO") -> bytes:
+    """Return a serialized `foxglove.Log`."""
+    line = Log(level=Log.Level.Value(level), message=message, name="embodichain")
+    line.timestamp.FromNanoseconds(time_ns)
+    data: bytes = line.SerializeToString()
+    return data
+
+
+def event_text(env_id: int, term: str, mode: str, drawn: Mapping[str, NDArray[Any]]) -> str:
+    """``environment 0: place_cube (reset): position 0.58 0.14 0.05, rotation 0 0 0.16``."""
+    flat = {name: np.asarray(value).reshape(-1).tolist() for name, value in drawn.items()}
+    values = ", ".join(f"{n} {_listed([f'{v:.4g}' for v in vs], ' ')}" for n, vs in flat.items())
+    return f"environment {env_id}: {term} ({mode})" + (f": {values}" if values else "")
+
+
+def ending_text(record: StepRecord, env_id: int) -> str:
+    """``environment 0: episode 3 ended after 120 steps: success``."""
+    flags = [key for key in _REASONS if key in record.info and bool(record.info[key][env_id])]
+    if not flags:
+        flags = ["terminated" if record.terminated[env_id] else "out of time"]
+    steps = record.info.get("elapsed_steps")
+    after = f" after {int(steps[env_id])} steps" if steps is not None else ""
+    episode = int(record.episode_ids[env_id])
+    return f"environment {env_id}: episode {episode} ended{after}: {', '.join(flags)}"
+
+
+def ids_text(ids: NDArray[np.int64]) -> str:
+    """``0, 3, 5 (and 12 more)``."""
+    return _listed(list(map(str, ids.tolist())), ", ")
+
+
+def _listed(words: list[str], separator: str) -> str:
+    more = f" (and {len(words) - _LISTED} more)" if len(words) > _LISTED else ""
+    return separator.join(words[:_LISTED]) + more
