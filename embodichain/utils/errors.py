@@ -1,6 +1,6 @@
 """The exceptions users see, and the `Problem` records that configuration checks collect.
 
-`ConfigError.__str__` lists its problems; the command line adds files and lines.
+`ConfigError.__str__` lists its problems, each in one line.
 """
 
 from __future__ import annotations
@@ -19,16 +19,26 @@ class Problem:
         path: Dotted key path from the root of what was checked, e.g. ``robot.init_qpos``.
         message: One line: what was found and what is allowed.
         hint: The closest match as a sentence (``Did you mean 'x'?``), or empty.
+        source: Where it was written: ``FILE:LINE``, ``FILE``, ``command line``; or empty.
     """
 
     path: str
     message: str
     hint: str = ""
+    source: str = ""
+
+    def at(self, source: str, path: str | None = None) -> Problem:
+        """Return it with its place, and with another key path if one is given."""
+        message = self.message.rstrip()
+        if self.hint and not message.endswith((".", "?", "!")):
+            message += "."  # the hint is a sentence of its own
+        path = self.path if path is None else path
+        return replace(self, path=path, message=message, hint=self.hint.strip(), source=source)
 
     def __str__(self) -> str:
-        """Return ``path: message hint``."""
-        text = f"{self.path}: {self.message}" if self.path else self.message
-        return f"{text} {self.hint}".rstrip()
+        """Return ``source: path: message hint``."""
+        parts = (part for part in (self.source, self.path, self.message) if part)
+        return f"{': '.join(parts)} {self.hint}".rstrip()
 
 
 def below(path: str, problems: Iterable[Problem]) -> list[Problem]:
