@@ -17,11 +17,11 @@ import numpy as np
 import yaml
 import zstandard
 
+from embodichain.config.run_folder import versions
 from embodichain.lab.sim.engine.api import row_layout
 from embodichain.recording.archive import load_mjz, scene_archive
 from embodichain.recording.header import Header
 from embodichain.recording.log_error import LogError
-from embodichain.utils.versions import installed_versions
 
 __all__ = [
     "MODEL",
@@ -117,7 +117,7 @@ def attachments_of(
     """
     if not isinstance(overrides, str):
         overrides = yaml.safe_dump(list(overrides), allow_unicode=True)
-    installed = {name: version or "not installed" for name, version in installed_versions().items()}
+    installed = {name: version or "not installed" for name, version in versions().items()}
     installed["cpu"] = cpu_name()
     attachments: list[Attachment] = [
         (MODEL, "application/zstd", zstandard.ZstdCompressor(level=3).compress(mjb)),
