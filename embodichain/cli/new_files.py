@@ -125,17 +125,17 @@ ${actions}events:
     func: randomize_rigid_object_pose
     mode: reset
     params:
-      entity_cfg: {uid: marker}
+      of: {uid: marker}
       relative_to: {uid: $uid, link_names: [$tool]}
       position_range: [[-$radius, -$radius, -$radius], [$radius, $radius, $radius]]
 observations:                      # this order is the order in the learner's vector
-  qpos: {func: joint_position_relative, params: {entity_cfg: {uid: $uid}}}
-  qvel: {func: joint_velocity, scale: 0.1, params: {entity_cfg: {uid: $uid}}}
+  qpos: {func: joint_position_relative, params: {of: {uid: $uid}}}
+  qvel: {func: joint_velocity, scale: 0.1, params: {of: {uid: $uid}}}
   to_marker:
     func: relative_position
     params: &pair
-      source_entity_cfg: {uid: $uid, link_names: [$tool]}
-      target_entity_cfg: {uid: marker}
+      from: {uid: $uid, link_names: [$tool]}
+      to: {uid: marker}
 rewards:                           # value x weight
   distance: {func: distance_between_objects, params: *pair}
   near: {func: within_distance, weight: 0.5, params: {<<: *pair, threshold: $near}}
@@ -154,12 +154,12 @@ physics: {physics_dt: 0.005}       # seconds a physics step
 sim_steps_per_control: 4           # physics steps a control step
 max_episode_steps: 100             # control steps
 $objects${pedestal}observations:                      # what a learner sees, in this order
-  qpos: {func: joint_position_relative, params: {entity_cfg: {uid: $uid}}}
+  qpos: {func: joint_position_relative, params: {of: {uid: $uid}}}
   to_marker:
     func: relative_position
     params: &pair
-      source_entity_cfg: {uid: $uid, link_names: [$tool]}
-      target_entity_cfg: {uid: marker}
+      from: {uid: $uid, link_names: [$tool]}
+      to: {uid: marker}
 rewards:                           # added to what `get_reward` returns
   near: {func: within_distance, weight: 0.5, params: {<<: *pair, threshold: $radius}}
 metrics:                           # success: what the last step of an episode says

@@ -46,7 +46,7 @@ actions:                           # joint targets around the initial pose, rad
   arm:
     func: default_offset_joint_position
     params:
-      entity_cfg: {{uid: {uid}}}
+      of: {{uid: {uid}}}
       scale: {scale}
       clip: [-1, 1]
 """
@@ -55,7 +55,7 @@ actions:                           # controls of its actuators
   ctrl:
     func: actuator_ctrl
     params:
-      entity_cfg: {{uid: {uid}}}{bounds}
+      of: {{uid: {uid}}}{bounds}
 """
 
 

@@ -71,7 +71,7 @@ class ResetJointsByOffset(_JointState):
         velocity_range: [low, high] in rad/s or m/s.
 
     Example:
-        ``{func: reset_joints_by_offset, mode: reset, params: {entity_cfg: {uid: ur10}, position_range: [-0.1, 0.1], velocity_range: [-0.2, 0.2]}}``
+        ``{func: reset_joints_by_offset, mode: reset, params: {of: {uid: ur10}, position_range: [-0.1, 0.1], velocity_range: [-0.2, 0.2]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
@@ -106,7 +106,7 @@ class ResetJointsByScale(_JointState):
         position_range: [low, high] factors.
 
     Example:
-        ``{func: reset_joints_by_scale, mode: reset, params: {entity_cfg: {uid: ur10}, position_range: [0.9, 1.1]}}``
+        ``{func: reset_joints_by_scale, mode: reset, params: {of: {uid: ur10}, position_range: [0.9, 1.1]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(self, env: TermContext, entity_cfg: ResolvedEntity, position_range: Range) -> None:
@@ -132,7 +132,7 @@ class RandomizeRobotQpos(_JointState):
         joint_ids: Picks joints by index instead.
 
     Example:
-        ``{func: randomize_robot_qpos, mode: reset, params: {entity_cfg: {uid: ur10}, qpos_range: [-0.1, 0.1]}}``
+        ``{func: randomize_robot_qpos, mode: reset, params: {of: {uid: ur10}, qpos_range: [-0.1, 0.1]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
