@@ -71,7 +71,7 @@ class TermEntry:
         name: How configs call it.
         kinds: The managers that run it; none for a shape.
         spec: As it is registered under the first of them.
-        doc: Its docstring; of an alias what it stands for.
+        doc: Its docstring; of an alias its meaning.
     """
 
     name: str
@@ -81,7 +81,7 @@ class TermEntry:
 
     @property
     def is_alias(self) -> bool:
-        """Whether it stands for another term."""
+        """Whether it is another name of a term."""
         return isinstance(self.spec, AliasSpec)
 
     @property
@@ -138,7 +138,7 @@ def _doc_of(spec: TermSpec) -> TermDoc:
 
 
 def _doc_of_alias(spec: AliasSpec) -> TermDoc:
-    """What an alias stands for, in the words of its target and its shapes."""
+    """An alias described by the docstrings of its target and its shapes."""
     docs = [parse_doc(part.doc) for part in spec.parts]
     first: dict[str, Any] = yaml.safe_load(docs[0].example)
     params: dict[str, Any] = yaml.safe_load(spec.example) if spec.example else {}
@@ -389,15 +389,15 @@ observations:
 
 `of`, `from` and `to` may be written `entity_cfg`, `source_entity_cfg` and `target_entity_cfg`, and
 the other way round. [Other names](#other-names), which EmbodiChain, Isaac Lab, mjlab and dm_control
-use, stand for another term, or for a quantity with a shape.
+use, are aliases of a term, or of a quantity with a shape.
 """
 _BUILTIN = "embodichain."
 _QUANTITIES = (
     "Serve observations, rewards, terminations and metrics, except where a line says otherwise."
 )
 _OTHERS = """\
-Each has parameters of what it stands for, which `embodichain show term NAME` lists; words in
-capitals are names of its own."""
+`embodichain show term NAME` lists the parameters; those in capitals have another name than in the
+term."""
 
 
 def catalogue() -> str:
@@ -425,12 +425,12 @@ def catalogue() -> str:
         "",
         _OTHERS,
         "",
-        "| name | for | stands for |",
+        "| name | for | alias of |",
         "| --- | --- | --- |",
     ]
     for entry in aliases:
         sections = ", ".join(SECTION_OF[kind] for kind in entry.kinds)
-        meaning = entry.spec.doc.removeprefix("Stands for ").replace("``", "`").rstrip(".")
+        meaning = entry.spec.doc.removeprefix("Alias of ").replace("``", "`").rstrip(".")
         lines.append(f"| `{entry.name}` | {sections} | {meaning} |")
     return "\n".join(lines).rstrip("\n") + "\n"
 

@@ -119,7 +119,7 @@ class PrepareExtraAttr(Term):
         attrs: Each a map with `name`; `entity_uids` (names, `all_objects` or `all_robots`) or
             `entity_cfg`; and `value`, or `mode: callable` with `func_name` (a method of the
             entity's handle, or ``package.module:function`` that gets env, env_ids and the handle)
-            and `func_kwargs`. Callables are called at every firing.
+            and `func_kwargs`. Callables are called whenever the event is.
 
     Example:
         ``{func: prepare_extra_attr, mode: startup, params: {attrs: [{name: grasp_width, entity_uids: [cube], value: 0.04}, {name: size, mode: callable, entity_uids: all_objects, func_name: get_body_scale}]}}``
@@ -181,8 +181,8 @@ class RegisterInfoToEnv(Term):
         registry: Each a map with `entity_cfg`, `attrs` and `prefix` as of `register_entity_attrs`,
             and `pose_register_params` as of `register_entity_pose` (absent: no poses).
         registration: Attribute of the environment, a dictionary; made if there is none.
-        sim_update: Whether these environments take 100 physics steps before, so that what was
-            placed has settled.
+        sim_update: Whether these environments take 100 physics steps before, so that objects have
+            settled.
 
     Example:
         ``{func: register_info_to_env, mode: reset, params: {sim_update: false, registry: [{entity_cfg: {uid: cube}, attrs: [get_body_scale], pose_register_params: {to_matrix: false}}]}}``

@@ -85,8 +85,8 @@ class GetRobotEefPose:
     """Pose of the robot's tool in the environment's frame: (N, 4, 4), or (N, 3) metres.
 
     EmbodiChain's observation of the same name. The tool is the tool point that the robot's
-    `solver_cfg` gives the part, else the last link that hangs from the part's last joint; it is
-    read off the simulation, which is the forward kinematics.
+    `solver_cfg` gives the part, else the last link that hangs from the part's last joint; its pose
+    is the simulation's, the forward kinematics.
 
     Args:
         part_name: A control part of the task's robot; None is the whole robot.
@@ -114,8 +114,8 @@ class GetRobotEefPose:
 def target_position(env: TermContext, target_pose_key: str = "goal_pose") -> F64:
     """(N, 3) position in metres of the poses that an event stores as ``env.<target_pose_key>``.
 
-    EmbodiChain's observation of the same name. `randomize_target_pose` writes such poses; where
-    nothing has, that is an error at the first reset, not zeros.
+    EmbodiChain's observation of the same name. `randomize_target_pose` writes such poses; without
+    them the first reset is an error.
 
     Args:
         target_pose_key: The attribute, poses (N, 4, 4).
@@ -167,7 +167,7 @@ class GetRigidObjectPhysicsAttributes(Term):
 
     ``mass`` (kg), ``friction`` (sliding), ``damping`` (linear, angular, 1/s) and ``inertia`` (three
     principal moments, kg m^2): (N, 7) with all of them. EmbodiChain's observation of the same name
-    gives a nested dictionary; here it is one vector, that a learner can take.
+    gives a nested dictionary; here it is one vector.
 
     Args:
         entity_cfg: The object.
@@ -202,8 +202,8 @@ def get_articulation_joint_drive(
 
     K columns of the picked joints for each property: stiffness (N m/rad), damping (N m s/rad),
     max_effort (N m), max_velocity (rad/s), friction (N m), armature (kg m^2); N, m and kg for
-    slides. What has no limit reads 1e10, as EmbodiChain writes it. EmbodiChain's observation of the
-    same name gives a nested dictionary; here it is one vector, that a learner can take.
+    slides. 1e10 is no limit, as in EmbodiChain. EmbodiChain's observation of the
+    same name gives a nested dictionary; here it is one vector.
 
     Args:
         entity_cfg: The robot; its joint names or control parts pick joints.

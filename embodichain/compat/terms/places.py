@@ -42,12 +42,12 @@ def _initial_quats(env: TermContext, asset: Any) -> F64:
 
 @register_term("event", name="sample_rigid_object_pose_from_workspace")
 class SampleRigidObjectPoseFromWorkspace(Term):
-    """Places a rigid object at a random position that a robot's tool can reach; stops it.
+    """Places a rigid object at a random position that a robot's tool can reach, with velocity 0.
 
     Positions are drawn uniformly from a box until inverse kinematics (from the robot's initial
     joint positions, orientation free) brings the tool there; an environment without success after
     `max_attempts` keeps the object where it is. EmbodiChain's event of the same name, which draws
-    from a workspace computed before; its `strategy`, `min_score` and `use_workspace_orientation`
+    from a precomputed workspace; its `strategy`, `min_score` and `use_workspace_orientation`
     belong to that and do not exist here.
 
     Args:
@@ -55,7 +55,7 @@ class SampleRigidObjectPoseFromWorkspace(Term):
         entity_cfg: The object.
         position_bounds: [[x, y, z] low, [x, y, z] high] in metres, environment's frame.
         control_part: Picks the joints by a control part instead.
-        reference_height: If given, the height of the position in metres, whatever the box says.
+        reference_height: If given, the height of the position in metres, instead of the box's.
         rotation_range: [[x, y, z] low, [x, y, z] high] Euler angles in **degrees**, intrinsic XYZ,
             that turn the object's initial orientation, in its own frame.
         max_attempts: Positions tried at most.
@@ -121,7 +121,7 @@ class SampleRigidObjectPoseFromWorkspace(Term):
 
 @register_term("event", name="planner_grid_cell_sampler")
 class PlannerGridCellSampler(Term):
-    """Places objects at the centres of cells of a grid, each in a cell of its own; stops them.
+    """Places objects at the centres of cells of a grid, each in another cell, with velocity 0.
 
     The rectangle is divided into rows (along x) and columns (along y) of equal cells; cells are
     drawn uniformly without replacement (the order of one uniform number a cell). Orientations are
@@ -195,9 +195,9 @@ class RandomizeAnchorHeight(Term):
     Args:
         anchor_uid: A rigid object, or a robot or articulation.
         height_delta_range: [low, high] in metres, uniform; or
-        height_delta_candidates: heights in metres, one of which is picked with equal chances.
+        height_delta_candidates: heights in metres, one of which is picked with equal probability.
         exclude_uids: Dynamic objects that stay.
-        store_key: If given, ``env.<store_key>`` holds the heights drawn, (N,) float32 metres.
+        store_key: If given, ``env.<store_key>`` contains the heights drawn, (N,) float32 metres.
 
     Example:
         ``{func: randomize_anchor_height, mode: reset, params: {anchor_uid: goal, height_delta_range: [-0.05, 0.05], exclude_uids: [cube]}}``
@@ -281,10 +281,10 @@ class RandomizeTargetPose(Term):
         position_range: [[x, y, z] low, [x, y, z] high] in metres.
         rotation_range: The same for Euler angles in **degrees**, intrinsic XYZ (R = Rx Ry Rz);
             None keeps the orientation of the reference (no rotation without one).
-        relative_position: True adds the draw to the reference's position, where it stands at that
-            moment; False takes it as the position in the environment's frame.
+        relative_position: True adds the draw to the reference's position at that time, False takes
+            it as the position in the environment's frame.
         relative_rotation: True turns the reference's orientation by the draw, in its own frame.
-        reference_entity_cfg: An entity, or a link of one; what is relative needs it.
+        reference_entity_cfg: An entity, or a link of one; needed by a relative pose.
         store_key: The attribute of the environment.
 
     Example:

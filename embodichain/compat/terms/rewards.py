@@ -109,7 +109,7 @@ class IncrementalDistanceToTarget(Rate):
     """w tanh(tanh_scale (d_before - d)): positive for coming closer; 0 in an episode's first step.
 
     d is the distance in metres to a pose that an event stores, w one of two weights. EmbodiChain's
-    reward of the same name, whose memory survives resets and pays for the jump; this one forgets.
+    reward of the same name keeps d_before over a reset; this term does not.
 
     Args:
         source_entity_cfg: An entity, or a link of one.
@@ -153,7 +153,7 @@ class ReachingBehindObject:
     the object to its target (0 where they coincide). EmbodiChain's reward of the same name.
 
     Args:
-        object_cfg: What is to be pushed.
+        object_cfg: The object to push.
         target_pose_key: The attribute of the environment with the target poses, (N, 4, 4).
         behind_offset: Metres.
         height_offset: Metres.
@@ -204,8 +204,8 @@ def object_goal_distance(
     general form is `product_of` `height` and `distance`.
 
     Args:
-        object_cfg: What is carried.
-        goal_cfg: Where to.
+        object_cfg: The object.
+        goal_cfg: The goal.
         std: Metres: where the value has fallen to 0.24.
         minimal_height: Metres above z = 0 of the object's origin.
 

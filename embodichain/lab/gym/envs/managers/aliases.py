@@ -37,7 +37,7 @@ class P:
     """A parameter of an alias.
 
     Attributes:
-        name: What the alias calls it; ``*`` stands for all parameters of a shape.
+        name: What the alias calls it; ``*`` is all parameters of a shape.
         default: Its value where a config gives none; the target's default if absent.
         hint: Its type, if it is narrower than the target's.
         needed: Whether a config must give it although the target has a default.
@@ -51,7 +51,7 @@ class P:
 
 @dataclass(frozen=True)
 class Alias:
-    """What a name stands for; see `alias`."""
+    """The meaning of a name; see `alias`."""
 
     target: str
     shapes: tuple[tuple[str, Any], ...]
@@ -90,7 +90,7 @@ def alias(
 
 @dataclass(frozen=True)
 class AliasSpec(TermSpec):
-    """A term whose name stands for another term, or for a quantity with shapes.
+    """A term that is another name of a term, or of a quantity with shapes.
 
     Attributes:
         target: The term.
@@ -126,7 +126,7 @@ class AliasSpec(TermSpec):
         return {key: name for name, (_, key) in self.exposed.items()}
 
     def hints(self) -> dict[str, Any]:
-        """Types of the parameters: those of what they stand for."""
+        """Types of the parameters: those of the target's, or of a shape's."""
         hints = {n: self.parts[i].hints()[key] for n, (i, key) in self.exposed.items()}
         return {**hints, **self.narrower}
 
@@ -156,11 +156,11 @@ def register_aliases(table: Mapping[str, Alias], *kinds: Kind) -> None:
     """Register names as terms.
 
     Args:
-        table: Name -> what it stands for.
+        table: Name -> its meaning.
         *kinds: The managers that may use it; none are those that the last shape allows: reward
             and metric, and termination if it is a truth.
     """
-    TERMS["reward"]  # what they stand for is registered first
+    TERMS["reward"]  # targets are registered first
     for name, meant in table.items():
         last = meant.shapes[-1][0] if meant.shapes else ""
         for kind in kinds or (VALUE_KINDS[1:] if last in _TRUTHS else ("reward", "metric")):
@@ -228,7 +228,7 @@ def _of_shape(shape: TermSpec, given: Any) -> dict[str, Any]:
 
 
 def _doc(meant: Alias, target: TermSpec) -> str:
-    """Say what a name stands for."""
+    """Describe the meaning of a name."""
     shapes = ", ".join(_written(name, given) for name, given in meant.shapes)
     shape = f", shape: {f'[{shapes}]' if len(meant.shapes) > 1 else shapes}" if shapes else ""
     shown = {
@@ -237,7 +237,7 @@ def _doc(meant: Alias, target: TermSpec) -> str:
     shown = {k: v for k, v in shown.items() if v not in (_EMPTY, target.params[k].default)}
     values = ", ".join(f"{k}: {_yaml(v)}" for k, v in shown.items())
     params = f", params: {{{values}}}" if values else ""
-    return f"Stands for ``{{func: {target.name}{shape}{params}}}``."
+    return f"Alias of ``{{func: {target.name}{shape}{params}}}``."
 
 
 def _written(name: str, given: Any) -> str:

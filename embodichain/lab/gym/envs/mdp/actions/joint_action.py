@@ -401,7 +401,7 @@ class JointAction(JointTerm):
         control: What the value is: ``position`` (rad or m), ``velocity`` (rad/s or m/s), or
             ``effort`` (N m or N), within +-``max_effort``.
         centre: Of positions: ``zero``; ``home``, the initial position; ``qpos``, the measured
-            position; ``target``, the previous target, so that nothing sags under gravity;
+            position; ``target``, the previous target, so that joints do not sag under gravity;
             ``limits`` maps `range` to the joint's declared limits (+-2 pi without any), with
             u = clamp(offset + scale x clamp(action, clip), range), target = low + (high - low) x
             (u - range[0]) / (range[1] - range[0]).

@@ -102,7 +102,7 @@ Section = Literal["commands", "events", "observations", "rewards", "terminations
 
 @register_term("curriculum", name="modify_reward_weight")
 class ModifyRewardWeight(Term):
-    """Gives a reward another weight, once or gradually. Isaac Lab's term of the same name.
+    """Changes the weight of a reward, at once or gradually. Isaac Lab's term of the same name.
 
     Its value is the weight in force.
 
@@ -111,10 +111,10 @@ class ModifyRewardWeight(Term):
 
     Args:
         term_name: The reward.
-        weight: The weight it will have.
-        num_steps: Control steps after which it has it: from the first reset on that follows them.
-        interpolate: Whether the weight goes there gradually, in a line.
-        start_step: When a gradual change begins.
+        weight: The new weight.
+        num_steps: Control steps until the change is complete; a reset after them applies it.
+        interpolate: Whether the weight changes linearly.
+        start_step: Control steps before a gradual change begins.
     """
 
     def __init__(
@@ -145,7 +145,7 @@ class ModifyRewardWeight(Term):
 
 @register_term("curriculum", name="modify_term_param")
 class ModifyTermParam(Term):
-    """Gives a parameter of a term another value, once or gradually.
+    """Changes a parameter of a term, at once or gradually.
 
     What Isaac Lab's ``modify_term_cfg`` does, without code. Its value is the parameter, if that is
     a number, else the share of the change that is done.
@@ -154,13 +154,13 @@ class ModifyTermParam(Term):
         ``{func: modify_term_param, params: {section: commands, term_name: velocity, param: ranges.lin_vel_x, value: [-2, 2], num_steps: 9000}}``
 
     Args:
-        section: The section of the task that holds the term.
+        section: The section of the task with the term.
         term_name: The term.
         param: The parameter; with dots it is a part of one: ``position_range.1.2``.
-        value: The value it will have.
-        num_steps: Control steps after which it has it: from the first reset on that follows them.
-        interpolate: Whether the value goes there gradually, number by number, in a line.
-        start_step: When a gradual change begins.
+        value: The new value.
+        num_steps: Control steps until the change is complete; a reset after them applies it.
+        interpolate: Whether the value changes linearly, number by number.
+        start_step: Control steps before a gradual change begins.
     """  # noqa: E501  (an example is one line)
 
     def __init__(

@@ -25,7 +25,7 @@ __all__ = ["RandomizeCameraFovy", "RandomizeCameraPose", "RandomizeLight"]
 class RandomizeLight(Term):
     """Moves, tints and dims a declared light in each environment by itself.
 
-    EmbodiChain's event of the same name (there the same light shines on all environments).
+    EmbodiChain's event of the same name (where all environments share a light).
 
     Args:
         entity_cfg: A light of the task's section `lights`.
@@ -107,7 +107,7 @@ class RandomizeCameraPose(Term):
         position_range: [[x, y, z] low, [x, y, z] high] in metres, added to the compiled position.
         rotation_range: The same for Euler angles in **degrees**, intrinsic XYZ, about the camera's
             own axes (x right, y up, z towards the viewer).
-        camera: Its name; `default` is the one that pictures are taken with.
+        camera: Its name; `default` is the one that renders images.
 
     Example:
         ``{func: randomize_camera_pose, mode: reset, params: {position_range: [[-0.1, -0.1, -0.1], [0.1, 0.1, 0.1]], rotation_range: [[-2, -2, -2], [2, 2, 2]]}}``
@@ -145,7 +145,7 @@ class RandomizeCameraFovy(Term):
 
     Args:
         fovy_range: [low, high] in **degrees**, within (0, 180).
-        camera: Its name; `default` is the one that pictures are taken with.
+        camera: Its name; `default` is the one that renders images.
 
     Example:
         ``{func: randomize_camera_fovy, mode: reset, params: {fovy_range: [35, 50]}}``

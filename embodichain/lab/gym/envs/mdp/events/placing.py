@@ -98,8 +98,8 @@ def write_root_velocity(asset: Any, velocity: F64, env_ids: EnvIndex | None) -> 
 def reset_scene_to_default(env: TermContext, env_ids: EnvIndex | None) -> None:
     """Puts every entity into its configured state: poses, joints, drive targets, no velocity.
 
-    Isaac Lab's event. A reset here does so before any event runs; as an `interval` event it puts
-    the scene back within an episode. Entities that are detached from resets are put back too.
+    Isaac Lab's event. A reset here does so before any event runs; as an `interval` event it resets
+    the scene within an episode. Entities that are excluded from resets are reset too.
 
     Args:
         env: The environment.
@@ -123,7 +123,7 @@ class ResetRootStateUniform(Term):
         pose_range: {x, y, z: [low, high] in metres; roll, pitch, yaw: [low, high] in rad}. An axis
             that is absent is 0.
         velocity_range: {x, y, z: [low, high] in m/s; roll, pitch, yaw: in rad/s}, environment's
-            axes. Needs a dynamic object or a floating base; joints are left alone.
+            axes. Needs a dynamic object or a floating base; joints do not change.
 
     Example:
         ``{func: reset_root_state_uniform, mode: reset, params: {of: {uid: cube}, pose_range: {x: [-0.2, 0.2], yaw: [-3.14, 3.14]}, velocity_range: {z: [-0.5, 0.5]}}}``
@@ -165,7 +165,7 @@ class ResetRootStateUniform(Term):
 
 @register_term("event", name="randomize_pose")
 class RandomizePose(Term):
-    """Places an object, or the root of a robot or articulation, at random and stops it.
+    """Places an object, or the root of a robot or articulation, at random, with velocity 0.
 
     The pose is the declared initial pose, moved by uniform draws. Joint positions stay.
 
@@ -180,8 +180,8 @@ class RandomizePose(Term):
             frame; False takes it as the orientation.
         relative_to: An entity, or a link of one, to whose present position the draw is added
             instead; its orientation does not matter.
-        physics_update_step: Physics steps that these environments take afterwards, so that what
-            was placed can touch down; -1 or 0 takes none.
+        physics_update_step: Physics steps that these environments take afterwards, so that the
+            entity can settle; -1 or 0 takes none.
 
     Example:
         ``{func: randomize_pose, mode: reset, params: {of: {uid: cube}, position_range: [[-0.1, -0.1, 0], [0.1, 0.1, 0]], rotation_range: [[0, 0, -180], [0, 0, 180]]}}``
@@ -253,14 +253,14 @@ _RIGHT_ANGLE = 1.5707963267948966
 
 @register_term("event", name="randomize_object_position_in_shell")
 class RandomizeObjectPositionInShell(Term):
-    """Places a rigid object between two spheres around an entity, uniformly in volume; stops it.
+    """Places a rigid object between two spheres around an entity, uniformly in volume.
 
     With u uniform: r = cbrt(U(r0^3, r1^3)), azimuth = U, sin(elevation) = U(sin e0, sin e1). The
     object keeps its initial orientation.
 
     Args:
         entity_cfg: The object.
-        relative_to: The entity, or link of one, at the centre, where it stands at that moment.
+        relative_to: The entity, or link of one, at the centre, at its position at that time.
         radius_range: [low, high] in metres.
         azimuth_range: [low, high] in rad about z, from +x towards +y.
         elevation_range: [low, high] in rad above the horizontal, within +-pi/2.
@@ -318,7 +318,7 @@ class RandomizeObjectPositionInShell(Term):
 
 @register_term("event", name="randomize_robot_eef_pose")
 class RandomizeRobotEefPose(Term):
-    """Moves a robot's tool away from where it is, by inverse kinematics; the robot stops.
+    """Moves a robot's tool away from where it is, by inverse kinematics; its velocity is 0.
 
     The tool's pose is moved by U(position_range) in the environment's axes and turned by
     U(rotation_range) in its own; joints are solved for from where they are (damped least squares),

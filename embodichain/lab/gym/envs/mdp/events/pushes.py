@@ -85,7 +85,7 @@ class EpisodeTimer:
 
 @register_term("event", name="push_by_setting_velocity")
 class PushBySettingVelocity(Term):
-    """Adds a random velocity to that of an entity's root: a push that takes no time.
+    """Adds a random velocity to that of an entity's root: an instantaneous push.
 
     v += U(velocity_range), environment's axes. Isaac Lab's and mjlab's event of the same name.
 
@@ -116,7 +116,7 @@ class PushBySettingVelocity(Term):
 
 @register_term("event", name="apply_external_force_torque")
 class ApplyExternalForceTorque(Term):
-    """Applies a random force and torque to bodies, until the next firing or a reset.
+    """Applies a random force and torque to bodies, until its next call or a reset.
 
     Each component is uniform in its range, one draw a body; the force acts at the body's centre of
     mass (MuJoCo's `xfrc_applied`), environment's axes. Isaac Lab's event of the same name (there in
@@ -163,18 +163,18 @@ class ApplyExternalForceTorque(Term):
 
 @register_term("event", name="apply_body_impulse")
 class ApplyBodyImpulse(ApplyExternalForceTorque):
-    """Pushes bodies with a random force and torque for a random time, then rests, and so on.
+    """Applies a random force and torque to bodies for a random time, then none, repeatedly.
 
-    Give it `mode: interval` and `interval_step: 1`: it counts control steps. An episode begins with
-    a rest; times are rounded to control steps, at least one. mjlab's event of the same name. Of two
-    terms that push the same body only one has effect.
+    Give it `mode: interval` and `interval_step: 1`: it counts control steps. An episode begins
+    without a force; times are rounded to control steps, at least one. mjlab's event of the same
+    name. Of two terms that push the same body only one has effect.
 
     Args:
         entity_cfg: A dynamic object, or a robot; its link names pick links, else it is the root.
         force_range: [low, high] in N, a component each, environment's axes, at the centre of mass.
         torque_range: [low, high] in N m, likewise.
         duration_s: [low, high] seconds of a push.
-        cooldown_s: [low, high] seconds of a rest.
+        cooldown_s: [low, high] seconds without a force.
 
     Example:
         ``{func: apply_body_impulse, mode: interval, interval_step: 1, params: {of: {uid: go}, force_range: [-30, 30], torque_range: [0, 0], duration_s: [0.1, 0.2], cooldown_s: [1, 3]}}``

@@ -42,7 +42,7 @@ bounds at three standard deviations, clipped there."""
 class Randomize:
     """Draws model fields of an entity, or of the scene, in each environment by itself.
 
-    Every draw starts from the compiled values, so repeated firing does not drift. A range is
+    Every draw starts from the compiled values, so repeated calls do not drift. A range is
     [low, high] for all bodies or joints, or {name regex: [low, high]}; only fields with a range
     change. MuJoCo's derived constants are recomputed once a reset.
 
@@ -52,14 +52,14 @@ class Randomize:
             friction of the ground plane.
         entity_cfgs: Several entities instead, each with draws of its own.
         scale: Factors of the size of a box, sphere, ellipsoid, cylinder or capsule: [low, high],
-            or [[x, y, z] low, [x, y, z] high]. Mass and inertia follow; `get_body_scale` says the
-            scale. The pose stays: place an object that grows higher. Meshes and planes, whose
-            size environments share, are refused.
+            or [[x, y, z] low, [x, y, z] high]. Mass and inertia follow; `get_body_scale` returns
+            the scale. The pose does not change: place a larger object higher. Meshes and planes,
+            whose size environments share, are refused.
         mass: kg, of an object or of each link; links without mass are left out.
         com: [[x, y, z] low, [x, y, z] high] in metres, in the body's frame, added to the compiled
             centre of mass. Inertias about the centre of mass stay.
-        inertia: Factors, positive, of the three principal moments together, which belong to the
-            present mass.
+        inertia: Factors, positive, of the three principal moments together, for the mass at that
+            time.
         friction: Sliding coefficient of each object or link that collides. A contact takes the
             larger coefficient of its two geoms.
         torsional_friction: Torsional coefficient, m; acts where a geom's ``condim`` is 4 or 6.
@@ -83,7 +83,7 @@ class Randomize:
             `strength` always multiply.
         distribution: ``uniform``, ``log_uniform`` or ``gaussian`` within the range.
         recompute_inertia: Whether inertias (and an object's damping) follow a mass.
-        min_mass: Masses below it become it, kg.
+        min_mass: The smallest mass, kg: smaller draws are raised to it.
         same_scale_all_axes: Whether one factor scales all axes; False draws one an axis (round
             shapes stay round).
         fixed_density: Whether the mass follows the volume of a scaled object; False keeps the

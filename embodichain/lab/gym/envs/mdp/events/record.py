@@ -28,9 +28,9 @@ Intrinsics = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 
 @register_term("event", name="record_camera_data")
 class RecordCameraData(Term):
-    """Films environments from a fixed place, one MP4 for each episode of each.
+    """Records images of environments, one MP4 for each episode of each environment.
 
-    Give it `mode: interval`; with `interval_step: 1` every control step is a picture. A file is
+    Give it `mode: interval`; with `interval_step: 1` every control step is an image. A file is
     finished when its environment is reset or the task is closed, and is called
     ``NAME_envI_episodeK.mp4``. EmbodiChain's event of the same name; it needs the extra `video`.
 
@@ -39,14 +39,14 @@ class RecordCameraData(Term):
         resolution: [width, height] in pixels, both even; None is [640, 480].
         eye: Where the camera is, metres, environment's frame; None is [0, 0, 2].
         target: What it looks at; None is the origin.
-        up: What is upwards in the picture; if it lies along the view, +x takes its place. None is
+        up: The upward direction of the image; +x if it is parallel to the view. None is
             [0, 0, 1].
         intrinsics: [fx, fy, cx, cy] in pixels: square pixels, and the axis in the middle. None is
             a focal length of 600.
-        max_env_num: Environments filmed at most: the first ones. Each is one encoder process.
+        max_env_num: Environments recorded at most: the first ones. Each is one encoder process.
         save_path: Folder; None is `videos` in the run's folder, or `outputs/videos` without one.
-        camera: A camera of the scene to film with instead, such as `default`.
-        fps: Pictures a second of the video; None is the control frequency: real time with
+        camera: A camera of the scene, instead, such as `default`.
+        fps: Images a second of the video; None is the control frequency: real time with
             `interval_step: 1`.
 
     Example:

@@ -32,7 +32,7 @@ Count = Annotated[int, Field(ge=1)]
 def set_detached_uids_for_env_reset(
     env: TermContext, env_ids: EnvIndex | None, uids: list[str]
 ) -> None:
-    """From now on resets leave these entities where they are: EmbodiChain's event of this name.
+    """Excludes entities from later resets: EmbodiChain's event of the same name.
 
     Args:
         env: The environment.
@@ -50,7 +50,7 @@ def set_detached_uids_for_env_reset(
 
 @register_term("event", name="wait_for_dynamic_objects_to_settle")
 class WaitForDynamicObjectsToSettle(Term):
-    """Steps physics until dynamic objects are at rest, each environment for as long as it needs.
+    """Steps physics until dynamic objects are at rest, separately in each environment.
 
     An environment rests when the speeds of all objects were at most the thresholds in
     `required_stable_checks` checks in a row. Environments that rest, and those that the event does
@@ -59,7 +59,7 @@ class WaitForDynamicObjectsToSettle(Term):
     `allow_partial_envs`.
 
     Args:
-        entity_cfgs: Dynamic objects, or articulations (their links' speeds are looked at); None is
+        entity_cfgs: Dynamic objects, or articulations (the speeds of their links count); None is
             all of them but robots.
         linear_velocity_threshold: m/s.
         angular_velocity_threshold: rad/s.
@@ -67,8 +67,8 @@ class WaitForDynamicObjectsToSettle(Term):
         max_steps: Physics steps at most.
         check_interval_steps: Physics steps between checks.
         required_stable_checks: Checks in a row.
-        timeout_behavior: What happens if an environment does not come to rest: `warn` says so in
-            the log, `raise` raises `TimeoutError`.
+        timeout_behavior: What happens if an environment does not come to rest: `warn` logs a
+            warning, `raise` raises `TimeoutError`.
         allow_partial_envs: Accepted; partial resets always work here.
 
     Example:

@@ -98,7 +98,7 @@ def _within_one(name: str, values: Any) -> None:
 class RandomizeVisualMaterial(Term):
     """Gives an entity a random colour, roughness and metallic value in each environment.
 
-    Seen in pictures and in the viewer's log. EmbodiChain's event of the same name without textures
+    Visible in images and viewers. EmbodiChain's event of the same name without textures
     and refraction: MuJoCo compiles textures into the model, and its rasterizer does not refract.
 
     Args:

@@ -87,12 +87,12 @@ def height(env: TermContext, of: Body, above: float = 0.0) -> F64:
 
 @quantity("observation")
 def orientation(env: TermContext, of: Body, representation: Rotation = "rot6d") -> F64:
-    """Orientation of an entity in the environment's frame, in the form of your choice.
+    """Orientation of an entity in the environment's frame, in a chosen representation.
 
     Args:
         of: The entity, or one link of it.
         representation: ``quat`` (N, 4) wxyz with w >= 0; ``matrix`` (N, 3, 3); ``rot6d`` (N, 6),
-            the matrix's first column, then its second (Zhou et al., CVPR 2019): without jumps.
+            the matrix's first column, then its second (Zhou et al., CVPR 2019): continuous.
 
     Example:
         ``{func: orientation, params: {of: {uid: cube}, representation: rot6d}}``
@@ -124,7 +124,7 @@ def yaw(env: TermContext, of: Body, representation: Heading = "yaw") -> F64:
     Args:
         of: The entity, or one link of it.
         representation: ``yaw`` (N, 1), the angle in (-pi, pi] rad about z; ``sin_cos`` (N, 2), its
-            sine and cosine, which have no jump.
+            sine and cosine, which are continuous.
 
     Example:
         ``{func: yaw, params: {of: {uid: cube}, representation: sin_cos}}``

@@ -60,7 +60,7 @@ def action_(env: TermContext, action: Any) -> F64:
 
 @quantity("reward", "metric")
 def constant(env: TermContext, value: float = 1.0) -> F64:
-    """(N,) the same number in every step: a price of time, or a point to start from.
+    """(N,) the same number in every step: a cost of time, or an offset.
 
     Args:
         value: The number.
@@ -73,7 +73,7 @@ def constant(env: TermContext, value: float = 1.0) -> F64:
 
 @quantity("reward", "metric")
 def success_reward(env: TermContext, info: Info) -> F64:
-    """(N,) 1 where the task's success holds at this step, else 0. EmbodiChain's of the same name.
+    """(N,) 1 where the task succeeds in this step, else 0. EmbodiChain's reward of the same name.
 
     Success is the metric `success`; in a task without one, ``info["success"]``: what the
     terminations of kind success or the environment's `evaluate` give.
@@ -206,7 +206,7 @@ class RemainingTime(_Clock):
 class ElapsedFraction(RemainingTime):
     """(N,) share of the longest episode (``max_episode_steps``) that is over: from 0 to 1.
 
-    With it a value function can know when a time limit strikes (Pardo et al., "Time limits in
+    With it a value function can predict the time limit (Pardo et al., "Time limits in
     reinforcement learning", ICML 2018).
 
     Example:

@@ -110,7 +110,7 @@ class AnyOf(_Joined):
 
 @register_term("reward", "metric", name="product_of")
 class ProductOf(_Joined):
-    """The product of several terms: large only where all are. dm_control's rewards are such.
+    """The product of several terms: large only where all are, as in dm_control.
 
     Args:
         terms: Name -> metric term.

@@ -121,7 +121,7 @@ def joint_power(env: TermContext, of: Joints, positive_only: bool = False) -> F6
 
     Args:
         of: The robot; its joint names or control parts pick joints.
-        positive_only: Whether joints that are braked count 0.
+        positive_only: Whether negative power, of braking, counts as 0.
 
     Example:
         ``{func: joint_power, params: {of: {uid: ur10}}}``
@@ -220,7 +220,7 @@ def stand_still(
 
 @quantity("observation")
 def joint_sin_cos(env: TermContext, of: Joints) -> F64:
-    """(N, 2 K) sines of the picked joints' positions, then their cosines: for joints without end.
+    """(N, 2 K) sines of the picked joints' positions, then their cosines.
 
     Args:
         of: The robot; its joint names or control parts pick joints.

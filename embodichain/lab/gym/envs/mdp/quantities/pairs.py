@@ -70,7 +70,7 @@ def within_pose(
     position_threshold: Positive,
     orientation_threshold: Angle,
 ) -> NDArray[np.bool_]:
-    """True where two entities are closer than one threshold and turned by less than another.
+    """True where the positions and the orientations of two entities are close.
 
     Args:
         from_: An entity, or a link of one.

@@ -80,7 +80,7 @@ def contact_force(env: TermContext, sensor: ContactOf, norm: bool = False) -> F6
 
 @quantity("reward", "metric", name="feet_air_time")
 class FeetAirTime(Term):
-    """Sum over feet that land in this step of (time in the air - threshold), s: longer steps pay.
+    """Sum over feet that land in this step of (time in the air - threshold), s: rewards long steps.
 
     0 where the command asks for less than `min_command`. Air time counts control steps, the one of
     the landing included; feet that an episode begins in the air count from its first step. Isaac
@@ -88,8 +88,8 @@ class FeetAirTime(Term):
 
     Args:
         sensor: A contact sensor on the feet.
-        command_name: A command whose first two columns are vx and vy, m/s; None always pays.
-        threshold: s in the air that earns nothing; shorter steps cost.
+        command_name: A command whose first two columns are vx and vy, m/s; None is no condition.
+        threshold: Air time with reward 0, s; shorter steps give a negative one.
         min_command: m/s.
         force_threshold: N above which a foot touches.
 
