@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.recording.model_columns import Column
+from embodichain.recording.columns import Column
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 

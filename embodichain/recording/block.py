@@ -140,7 +140,7 @@ class Run:
 
 
 def pack_run(
-    first: int, kinds: Sequence[CallKind], steps: Sequence[Sequence[Sequence[NDArray[Any]]]]
+    first: int, kinds: Sequence[CallKind], steps: Sequence[Sequence[Sequence[Any]]]
 ) -> bytes:
     """Serialize a run as `embodichain.Steps`.
 
@@ -159,7 +159,7 @@ def pack_run(
             call.some_columns = True
             call.columns.extend(kind.columns)
         for j, array in enumerate(kind.arrays):
-            contents.append((array.dtype, b"".join([step[i][j].data for step in steps])))
+            contents.append((array.dtype, b"".join([step[i][j] for step in steps])))
             described.append(call.arrays.add(name=array.name, dtype=array.dtype, shape=array.shape))
     places, parts = store(contents)
     for array, place in zip(described, places, strict=True):

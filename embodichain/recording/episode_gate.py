@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from embodichain.lab.gym.envs.observers import EventRecord
 from embodichain.lab.sim.engine.api import EnvIndex
 
@@ -42,7 +40,7 @@ class EpisodeGate:
 
     def on_reset(self, env_ids: EnvIndex) -> list[EventRecord] | None:
         """Environments were reset; returns what `switch` does, unless a step is under way."""
-        if np.isin(self._lead, env_ids):
+        if (env_ids == self._lead).any():
             self._episodes += self._steps > 0  # an episode without steps is none
             self._steps = 0
         return None if self._in_step else self.switch()

@@ -13,8 +13,8 @@ from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.arrays import LogArrays
 from embodichain.recording.block import CallKind, Run
 from embodichain.recording.chunks import LogReader
+from embodichain.recording.columns import Column
 from embodichain.recording.log_error import LogError
-from embodichain.recording.model_columns import Column
 from embodichain.recording.simulation import Simulation
 from embodichain.recording.trajectory import Rows, Span, changes, outcomes, runs, stacked, steps_of
 

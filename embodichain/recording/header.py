@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 
 from embodichain.lab.sim.engine.api import row_layout
-from embodichain.recording.columns import moved_ranges, width_of
+from embodichain.recording.columns import moved_ranges
 from embodichain.recording.log_error import LARGEST_CHUNK, DamageError, LogError
 from embodichain.recording.options import RecordLike
 from embodichain.utils.errors import ConfigError, Problem
@@ -193,7 +193,7 @@ class Header:
     @property
     def moved_width(self) -> int:
         """How many columns physics writes."""
-        return width_of(self.moved)
+        return sum(stop - start for start, stop in self.moved)
 
     def slices(self) -> dict[str, slice]:
         """The layout as slices."""

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from embodichain.recording.api import Log
 from embodichain.recording.block import DRAWN, Call, CallKind, Run
+from embodichain.recording.columns import Moved, state_columns
 from embodichain.recording.hashing import row_hashes
 from embodichain.recording.log_error import LogError
-from embodichain.recording.model_columns import state_columns
 from embodichain.recording.trajectory import runs
 
 __all__ = ["DiffReport", "LogDifference", "diff"]
@@ -198,7 +198,7 @@ class _Comparison:
 
     def __init__(self, log: Log) -> None:
         self._log = log
-        self._moved = np.concatenate([np.r_[a:b] for a, b in log.header.moved])
+        self._moved = Moved(log.header.moved).columns
 
     def calls(self, a: Run, at: int, b: Run, bt: int) -> LogDifference | None:
         """Compare a step of a run with one of another."""

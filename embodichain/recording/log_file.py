@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -54,15 +53,19 @@ _CHUNK = b"\x06"
 class _Appended:
     """A new file that is written without a buffer: what fails to be written must not come again.
 
+    Args:
+        descriptor: The open file.
+        on_chunk: Called when a chunk is in the file as a whole.
+
     Attributes:
         descriptor: The open file.
         size: Bytes in it.
-        chunks: Chunks that are in it as a whole.
     """
 
-    def __init__(self, descriptor: int) -> None:
+    def __init__(self, descriptor: int, on_chunk: Callable[[], None]) -> None:
         self.descriptor = descriptor
-        self.size = self.chunks = 0
+        self.size = 0
+        self._on_chunk = on_chunk
 
     def write(self, data: bytes) -> int:
         """Append all bytes.
@@ -75,7 +78,8 @@ class _Appended:
             done = os.write(self.descriptor, left)  # a disk that is nearly full takes a part
             self.size += done
             left = left[done:]
-        self.chunks += data[:1] == _CHUNK
+        if data[:1] == _CHUNK:
+            self._on_chunk()
         return len(data)
 
     def tell(self) -> int:
@@ -117,7 +121,8 @@ class LogFile:
 
     def _open(self, name: str) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-        self._stream = _Appended(os.open(name, flags, 0o666, dir_fd=self.folder))
+        descriptor = os.open(name, flags, 0o666, dir_fd=self.folder)
+        self._stream = _Appended(descriptor, self._on_chunk)
         stream: Any = self._stream
         self._writer: Any = Writer(stream, _CHUNK_BYTES, self._compression)
         self._writer.start(library=_LIBRARY)
@@ -184,10 +189,9 @@ class LogFile:
             raise OSError(errno.EMSGSIZE, f"a message of {len(data)} bytes fits into no chunk")
         if last_step is not None:
             self._last_step = last_step
-        with self._counting_chunks():
-            self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
+        self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
 
-    def send(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> None:
+    def send(self, time_ns: int, messages: Iterable[tuple[str, bytes]]) -> None:
         """Write messages of one moment, each with its topic."""
         for topic, data in messages:
             self.write(topic, time_ns, data)
@@ -198,22 +202,15 @@ class LogFile:
         Raises:
             OSError: If it cannot be written, or was removed.
         """
-        with self._counting_chunks():
-            self._writer.flush()
+        self._writer.flush()
         self._check_place()
 
-    @contextmanager
-    def _counting_chunks(self) -> Iterator[None]:
-        """Within it, a chunk that is written whole makes everything so far readable.
+    def _on_chunk(self) -> None:
+        """A chunk is in the file: everything that was added so far is readable.
 
         What fails to be written after the chunk, such as its index, does not change that.
         """
-        stream, chunks = self._stream, self._stream.chunks
-        try:
-            yield
-        finally:
-            if stream.chunks != chunks:
-                self._readable_step = self._last_step
+        self._readable_step = self._last_step
 
     def put_beside(self, name: str, text: str) -> None:
         """Write a small file beside the log, unless there is one of that name."""
@@ -256,8 +253,7 @@ class LogFile:
         return old.size
 
     def _finish(self) -> None:
-        with self._counting_chunks():
-            self._writer.finish()
+        self._writer.finish()
         self._check_place()
 
     def finish(self) -> int:

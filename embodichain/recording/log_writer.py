@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -60,14 +60,14 @@ class Queue:
     """
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[int, Sequence[tuple[str, bytes]]]] = deque()
+        self._waiting: deque[tuple[int, Iterable[tuple[str, bytes]]]] = deque()
         self._channels: deque[tuple[str, str, bytes | None]] = deque()
 
     def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
         """Declare a channel: see `LogFile.channel`."""
         self._channels.append((topic, schema, data))
 
-    def send(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> None:
+    def send(self, time_ns: int, messages: Iterable[tuple[str, bytes]]) -> None:
         """Have messages of one moment written, each with its topic."""
         self._waiting.append((time_ns, messages))
 
@@ -155,18 +155,18 @@ class LogWriter:
             data = encode_ends(step, ends, self._sums, episode_ids)
             self.file.write(EPISODE_TOPIC, self._time_of(step), data)
 
-    def run(self, run: PendingRun) -> None:
-        """Write a run, with the ends of episodes and what viewers show of its time."""
-        if run.kinds and self._header.state != "none":
-            steps = [[arrays for _, arrays in step] for step in run.steps]
-            data = pack_run(run.first, run.kinds, steps)
-            whole = run.kinds[-1].kind == "step"
-            last = run.end - 1 if whole else None
-            self.file.write(STEPS_TOPIC, self._time_of(run.first), data, last)
-        for number, calls in enumerate(run.steps, run.first):
-            kind, arrays = calls[-1]
-            if kind.kind == "step":
-                self._add(number, arrays[1], arrays[4])
+    def write(self, runs: Sequence[PendingRun]) -> None:
+        """Write runs, with the ends of episodes and what viewers show of their time."""
+        for run in runs:
+            if run.kinds and self._header.state != "none":
+                steps = [[arrays for _, arrays in step] for step in run.steps]
+                data = pack_run(run.first, run.kinds, steps)
+                last = run.end - 1 if run.kinds[-1].kind == "step" else None
+                self.file.write(STEPS_TOPIC, self._time_of(run.first), data, last)
+            for number, calls in enumerate(run.steps, run.first):
+                kind, arrays = calls[-1]
+                if kind.kind == "step":
+                    self._add(number, arrays[1], arrays[4])
         self.views.write(self.file)
 
     def flush(self) -> None:

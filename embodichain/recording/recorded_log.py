@@ -18,6 +18,7 @@ from embodichain.lab.sim.engine.api import EnvIndex
 from embodichain.recording.arrays import LogArrays
 from embodichain.recording.attachments import MODEL
 from embodichain.recording.chunks import LogReader
+from embodichain.recording.columns import Column, state_columns
 from embodichain.recording.episode_ends import TOPIC as EPISODE_TOPIC
 from embodichain.recording.episode_ends import EndedEpisode, by_episode, decode_ends
 from embodichain.recording.episodes import (
@@ -32,7 +33,6 @@ from embodichain.recording.gather import OUTCOMES, first_step, gather
 from embodichain.recording.header import Header
 from embodichain.recording.log_error import DamageError, LogError
 from embodichain.recording.metrics import read_metrics
-from embodichain.recording.model_columns import Column, state_columns
 from embodichain.recording.recorded_model import approximate_model, exact_model, model_to_simulate
 from embodichain.recording.simulation import Simulation
 from embodichain.recording.trajectory import Rows, Span, outcomes, runs

@@ -22,7 +22,7 @@ from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRe
 from embodichain.lab.sim.engine.api import EnvIndex, PhysicsEvent, Write
 from embodichain.recording.attachments import attachments_of, model_bytes, model_digest
 from embodichain.recording.block import DRAWN, ArrayKind, CallKind
-from embodichain.recording.columns import take
+from embodichain.recording.columns import Moved
 from embodichain.recording.episode_ends import Ends
 from embodichain.recording.episode_gate import EpisodeGate
 from embodichain.recording.hashing import row_hashes
@@ -98,7 +98,7 @@ class McapRecorder(StepObserver):
         self._start_ns = time.time_ns()
         mjb = model_bytes(self._engine.model)
         header = header_of(env, options, model_digest(mjb), task, self._start_ns)
-        self._moved, self._period_ns = header.moved, header.period_ns
+        self._moved, self._period_ns = Moved(header.moved), header.period_ns
         self._substeps, self._keyframe_every = header.substeps, header.keyframe_every
         self._keeps_state = options.state != "none"
         self._gate = EpisodeGate(options.every, next(iter(options.view_envs), 0))
@@ -106,7 +106,8 @@ class McapRecorder(StepObserver):
         self._view_envs = header.view_envs
         self._step = 0
         self._calls: list[Recorded] = []  # since the last control step
-        self._run = PendingRun(0, [], 0.0, 0)
+        self._runs: list[PendingRun] = []  # not written yet
+        self._waiting = 0  # bytes of them
         self._kinds: dict[object, CallKind] = {}
         self._since_start = self._start_bytes = 0
         self._flushed = time.monotonic()
@@ -194,7 +195,7 @@ class McapRecorder(StepObserver):
             return
         if not self._records(ids):
             return
-        result: NDArray[Any] = take(self._moved, rows if ids is None else rows[ids])
+        result: NDArray[Any] = self._moved.take(rows if ids is None else rows[ids])
         if self._keyframe_every:
             result = row_hashes(result)
         failures = None if failed is None else len(failed)
@@ -281,7 +282,7 @@ class McapRecorder(StepObserver):
         """
         if was_open and not self._gate.open:
             with self._writing.writes():
-                self._write_run()
+                self._write_runs()
                 self._write_rest()
         if held is not None:
             with self._writing.writes():
@@ -293,31 +294,33 @@ class McapRecorder(StepObserver):
     # -- runs --------------------------------------------------------------------------------------
 
     def _add_step(self) -> None:
-        """Add a finished step to the run; write the run before, if its calls are others."""
+        """Add a finished step to the last run, or begin another one if its calls are others."""
         kinds = [kind for kind, _ in self._calls]
         with self._writing.lock:
-            run = self._run
-            alike = bool(run.steps) and kinds == run.kinds
-            if alike:
-                # One statement takes the step over: an interrupt loses none, and repeats none.
+            run = self._runs[-1] if self._runs else None
+            # One statement takes the step over: an interrupt loses none, and repeats none.
+            if run is not None and kinds == run.kinds:
                 run.steps.append(self._calls)
-        if not alike:
-            size = sum(array.nbytes for _, arrays in self._calls for array in arrays)
-            with self._writing.writes():
-                self._write_run()
-                self._run = PendingRun(self._step, kinds, time.monotonic(), size, [self._calls])
+            else:
+                size = sum(array.nbytes for _, arrays in self._calls for array in arrays)
+                now = time.monotonic()
+                run = PendingRun(self._step, kinds, now, size, [self._calls])
+                self._runs.append(run)
+            self._waiting += run.step_bytes
         self._calls = []
 
     def _write_when_due(self) -> None:
-        """Write the run if it is large or old, then a start, the next file, or flush, when due."""
-        run, now = self._run, time.monotonic()
-        step_bytes, count = run.step_bytes, len(run.steps)
-        begins = self._start_is_due(self._since_start + step_bytes * count)
+        """Write the runs if they are large or old, then a start, the next file, or flush."""
+        runs, now = self._runs, time.monotonic()
+        begins = self._start_is_due(self._since_start + self._waiting)
         full = self._max_bytes > 0 and self._log.is_full(self._max_bytes)
-        old = run.steps and now - run.begun > RUN_SECONDS
-        if begins or full or old or count >= RUN_STEPS or step_bytes * count >= RUN_BYTES:
+        due = self._waiting >= RUN_BYTES
+        if runs:
+            steps = runs[-1].end - runs[0].first
+            due = due or steps >= RUN_STEPS or now - runs[0].begun > RUN_SECONDS
+        if begins or full or due:
             with self._writing.writes():
-                self._write_run()
+                self._write_runs()
                 if full:
                     self._log.roll(self._step)
                     self._write_start()
@@ -333,18 +336,17 @@ class McapRecorder(StepObserver):
             return self._step % self._keyframe_every == 0 and self._keeps_state
         return nbytes > START_SHARE * self._start_bytes > 0
 
-    def _write_run(self) -> None:
-        run = self._run
-        self._run = PendingRun(run.end, [], 0.0, 0)
-        if run.steps:
-            self._since_start += run.step_bytes * len(run.steps)
-            self._log.run(run)
+    def _write_runs(self) -> None:
+        runs, self._runs = self._runs, []
+        self._since_start, self._waiting = self._since_start + self._waiting, 0
+        self._log.write(runs)
 
     def _write_rest(self) -> None:
         """Write calls that no control step follows."""
         calls, self._calls = self._calls, []
         if calls:
-            self._log.run(PendingRun(self._step, [kind for kind, _ in calls], 0.0, 0, [calls]))
+            kinds = [kind for kind, _ in calls]
+            self._log.write([PendingRun(self._step, kinds, 0.0, 0, [calls])])
 
     def _write_start(self) -> None:
         if self._keeps_state:
@@ -359,7 +361,7 @@ class McapRecorder(StepObserver):
     def _tick(self) -> None:
         """On the timer's thread: write and flush what no further step does."""
         if time.monotonic() - self._flushed >= FLUSH_SECONDS:
-            self._write_run()
+            self._write_runs()
             self._flush()
 
     # -- the end -----------------------------------------------------------------------------------
@@ -378,7 +380,7 @@ class McapRecorder(StepObserver):
         """
         if not self._closed:
             with self._writing.writes():
-                self._write_run()
+                self._write_runs()
                 self._flush()
 
     def close(self) -> None:
@@ -395,10 +397,12 @@ class McapRecorder(StepObserver):
         if self._writing.told:
             return
         with self._writing.writes():
-            if self._run.steps and self._calls is self._run.steps[-1]:
-                self._calls = []  # an interrupt came right after the step was taken over
-            self._step = max(self._step, self._run.end)
-            self._write_run()
+            if self._runs:
+                run = self._runs[-1]
+                if self._calls is run.steps[-1]:
+                    self._calls = []  # an interrupt came right after the step was taken over
+                self._step = max(self._step, run.end)
+            self._write_runs()
             if self._gate.open:
                 self._write_rest()
             self._views.close(self._step, self._engine.rows)

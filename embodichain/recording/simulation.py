@@ -16,7 +16,7 @@ from embodichain.lab.sim.engine.cpu import CpuEngine
 from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS
 from embodichain.recording.block import Call, Run
 from embodichain.recording.chunks import LogReader
-from embodichain.recording.columns import column_name, take
+from embodichain.recording.columns import column_name
 from embodichain.recording.hashing import row_hashes
 from embodichain.recording.log_error import LogError
 from embodichain.recording.recorded_model import check_rows
@@ -194,7 +194,7 @@ class Simulation(Rows):
         if active.any():
             ids = np.arange(len(active)) if local is None else local
             engine.step(nstep, None if local is None and active.all() else ids[active])
-        self._settle(step, local, recorded, self._moved)
+        self._settle(step, local, recorded, self.moved.columns)
 
     def _settle(
         self, step: int, local: EnvIndex | None, recorded: F64, columns: NDArray[np.int64] | slice
@@ -231,15 +231,13 @@ class Simulation(Rows):
         rows = self.rows if local is None else self.rows[local]
         if isinstance(columns, slice):
             return np.ascontiguousarray(rows[:, columns])
-        return take(self.header.moved, rows)
+        return self.moved.take(rows)
 
     def _compare_hashes(
         self, step: int, local: EnvIndex | None, recorded: NDArray[np.uint64]
     ) -> None:
         active = self._active(step)
-        hashes = row_hashes(
-            take(self.header.moved, self.rows if local is None else self.rows[local])
-        )
+        hashes = row_hashes(self.moved.take(self.rows if local is None else self.rows[local]))
         wrong = np.flatnonzero((hashes != recorded) & (active if local is None else active[local]))
         if len(wrong):
             row = int(wrong[0])

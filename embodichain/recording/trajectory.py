@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.api import F64, EnvIndex, entries
+from embodichain.lab.sim.engine.api import F64, EnvIndex
+from embodichain.lab.sim.engine.cpu import entries
 from embodichain.recording.block import Call, CallKind, Run, unpack_run
 from embodichain.recording.chunks import ChunkPlace, LogReader
+from embodichain.recording.columns import Moved
 from embodichain.recording.header import Header
 from embodichain.recording.log_error import DamageError, LogError
 from embodichain.recording.schema import START_TOPIC, STEPS_TOPIC
@@ -179,6 +181,7 @@ class Rows:
         env_ids: (n,) those environments.
         known: Whether `rows` are the log's: between keyframes they are not.
         next_step: The control step that comes next.
+        moved: The columns that physics writes.
     """
 
     def __init__(self, reader: LogReader, env_ids: EnvIndex | None = None) -> None:
@@ -192,8 +195,7 @@ class Rows:
         self._local = np.full(n, -1, np.int64)
         self._local[self.env_ids] = np.arange(len(self.env_ids))
         self._rows: F64 = np.zeros((len(self.env_ids), header.nstate))
-        self._moved = columns_of(tuple(np.concatenate([np.r_[a:b] for a, b in header.moved])))
-        self._ranges = _side_by_side(header.moved)
+        self.moved = Moved(header.moved)
 
     @property
     def rows(self) -> F64:
@@ -270,14 +272,6 @@ class Rows:
             view = self._rows[:, start:stop]
         view[entries(local, columns_of(call.kind.columns))] = values
 
-    def moved(self, columns: slice) -> slice | None:
-        """Where columns of whole rows lie in what physics returned; None for its inputs."""
-        for here, there in self._ranges:
-            if here.start <= columns.start and columns.stop <= here.stop:
-                at = there.start - here.start
-                return slice(columns.start + at, columns.stop + at)
-        return None
-
     def physics(
         self, step: int, call: Call, t: int, local: EnvIndex | None, take: EnvIndex | slice
     ) -> None:
@@ -287,18 +281,9 @@ class Rows:
             return
         returned, rows = call.arrays["rows"][t], self._rows
         whole = isinstance(take, slice)
-        for here, there in self._ranges:
+        for here, there in self.moved.spans:
             found = returned[:, there]
             rows[entries(local, here)] = found if whole else found[take]
-
-
-def _side_by_side(ranges: list[tuple[int, int]]) -> list[tuple[slice, slice]]:
-    """Columns of whole rows, and where they lie in rows that have only these columns."""
-    found, at = [], 0
-    for a, b in ranges:
-        found.append((slice(a, b), slice(at, at + b - a)))
-        at += b - a
-    return found
 
 
 def follow(reader: LogReader, rows: Rows, span: Span = _ALL) -> Iterator[tuple[Run, int]]:
@@ -369,7 +354,7 @@ def stacked(
     for name, columns in components.items():
         values = np.empty((run.count + 1, len(rows.env_ids), columns.stop - columns.start))
         values[0] = rows.rows[:, columns]
-        moved = rows.moved(columns)
+        moved = rows.moved.find(columns)
         values[1:] = values[0] if moved is None else physics.arrays["rows"][:, take, moved]
         before, after = (
             [c for c in part if c.kind.name == name and c.kind.kind == "write"]

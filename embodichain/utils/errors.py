@@ -1,7 +1,6 @@
 """The exceptions users see, and the `Problem` records that configuration checks collect.
 
-Nothing here formats a whole report: `ConfigError.__str__` lists its problems, and the command line
-adds files and lines.
+`ConfigError.__str__` lists its problems; the command line adds files and lines.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ class EmbodichainError(Exception):
 
 
 class ConfigError(EmbodichainError, ValueError):
-    """The user's configuration is wrong; holds every mistake found, not only the first.
+    """The user's configuration is wrong; lists every mistake found, not only the first.
 
     Args:
         problems: The mistakes, or one line that describes a single one.
@@ -55,4 +54,4 @@ class DeviceError(ConfigError):
 
 
 class RenderError(EmbodichainError, RuntimeError):
-    """No picture can be made here; the message names the package that would help."""
+    """No picture can be rendered on this machine; the message names the missing package."""

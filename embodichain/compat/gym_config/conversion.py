@@ -1,4 +1,4 @@
-"""`convert`: a whole gym config becomes a task, with a list of what could not come along."""
+"""`convert`: a gym config becomes a task, with a list of what is left out."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ _ORDER = (
 
 @dataclass(frozen=True)
 class Conversion:
-    """What became of a gym config.
+    """The result of `convert`.
 
     Attributes:
         name: The task's name, from `id`; empty for the generic environment.
         task: The task; plain values, not checked.
         origins: Path in the task -> path in the gym config, for whole subtrees.
         notes: What was left out or is read otherwise; paths are the gym config's.
-        problems: Mistakes: keys that nobody knows, values that cannot be converted.
+        problems: Mistakes: unknown keys, values that cannot be converted.
     """
 
     name: str
@@ -58,7 +58,7 @@ class Conversion:
     problems: tuple[Problem, ...]
 
     def origin(self, path: Path) -> Path:
-        """Return where a key of the task stands in the gym config, or its nearest ancestor."""
+        """Return the path in the gym config of a key of the task, or of its nearest ancestor."""
         for count in range(len(path), 0, -1):
             source = self.origins.get(path[:count])
             if source is not None:
@@ -72,10 +72,10 @@ def convert(
     """Convert a gym config.
 
     Args:
-        config: Its content, plain values; left as it is.
+        config: Its content, plain values; it is not changed.
         registered: Those of `CLASSES` that the user has registered a class for.
-        ours: Whether it may hold keys of our own, and functions in the place of their names: what
-            Python code declares.
+        ours: Whether it may contain keys of our own, and functions instead of their names, as a
+            task declared in Python does.
     """
     draft = Draft(ours)
     draft.carry(config, (), (), TOP)
@@ -122,7 +122,7 @@ def _identity(draft: Draft, name: Any, registered: Collection[str]) -> None:
 
 
 def _note_lost_success(draft: Draft, name: str) -> None:
-    """Say it where a reward waits for a success that nothing computes any more."""
+    """Note rewards for a success that is not computed."""
     for key, term in draft.task.get("rewards", {}).items():
         if term["func"] == "success_reward":
             message = (
@@ -133,15 +133,15 @@ def _note_lost_success(draft: Draft, name: str) -> None:
 
 
 def _refuse_nothing(draft: Draft, config: Mapping[str, Any]) -> None:
-    """A task without robot, object and articulation would run, and simulate nothing."""
-    parts = [key for key in _COMPONENTS if config.get(key) is not None]
-    for key in parts:
-        message = "components of release 0.3 are not read: write their sections into this file"
-        draft.refuse((key,), message)
+    """Refuse a task without robot, object and articulation: it would simulate nothing."""
+    for key in _COMPONENTS:
+        if config.get(key) is not None:
+            message = "components of release 0.3 are not read: write their sections into this file"
+            draft.refuse((key,), message)
     built_in_python = "id" in draft.task
-    if draft.problems or built_in_python or any(draft.task.get(key) for key in _SIMULATED):
-        return
-    draft.refuse((), "nothing is left to simulate: the file gives no robot, object or articulation")
+    if not (draft.problems or built_in_python or any(map(draft.task.get, _SIMULATED))):
+        message = "nothing is left to simulate: the file gives no robot, object or articulation"
+        draft.refuse((), message)
 
 
 def _physics(draft: Draft, config: Mapping[str, Any]) -> None:

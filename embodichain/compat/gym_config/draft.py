@@ -1,7 +1,4 @@
-"""`Draft`: the task that grows, where each part of it came from, and what could not come along.
-
-Knows paths and tables of keys; what a section means is `scene`'s and `terms`'.
-"""
+"""`Draft`: a task that is being converted, where its parts came from, and what is left out."""
 
 from __future__ import annotations
 
@@ -23,7 +20,7 @@ class Draft:
     """What a conversion has made so far.
 
     Args:
-        ours: Whether keys of our own go with those of the tables: they stay, and are checked with
+        ours: Whether keys of our own are allowed beside those of the tables; they are checked with
             the task.
 
     Attributes:
@@ -57,7 +54,7 @@ class Draft:
         self.problems.append(Problem(".".join(source), message, hint.strip()))
 
     def carry(self, data: Any, source: Path, target: Path, vocabulary: Vocabulary) -> bool:
-        """Do with each key of a map what a table says; those that are handled are left to others.
+        """Apply a table's rules to the keys of a map; keys that are `HANDLED` are not touched.
 
         Args:
             data: The map; anything else is refused.
@@ -85,14 +82,14 @@ class Draft:
         return True
 
     def unknown(self, where: Path, allowed: Mapping[str, Any]) -> None:
-        """Refuse a key that nobody knows, with the closest that is known."""
+        """Refuse an unknown key; suggests the closest known one."""
         hint = did_you_mean(where[-1], allowed)
         self.refuse(where, f"unknown key; known: {', '.join(allowed)}.", hint)
 
     def entity(
         self, data: Any, source: Path, section: str, fallback: str | None = None
     ) -> Path | None:
-        """Where an element of a list of entities goes: under its uid, which must be its own.
+        """Return where an element of a list of entities goes: under its uid, which must be unique.
 
         Args:
             data: The element.
@@ -100,8 +97,9 @@ class Draft:
             section: The map of entities that it joins.
             fallback: A key with a file, whose stem is the name of an element without uid.
         """
-        uid = data.get("uid") if isinstance(data, Mapping) else None
-        if not uid and fallback is not None and isinstance(data, Mapping):
+        data = data if isinstance(data, Mapping) else {}
+        uid = data.get("uid")
+        if not uid and fallback is not None:
             file = data.get(fallback)
             uid = PurePosixPath(file.replace("\\", "/")).stem if isinstance(file, str) else None
         if not isinstance(uid, str) or not uid:
@@ -117,14 +115,12 @@ class Draft:
         """The elements of a list with their paths; None is empty, anything else is refused."""
         if data is not None and not isinstance(data, list):
             self.refuse(source, f"expected a list, got {data!r}")
-            return
-        for i, value in enumerate(data or ()):
-            yield (*source, str(i)), value
+        elif data is not None:
+            yield from (((*source, str(i)), value) for i, value in enumerate(data))
 
     def entries(self, data: Any, source: Path) -> Iterator[tuple[Path, str, Any]]:
         """The values of a map with their paths and names; None is empty, else it is refused."""
         if data is not None and not isinstance(data, Mapping):
             self.refuse(source, f"expected a map, got {data!r}")
-            return
-        for key, value in (data or {}).items():
-            yield (*source, str(key)), str(key), value
+        elif data is not None:
+            yield from (((*source, str(key)), str(key), value) for key, value in data.items())

@@ -1,4 +1,4 @@
-"""Reading a gym config: YAML or JSON becomes plain values. What they mean is `conversion`'s."""
+"""Reading a gym config: YAML or JSON becomes plain values."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def read_gym_config(path: str | Path) -> dict[str, Any]:
         path: A file ending in ``.json``, ``.yaml`` or ``.yml``. It is only read.
 
     Raises:
-        ConfigError: There is no such file, or it is malformed, or it holds no map; says where.
+        ConfigError: There is no such file, or it is malformed, or not a map; says where.
     """
     file = Path(path)
     if not file.is_file():

@@ -29,7 +29,7 @@ _PLAIN = ("Robot", "RobotCfg")
 
 
 def convert_robot(draft: Draft, data: Any) -> str:
-    """Convert the section `robot`; return the robot's uid, empty if there is no telling."""
+    """Convert the section `robot`; return the robot's uid, empty if it is unknown."""
     source: Path = ("robot",)
     if not draft.carry(data, source, ("robot",), ROBOT):
         return ""
@@ -55,7 +55,7 @@ def convert_articulations(draft: Draft, data: Any) -> None:
 
 
 def _file(draft: Draft, data: Mapping[str, Any]) -> int | None:
-    """Settle the robot's file; return how many joints it has where a preset says so."""
+    """Put the robot's file; return how many joints it has if a preset says so."""
     kind_key = "class_type" if "class_type" in data else "robot_type"
     kind, urdf, own = data.get(kind_key), data.get("urdf_cfg"), bool(data.get("fpath"))
     joints = None
@@ -79,15 +79,12 @@ def _file(draft: Draft, data: Mapping[str, Any]) -> int | None:
 
 
 def _unknown_kind(draft: Draft, kind: Any, key: str, own: bool) -> None:
-    hint = did_you_mean(str(kind), _PRESETS)
     message = f"the class {kind!r} is not here"
     if own:
         draft.note(("robot", key), f"{message}: only the keys of this file count")
     else:
-        known = ", ".join(_PRESETS)
-        draft.refuse(
-            ("robot", key), f"{message}; name the robot's file in fpath, or {known}.", hint
-        )
+        message = f"{message}; name the robot's file in fpath, or {', '.join(_PRESETS)}."
+        draft.refuse(("robot", key), message, did_you_mean(str(kind), _PRESETS))
 
 
 def _urdf(draft: Draft, urdf: Any, preset: str) -> None:
@@ -131,8 +128,7 @@ def _init_qpos(draft: Draft, values: Any, joints: int | None) -> None:
         return
     where = ("robot", "init_qpos")
     if joints is not None and isinstance(values, list) and len(values) > joints:
-        beyond = f"values {values[joints:]} belong to components that are left out"
-        draft.note(where, beyond)
+        draft.note(where, f"values {values[joints:]} belong to components that are left out")
         values = values[:joints]
     draft.put(where, values, where)
 
@@ -140,7 +136,7 @@ def _init_qpos(draft: Draft, values: Any, joints: int | None) -> None:
 def _parts_of_articulation(
     draft: Draft, data: Mapping[str, Any], source: Path, target: Path
 ) -> None:
-    """Drives, attributes and how the root is held, by the names of 0.2 and of 0.3."""
+    """Drives, attributes and properties of the root, by the names of 0.2 and of 0.3."""
     for key in ("drive_pros", "joint_drive_props"):
         if data.get(key) is not None:
             draft.carry(data[key], (*source, key), (*target, "drive_pros"), DRIVE)

@@ -1,12 +1,9 @@
-"""Functors of a gym config become terms: events, observations, rewards, actions.
-
-Which terms exist is asked of the registry; that parameters fit is checked with the whole task.
-"""
+"""Functors of a gym config become terms; their parameters are checked with the whole task."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 from embodichain.compat.gym_config.draft import Draft, Path
 from embodichain.compat.gym_config.functors import (
@@ -23,12 +20,11 @@ from embodichain.compat.gym_config.vocabulary import (
     REWARD,
     Vocabulary,
 )
-from embodichain.lab.gym.envs.managers.registry import TERMS, TermSpec
+from embodichain.lab.gym.envs.managers.registry import TERMS, Kind, TermSpec
 
 __all__ = ["convert_actions", "convert_terms"]
 
-FunctorKind = Literal["event", "observation", "reward", "action"]
-_TABLES: Mapping[str, tuple[FunctorKind, Vocabulary]] = {
+_TABLES: Mapping[str, tuple[Kind, Vocabulary]] = {
     "events": ("event", EVENT),
     "observations": ("observation", OBSERVATION),
     "rewards": ("reward", REWARD),
@@ -81,7 +77,7 @@ def convert_terms(draft: Draft, section: str, env: Mapping[str, Any], robot: str
 
 
 def convert_actions(draft: Draft, env: Mapping[str, Any], robot: str) -> None:
-    """Convert `env.actions`; parts or joints that are active stand without them for targets.
+    """Convert `env.actions`; without them active parts or joints are position targets.
 
     Args:
         draft: Grows by the terms.
@@ -107,9 +103,7 @@ def convert_actions(draft: Draft, env: Mapping[str, Any], robot: str) -> None:
             draft.put((*target, "params"), params, (*source, "params"))
 
 
-def _find(
-    draft: Draft, kind: FunctorKind, functor: Any, source: Path
-) -> tuple[TermSpec | None, Any]:
+def _find(draft: Draft, kind: Kind, functor: Any, source: Path) -> tuple[TermSpec | None, Any]:
     """The term a functor means, if it is registered, and what to call it; None leaves it out."""
     if not isinstance(functor, Mapping):
         draft.refuse(source, f"expected a map, got {functor!r}")
@@ -152,7 +146,7 @@ def _params(draft: Draft, functor: Mapping[str, Any], source: Path) -> dict[str,
 
 
 def _known_params(draft: Draft, params: dict[str, Any], func: str, source: Path) -> dict[str, Any]:
-    """Parameters without those that are known there and mean nothing to our term."""
+    """Parameters without those that our term does not have."""
     reasons = PARAMS_LEFT_OUT.get(func, {})
     for key in params:
         if key in reasons:
@@ -163,7 +157,7 @@ def _known_params(draft: Draft, params: dict[str, Any], func: str, source: Path)
 def _with_entity(
     params: dict[str, Any], spec: TermSpec | None, entity: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Joints picked by parameters that our term lacks stand in its `entity_cfg` instead."""
+    """Move parameters that pick joints, and that our term lacks, into its `entity_cfg`."""
     if spec is None or "entity_cfg" not in spec.params or "entity_cfg" in params:
         return params
     picked = {k: params[k] for k in (*_JOINTS, "robot_uid") if k in params and k not in spec.params}

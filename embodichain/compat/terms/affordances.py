@@ -113,7 +113,7 @@ def _uids_of(env: TermContext, wanted: Relative, path: str) -> list[str]:
 
 @register_term("event", name="prepare_extra_attr")
 class PrepareExtraAttr(Term):
-    """Attaches attributes to entities, as ``env.extra_attrs[uid][name]``: EmbodiChain's event.
+    """Attaches attributes to entities, as ``env.extra_attrs[uid][name]``.
 
     Args:
         attrs: Each a map with `name`; `entity_uids` (names, `all_objects` or `all_robots`) or
@@ -171,7 +171,7 @@ def _checked(env: TermContext, attr: ExtraAttr, path: str) -> tuple[list[str], A
 
 @register_term("event", name="register_info_to_env")
 class RegisterInfoToEnv(Term):
-    """Copies attributes and poses of entities into ``env.<registration>``: EmbodiChain's event.
+    """Copies attributes and poses of entities into ``env.<registration>``.
 
     An attribute is called ``{uid}_{attribute}``. ``{uid}_pose`` is the entity's pose in the
     environment's frame (``{uid}_{link}_pose`` of a picked link), ``{other}_pose_{uid}`` the pose of

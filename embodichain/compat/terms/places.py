@@ -46,9 +46,8 @@ class SampleRigidObjectPoseFromWorkspace(Term):
 
     Positions are drawn uniformly from a box until inverse kinematics (from the robot's initial
     joint positions, orientation free) brings the tool there; an environment without success after
-    `max_attempts` keeps the object where it is. EmbodiChain's event of the same name, which draws
-    from a precomputed workspace; its `strategy`, `min_score` and `use_workspace_orientation`
-    belong to that and do not exist here.
+    `max_attempts` keeps the object where it is. EmbodiChain draws from a precomputed workspace; the
+    parameters `strategy`, `min_score` and `use_workspace_orientation` belong to that.
 
     Args:
         robot_cfg: The robot; control parts or joint names pick the joints, a link name the tool.
@@ -125,7 +124,7 @@ class PlannerGridCellSampler(Term):
 
     The rectangle is divided into rows (along x) and columns (along y) of equal cells; cells are
     drawn uniformly without replacement (the order of one uniform number a cell). Orientations are
-    the objects' initial ones. EmbodiChain's event of the same name.
+    the objects' initial ones.
 
     Args:
         position_range: [[x, y] low, [x, y] high] in metres, environment's frame.
@@ -189,8 +188,7 @@ class RandomizeAnchorHeight(Term):
     """Raises an anchor (a table) by a random height, and every dynamic object with it.
 
     The anchor's height is its initial one plus the draw; dynamic objects move by as much as the
-    anchor does. EmbodiChain's event of the same name; there are no object groups here, and so no
-    `include_groups`.
+    anchor does.
 
     Args:
         anchor_uid: A rigid object, or a robot or articulation.
@@ -274,7 +272,7 @@ class RandomizeAnchorHeight(Term):
 class RandomizeTargetPose(Term):
     """Draws a target pose and stores it as ``env.<store_key>``, (N, 4, 4) float32 matrices.
 
-    Terms such as `distance_to_target` read it there. EmbodiChain's event of the same name. Until
+    Terms such as `distance_to_target` read it there. Until
     the first draw the pose is the identity.
 
     Args:

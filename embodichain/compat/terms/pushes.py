@@ -18,7 +18,7 @@ __all__ = ["PushArticulation"]
 
 @register_term("event", name="push_articulation_by_setting_velocity")
 class PushArticulation(PushBySettingVelocity):
-    """`push_by_setting_velocity` at its own times: EmbodiChain's event of the same name.
+    """`push_by_setting_velocity` at its own times.
 
     Give it `mode: interval` and `interval_step: 1`: it counts control steps. Each environment is
     pushed after a time drawn from `interval_range_s`, counted from its last push or from the

@@ -54,8 +54,6 @@ def distance_between_objects(
 ) -> F64:
     """-d, or exp(-d^2 / (2 sigma^2)), with d the distance in metres between two entities.
 
-    EmbodiChain's reward of the same name; `use_xy_only` is ours.
-
     Args:
         source_entity_cfg: An entity, or a link of one.
         target_entity_cfg: Likewise.
@@ -87,8 +85,6 @@ def distance_to_target(
 ) -> F64:
     """-d, or exp(-d^2 / (2 sigma^2)), with d the distance in metres to a pose that an event stores.
 
-    EmbodiChain's reward of the same name.
-
     Args:
         source_entity_cfg: An entity, or a link of one.
         target_pose_key: The attribute of the environment with the poses, (N, 4, 4).
@@ -108,8 +104,7 @@ def distance_to_target(
 class IncrementalDistanceToTarget(Rate):
     """w tanh(tanh_scale (d_before - d)): positive for coming closer; 0 in an episode's first step.
 
-    d is the distance in metres to a pose that an event stores, w one of two weights. EmbodiChain's
-    reward of the same name keeps d_before over a reset; this term does not.
+    d is the distance in metres to a pose that an event stores, w one of two weights.
 
     Args:
         source_entity_cfg: An entity, or a link of one.
@@ -150,7 +145,7 @@ class ReachingBehindObject:
     """1 - tanh(distance_scale d), d the tool's distance to a point behind the object to push.
 
     The point is ``object - behind_offset u + (0, 0, height_offset)`` with u the unit vector from
-    the object to its target (0 where they coincide). EmbodiChain's reward of the same name.
+    the object to its target (0 where they coincide).
 
     Args:
         object_cfg: The object to push.
@@ -223,8 +218,6 @@ def orientation_alignment(
 ) -> F64:
     """(tr(Rs Rt^T) - 1) / 2, the cosine of the angle between two orientations, in [-1, 1].
 
-    EmbodiChain's reward of the same name.
-
     Args:
         source_entity_cfg: An entity, or a link of one.
         target_entity_cfg: Likewise.
@@ -242,7 +235,7 @@ def orientation_alignment(
 class JointLimitPenalty:
     """-sum max(0, margin - x), x the distance to the nearer limit as a share of the range.
 
-    EmbodiChain's reward of the same name. Joints without two limits count 0.
+    Joints without two limits count 0.
 
     Args:
         robot_uid: The robot; None is the task's own.

@@ -125,7 +125,9 @@ class Scene:
 
     def entity(self, uid: str) -> Entity | None:
         """A robot, articulation or object by uid, or None."""
-        return self.jointed.get(uid) or self.rigid_objects.get(uid)
+        groups: tuple[Mapping[str, Entity], ...]
+        groups = self.robots, self.articulations, self.rigid_objects
+        return next((group[uid] for group in groups if uid in group), None)
 
     def compile(self) -> CompiledScene:
         """Compile everything into one model; the second time return it."""

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from embodichain.recording.api import Log
 from embodichain.recording.arrays import LogArrays
+from embodichain.recording.columns import Column
 from embodichain.recording.export.formats import Part, about, demonstrations, required
 from embodichain.recording.log_error import LogError
-from embodichain.recording.model_columns import Column
 
 __all__ = ["write_csv", "write_hdf5", "write_npz", "write_parquet"]
 

@@ -10,12 +10,12 @@ import re
 import threading
 import time
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
-from embodichain.lab.sim.engine.base import EnvIndex, Write
+from embodichain.lab.sim.engine.api import EnvIndex, Write
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.options import RecordOptions, check_options
 from embodichain.recording.schema import descriptor_set
@@ -129,7 +129,7 @@ class FoxgloveServer:
             context=self._context,
         )
 
-    def send(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> None:
+    def send(self, time_ns: int, messages: Iterable[tuple[str, bytes]]) -> None:
         """Send messages to their subscribers; KeyError if a channel was not declared."""
         for topic, data in messages:
             channel = self._channels[topic]

@@ -174,8 +174,8 @@ class Scalars:
                 factors[at] = weights.get(name, 1.0)
             self._factors = factors if set(factors) != {1.0} else []
 
-    def encode(self, step: StepRecord) -> list[bytes]:
-        """Return the serialized message of each viewed environment.
+    def of(self, step: StepRecord) -> list[list[float]]:
+        """The values of each viewed environment in a step, in the order of `names`.
 
         Raises:
             ValueError: If the step has other scalars than the first one.
@@ -196,9 +196,15 @@ class Scalars:
                     values += block[:, env_id].tolist()
             if self._factors:
                 values = [a * b for a, b in zip(values, self._factors, strict=True)]
-            message = self._message(**dict(zip(self.names, values, strict=True)))
-            found.append(message.SerializeToString())
+            found.append(values)
         return found
+
+    def encode(self, values: Sequence[float]) -> bytes:
+        """Return the serialized message of values that `of` returned."""
+        data: bytes = self._message(
+            **dict(zip(self.names, values, strict=True))
+        ).SerializeToString()
+        return data
 
     def _blocks(self, step: StepRecord) -> list[NDArray[Any]]:
         """All scalars in order, as (N,) arrays or (K, N) of K scalars."""

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator
+from itertools import chain
 from typing import TYPE_CHECKING, Protocol
 
 import mujoco
@@ -48,8 +49,12 @@ class Sink(Protocol):
     def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
         """Declare a channel; `data` is the schema's FileDescriptorSet if `schema` has none."""
 
-    def send(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> None:
-        """Write or send serialized messages of one time, each with its topic."""
+    def send(self, time_ns: int, messages: Iterable[tuple[str, bytes]]) -> None:
+        """Write or send serialized messages of one time, each with its topic.
+
+        Iterating encodes them: a file does so for many samples at a time, which is several times
+        as fast as among the steps of a simulation.
+        """
 
 
 class Views:
@@ -99,8 +104,11 @@ class Views:
 
     def say(self, message: str, level: str = "INFO") -> None:
         """Write a line to `/log`."""
+        self._send_lines([message], level)
+
+    def _send_lines(self, texts: list[str], level: str = "INFO") -> None:
         time_ns = self._now()
-        self._sink.send(time_ns, [("/log", log_line(time_ns, message, level))])
+        self._sink.send(time_ns, (("/log", log_line(time_ns, text, level)) for text in texts))
 
     def show(self, env_ids: Iterable[int]) -> None:
         """Write the scenes of these environments with the next sample, changed or not."""
@@ -131,24 +139,34 @@ class Views:
         if step % self._every and not self._due and not last:
             return
         self._sampled, time_ns = step, self._now()
-        messages = [
+        scenes = [
             (self._viewed[env_id].scene, scene)
             for env_id, anyway in self._due.items()
             if (scene := self._viewed[env_id].look(time_ns, anyway)) is not None
         ]
         self._due = {}
+        models = [viewed.model for viewed in self._viewed.values()]
+        samples = chain(scenes, self._encoded(time_ns, rows[self._ids], models))
+        # Values of commands and models of single environments may change before the file is
+        # written.
+        live = self._commands.drawn or any(viewed.owns_model for viewed in self._viewed.values())
+        self._sink.send(time_ns, list(samples) if live else samples)
+
+    def _encoded(
+        self, time_ns: int, rows: F64, models: list[mujoco.MjModel]
+    ) -> Iterator[tuple[str, bytes]]:
+        """Encode a sample of the n viewed environments: (n, nstate) rows, and n models."""
         data = self._data
         for index, (env_id, viewed) in enumerate(self._viewed.items()):
-            row = rows[env_id]
+            row = rows[index]
             for target, columns in self._inputs:
                 target[:] = row[columns]
-            mujoco.mj_kinematics(viewed.model, data)
+            mujoco.mj_kinematics(models[index], data)
             self._frames.place(index, data)
-            messages.append((viewed.joints, self._joints.encode(time_ns, row)))
+            yield viewed.joints, self._joints.encode(time_ns, row)
             if self._commands.drawn:
-                messages.append((viewed.markers, self._commands.encode(time_ns, env_id, data)))
-        messages.append(("/tf", self._frames.encode(time_ns)))
-        self._sink.send(time_ns, messages)
+                yield viewed.markers, self._commands.encode(time_ns, env_id, data)
+        yield "/tf", self._frames.encode(time_ns)
 
     def on_reset(self, env_ids: EnvIndex) -> None:
         """Sample viewed environments that were reset, with their scene if it has changed."""
@@ -164,19 +182,19 @@ class Views:
         Terms that fire at intervals have lines at most as often as environments are sampled; the
         log's events have all of them.
         """
-        time_ns, ids = self._now(), event.env_ids
+        ids = event.env_ids
         if event.mode == "interval":
+            time_ns = self._now()
             if time_ns < self._next_line.get(event.term, 0):
                 return
             self._next_line[event.term] = time_ns + self._period_ns
-        lines = []
+        texts = []
         for env_id in self._viewed_of(ids):
             row = env_id if ids is None else int(np.searchsorted(ids, env_id))
             drawn = {name: values[row] for name, values in event.drawn.items()}
-            text = event_text(env_id, event.term, event.mode, drawn)
-            lines.append(("/log", log_line(time_ns, text)))
-        if lines:
-            self._sink.send(time_ns, lines)
+            texts.append(event_text(env_id, event.term, event.mode, drawn))
+        if texts:
+            self._send_lines(texts)
 
     def on_step(self, step: int, record: StepRecord, ended: bool = True) -> None:
         """Write the numbers of viewed environments if they are due, and lines for what ended.
@@ -192,8 +210,8 @@ class Views:
             scalars, time_ns = self.declare(record), self._now()
             if self._rewards is not None:
                 scalars.weigh(self._rewards.weights)
-            metrics = zip(self._viewed.values(), scalars.encode(record), strict=True)
-            self._sink.send(time_ns, [(viewed.metrics, data) for viewed, data in metrics])
+            metrics = zip(self._viewed.values(), scalars.of(record), strict=True)
+            self._sink.send(time_ns, ((v.metrics, scalars.encode(values)) for v, values in metrics))
 
     def _say_endings(self, step: int, record: StepRecord) -> None:
         diverged = record.info.get("diverged")
@@ -231,12 +249,13 @@ class _Viewed:
 
     Attributes:
         changed: Model fields that have changed since they were read.
+        owns_model: Whether the environment's model is a copy of its own.
         scene, joints, markers, metrics: Its topics.
     """
 
     def __init__(self, engine: Engine, env_id: int, scenes: Scenes, changed: set[str]) -> None:
         self._engine, self._env_id, self._scenes = engine, env_id, scenes
-        self._model, self._owned, self._stale = engine.model, False, True
+        self._model, self.owns_model, self._stale = engine.model, False, True
         self.changed = set(changed)
         names = "scene", "joint_states", "markers", "metrics"
         self.scene, self.joints, self.markers, self.metrics = (f"/env_{env_id}/{n}" for n in names)
@@ -245,8 +264,8 @@ class _Viewed:
     def model(self) -> mujoco.MjModel:
         """The environment's model as it is now, as far as `_SEEN` goes."""
         if self.changed:
-            if not self._owned:
-                self._model, self._owned = copy.copy(self._model), True
+            if not self.owns_model:
+                self._model, self.owns_model = copy.copy(self._model), True
             for field in self.changed:
                 values = self._engine.model_field(field)[self._env_id]
                 getattr(self._model, field).reshape(-1)[:] = values

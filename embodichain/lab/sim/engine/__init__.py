@@ -1,1 +1,1 @@
-"""What steps the batch: one contract (`base`), one implementation a device."""
+"""What steps the batch: one contract (`api`), one implementation a device."""

@@ -21,7 +21,6 @@ __all__ = [
     "PhysicsEvent",
     "Write",
     "WriteOp",
-    "entries",
     "row_layout",
 ]
 
@@ -226,10 +225,3 @@ def row_layout(model: mujoco.MjModel) -> dict[str, slice]:
             layout[bits.get(bit, f"state_{position}")] = slice(start, start + size)
             start += size
     return layout
-
-
-def entries(env_ids: EnvIndex | None, columns: Columns) -> tuple[Any, Any]:
-    """Return the index of columns in the rows of environments; None is all environments."""
-    if env_ids is None:
-        return ALL, columns
-    return (env_ids if isinstance(columns, slice) else env_ids[:, None]), columns

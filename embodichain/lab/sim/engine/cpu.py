@@ -22,14 +22,13 @@ from embodichain.lab.sim.engine.api import (
     EnvIndex,
     PhysicsEvent,
     Write,
-    entries,
     row_layout,
 )
 from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS, ModelFields
 from embodichain.lab.sim.engine.mujoco_process import install_log_handler, stop_timers
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["KINEMATIC_STAGES", "CpuEngine"]
+__all__ = ["KINEMATIC_STAGES", "CpuEngine", "entries"]
 
 _STAGE_NONE = int(mujoco.mjtStage.mjSTAGE_NONE)
 _STAGE_POS = int(mujoco.mjtStage.mjSTAGE_POS)
@@ -321,6 +320,13 @@ class CpuEngine(Engine):
             self.acceleration(field)[...] = values
         # Counters are restored as a baseline: only new warnings count as divergence.
         self._divergence.begin()
+
+
+def entries(env_ids: EnvIndex | None, columns: Columns) -> tuple[Any, Any]:
+    """Return the index of columns in the rows of environments; None is all environments."""
+    if env_ids is None:
+        return ALL, columns
+    return (env_ids if isinstance(columns, slice) else env_ids[:, None]), columns
 
 
 class _Kinematics:

@@ -13,8 +13,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.compiler.names import match
-
 if TYPE_CHECKING:
     import mujoco
 
@@ -26,7 +24,6 @@ __all__ = [
     "as_rows",
     "columns_of",
     "field_values",
-    "names_matching",
     "to_tensor",
 ]
 
@@ -142,19 +139,3 @@ def as_rows(
         bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
         raise ValueError(f"{what} is not finite in rows {bad[:8].tolist()}")
     return array
-
-
-def names_matching(patterns: str | Sequence[str], names: Sequence[str], what: str) -> list[int]:
-    """Indices of names that a pattern matches in full, in the order of ``names``.
-
-    Raises:
-        ValueError: If a pattern matches nothing; lists the names.
-    """
-    wanted = [patterns] if isinstance(patterns, str) else list(patterns)
-    found: set[int] = set()
-    for pattern in wanted:
-        indices, problems = match(pattern, names, what, "")
-        if problems:
-            raise ValueError(problems[0].message)
-        found |= set(indices)
-    return sorted(found)

@@ -10,10 +10,10 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.body_motion import origin_velocities
+from embodichain.lab.sim.compiler.names import match
 from embodichain.lab.sim.objects._arrays import (
     as_env_ids,
     columns_of,
-    names_matching,
     to_tensor,
 )
 from embodichain.lab.sim.objects.articulation_data import ArticulationData
@@ -325,7 +325,13 @@ class Articulation(BatchEntity):
         Raises:
             ValueError: If a pattern matches nothing; lists the controls.
         """
-        return names_matching(patterns, self.actuator_names, f"actuator of {self.uid}")
+        found: set[int] = set()
+        for pattern in [patterns] if isinstance(patterns, str) else patterns:
+            ids, problems = match(pattern, self.actuator_names, f"actuator of {self.uid}", "")
+            if problems:
+                raise ValueError(problems[0].message)
+            found.update(ids)
+        return sorted(found)
 
     def _picked(self, actuator_ids: Any, names: str | Sequence[str] | None) -> Ids:
         count = len(self.actuator_names)

@@ -302,7 +302,7 @@ class Drives:
         engine, index = self._handle.engine, self._handle.index
         driven = index.actuator_ids[joints] >= 0
         if name == "damping" and not driven.all():
-            # What a joint without a drive has is its own damping.
+            # The damping of a joint without a drive is the joint's own.
             self.put("joint_damping", values[:, ~driven], ids, joints[~driven])
             joints, values = joints[driven], values[:, driven]
             if not len(joints):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import torch
@@ -29,10 +29,13 @@ class BaseSensor(Handle["SensorIndex"]):
         host: The simulation.
 
     Attributes:
+        reads: Names of what it measures; each has a method ``read_NAME``.
         cfg: Its config.
         uid: Its name.
         names: (n,) the links it is fixed on.
     """
+
+    reads: ClassVar[tuple[str, ...]]
 
     def __init__(self, plan: SensorPlan, host: Host) -> None:
         super().__init__(plan.uid, host)
@@ -58,8 +61,8 @@ class BaseSensor(Handle["SensorIndex"]):
         return np.array([model.body(name).id for name in self.plan.bodies], np.int64)
 
     def get_data(self) -> dict[str, torch.Tensor]:
-        """Return what ``obs["sensor"][uid]`` holds: float32 tensors (N, ...)."""
-        raise NotImplementedError
+        """Return what ``obs["sensor"][uid]`` contains: `reads`, as float32 tensors (N, ...)."""
+        return {name: to_tensor(getattr(self, f"read_{name}")()) for name in self.reads}
 
     def _now(self) -> F64:
         """(N, ...) its numbers at the present poses and velocities: a view, do not keep."""
@@ -81,6 +84,8 @@ class ContactSensor(BaseSensor):
     reset those of the state that it left. Shapes that collide with nothing report nothing.
     """
 
+    reads = ("found", "force")
+
     def read_found(self) -> NDArray[np.bool_]:
         """(N, n) whether each link is touched."""
         found = self._last()[..., 0] > 0
@@ -98,13 +103,6 @@ class ContactSensor(BaseSensor):
             net -= forces[:, :, other]
         return net
 
-    def get_data(self) -> dict[str, torch.Tensor]:
-        """``found`` (N, n), 1 or 0, and ``force`` (N, n, 3) in N, world axes."""
-        return {
-            "found": to_tensor(self.read_found()),
-            "force": to_tensor(self.read_force()),
-        }
-
 
 class ForceTorqueSensor(BaseSensor):
     """Force and torque between n links and their parents, read at each link's origin.
@@ -114,6 +112,8 @@ class ForceTorqueSensor(BaseSensor):
     as the link and all it carries weigh.
     """
 
+    reads = ("force", "torque")
+
     def read_force(self) -> F64:
         """(N, n, 3) N, link axes."""
         return self._last()[..., 0:3].copy()
@@ -121,10 +121,6 @@ class ForceTorqueSensor(BaseSensor):
     def read_torque(self) -> F64:
         """(N, n, 3) N m about the link's origin, link axes."""
         return self._last()[..., 3:6].copy()
-
-    def get_data(self) -> dict[str, torch.Tensor]:
-        """``force`` (N, n, 3) and ``torque`` (N, n, 3)."""
-        return {"force": to_tensor(self.read_force()), "torque": to_tensor(self.read_torque())}
 
 
 _DOWN = np.array([0.0, 0.0, -1.0])
@@ -137,6 +133,8 @@ class ImuSensor(BaseSensor):
     the acceleration stage: it is that of the last physics step, and after a reset that of the state
     that it left.
     """
+
+    reads = ("orientation", "angular_velocity", "acceleration", "projected_gravity")
 
     def read_orientation(self) -> F64:
         """(N, 4) wxyz: sensor axes in the world."""
@@ -158,16 +156,3 @@ class ImuSensor(BaseSensor):
         quat = self.read_orientation()
         down: F64 = quat_rotate(quat_conjugate(quat), np.broadcast_to(_DOWN, (len(quat), 3)))
         return down
-
-    def get_data(self) -> dict[str, torch.Tensor]:
-        """Return the four readings.
-
-        ``orientation`` (N, 4), ``angular_velocity``, ``acceleration`` and ``projected_gravity``
-        (N, 3) each.
-        """
-        return {
-            "orientation": to_tensor(self.read_orientation()),
-            "angular_velocity": to_tensor(self.read_angular_velocity()),
-            "acceleration": to_tensor(self.read_acceleration()),
-            "projected_gravity": to_tensor(self.read_projected_gravity()),
-        }
