@@ -84,8 +84,8 @@ class Job:
         """Attach the log, unless the config wants none; closing the environment finishes it."""
         if self.root.record.format == "none":
             return None
-        from embodichain.config.frozen import dump_yaml
-        from embodichain.config.newest import LOG
+        from embodichain.config.resolved import dump_yaml
+        from embodichain.config.run_folder import LOG
         from embodichain.recording import McapRecorder
 
         recorder = McapRecorder(
@@ -234,7 +234,8 @@ def execute(
         Interrupted: A signal came; what was written is complete up to there.
         Exception: Whatever `body` raises.
     """
-    from embodichain.config.run_folder import claim, write_record
+    from embodichain.config.resolved import write_record
+    from embodichain.config.run_folder import claim
 
     resolved = _pinned(resolved)
     if folder is None:
@@ -258,7 +259,7 @@ def execute(
 
 def _pinned(resolved: Resolved) -> Resolved:
     """Replace `last` and links by the folder that they mean now: the next run changes that."""
-    from embodichain.config.newest import CHECKPOINT, named_checkpoint, newest_run
+    from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
 
     policy = resolved.tree["policy"]
     last = policy == "last"

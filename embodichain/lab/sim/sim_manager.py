@@ -22,7 +22,7 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.compiler.chatter import DriveChange
+from embodichain.lab.sim.compiler.drives import DriveChange
 from embodichain.lab.sim.compiler.scene import CompiledScene
 from embodichain.lab.sim.engine.cpu import CpuEngine
 from embodichain.lab.sim.objects._arrays import as_env_ids
