@@ -201,7 +201,7 @@ def _follow(
     largest: dict[str, float] = {}
     simulation = None
     try:
-        for run in runs(reader, wanted=changes):
+        for run in runs(reader, wanted=lambda kind: changes(kind) or outcomes(kind)):
             if simulation is None:  # a start: so many environments are really in the file
                 simulation = Simulation(reader, *how)
                 largest = simulation.largest_error
