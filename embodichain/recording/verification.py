@@ -143,8 +143,7 @@ def _still_good_for(header: Header) -> str:
 def _select(header: Header, env: int | None) -> EnvIndex:
     if env is None:
         return np.arange(header.num_envs, dtype=np.int64)
-    if not 0 <= env < header.num_envs:
-        raise ConfigError(f"no environment {env} in the log: there are 0 to {header.num_envs - 1}")
+    header.check_env(env)
     return np.array([env], np.int64)
 
 
