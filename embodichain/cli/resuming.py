@@ -36,8 +36,9 @@ def resolve_resumed(overrides: Sequence[str]) -> Resolved:
     """
     import dataclasses
 
-    from embodichain.config.rerun import CONFIG, read_config
+    from embodichain.config.rerun import read_config
     from embodichain.config.resolved import resolve_tree
+    from embodichain.config.run_folder import CONFIG
     from embodichain.learning.checkpoint import read_note
     from embodichain.learning.keeper import find_resumable
     from embodichain.learning.train import check_training
@@ -90,8 +91,7 @@ def _parsed(overrides: Sequence[str]) -> dict[str, Any]:
 
 def _folder(name: Any, output_dir: Any) -> Path:
     """The run's folder; ``last`` is the newest training that has a checkpoint."""
-    from embodichain.config.rerun import CONFIG
-    from embodichain.config.run_folder import newest_run
+    from embodichain.config.run_folder import CONFIG, newest_run
 
     if name == "last":
         found = newest_run(str(output_dir), "checkpoints/*.zip")

@@ -77,7 +77,8 @@ def _learn(run: Job, stop: StopFlag) -> dict[str, Any]:
     """Learn until it ends or somebody stops it; returns what `summary.json` holds."""
     from embodichain.cli.dashboard import Dashboard
     from embodichain.config.algorithms import DEFAULT_ALGORITHM
-    from embodichain.learning.train import SUMMARY_FILE, train
+    from embodichain.config.run_folder import SUMMARY
+    from embodichain.learning.train import train
 
     started()
     root = run.root
@@ -99,7 +100,7 @@ def _learn(run: Job, stop: StopFlag) -> dict[str, Any]:
         # Interrupted: checkpoint and summary are written by then; the job says so and leaves.
         with suppress(Interrupted):
             train(run.resolved, run.folder, progress, attach)
-    summary: dict[str, Any] = json.loads((run.folder / SUMMARY_FILE).read_text())
+    summary: dict[str, Any] = json.loads((run.folder / SUMMARY).read_text())
     return {**summary, "folder": str(run.folder)}
 
 
