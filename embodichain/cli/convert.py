@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from embodichain.cli.app import common, verb
+from embodichain.cli.app import verb
 from embodichain.cli.output import print_json
 from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError, Problem
@@ -32,8 +32,7 @@ __all__ = ["command"]
 )
 @click.argument("file", metavar="FILE")
 @click.option("--output", "-o", metavar="OUT", help="A new file; else the terminal.")
-@common()
-def command(file: str, output: str | None, json: bool, traceback: bool) -> None:
+def command(file: str, output: str | None, json: bool) -> None:
     """Print the task, or write it to a new file; say on stderr what could not come along."""
     from embodichain.config.composed import compose
     from embodichain.config.gym_config import load_gym_config, override_of

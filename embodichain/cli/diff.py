@@ -5,8 +5,8 @@ from __future__ import annotations
 import sys
 from dataclasses import asdict
 
-from embodichain.cli import exits
-from embodichain.cli.app import common, log_argument, log_of, verb
+from embodichain.cli import process
+from embodichain.cli.app import log_argument, log_of, verb
 from embodichain.cli.output import print_json
 
 __all__ = ["command"]
@@ -19,8 +19,7 @@ __all__ = ["command"]
 )
 @log_argument("A", "a")
 @log_argument("B", "b")
-@common()
-def command(a: str, b: str, json: bool, traceback: bool) -> int:
+def command(a: str, b: str, json: bool) -> int:
     """Compare two logs; 1 if they differ."""
     from embodichain.recording.log_diff import diff
 
@@ -34,4 +33,4 @@ def command(a: str, b: str, json: bool, traceback: bool) -> int:
         if report.difference is not None:
             said = f"they differ first at {report.difference}"
         sys.stdout.write(f"{said}\n")
-    return exits.OK if report.same else exits.FAILED
+    return process.OK if report.same else process.FAILED

@@ -1,26 +1,51 @@
-"""A job: one run or training with its checked config, its folder and its log file."""
+"""A job: one run or training, from the command line to its folder, log, policy and viewer.
+
+A single job is composed with Hydra's compose API and executed here. Sweeps, ``--cfg`` and
+``--info`` go through Hydra's own `main`, see `embodichain.cli.sweeping`.
+"""
 
 from __future__ import annotations
 
+import logging
 import shlex
+import sys
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from embodichain.cli.logs import label_lines, log_to
-from embodichain.cli.process import StopFlag
+from embodichain.cli.app import command_line, split_overrides
+from embodichain.cli.process import Interrupted, StopFlag
+from embodichain.cli.reporting import ProgressDisplay, log_to, warn_if_public
+from embodichain.lab.gym.policies import Policy, resolve_policy
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.config.composed import Composed
     from embodichain.config.resolved import Resolved
     from embodichain.config.schema import RootCfg
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.recording import McapRecorder
+    from embodichain.recording.film import Filmed
 
-__all__ = ["FRESH", "LOG_FILE", "Body", "Job", "Verb", "execute", "resolved_job"]
+__all__ = [
+    "FRESH",
+    "Body",
+    "Job",
+    "Verb",
+    "check_extras",
+    "ended_early",
+    "execute",
+    "film_progress",
+    "job_options",
+    "policy_of",
+    "resolved_job",
+    "start",
+]
 
 LOG_FILE = "run.log"
+VIDEO = "rollout.mp4"
+"""A run's film, in its folder."""
 FRESH: dict[str, Any] = {
     **{"quiet": False, "json": False, "traceback": False, "resume": None, "allow_changed": False},
     **{"max_steps": None, "video": None, "total_timesteps": None, "algo": None},
@@ -28,6 +53,7 @@ FRESH: dict[str, Any] = {
 }
 """Root keys of a run's config that do not carry over to another run of it."""
 Verb = Literal["run", "train"]
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,10 +63,12 @@ class Job:
     Attributes:
         resolved: Its config.
         folder: Its own folder.
+        stop: Set by a signal; the job then ends after a whole step.
     """
 
     resolved: Resolved
     folder: Path
+    stop: StopFlag
 
     @property
     def root(self) -> RootCfg:
@@ -52,9 +80,125 @@ class Job:
         """Whether nothing is shown besides the result."""
         return self.root.quiet or self.root.json
 
+    def attach_log(self, env: BaseEnv) -> McapRecorder | None:
+        """Attach the log, unless the config wants none; closing the environment finishes it."""
+        if self.root.record.format == "none":
+            return None
+        from embodichain.config.resolved import dump_yaml
+        from embodichain.config.run_folder import LOG
+        from embodichain.recording import McapRecorder
 
-Body = Callable[[Job, StopFlag], float | None]
+        recorder = McapRecorder(
+            self.folder / LOG,
+            env,
+            config=dump_yaml(self.resolved.tree),
+            overrides=dump_yaml(list(self.resolved.overrides)),
+            options=self.root.record,
+            task=self.resolved.task_name,
+        )
+        env.add_observer(recorder)
+        return recorder
+
+    def attach_viewer(self, env: BaseEnv, *, realtime: bool = True, resets: bool = True) -> None:
+        """Attach the viewer that the config names; closing the environment closes it.
+
+        Args:
+            env: The environment, built.
+            realtime: Whether the run initially keeps to real time while the viewer is watched.
+            resets: Whether the viewer may end an episode.
+        """
+        cfg = self.root.viewer
+        if cfg.name == "foxglove":
+            from embodichain.recording.viewers.foxglove import FoxgloveView
+
+            shown = sorted({cfg.env, *self.root.record.view_envs})
+            live = FoxgloveView(env, cfg.host, cfg.port, shown, realtime=realtime)
+            env.add_observer(live)
+            url = live.server.url
+            where = f"{url} (Foxglove, Lichtblick: Open connection, Foxglove WebSocket)"
+        elif cfg.name == "web":
+            from embodichain.recording.viewers.web import PageOptions, WebView
+
+            page = PageOptions(cfg.host, cfg.port, cfg.env, realtime, resets)
+            view = WebView(env, page, stopped=self.stop.is_stopped)
+            env.add_observer(view)
+            url = where = view.url
+        else:
+            return
+        _log.info("viewer: %s", where)
+        if not self.quiet:
+            sys.stderr.write(f"viewer: {where}\n")
+        warn_if_public(cfg.host, url, controls=cfg.name == "web")
+
+    def film(self, log: str | Path | None) -> dict[str, str]:
+        """Film what was logged, if the config says so; comes last, when all else is written.
+
+        Args:
+            log: The log, finished; None without.
+
+        Returns:
+            ``video``, its path; nothing without a film. A signal ends the film after a picture,
+            which is a warning.
+
+        Raises:
+            RenderError: No picture can be drawn here.
+        """
+        if not self.root.video or log is None:
+            return {}
+        from embodichain.recording.film import film_log
+
+        out = self.folder / VIDEO
+        with ProgressDisplay("film", None, "pictures", quiet=self.quiet) as display:
+            progress = film_progress(display)
+            filmed = film_log(log, out, progress=progress, stop=self.stop.is_stopped)
+        if filmed.whole:
+            _log.info("%s: %d pictures", out, filmed.pictures)
+        else:
+            _log.warning("%s", ended_early(self.stop, filmed, out))
+        return {"video": str(out)} if filmed.pictures else {}
+
+
+Body = Callable[[Job], float | None]
 """What a job does; returns what a sweeper may optimise."""
+
+
+def start(verb: Verb, body: Body, options: Any) -> None:
+    """Do one job, or pass the command line to Hydra's `main`.
+
+    The config of every job is checked before the first starts.
+
+    Args:
+        verb: Whose jobs they are.
+        body: What a job does.
+        options: Of the command line.
+
+    Raises:
+        ConfigError: Wrong flags, or mistakes in the config of any job: nothing has started.
+    """
+    from embodichain.config.composed import compose
+
+    overrides = [*split_overrides(options.words), *job_options(options)]
+    if options.gym_config is not None:
+        from embodichain.config.gym_config import override_of
+
+        overrides.append(override_of(options.gym_config))
+    hydras = any(line.lstrip("+~").startswith(("hydra.", "hydra/")) for line in overrides)
+    prints = options.cfg is not None or options.info is not None
+    if prints or options.multirun or hydras:
+        from embodichain.cli.sweeping import call_hydra
+
+        call_hydra(verb, body, options, overrides)
+    else:
+        execute(resolved_job(compose(overrides, verb), verb), body, command_line())
+
+
+def job_options(options: Any) -> list[str]:
+    """Return `--quiet`, `--json` and `--traceback` as overrides.
+
+    The workers of a sweep get overrides only.
+    """
+    found = [f"{name}=true" for name in ("quiet", "json") if getattr(options, name)]
+    return [*found, *(["traceback=true"] if "--traceback" in command_line() else [])]
 
 
 def resolved_job(composed: Composed, verb: Verb) -> Resolved:
@@ -75,11 +219,7 @@ def resolved_job(composed: Composed, verb: Verb) -> Resolved:
 
 
 def execute(
-    resolved: Resolved,
-    body: Body,
-    command: Sequence[str],
-    folder: Path | None = None,
-    label: str | None = None,
+    resolved: Resolved, body: Body, command: Sequence[str], folder: Path | None = None
 ) -> float | None:
     """Do a job: give it its folder, and log what happens.
 
@@ -88,10 +228,10 @@ def execute(
         body: What it does.
         command: The command line, as typed.
         folder: Its folder; None claims a new one.
-        label: Begins the lines that it prints, where other jobs print at the same time.
 
     Raises:
         ConfigError: No folder can be made.
+        Interrupted: A signal came; what was written is complete up to there.
         Exception: Whatever `body` raises.
     """
     from embodichain.config.resolved import write_record
@@ -101,13 +241,18 @@ def execute(
     if folder is None:
         folder = claim(resolved.root.output_dir, resolved.task_name)
     write_record(folder, resolved, command)
-    labelled = nullcontext() if label is None else label_lines(label, json=resolved.root.json)
-    with labelled, log_to(folder / LOG_FILE) as log, StopFlag() as stop:
+    with log_to(folder / LOG_FILE) as log, StopFlag() as stop:
         log.info("command: %s", shlex.join(command))
         for note in resolved.notes:
             log.warning("%s", note)
+        job = Job(resolved, folder, stop)
+        if not job.quiet:
+            sys.stderr.write(f"{resolved.task_name}: {folder}\n")
         with resolved.locating():
-            value = body(Job(resolved, folder), stop)
+            check_extras(job.root)
+            value = body(job)
+        if stop.stopped is not None:
+            raise Interrupted(f"interrupted ({stop.stopped}); {folder} is complete up to there")
         log.info("done")
         return value
 
@@ -124,3 +269,65 @@ def _pinned(resolved: Resolved) -> Resolved:
     if path is None:
         raise ConfigError("policy: the training that 'last' meant is gone")
     return resolved.changed(policy=str(path.resolve()))
+
+
+def check_extras(root: RootCfg) -> None:
+    """Refuse a film or a viewer whose package is not installed.
+
+    Raises:
+        ConfigError: Names the extra.
+    """
+    if root.video:
+        from embodichain.utils.video import need_encoder
+
+        need_encoder()
+    if root.viewer.name == "foxglove":
+        from embodichain.recording.viewers.foxglove import need_sdk
+
+        need_sdk()
+
+
+def policy_of(
+    root: RootCfg, env: BaseEnv, policy: str | None = None, *, deterministic: bool = True
+) -> Policy:
+    """Return the policy by name, by import path, or from a training's folder or file.
+
+    Args:
+        root: The config.
+        env: Where it will act.
+        policy: Another one than the config's.
+        deterministic: Whether a trained one takes its mean action.
+
+    Raises:
+        ConfigError: There is no such policy, its parameters are wrong, or it was trained in
+            another task and ``allow_changed`` is not set.
+    """
+
+    def load(path: Path) -> Policy:
+        from embodichain.learning.policy import load_policy
+
+        changed = root.allow_changed
+        return load_policy(path, env, deterministic=deterministic, allow_changed=changed)
+
+    chosen = policy or root.policy or "random"
+    if not isinstance(chosen, str):
+        return resolve_policy({"func": chosen.func, "params": chosen.params}, load_file=load)
+    return resolve_policy(chosen, load_file=load)
+
+
+def film_progress(display: ProgressDisplay) -> Callable[[Filmed], None]:
+    """Return what shows how far a film is."""
+
+    def show(filmed: Filmed) -> None:
+        if display.due:
+            display.show(filmed.pictures, {"step": f"{filmed.step}"})
+
+    return show
+
+
+def ended_early(stop: StopFlag, filmed: Filmed, out: Path) -> str:
+    """Return what a film that a signal ended contains."""
+    if not filmed.pictures:
+        return f"interrupted ({stop.stopped}); {out} was not begun"
+    till = f"{filmed.pictures} pictures, up to control step {filmed.step}"
+    return f"interrupted ({stop.stopped}); {out} is a whole film of the first {till}"

@@ -1,10 +1,10 @@
-"""The process of a job: when garbage is collected, and what signals do.
+"""The process of a command: garbage collection, signals, exit codes, the report of an error.
 
 Imports and builds make a million objects and next to no garbage; looking through them again and
 again costs a fifth of the time to the first step. Python's `gc` manual describes this use of
 `gc.freeze`.
 
-Ctrl-C, SIGTERM and SIGUSR2 (what batch systems send some time before they kill, as with
+Ctrl-C, SIGTERM and SIGUSR2 (which batch systems send some time before they kill, as with
 `sbatch --signal=USR2@120`) end a run after its current step, a film after its current picture, and
 anything else at once; everything is closed on the way.
 """
@@ -15,20 +15,46 @@ import gc
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any
 
-from embodichain.cli.exits import Interrupted
+from embodichain.utils.errors import ConfigError
 
-__all__ = ["StopFlag", "signals_raise", "started", "starting"]
+__all__ = [
+    "FAILED",
+    "INTERRUPTED",
+    "OK",
+    "WRONG_INPUT",
+    "Interrupted",
+    "StopFlag",
+    "report",
+    "signals_raise",
+    "started",
+    "starting",
+]
 
+OK = 0
+FAILED = 1
+"""The run, or the check that was asked for, failed."""
+WRONG_INPUT = 2
+"""The user's input is wrong; nothing was started."""
+INTERRUPTED = 130
+"""Ctrl-C, SIGTERM or SIGUSR2; what was written is complete up to there."""
 _SIGNALS = [
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR2") if hasattr(signal, name)
 ]
 _TWICE = "interrupted twice: left without closing everything"
+
+
+class Interrupted(KeyboardInterrupt):
+    """A signal ended the run after everything was closed.
+
+    A KeyboardInterrupt, so that a sweep ends with its job.
+    """
 
 
 @contextmanager
@@ -42,7 +68,7 @@ def starting() -> Iterator[None]:
 
 
 def started() -> None:
-    """Collect again; what was there before, modules above all, is not looked through any more."""
+    """Collect again, except for the objects that exist already, most of them modules."""
     if not gc.isenabled():
         _freeze()
         gc.enable()
@@ -58,14 +84,14 @@ def _freeze() -> None:
 def signals_raise() -> Iterator[None]:
     """Within it a signal raises `Interrupted`: files that are being written are removed on the way.
 
-    The same signals again are ignored meanwhile, but for Ctrl-C, which leaves at once. Where a
-    `StopFlag` is up, that is what signals set.
+    The same signals again are ignored meanwhile, but for Ctrl-C, which leaves at once. Within a
+    `StopFlag`, signals set the flag instead.
 
     Python ignores what is raised in a finalizer or a callback of a weak reference, where a signal
     may arrive as anywhere else. The signal is then delivered again, shortly after.
     """
     came: list[str] = []
-    report = sys.unraisablehook
+    hook = sys.unraisablehook
 
     def handle(number: int, frame: FrameType | None) -> None:
         name = signal.Signals(number).name
@@ -77,7 +103,7 @@ def signals_raise() -> Iterator[None]:
 
     def deliver_again(ignored: sys.UnraisableHookArgs) -> None:
         if not isinstance(ignored.exc_value, Interrupted):
-            report(ignored)
+            hook(ignored)
             return
         number = signal.Signals[came.pop()]
         main = threading.main_thread().ident
@@ -88,12 +114,12 @@ def signals_raise() -> Iterator[None]:
         with _handled_by(handle):
             yield
     finally:
-        sys.unraisablehook = report
+        sys.unraisablehook = hook
 
 
 @contextmanager
 def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Give our signals to a handler; outside the main thread nothing can, and nothing changes."""
+    """Handle our signals; outside the main thread Python cannot, and nothing changes."""
     before: dict[signal.Signals, Any] = {}
     if threading.current_thread() is threading.main_thread():
         before = {number: signal.signal(number, handler) for number in _SIGNALS}
@@ -107,8 +133,8 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
 class StopFlag:
     """Within a ``with`` block, the first signal sets `stopped`; a second Ctrl-C raises at once.
 
-    Outside the main thread (a sweep's worker may be a thread) signals cannot be handled, and the
-    flag stays down.
+    Outside the main thread (a sweep's worker may be a thread) signals cannot be handled, and
+    `stopped` stays None.
 
     Attributes:
         stopped: Name of the signal that came (``SIGINT``), or None.
@@ -116,7 +142,7 @@ class StopFlag:
 
     def __init__(self) -> None:
         self.stopped: str | None = None
-        self._handled = _handled_by(self._raise_flag)
+        self._handled = _handled_by(self._stop)
 
     def is_stopped(self) -> bool:
         """Return whether a signal came."""
@@ -126,15 +152,47 @@ class StopFlag:
         self._handled.__enter__()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._handled.__exit__(None, None, None)
 
-    def _raise_flag(self, number: int, frame: FrameType | None) -> None:
+    def _stop(self, number: int, frame: FrameType | None) -> None:
         if self.stopped is not None and number == signal.SIGINT:
             raise KeyboardInterrupt(_TWICE)
         self.stopped = signal.Signals(number).name
+
+
+def report(error: BaseException, *, full: bool = False) -> int:
+    """Print on stderr what went wrong and return the exit code.
+
+    Args:
+        error: What was raised.
+        full: Whether to print the whole traceback (`--traceback`).
+
+    Returns:
+        2 when the user's input is wrong, 130 when a signal ended the run, else 1.
+    """
+    if full and not isinstance(error, Interrupted):
+        traceback.print_exception(error, file=sys.stderr)
+    if isinstance(error, KeyboardInterrupt):
+        code, text = INTERRUPTED, str(error) or "interrupted"
+    elif not isinstance(error, ConfigError):
+        hint = "" if full else "\n(--traceback shows where it happened)"
+        code, text = FAILED, f"error: {_line(error)}{hint}"
+    elif len(error.problems) < 2:
+        code, text = WRONG_INPUT, f"error: {error}"
+    else:  # one paragraph each; what a mistake lists is indented below it
+        mistakes = (str(problem).replace("\n", "\n    ") for problem in error.problems)
+        lines = [f"{len(error.problems)} mistakes:", *(f"  {text}" for text in mistakes)]
+        code, text = WRONG_INPUT, "\n".join(lines)
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
+    return code
+
+
+def _line(error: BaseException) -> str:
+    """The exception in one line: its type, unless it is our own and says enough."""
+    text = " ".join(str(error).split())
+    name = type(error).__name__
+    if type(error).__module__.startswith("embodichain."):
+        return text or name
+    return f"{name}: {text}" if text else name

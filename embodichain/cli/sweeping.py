@@ -14,7 +14,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -24,6 +24,7 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
+from embodichain.cli.app import command_line
 from embodichain.cli.jobs import Body, Verb, execute, resolved_job
 from embodichain.config.composed import WITHOUT_TASK, compose, from_hydra, relax
 from embodichain.config.hydra_loader import VERSION_BASE, config_loader
@@ -39,9 +40,7 @@ _MOST_CHECKED_JOBS = 64
 _ONE_BY_ONE = "BasicLauncher"
 
 
-def call_hydra(
-    verb: Verb, body: Body, options: Any, overrides: Sequence[str], typed: Sequence[str]
-) -> None:
+def call_hydra(verb: Verb, body: Body, options: Any, overrides: Sequence[str]) -> None:
     """Call Hydra's `main` for a verb; its exceptions come out as they are.
 
     Args:
@@ -49,12 +48,12 @@ def call_hydra(
         body: What a job does.
         options: `cfg`, `info`, `multirun`, `package`, `resolve`.
         overrides: As typed.
-        typed: The command line.
 
     Raises:
         ConfigError: Mistakes in the config of any job: nothing has started.
     """
     keys: list[str] = []
+    typed = command_line()
     gym = any(line.lstrip("+").startswith("gym_config=") for line in overrides)
     if options.cfg is not None or options.info is not None:
         if options.cfg is not None and gym:
@@ -76,7 +75,8 @@ def call_hydra(
         resolved, folder = resolve(from_hydra(), verb), None
         if HydraConfig.get().mode == RunMode.MULTIRUN:
             folder = adopt(HydraConfig.get().runtime.output_dir)
-        return execute(resolved, body, typed, folder, _label(keys))
+        with _labelled_lines(_label(keys), json=resolved.root.json):
+            return execute(resolved, body, typed, folder)
 
     with config_loader() as loader:
         relaxed = relax(overrides, loader)
@@ -165,6 +165,56 @@ def _label(keys: Sequence[str]) -> str | None:
     lines = [line.lstrip("+") for line in config.overrides.task]
     point = [line for line in lines if line.partition("=")[0] in keys]
     return f"[{' '.join([str(config.job.num), *point])}] "
+
+
+@contextmanager
+def _labelled_lines(label: str | None, *, json: bool) -> Iterator[None]:
+    """Begin each line that is printed within with a label.
+
+    Args:
+        label: The label and a blank; None changes nothing.
+        json: Whether stdout is for programs: its lines then stay as they are.
+    """
+    before = sys.stdout, sys.stderr
+    if label is not None:
+        sys.stderr = _Labelled(sys.stderr, label)
+        sys.stdout = sys.stdout if json else _Labelled(sys.stdout, label)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        sys.stdout, sys.stderr = before
+
+
+class _Labelled:
+    """A text stream whose lines begin with a label; each is written as a whole.
+
+    It is no terminal, whatever is below: bars of several jobs would overwrite each other.
+    """
+
+    def __init__(self, stream: TextIO, label: str) -> None:
+        self._stream, self._label, self._rest = stream, label, ""
+
+    def write(self, text: str) -> int:
+        *lines, self._rest = (self._rest + text).split("\n")
+        if lines:
+            self._stream.write(
+                "".join(f"{self._label}{line}\n" if line else "\n" for line in lines)
+            )
+            self._stream.flush()
+        return len(text)
+
+    def flush(self) -> None:
+        """Write what is left, as a line."""
+        if self._rest:
+            self.write("\n")
+
+    def isatty(self) -> bool:
+        return False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 def _flags(options: Any) -> list[str]:

@@ -1,4 +1,4 @@
-"""What `eval`, `play` and `export` are pointed at: a training, a policy's file, a policy's name."""
+"""The policy that `eval`, `play` and `export` are given: a training, a file, or a name."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from embodichain.utils.errors import ConfigError
 if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
 
-__all__ = ["Target", "find_target", "one_target", "split_words", "take"]
+__all__ = ["Target", "find_target", "one_target", "take"]
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What is meant.
+    """A policy.
 
     Attributes:
         policy: A file's path, or the policy's name.
@@ -66,10 +66,8 @@ def find_target(name: str, output_root: str = "outputs") -> Target:
         if newest is None:
             raise ConfigError(f"no training in {output_root} yet: embodichain train task=NAME")
         path = newest
-    elif not path.exists() and "/" not in name and not path.suffix:
-        return Target(name, None, None)  # zero, random, ...
-    elif not path.exists() and ":" in name:
-        return Target(name, None, None)  # package.module:function
+    elif not path.exists() and (":" in name or ("/" not in name and not path.suffix)):
+        return Target(name, None, None)  # package.module:function; zero, random, ...
     from embodichain.learning.checkpoint import find_checkpoint
 
     file = find_checkpoint(path).resolve()
@@ -79,6 +77,8 @@ def find_target(name: str, output_root: str = "outputs") -> Target:
 def one_target(action: str, words: Sequence[str]) -> tuple[Target, list[str]]:
     """Return the one policy that words name, and the overrides among them.
 
+    Overrides are ``key=value`` and ``~key``; a file that exists is a name.
+
     Args:
         action: What the verb does with it, for messages.
         words: As typed.
@@ -86,7 +86,9 @@ def one_target(action: str, words: Sequence[str]) -> tuple[Target, list[str]]:
     Raises:
         ConfigError: They name none or several, or it is not there.
     """
-    names, lines = split_words(words)
+    marked = [word for word in words if "=" in word or word.startswith("~")]
+    lines = [word for word in marked if not Path(word).exists()]
+    names = [word for word in words if word not in lines]
     if len(names) != 1:
         raise ConfigError(
             f"{action} what? One of: RUN (a training's folder), last, PATH (a policy)"
@@ -95,18 +97,11 @@ def one_target(action: str, words: Sequence[str]) -> tuple[Target, list[str]]:
     return find_target(names[0], roots[-1] if roots else "outputs"), lines
 
 
-def split_words(words: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Tell what names something from overrides (``key=value``, ``~key``); what exists is a name."""
-    marked = [word for word in words if "=" in word or word.startswith("~")]
-    overrides = [word for word in marked if not Path(word).exists()]
-    return [word for word in words if word not in overrides], overrides
-
-
-def take(overrides: list[str], key: str) -> str | None:
-    """Remove ``key=value`` from overrides and return its last value, None without any."""
+def take(overrides: list[str], key: str, default: str) -> str:
+    """Remove ``key=value`` from overrides and return its last value, or the default."""
     found = [line for line in overrides if line.partition("=")[0].lstrip("+") == key]
     overrides[:] = [line for line in overrides if line not in found]
-    return found[-1].partition("=")[2] if found else None
+    return found[-1].partition("=")[2] if found else default
 
 
 def _run_of(file: Path) -> Path | None:

@@ -10,8 +10,14 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from embodichain.data.menagerie import PREFIX, main_file, menagerie_models, robot_files
-from embodichain.data.places import Place, places
+from embodichain.data.places import (
+    PREFIX,
+    Place,
+    main_file,
+    menagerie_models,
+    places,
+    robot_files,
+)
 
 __all__ = ["Asset", "list_assets", "list_robots"]
 

@@ -8,16 +8,24 @@ from __future__ import annotations
 
 import os
 import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from embodichain.data.catalog import list_robots
-from embodichain.data.errors import DataNotFoundError
-from embodichain.data.menagerie import HOW, PREFIX, find_model, menagerie_models
-from embodichain.data.places import package_parents, places, python_package
+from embodichain.data.places import (
+    HOW,
+    PREFIX,
+    DataNotFoundError,
+    find_model,
+    menagerie_models,
+    package_parents,
+    places,
+    python_package,
+)
 from embodichain.utils.suggest import closest
 
-__all__ = ["get_data_path", "resolve_package_uri"]
+__all__ = ["fault_of", "get_data_path", "resolve_package_uri"]
 
 # package:///NAME/x and package:/NAME/x are seen in the wild for package://NAME/x
 _PACKAGE = re.compile(r"package:/+(?P<package>[^/]+)(?:/(?P<rest>.*))?$")
@@ -29,7 +37,7 @@ def get_data_path(name: str | os.PathLike[str], near: str | os.PathLike[str] | N
     """Return the absolute path of a robot or object file (or folder).
 
     The first that exists is taken of: an absolute path; ``package://NAME/...`` (see
-    `resolve_package_uri`); ``menagerie:NAME`` (see `menagerie.find_model`); the name beside `near`;
+    `resolve_package_uri`); ``menagerie:NAME`` (see `places.find_model`); the name beside `near`;
     in the working directory; in ``$EMBODICHAIN_DATA_ROOT`` (``~/.cache/embodichain_data``); bundled
     with this package; in example-robot-data, if installed; in a mujoco_menagerie that
     robot_descriptions has cached.
@@ -170,3 +178,42 @@ def _advice(name: str) -> str:
             "What is here: `embodichain list robots`."
         )
     return "What is here: `embodichain list robots`. Your own files: $EMBODICHAIN_DATA_ROOT."
+
+
+# -- why a model cannot load ----------------------------------------------------------------------
+
+
+def fault_of(path: Path) -> str:
+    """Return what keeps a URDF or MJCF file from loading, as far as its text tells, or ``""``."""
+    try:
+        root = ET.fromstring(path.read_bytes())
+    except ET.ParseError as error:
+        return f"not well-formed XML: {error}"
+    except OSError as error:
+        return f"cannot be read: {error.strerror}"
+    return _of_mjcf(root) if root.tag == "mujoco" else _of_urdf(path, root)
+
+
+def _of_mjcf(root: ET.Element) -> str:
+    whole = root.find("worldbody") is not None or root.find(".//include") is not None
+    return "" if whole else "it has no <worldbody>: a part that other files include"
+
+
+def _of_urdf(path: Path, root: ET.Element) -> str:
+    if any("xacro" in str(element.tag) for element in root.iter()):
+        return "xacro has to be expanded to URDF first"
+    if root.find("link") is None:
+        return "the robot has no <link>"
+    names = {mesh.get("filename", "") for mesh in root.iterfind("link/*/geometry/mesh")}
+    missing = sorted(name for name in names if not _exists(name, path))
+    if not missing:
+        return ""
+    return f"{len(missing)} of {len(names)} mesh files are missing, such as {missing[0]}"
+
+
+def _exists(name: str, path: Path) -> bool:
+    try:
+        resolve_package_uri(name, near=path)
+    except (DataNotFoundError, ValueError):
+        return False
+    return True

@@ -1,4 +1,4 @@
-"""Small helpers that know nothing of simulation: poses, random streams, errors, config classes."""
+"""Helpers independent of simulation: poses, random streams, errors, config classes."""
 
 # EmbodiChain's scripts import the decorator, not the module of the same name, from here. The module
 # is loaded by this line, so that no later import can put itself in the decorator's place.

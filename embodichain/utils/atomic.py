@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all: written beside their place, then renamed or linked."""
+"""Files that appear complete or not at all: written under another name, then renamed or linked."""
 
 from __future__ import annotations
 

@@ -46,7 +46,7 @@ class EmbodichainError(Exception):
 
 
 class ConfigError(EmbodichainError, ValueError):
-    """The user's configuration is wrong; holds every mistake found, not only the first.
+    """The user's configuration is wrong; lists every mistake found, not only the first.
 
     Args:
         problems: The mistakes, or one line that describes a single one.
@@ -64,4 +64,4 @@ class DeviceError(ConfigError):
 
 
 class RenderError(EmbodichainError, RuntimeError):
-    """No picture can be made here; the message names the package that would help."""
+    """No picture can be rendered on this machine; the message names the missing package."""

@@ -1,7 +1,4 @@
-"""Names in messages: the closest match of a misspelt one, and what there is.
-
-Knows nothing of what the names are.
-"""
+"""Names in messages: the closest match of a misspelt one, and a list of the known ones."""
 
 from __future__ import annotations
 
@@ -48,11 +45,11 @@ def closest(word: str, candidates: Iterable[str], n: int = 1, cutoff: float = 0.
 
 
 def listing(names: Iterable[str], word: str = "", shown_by: str = "") -> str:
-    """Return what there is, for a message: up to 20 names, of more those closest to a word.
+    """Return known names for a message: up to 20 names, of more those closest to a word.
 
     Args:
-        names: What there is.
-        word: What was written; without one the first names stand for the rest.
+        names: The known names.
+        word: What was written; without it the first names are listed.
         shown_by: The command that lists all of them.
 
     Returns:

@@ -1,17 +1,22 @@
-"""What pydantic says of a value, in words: one message for the errors at one place.
+"""What pydantic says of a value, in words; configs from nested plain values (`from_dict`).
 
-Callers give the place its path, and know which keys are allowed there.
+Callers give the place of a value its path, and know which keys are allowed there. YAML is checked
+by `embodichain.config`, which knows files and lines; `from_dict` is for Python.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pydantic import TypeAdapter, ValidationError
+
+from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["ErrorDetails", "show_value", "unknown_key", "what_is_wrong"]
+__all__ = ["ErrorDetails", "from_dict", "show_value", "unknown_key", "what_is_wrong"]
 
 ErrorDetails = Mapping[str, Any]
 """One entry of `ValidationError.errors()`."""
@@ -94,3 +99,30 @@ def _expected(error: ErrorDetails, patterns: Mapping[str, str]) -> str:
 
 def _choices(error: ErrorDetails) -> list[str]:
     return re.findall(r"'([^']*)'", error.get("ctx", {}).get("expected", ""))
+
+
+def from_dict(cls: type[Any], init_dict: dict[str, Any]) -> Any:
+    """Return ``cls`` built from nested plain values.
+
+    Args:
+        cls: A configclass.
+        init_dict: Keys are its fields; nested configs are dicts.
+
+    Raises:
+        ConfigError: Lists every unknown key, wrong type and value out of range.
+    """
+    try:
+        return TypeAdapter(cls).validate_python(init_dict)
+    except ValidationError as error:
+        names = [f.name for f in dataclasses.fields(cls)]
+        problems = []
+        for found in error.errors():
+            path = [str(part) for part in found["loc"]]
+            if found["type"] != "unexpected_keyword_argument":
+                message, hint = what_is_wrong([found])
+            elif len(path) == 1:
+                message, hint = unknown_key(path[0], names)
+            else:
+                message, hint = "unknown key", ""
+            problems.append(Problem(".".join(path), message, hint))
+        raise ConfigError(problems) from error

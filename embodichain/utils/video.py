@@ -1,7 +1,4 @@
-"""`VideoFile`: pictures become an MP4 while they come; needs the extra `video` (imageio-ffmpeg).
-
-What is filmed, and how pictures are made, is known elsewhere.
-"""
+"""`VideoFile`: an MP4 written picture by picture; needs the extra `video` (imageio-ffmpeg)."""
 
 from __future__ import annotations
 
@@ -32,12 +29,12 @@ def need_encoder() -> None:
 
 
 class VideoFile:
-    """One MP4 (H.264, yuv420p), written as pictures come; it has its name once it is complete.
+    """One MP4 (H.264, yuv420p); it gets its name when it is complete.
 
-    As a context it is closed at the end, and discarded if that is an exception.
+    As a context manager it is closed at the end, and discarded after an exception.
 
     Args:
-        path: Where it goes; a number is added to the name if it exists already when it is closed.
+        path: The file; a number is added to the name if it exists already when it is closed.
         size: Width and height in pixels, both even.
         fps: Pictures a second.
         options: More for the encoder, as ffmpeg's command takes them.

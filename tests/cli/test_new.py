@@ -134,7 +134,7 @@ def test_nothing_is_overwritten(capsys: pytest.CaptureFixture[str]) -> None:
         (("task", "2fast"), "is no name for a task"),
         (("task", "reach"), "there is a task 'reach' already"),
         (("task", "json", "--python"), "Python has a module 'json' already"),
-        (("taks", "mine"), "Did you mean 'task'?"),
+        (("taks", "mine"), "Invalid value for 'task': 'taks' is not 'task'."),
         (("task",), "NAME"),
         (("task", "mine", "--pyhton"), "Did you mean '--python'?"),
     ],

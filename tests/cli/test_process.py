@@ -6,7 +6,7 @@ import textwrap
 
 import pytest
 
-from embodichain.cli.exits import Interrupted
+from embodichain.cli.process import Interrupted
 
 ARRIVES_IN = {
     "a callback of a weak reference": "weakref.ref(target, lambda _: os.kill(os.getpid(), 15))",

@@ -15,7 +15,7 @@ from embodichain.lab.gym.envs.managers.registry import SECTIONS, TERMS, Kind
 from embodichain.lab.gym.utils.registration import REGISTERED_ENVS
 from embodichain.lab.sim.cfg import RenderCfg, SimulationManagerCfg
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.from_dict import from_dict
+from embodichain.utils.type_errors import from_dict
 
 __all__ = ["FUNCTORS", "checked_cfg", "config_to_cfg"]
 

@@ -17,6 +17,7 @@ from embodichain.lab.gym.envs.managers.param_types import (
     Box3,
     NonNegative,
     Positive,
+    Range,
     Ranges,
     ScaleRange,
 )
@@ -138,7 +139,7 @@ ACTIONS: Final[Mapping[str, Alias]] = {
     "joint_effort": alias("joint_action", only=_AFFINE, control="effort", clip=_UNIT),
 }
 
-# -- events: `randomize` and `randomize_pose` -----------------------------------------------------
+# -- events: `randomize`, `reset_joints`, `randomize_pose` ----------------------------------------
 
 _WAYS = ("operation", "distribution")
 _DRAW = ("distribution",)
@@ -188,6 +189,30 @@ def _links(
         raise ConfigError([Problem("link_names", "entity_cfg names links already")])
     found: ResolvedEntity = env.scene_entity({"uid": entity_cfg.uid, "link_names": link_names})
     return found
+
+
+def _joints(
+    env: Any, entity_cfg: ResolvedEntity, joint_ids: list[int] | None = None
+) -> ResolvedEntity:
+    """A robot with joints that are picked by a parameter of their own.
+
+    Args:
+        entity_cfg: The robot; its joint names or control parts pick joints.
+        joint_ids: Picks joints by index instead.
+    """
+    if joint_ids is None:
+        return entity_cfg
+    found: ResolvedEntity = env.scene_entity({"uid": entity_cfg.uid, "joint_ids": joint_ids})
+    return found
+
+
+def _of_position(env: Any, relative_qpos: bool = True) -> Operation:
+    """What a drawn position does to the initial one.
+
+    Args:
+        relative_qpos: True adds the draw to the initial position, False takes it as the position.
+    """
+    return "add" if relative_qpos else "abs"
 
 
 _MASS: Final[Mapping[str, Any]] = {
@@ -275,6 +300,26 @@ EVENTS: Final[Mapping[str, Alias]] = {
         entity_cfgs=P("entity_cfgs", needed=True, hint=list[ResolvedEntity]),
         scale=_range("scale_factor_range", ScaleRange),
         example="{entity_cfgs: [{uid: cube}, {uid: goal}], scale_factor_range: [0.9, 1.1]}",
+    ),
+    "reset_joints_by_offset": alias(
+        "reset_joints",
+        only=("entity_cfg", "velocity_range"),
+        position_range=P("position_range", hint=Range),
+    ),
+    "reset_joints_by_scale": alias(
+        "reset_joints",
+        only=("entity_cfg",),
+        position_range=P("position_range", hint=Range),
+        operation="scale",
+        example="{entity_cfg: {uid: ur10}, position_range: [0.9, 1.1]}",
+    ),
+    "randomize_robot_qpos": alias(
+        "reset_joints",
+        only=(),
+        entity_cfg=_joints,
+        position_range=P("qpos_range"),
+        operation=_of_position,
+        example="{entity_cfg: {uid: ur10}, qpos_range: [-0.1, 0.1]}",
     ),
     "randomize_rigid_object_pose": alias("randomize_pose", only=_PLACE, entity_cfg=_OBJECT),
     "randomize_articulation_root_pose": alias(

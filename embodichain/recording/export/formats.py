@@ -29,7 +29,6 @@ __all__ = [
     "FORMATS",
     "Format",
     "Part",
-    "Posed",
     "about",
     "demonstrations",
     "export",
@@ -242,23 +241,11 @@ def demonstrations(log: Log, part: Part) -> list[tuple[LogEpisode, range]]:
     return chosen
 
 
-class Posed(NamedTuple):
-    """One environment in one control step; arrays and data change with the next one.
-
-    Attributes:
-        step: The control step.
-        data: The state that physics received, with kinematics; `data.model` has the environment's
-            own fields.
-        changed: Whether the model differs from that of the step before.
-    """
-
-    step: int
-    data: mujoco.MjData
-    changed: bool
-
-
-def poses(log: Log, env: int, part: Part) -> Iterator[Posed]:
+def poses(log: Log, env: int, part: Part) -> Iterator[tuple[int, mujoco.MjData, bool]]:
     """Yield the control steps of a part of one environment.
+
+    Each with the state that physics received and its kinematics, in data that the next one
+    changes, and whether `data.model`, the environment's own, differs from that of the step before.
 
     Raises:
         ConfigError: If the part does not exist.
@@ -273,4 +260,4 @@ def poses(log: Log, env: int, part: Part) -> Iterator[Posed]:
         state = playback.engine.rows[0]
         mujoco.mj_setState(data.model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
         mujoco.mj_kinematics(data.model, data)
-        yield Posed(step, data, changed)
+        yield step, data, changed

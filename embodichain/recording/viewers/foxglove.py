@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
-from embodichain.lab.sim.engine.base import EnvIndex, Write
+from embodichain.lab.sim.engine.api import EnvIndex, Write
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.options import RecordOptions, check_options
 from embodichain.recording.schema import descriptor_set

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from embodichain.lab.gym.envs.observers import StepObserver, StepRecord
-from embodichain.lab.sim.engine.base import EnvIndex, Write
+from embodichain.lab.sim.engine.api import EnvIndex, Write
 from embodichain.recording.viewers.web_page import LOOKS, Facts, PageOptions, WebPage
 
 if TYPE_CHECKING:

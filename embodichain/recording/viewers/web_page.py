@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.engine.api import F64
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:

@@ -10,8 +10,8 @@ from pydantic import Field
 from embodichain.lab.sim.cfg import ObjectBaseCfg, Quat, Vec3
 from embodichain.utils.configclass import configclass
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.from_dict import from_dict
 from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.type_errors import from_dict
 
 __all__ = [
     "AnySensorCfg",

@@ -45,6 +45,7 @@ __all__ = [
     "ForceTorqueOf",
     "Fraction",
     "ImuOf",
+    "JointRange",
     "Joints",
     "NamedEntity",
     "NonNegative",
@@ -149,6 +150,11 @@ RangeOrBox = Annotated[
     Discriminator(_axis_form),
 ]
 """[low, high], or [[x, y, z] low, [x, y, z] high]."""
+JointRange = Annotated[
+    Annotated[Range, Tag("for all")] | Annotated[Box, Tag("by axis")],
+    Discriminator(_axis_form),
+]
+"""[low, high] for all joints, or [[low of each joint], [high of each]]."""
 BoundsOrBox = Annotated[
     Annotated[Bounds, Tag("for all")] | Annotated[Box, Tag("by axis")],
     Discriminator(_axis_form),

@@ -18,8 +18,8 @@ from pydantic import GetCoreSchemaHandler
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
 from embodichain.lab.sim.body_motion import BodyMotion, Frame, origin_velocities
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.from_dict import from_dict
 from embodichain.utils.math import quat_conjugate, quat_multiply, quat_rotate
+from embodichain.utils.type_errors import from_dict
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
