@@ -308,7 +308,9 @@ def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
         if not override.key_or_group:
             problems.append(_malformed(line, HydraException("the key is missing")))
         elif override.is_sweep_override():
-            problems.append(_sweep(override))
+            key = override.key_or_group
+            message = f"{line!r} is a sweep: add -m to run every value, or write {key}=[...] for a "
+            problems.append(Problem(key, f"{message}list", source=COMMAND_LINE))
         elif _is_hydras(override):
             for_hydra.append(line)
         elif options := loader.get_group_options(override.key_or_group):
@@ -385,14 +387,6 @@ def _malformed(line: str, error: HydraException) -> Problem:
     reason = str(error).splitlines()[0]
     message = f"malformed override {line!r}: {reason}; expected key=value, +key=value or ~key"
     return Problem("", message, source=COMMAND_LINE)
-
-
-def _sweep(override: Override) -> Problem:
-    message = (
-        f"{override.input_line!r} is a sweep: add -m to run every value, or write "
-        f"{override.key_or_group}=[...] for a list"
-    )
-    return Problem(override.key_or_group, message, source=COMMAND_LINE)
 
 
 def _check_option(override: Override, options: list[str]) -> Problem | None:

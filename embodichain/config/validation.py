@@ -268,9 +268,9 @@ def _check_suggested(tree: Mapping[str, Any]) -> list[Problem]:
             if name not in allowed:
                 problems.append(Problem(f"{path}.{name}", *unknown_key(name, allowed)))
         known = {k: v for k, v in values.items() if k in allowed}
-        found = check_types({"task": {}, **known}) if known else None
-        for p in found.problems if found is not None else []:
-            problems.append(Problem(f"{path}.{p.path}", p.message, p.hint))
+        if known:
+            found = check_types({"task": {}, **known}).problems
+            problems += [replace(p, path=f"{path}.{p.path}") for p in found]
     return problems
 
 
