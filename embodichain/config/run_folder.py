@@ -19,6 +19,7 @@ __all__ = [
     "CHECKPOINT",
     "CONFIG",
     "LOG",
+    "SUMMARY",
     "adopt",
     "claim",
     "find_run",
@@ -33,6 +34,8 @@ LOG = "rollout.mcap"
 """A run's log."""
 CHECKPOINT = "checkpoints/final.zip"
 """A training's policy."""
+SUMMARY = "summary.json"
+"""What a run found."""
 LATEST = "latest"
 _MOST_SUFFIXES = 10_000
 _PACKAGES = (

@@ -38,13 +38,12 @@ _MEMBERS = ("data", "policy.pth")
 
 
 def save_checkpoint(model: BaseAlgorithm, path: Path, note: Mapping[str, Any]) -> None:
-    """Write a model under a temporary name, then rename it: readers see all of it or none.
+    """Write a model, whole or not at all.
 
     Args:
         model: The model; gets the note as an attribute.
         path: Where to; the folder is made.
-        note: What a reader must know before loading: plain JSON with ``algo`` and ``group``, and
-            what the task was (`DIGEST`).
+        note: Plain JSON with ``algo``, ``group``, and what the task was (`DIGEST`).
 
     Raises:
         OSError: It cannot be written (the disk is full); nothing is left behind.

@@ -14,6 +14,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from embodichain.config.run_folder import SUMMARY
 from embodichain.learning.statistics import Estimate, bootstrap, estimate
 from embodichain.utils.errors import ConfigError
 
@@ -30,7 +31,6 @@ __all__ = [
 ]
 
 PROGRESS = "progress.csv"
-SUMMARY = "summary.json"
 STEPS, RETURN, SUCCESS = "time/total_timesteps", "rollout/ep_rew_mean", "rollout/success_rate"
 LENGTH = "rollout/ep_len_mean"
 """Columns of Stable-Baselines3's logger."""

@@ -11,9 +11,14 @@ from typing import Any
 from embodichain.learning.checkpoint import CHECKPOINTS, FINAL, read_note, save_checkpoint
 from embodichain.learning.normalization import save_statistics, statistics_path
 from embodichain.learning.plain_state import read_tree, write_tree
-from embodichain.learning.replay_buffer import buffer_of, buffer_path, full_size, save_buffer
 from embodichain.learning.session import Session
-from embodichain.learning.training_state import capture
+from embodichain.learning.training_state import (
+    buffer_of,
+    buffer_path,
+    capture,
+    full_size,
+    save_buffer,
+)
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 __all__ = [
@@ -40,7 +45,7 @@ class CheckpointKeeper:
         session: The training.
         note: What the zips say of themselves; gets ``env_steps``.
         every: Environment steps between two.
-        keep: How many are kept.
+        keep: How many of the newest are kept.
         replay_buffer: Whether those that a training can go on from have the replay buffer.
     """
 

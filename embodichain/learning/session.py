@@ -19,9 +19,11 @@ from stable_baselines3.common.logger import KVWriter
 
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.normalization import load_statistics, statistics_path
-from embodichain.learning.replay_buffer import buffer_of, buffer_path, load_buffer
 from embodichain.learning.train_logs import log_episode, log_interval, make_logger
 from embodichain.learning.training_state import (
+    buffer_of,
+    buffer_path,
+    load_buffer,
     load_parameters,
     restore,
     restore_exploration,
