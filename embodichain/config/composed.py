@@ -65,8 +65,8 @@ class Composed:
         choices: The option of each group.
         locator: Where each key was set.
         problems: What went wrong so far.
-        usable: Whether `tree` is whole; otherwise its values besides the task are there at best,
-            and only their types can be checked.
+        usable: Whether `tree` is whole; otherwise it has values of the root at best, and only
+            their types can be checked.
         notes: What of a gym config was left out or is read otherwise.
     """
 
@@ -224,7 +224,7 @@ def _algorithm(
 ) -> str | None:
     """The option of `algo` that a null choice means: named by a key, suggested, else ppo.
 
-    A name that is no option is left for the check of types to report where it stands.
+    A name that is no option is left for the check of types to report with its place.
     """
     if config.hydra.runtime.choices.get("algo", "") is not None:
         return None

@@ -98,7 +98,7 @@ def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
 
 
 def _check_once(key: str, value: int, overrides: Sequence[str]) -> None:
-    """Refuse a value that stands both in an argument and in an override: one would be dropped."""
+    """Refuse a value given both as an argument and in an override: one would be dropped."""
     for line in overrides:
         if line.partition("=")[0].lstrip("+") == key:
             raise ConfigError(f"{key} is given twice: {value} as argument, and {line} in overrides")

@@ -97,7 +97,7 @@ def read_config(path: Path) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise ConfigError(f"cannot read {path}: {error}") from error
     if not isinstance(tree, dict):
-        raise ConfigError(f"{path} holds no config")
+        raise ConfigError(f"{path} has no config")
     return tree
 
 

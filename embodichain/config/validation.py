@@ -34,7 +34,7 @@ from embodichain.utils.type_errors import show_value, unknown_key
 __all__ = ["Check", "check", "check_training_keys", "check_tree", "validate"]
 
 Chosen = Callable[[str, str], bool]
-"""``chosen(path, package)``: whether a key was set besides by the option at `package`."""
+"""``chosen(path, package)``: whether a key was set elsewhere than in the option at `package`."""
 
 _SAME = {"episode_length_s": "max_episode_steps", "decimation": "sim_steps_per_control"}
 """Task keys that win over another one when given, see `EnvCfg`."""
@@ -171,7 +171,7 @@ def _said_twice(composed: Composed) -> list[Problem]:
 
 
 def _unknown_entries(composed: Composed) -> list[Problem]:
-    """Overrides that would make a new entity or term by misspelling one; `+` says it is meant."""
+    """Overrides that name an entity or term that does not exist; with `+` they would add it."""
     problems: dict[str, Problem] = {}
     for override in composed.locator.overrides:
         parts = override.key_or_group.split(".")

@@ -43,7 +43,7 @@ class CheckpointKeeper:
 
     Args:
         session: The training.
-        note: What the zips say of themselves; gets ``env_steps``.
+        note: Metadata of the zips; gets ``env_steps``.
         every: Environment steps between two.
         keep: How many of the newest are kept.
         replay_buffer: Whether those that a training can go on from have the replay buffer.
@@ -68,7 +68,6 @@ class CheckpointKeeper:
             _log.info("each checkpoint has the replay buffer, %.0f MB when it is full", size)
         self._written: list[Path] = []
         self._next: int | None = None
-        self._best: tuple[float, float] | None = None
 
     @property
     def best(self) -> str | None:
@@ -106,10 +105,11 @@ class CheckpointKeeper:
         return f"{CHECKPOINTS}/{FINAL}"
 
     def _judge(self) -> None:
-        score = self._session.statistics.score
-        if score is not None and (self._best is None or score > self._best):
-            self._best = score
-            self._session.statistics.best = (self._session.model.num_timesteps, score)
+        """Write the best checkpoint if this one is it."""
+        statistics, steps = self._session.statistics, self._session.model.num_timesteps
+        score = statistics.score
+        if score is not None and (statistics.best is None or score > statistics.best[1]):
+            statistics.best = steps, score
             self._write(BEST, resumable=False)
 
     def _write(self, name: str, *, resumable: bool, rolling: bool = True) -> Path:
@@ -119,18 +119,13 @@ class CheckpointKeeper:
         if normalizer is not None:
             save_statistics(statistics_path(path), normalizer)
         steps = model.num_timesteps
-        if resumable and self._buffer is not None:
-            save_buffer(buffer_path(path), self._buffer, steps)
         if resumable:
-            write_tree(
-                state_path(path),
-                {
-                    "env_steps": steps,
-                    "replay_buffer": self._buffer is not None,
-                    "training": capture(model, self._session.vec_env, rolling=rolling),
-                    "statistics": self._session.statistics.state_dict(),
-                },
-            )
+            if self._buffer is not None:
+                save_buffer(buffer_path(path), self._buffer, steps)
+            state: dict[str, Any] = {"env_steps": steps, "replay_buffer": self._buffer is not None}
+            state["training"] = capture(model, self._session.vec_env, rolling=rolling)
+            state["statistics"] = self._session.statistics.state_dict()
+            write_tree(state_path(path), state)
         save_checkpoint(model, path, {**self._note, "env_steps": steps})
         return path
 
@@ -152,7 +147,7 @@ def find_resumable(run: Path) -> tuple[Path, dict[str, Any]]:
             state = read_tree(state_path(path))
             if state.get("env_steps") == steps[path]:
                 return path, state
-    message = f"{run} holds no checkpoint that a training can go on from"
+    message = f"{run} has no checkpoint that a training can go on from"
     raise ConfigError([Problem("resume", message)])
 
 
@@ -192,6 +187,6 @@ def _what_remains(run_dir: Path) -> str:
     try:
         checkpoint, _ = find_resumable(run_dir)
     except (ConfigError, OSError):
-        return "it holds no checkpoint to go on from yet"
+        return "it has no checkpoint to go on from yet"
     command = f"embodichain train resume={run_dir}"
     return f"with room again, `{command}` goes on from its {checkpoint.name}"

@@ -38,7 +38,7 @@ Progress = Callable[[TrainStatistics], None]
 """Is called after every control step. KeyboardInterrupt stops at the next rollout boundary."""
 PARTS = ("physics", "environment", "policy", "update")
 """Physics steps; what else `env.step` does (observations, rewards, resets); what else a rollout
-does (actions of the policy, buffers, statistics); what lies between two rollouts (the algorithm's
+does (actions of the policy, buffers, statistics); the time between two rollouts (the algorithm's
 update, logs, checkpoints)."""
 
 
@@ -51,7 +51,7 @@ class Session:
         vec_env: What it learns in, without wrappers.
         statistics: How it goes.
         run_dir: The run's folder.
-        writers: Who is told the logged numbers besides the files in it.
+        writers: Further outputs of the logged numbers.
     """
 
     model: BaseAlgorithm
@@ -66,7 +66,7 @@ class Session:
 
         Args:
             checkpoint: The zip.
-            state: What lies beside it, see `find_resumable`.
+            state: From the file beside it, see `find_resumable`.
 
         Raises:
             ConfigError: The checkpoint is damaged, of another network, or of code that kept less.
@@ -94,7 +94,7 @@ class Session:
     def learn(
         self, on_boundary: Callable[[], None], progress: Progress | None
     ) -> tuple[KeyboardInterrupt | None, bool]:
-        """Learn until all steps are taken or somebody stops it.
+        """Learn until all steps are taken or it is stopped.
 
         Args:
             on_boundary: Called as each rollout begins.
@@ -191,7 +191,7 @@ class _Watch(BaseCallback):
 
 
 class TimeSplit:
-    """Wall time by part, told where rollouts begin and end.
+    """Wall time by part; it is called where rollouts begin and end.
 
     Attributes:
         seconds: Seconds of each of `PARTS` so far.

@@ -47,7 +47,7 @@ def make_logger(run_dir: Path, writers: Sequence[KVWriter] = ()) -> Logger:
 
     Args:
         run_dir: The folder.
-        writers: Who is told the same numbers besides.
+        writers: Further outputs of the same numbers.
     """
     formats: list[KVWriter] = [CSVOutputFormat(str(run_dir / PROGRESS))]
     if importlib.util.find_spec("tensorboard") is not None:
@@ -92,7 +92,7 @@ class WandbWriter(KVWriter):
     """Writes rows of Stable-Baselines3's logger into a run of Weights & Biases.
 
     Args:
-        run: The run; whoever opened it finishes it.
+        run: The run; it is finished elsewhere.
     """
 
     def __init__(self, run: wandb.Run) -> None:

@@ -189,7 +189,7 @@ def full_size(buffer: ReplayBuffer) -> int:
 
 
 def save_buffer(path: Path, buffer: ReplayBuffer, env_steps: int) -> None:
-    """Write the steps that a buffer holds, as a whole or not at all.
+    """Write the steps in a buffer, as a whole or not at all.
 
     Args:
         path: Where to, see `buffer_path`.

@@ -224,7 +224,7 @@ BAD = {
         verb="train",
     ),
     "an algorithm's key of rl-zoo3": bad(
-        "command line: algo.n_timesteps: not a key of an algorithm; it stands at the root: "
+        "command line: algo.n_timesteps: not a key of an algorithm; it is a key of the root: "
         "total_timesteps=N",
         overrides=(
             "algo.n_timesteps=1000",
