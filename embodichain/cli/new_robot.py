@@ -132,7 +132,7 @@ def describe_robot(fpath: str, *, python: bool) -> dict[str, str]:
 
     from embodichain.lab.sim.cfg import RobotCfg
     from embodichain.lab.sim.compiler.articulation import parse_with_problems
-    from embodichain.lab.sim.compiler.model_files import locate, read_model
+    from embodichain.lab.sim.compiler.robot_files import locate, read_model
 
     types = read_model(locate(fpath)).model.jnt_type
     floating = bool((types == mujoco.mjtJoint.mjJNT_FREE).any())
