@@ -86,7 +86,7 @@ BAD = {
         overrides=("rewards.near.weight=2",),
     ),
     "a root key in a task": bad(
-        "conf/task/mine.yaml:1: task.num_envs: not a key of a task; it stands at the "
+        "conf/task/mine.yaml:1: task.num_envs: not a key of a task; it is a key of the "
         "root: num_envs=N",
         old="description: A small task.",
         new="num_envs: 4",
