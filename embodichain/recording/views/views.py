@@ -216,9 +216,8 @@ class Views:
             self._say_endings(step, record)
         if self._viewed and step % self._every == 0:
             scalars, time_ns = self.declare(record), self._now()
-            if self._rewards is not None:
-                scalars.weigh(self._rewards.weights)
-            metrics = zip(self._viewed.values(), scalars.of(record), strict=True)
+            weights = {} if self._rewards is None else self._rewards.weights
+            metrics = zip(self._viewed.values(), scalars.of(record, weights), strict=True)
             self._sink.send(time_ns, ((v.metrics, scalars.encode(values)) for v, values in metrics))
 
     def _say_endings(self, step: int, record: StepRecord) -> None:
