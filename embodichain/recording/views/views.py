@@ -77,7 +77,7 @@ class Views:
         self._every = max(1, math.ceil(1.0 / (options.view_hz * float(env.step_dt)) - 1e-9))
         self._period_ns = self._every * round(float(env.step_dt) * 1e9)
         self._due: dict[int, bool] = dict.fromkeys(self._ids.tolist(), True)
-        """Environments whose scene is due; whether even if it looks as before."""
+        """Environments whose scene is due; True: even if it is unchanged."""
         self._sampled = -1
         self._next_line: dict[str, int] = {}  # interval term: when it may have a line again
         self._rewards = getattr(env, "reward_manager", None)  # other classes may have no manager
@@ -281,7 +281,7 @@ class _Viewed:
         return self._model
 
     def look(self, time_ns: int, anyway: bool) -> bytes | None:
-        """Return its `SceneUpdate`; None if it looks as before, unless `anyway`."""
+        """Return its `SceneUpdate`; None if the scene is unchanged, unless `anyway`."""
         model = self.model
         if not self._stale and not anyway:
             return None
