@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-__all__ = ["ConfigError", "DeviceError", "EmbodichainError", "Problem", "RenderError"]
+__all__ = ["ConfigError", "DeviceError", "EmbodichainError", "Problem", "RenderError", "below"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +39,11 @@ class Problem:
         """Return ``source: path: message hint``."""
         parts = (part for part in (self.source, self.path, self.message) if part)
         return f"{': '.join(parts)} {self.hint}".rstrip()
+
+
+def below(path: str, problems: Iterable[Problem]) -> list[Problem]:
+    """Return problems of a part of a configuration with the key path of that part before theirs."""
+    return [replace(p, path=f"{path}.{p.path}" if path else p.path) for p in problems]
 
 
 class EmbodichainError(Exception):

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex, Write, row_layout
-from embodichain.recording.options import RecordLike
+from embodichain.recording.options import RecordOptions
 from embodichain.recording.views.channels import (
     METRICS,
     Frames,
@@ -68,7 +68,7 @@ class Views:
     """
 
     def __init__(
-        self, env: ObservedEnv, options: RecordLike, sink: Sink, now: Callable[[], int]
+        self, env: ObservedEnv, options: RecordOptions, sink: Sink, now: Callable[[], int]
     ) -> None:
         self._ids = np.array(sorted(set(options.view_envs)), np.int64)
         self._is_viewed = np.zeros(env.num_envs, np.bool_)

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.compiler.rigid_math import inertia_about_axes
+from embodichain.lab.sim.compiler.rigid_objects import inertia_about_axes
 from embodichain.lab.sim.objects._arrays import as_env_ids, field_values, to_tensor
 from embodichain.lab.sim.objects.entity import BatchEntity, TensorRead, TensorReads
 from embodichain.lab.sim.objects.solid import Solid
