@@ -10,7 +10,7 @@ import logging
 import shlex
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -86,14 +86,16 @@ class Job:
             return None
         from embodichain.config.resolved import dump_yaml
         from embodichain.config.run_folder import LOG
-        from embodichain.recording import McapRecorder
+        from embodichain.recording import McapRecorder, RecordOptions
 
+        record = self.root.record
+        options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
         recorder = McapRecorder(
             self.folder / LOG,
             env,
             config=dump_yaml(self.resolved.tree),
             overrides=dump_yaml(list(self.resolved.overrides)),
-            options=self.root.record,
+            options=RecordOptions(**options),
             task=self.resolved.task_name,
         )
         env.add_observer(recorder)
