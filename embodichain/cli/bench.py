@@ -36,7 +36,7 @@ _ROUND_SECONDS = 0.3
     config_dir=True,
 )
 @overrides("task=NAME [num_envs=1,64,1024] [KEY=VALUE]...")
-@click.option("--rounds", type=click.IntRange(1), default=7, help="Rounds of each arm; else 7.")
+@click.option("--rounds", type=click.IntRange(1), default=7, help="Rounds of each arm. Default: 7.")
 def command(words: tuple[str, ...], rounds: int, json: bool) -> None:
     """Measure every size that was asked for."""
     from embodichain.config.resolved import resolve

@@ -79,11 +79,6 @@ class TermEntry:
     doc: TermDoc
 
     @property
-    def is_alias(self) -> bool:
-        """Whether it is another name of a term."""
-        return isinstance(self.spec, AliasSpec)
-
-    @property
     def sections(self) -> str:
         """The sections of a task that it serves; empty for a shape."""
         return ", ".join(SECTION_OF[kind] for kind in self.kinds)
