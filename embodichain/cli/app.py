@@ -283,7 +283,7 @@ def _own_modules() -> Iterator[None]:
 def _search_first(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
     ctx.meta["config_dir"] = value
     if value is not None and not ctx.resilient_parsing:
-        from embodichain.config.search_path import user_configs
+        from embodichain.config.hydra_loader import user_configs
 
         ctx.with_resource(user_configs(value))
 
@@ -415,7 +415,7 @@ def log_of(name: str) -> Path:
     Raises:
         ConfigError: There is no log yet, or the folder has none.
     """
-    from embodichain.config.newest import LOG, newest_run
+    from embodichain.config.run_folder import LOG, newest_run
 
     path = newest_run("outputs", LOG) if name == "last" else Path(name)
     if path is None:

@@ -10,7 +10,7 @@ import logging
 import shlex
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -84,16 +84,18 @@ class Job:
         """Attach the log, unless the config wants none; closing the environment finishes it."""
         if self.root.record.format == "none":
             return None
-        from embodichain.config.frozen import dump_yaml
-        from embodichain.config.newest import LOG
-        from embodichain.recording import McapRecorder
+        from embodichain.config.resolved import dump_yaml
+        from embodichain.config.run_folder import LOG
+        from embodichain.recording import McapRecorder, RecordOptions
 
+        record = self.root.record
+        options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
         recorder = McapRecorder(
             self.folder / LOG,
             env,
             config=dump_yaml(self.resolved.tree),
             overrides=dump_yaml(list(self.resolved.overrides)),
-            options=self.root.record,
+            options=RecordOptions(**options),
             task=self.resolved.task_name,
         )
         env.add_observer(recorder)
@@ -234,7 +236,8 @@ def execute(
         Interrupted: A signal came; what was written is complete up to there.
         Exception: Whatever `body` raises.
     """
-    from embodichain.config.run_folder import claim, write_record
+    from embodichain.config.resolved import write_record
+    from embodichain.config.run_folder import claim
 
     resolved = _pinned(resolved)
     if folder is None:
@@ -258,7 +261,7 @@ def execute(
 
 def _pinned(resolved: Resolved) -> Resolved:
     """Replace `last` and links by the folder that they mean now: the next run changes that."""
-    from embodichain.config.newest import CHECKPOINT, named_checkpoint, newest_run
+    from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
 
     policy = resolved.tree["policy"]
     last = policy == "last"

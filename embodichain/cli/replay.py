@@ -22,12 +22,15 @@ from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.recording.api import Log
+    from embodichain.recording.episodes import LogEpisode
     from embodichain.recording.header import Header
-    from embodichain.recording.summary import Episode, LogSummary
+    from embodichain.recording.summary import LogSummary
     from embodichain.recording.viewers.log_player import Screen
 
 __all__ = ["command"]
 
+_COLUMNS = ("env", "episode", "steps", "total_reward", "terminated", "last_step", "success")
+"""Of the table of episodes."""
 _MOST_EPISODES = 20
 _ACTIONS = ("verify", "video", "policy", "view")
 _ONLY_WITH = {
@@ -124,24 +127,27 @@ def _inspect(path: Path, options: SimpleNamespace) -> int:
             "duration_s": summary.duration_s,
             "mean_reward": summary.mean_reward,
         }
-        print_json({**data, "episodes": [asdict(episode) for episode in episodes]})
+        print_json({**data, "episodes": [_row(episode) for episode in episodes]})
     elif not options.quiet:
         _print_summary(summary, episodes)
     return process.OK
 
 
-def _is_wanted(episode: Episode, options: SimpleNamespace) -> bool:
+def _is_wanted(episode: LogEpisode, options: SimpleNamespace) -> bool:
     """Whether it is the environment's, the episode, and has a step in [--from, --to)."""
-    first = episode.last_step - episode.steps + 1
     return (
         options.env in (None, episode.env)
         and options.episode in (None, episode.episode)
         and (options.start is None or episode.last_step >= options.start)
-        and (options.stop is None or first < options.stop)
+        and (options.stop is None or episode.first_step < options.stop)
     )
 
 
-def _print_summary(summary: LogSummary, episodes: list[Episode]) -> None:
+def _row(episode: LogEpisode) -> dict[str, Any]:
+    return {name: getattr(episode, name) for name in _COLUMNS}
+
+
+def _print_summary(summary: LogSummary, episodes: list[LogEpisode]) -> None:
     header = summary.header
     started = datetime.fromtimestamp(header.start_ns / 1e9)
     state = "complete" if summary.complete else "INCOMPLETE"
@@ -158,7 +164,7 @@ def _print_summary(summary: LogSummary, episodes: list[Episode]) -> None:
     ]
     print_facts(str(summary.path), facts)
     print_table("channels", [asdict(channel) for channel in summary.channels])
-    print_table("episodes", [asdict(episode) for episode in episodes[:_MOST_EPISODES]])
+    print_table("episodes", [_row(episode) for episode in episodes[:_MOST_EPISODES]])
     if len(episodes) > _MOST_EPISODES:
         sys.stdout.write(f"... and {len(episodes) - _MOST_EPISODES} more: --env, --json\n")
 

@@ -26,11 +26,10 @@ from omegaconf import DictConfig, OmegaConf
 
 from embodichain.cli.app import command_line
 from embodichain.cli.jobs import Body, Verb, execute, resolved_job
-from embodichain.config.composed import WITHOUT_TASK, compose, from_hydra
-from embodichain.config.overrides import relax
+from embodichain.config.composed import WITHOUT_TASK, compose, from_hydra, relax
+from embodichain.config.hydra_loader import VERSION_BASE, config_loader
 from embodichain.config.resolved import resolve
 from embodichain.config.run_folder import adopt
-from embodichain.config.search_path import VERSION_BASE, config_loader
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["BestPoint", "call_hydra", "points", "towards_scores"]

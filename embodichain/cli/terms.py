@@ -155,7 +155,10 @@ def _doc_of_alias(spec: AliasSpec) -> TermDoc:
     return TermDoc(
         summary=f"{spec.doc} {docs[0].summary}",
         text="\n\n".join([spec.doc, *(doc.summary for doc in shown)]),
-        params={name: docs[part].params.get(key, "") for name, (part, key) in spec.exposed.items()},
+        params={
+            name: spec.texts.get(name) or docs[part].params.get(key, "")
+            for name, (part, key) in spec.exposed.items()
+        },
         example=text.strip(),
     )
 

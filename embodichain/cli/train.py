@@ -111,7 +111,7 @@ def _learn(job: Job) -> dict[str, Any]:
 
 def _evaluate(job: Job, evaluated: Resolved, asked: Asked) -> dict[str, Any]:
     """Play the final checkpoint; returns the summary with what was found."""
-    from embodichain.config.newest import CHECKPOINT
+    from embodichain.config.run_folder import CHECKPOINT
     from embodichain.learning.train import add_evaluation
 
     policy = str((job.folder / CHECKPOINT).resolve())
@@ -198,8 +198,8 @@ def _parsed(overrides: Sequence[str]) -> dict[str, Any]:
 
 def _folder(name: Any, output_dir: Any) -> Path:
     """The run's folder; ``last`` is the newest training that has a checkpoint."""
-    from embodichain.config.newest import newest_run
     from embodichain.config.rerun import CONFIG
+    from embodichain.config.run_folder import newest_run
 
     found = newest_run(output_dir, "checkpoints/*.zip") if name == "last" else Path(str(name))
     if found is None:

@@ -16,11 +16,11 @@ import yaml
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 
-from embodichain.config.locate import COMMAND_LINE, LocatedProblem
-from embodichain.config.overrides import ParsedOverrides, apply_values, parse
+from embodichain.config.composed import ParsedOverrides, apply_values, parse
+from embodichain.config.hydra_loader import config_loader
+from embodichain.config.locate import COMMAND_LINE
 from embodichain.config.resolved import Resolved, resolve_tree
-from embodichain.config.search_path import config_loader
-from embodichain.utils.errors import ConfigError
+from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["CONFIG", "read_config", "resolve_again", "task_of"]
 
@@ -64,7 +64,13 @@ def resolve_again(
             changed, str(source), "run", task_name=task_of(folder), allow_import=True
         )
     except ConfigError as error:
-        raise ConfigError([_located(p, parsed) for p in error.problems]) from error
+        keys = tuple(override.key_or_group for override in parsed.values)
+        raise ConfigError(
+            dataclasses.replace(p, source=COMMAND_LINE)
+            if any(p.path == key or p.path.startswith(f"{key}.") for key in keys)
+            else p
+            for p in error.problems
+        ) from error
     return dataclasses.replace(found, overrides=tuple(overrides))
 
 
@@ -95,21 +101,12 @@ def read_config(path: Path) -> dict[str, Any]:
     return tree
 
 
-def _unfit(parsed: ParsedOverrides) -> list[LocatedProblem]:
+def _unfit(parsed: ParsedOverrides) -> list[Problem]:
     """Overrides that would make another run of it."""
     problems = []
     for line in parsed.for_hydra:
         group = line.lstrip("+~").partition("=")[0]
         if group not in _GROUPS or line.startswith("~"):
             message = f"{line!r} does not change a run that was made; groups: {', '.join(_GROUPS)}"
-            problems.append(LocatedProblem(group, message, source=COMMAND_LINE))
+            problems.append(Problem(group, message, source=COMMAND_LINE))
     return problems
-
-
-def _located(problem: Any, parsed: ParsedOverrides) -> Any:
-    """A mistake that an override made is on the command line."""
-    keys = [override.key_or_group for override in parsed.values]
-    typed = any(problem.path == key or problem.path.startswith(f"{key}.") for key in keys)
-    if not typed or not isinstance(problem, LocatedProblem):
-        return problem
-    return dataclasses.replace(problem, source=COMMAND_LINE)

@@ -18,12 +18,14 @@ __all__ = [
     "LARGEST_TRAINING_SEED",
     "ROOT_INSTEAD",
     "SUGGESTED_KEYS",
+    "VERBS",
     "CheckpointCfg",
     "EvalCfg",
     "PolicyCfg",
     "RecordCfg",
     "RootCfg",
     "SimCfg",
+    "Verb",
     "ViewerCfg",
     "WandbCfg",
 ]
@@ -34,6 +36,9 @@ ROOT_INSTEAD = {
     "sim_cfg": "use task.physics for the physics and the group sim for how it runs",
 }
 """Fields of `EnvCfg` that a task file must not set, and where their value goes instead."""
+
+Verb = Literal["run", "train"]
+VERBS: tuple[Verb, ...] = ("run", "train")
 
 LARGEST_TRAINING_SEED = 2**32 - 1
 """Stable-Baselines3 seeds numpy's global generator, which takes no larger one."""
@@ -136,7 +141,7 @@ class WandbCfg:
 
 @configclass
 class RootCfg:
-    """Everything one execution is told. Null keys are filled by `derive`."""
+    """Everything one execution is told. Null keys are filled by suggestions and defaults."""
 
     task: EnvCfg
     sim: SimCfg = SimCfg()

@@ -1,7 +1,4 @@
-"""Checkpoints: zip files of Stable-Baselines3 with a note of what made them, written atomically.
-
-How a checkpoint acts is in `policy.py`. Finding one and reading its note runs no code of it.
-"""
+"""Checkpoints: zip files of Stable-Baselines3 with a note of what made them, written atomically."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from embodichain.config.newest import named_checkpoint
+from embodichain.config.run_folder import named_checkpoint
 from embodichain.learning.task_digest import TaskDigest
 from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError, Problem

@@ -1,6 +1,6 @@
 """Episodes counted over a batch: returns, lengths, successes of the first few of each environment.
 
-`play` is the loop of `run` and `evaluate`. Imports neither torch nor Stable-Baselines3.
+Imports neither torch nor Stable-Baselines3.
 """
 
 from __future__ import annotations

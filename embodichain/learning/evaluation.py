@@ -1,7 +1,4 @@
-"""`evaluate`: exactly N episodes of a policy, each as likely to count as any other.
-
-How numbers become intervals is in `statistics.py`, where policies come from in `policy.py`.
-"""
+"""`evaluate`: exactly N episodes of a policy, each as likely to count as any other."""
 
 from __future__ import annotations
 
@@ -113,7 +110,7 @@ def evaluate(
     counted = EpisodeStatistics(env.num_envs, quotas(episodes, env.num_envs))
     with torch.random.fork_rng(devices=()):  # the caller draws on as if nothing had been
         seconds = _play(env, acting, counted, EVAL_SEED_OFFSET + seed, watch)
-    return _sum_up(counted, seed, seconds)
+    return _summary(counted, seed, seconds)
 
 
 def quotas(episodes: int, num_envs: int) -> NDArray[np.int64]:
@@ -149,7 +146,7 @@ def _play(
     return time.perf_counter() - start
 
 
-def _sum_up(counted: EpisodeStatistics, seed: int, seconds: float) -> Evaluation:
+def _summary(counted: EpisodeStatistics, seed: int, seconds: float) -> Evaluation:
     order = np.lexsort((counted.column("episode"), counted.column("env")))
 
     def column(name: str) -> NDArray[Any]:

@@ -1,7 +1,4 @@
-"""`CheckpointKeeper`: which checkpoints of a training there are, and `find_resumable` among them.
-
-How one is written is in `checkpoint.py`, `normalization.py` and `plain_state.py`.
-"""
+"""`CheckpointKeeper`: which checkpoints of a training are written; `find_resumable` finds one."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Replay buffers of off-policy algorithms as files beside checkpoints: arrays only, no pickle.
-
-Which checkpoints have one is `keeper.py`'s; the rest of a training's state, `training_state.py`'s.
-"""
+"""Replay buffers of off-policy algorithms as files beside checkpoints: arrays only, no pickle."""
 
 from __future__ import annotations
 

@@ -31,9 +31,7 @@ __all__ = [
     "TENSORBOARD",
     "WandbWriter",
     "check_wandb",
-    "log_curriculum",
     "log_episode",
-    "log_fractions",
     "log_interval",
     "make_logger",
     "wandb_writers",
@@ -89,18 +87,6 @@ def log_episode(logger: Logger, info: Mapping[str, Any]) -> None:
         ends.setdefault(name, true and not diverged)
     for name, true in ends.items():
         logger.record_mean(f"Episode_Termination/{name}", float(true))
-
-
-def log_fractions(logger: Logger, fractions: Mapping[str, float]) -> None:
-    """Take in where the wall time went so far: ``time/physics_fraction`` and the like."""
-    for name, value in fractions.items():
-        logger.record(f"time/{name}_fraction", round(value, 4))
-
-
-def log_curriculum(logger: Logger, values: Mapping[str, float]) -> None:
-    """Take in what curricula have set, as it stands: ``Curriculum/TERM``."""
-    for name, value in values.items():
-        logger.record(f"Curriculum/{name}", value)
 
 
 class WandbWriter(KVWriter):

@@ -1,8 +1,6 @@
-"""What a training needs besides its model to go on as if it had never stopped.
+"""What a training needs besides its networks to go on as if it had never stopped.
 
-Taken and put back on rollout boundaries; the file is `plain_state.py`'s, the model's own
-`checkpoint.py`'s. For on-policy algorithms nothing else decides how learning goes on; off-policy
-ones also have a replay buffer (`replay_buffer.py`).
+It is captured and restored on rollout boundaries, without pickle (`plain_state`).
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ import embodichain.recording as recording
 from embodichain.cli.app import call
 from embodichain.cli.jobs import policy_of
 from embodichain.config import make_env, resolve
-from embodichain.config.frozen import dump_yaml
+from embodichain.config.resolved import dump_yaml
 from embodichain.recording import McapRecorder, verify
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite

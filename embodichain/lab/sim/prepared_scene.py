@@ -22,7 +22,7 @@ if TYPE_CHECKING:
         SimulationManagerCfg,
     )
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation
-    from embodichain.lab.sim.compiler.chatter import DriveChange, PhysicsStep
+    from embodichain.lab.sim.compiler.drives import DriveChange, PhysicsStep
     from embodichain.lab.sim.compiler.scene import CompiledScene
     from embodichain.lab.sim.compiler.scene_sensors import SensorPlan
 

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex, Write, row_layout
-from embodichain.recording.options import RecordLike
+from embodichain.recording.options import RecordOptions
 from embodichain.recording.views.channels import (
     METRICS,
     Frames,
@@ -68,7 +68,7 @@ class Views:
     """
 
     def __init__(
-        self, env: ObservedEnv, options: RecordLike, sink: Sink, now: Callable[[], int]
+        self, env: ObservedEnv, options: RecordOptions, sink: Sink, now: Callable[[], int]
     ) -> None:
         self._ids = np.array(sorted(set(options.view_envs)), np.int64)
         self._is_viewed = np.zeros(env.num_envs, np.bool_)
@@ -146,16 +146,23 @@ class Views:
         ]
         self._due = {}
         models = [viewed.model for viewed in self._viewed.values()]
-        samples = chain(scenes, self._encoded(time_ns, rows[self._ids], models))
-        # Values of commands and models of single environments may change before the file is
-        # written.
-        live = self._commands.drawn or any(viewed.owns_model for viewed in self._viewed.values())
+        commands = self._commands.values_of(self._ids)
+        samples = chain(scenes, self._encoded(time_ns, rows[self._ids], models, commands))
+        # Models of single environments may change before the file is written.
+        live = any(viewed.owns_model for viewed in self._viewed.values())
         self._sink.send(time_ns, list(samples) if live else samples)
 
     def _encoded(
-        self, time_ns: int, rows: F64, models: list[mujoco.MjModel]
+        self, time_ns: int, rows: F64, models: list[mujoco.MjModel], commands: list[F64]
     ) -> Iterator[tuple[str, bytes]]:
-        """Encode a sample of the n viewed environments: (n, nstate) rows, and n models."""
+        """Encode a sample of the n viewed environments.
+
+        Args:
+            time_ns: Its time.
+            rows: (n, nstate) states.
+            models: n of them.
+            commands: (n, columns) values of each command that is drawn.
+        """
         data = self._data
         for index, (env_id, viewed) in enumerate(self._viewed.items()):
             row = rows[index]
@@ -164,8 +171,9 @@ class Views:
             mujoco.mj_kinematics(models[index], data)
             self._frames.place(index, data)
             yield viewed.joints, self._joints.encode(time_ns, row)
-            if self._commands.drawn:
-                yield viewed.markers, self._commands.encode(time_ns, env_id, data)
+            if commands:
+                values = [of_all[index] for of_all in commands]
+                yield viewed.markers, self._commands.encode(time_ns, env_id, data, values)
         yield "/tf", self._frames.encode(time_ns)
 
     def on_reset(self, env_ids: EnvIndex) -> None:

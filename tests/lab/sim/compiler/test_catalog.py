@@ -6,7 +6,7 @@ import pytest
 
 from embodichain.lab.sim.cfg import RobotCfg, SimulationManagerCfg
 from embodichain.lab.sim.compiler import compile_scene, parse_articulation
-from embodichain.lab.sim.compiler.robot_bodies import VISUAL_GROUP
+from embodichain.lab.sim.compiler.rigid_objects import VISUAL_GROUP
 from embodichain.utils.errors import ConfigError
 from tests.data.robot_catalog import LOADABLE, NOT_LOADABLE, REPAIRED
 from tests.lab.sim.compiler.helpers import start

@@ -29,7 +29,7 @@ class UniformJointPositionCommand(CommandTerm):
     The metric ``joint_error`` is the Euclidean distance of the joints from the command.
 
     Example:
-        ``{func: uniform_joint_position, params: {entity_cfg: {uid: ur10}}}``
+        ``{func: uniform_joint_position, params: {of: {uid: ur10}}}``
 
     Args:
         entity_cfg: The robot; its joint names or control parts pick joints.

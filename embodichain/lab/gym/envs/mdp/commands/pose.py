@@ -29,7 +29,7 @@ class UniformPoseCommand(CommandTerm):
     (m) and ``orientation_error`` (rad) are its distances from the commanded pose.
 
     Example:
-        ``{func: uniform_pose, params: {entity_cfg: {uid: go}, position_range: [[0,0,0],[1,1,1]]}}``
+        ``{func: uniform_pose, params: {of: {uid: go}, position_range: [[0,0,0],[1,1,1]]}}``
 
     Args:
         entity_cfg: The entity whose root is the frame, and the link that should go there.

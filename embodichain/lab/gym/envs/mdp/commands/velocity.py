@@ -45,7 +45,7 @@ class UniformVelocityCommand(CommandTerm):
     (rad/s) are the distances of the root's velocity in its heading frame from the command.
 
     Example:
-        ``{func: uniform_velocity, params: {entity_cfg: {uid: go}, ranges: {lin_vel_x: [-1, 1]}}}``
+        ``{func: uniform_velocity, params: {of: {uid: go}, ranges: {lin_vel_x: [-1, 1]}}}``
 
     Args:
         entity_cfg: The robot; its root, or the picked link, is what should move.

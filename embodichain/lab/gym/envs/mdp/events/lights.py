@@ -37,7 +37,7 @@ class RandomizeLight(Term):
             then made a unit vector.
 
     Example:
-        ``{func: randomize_light, mode: reset, params: {entity_cfg: {uid: lamp}, position_range: [[-0.5, -0.5, 0], [0.5, 0.5, 0.5]], intensity_range: [-10, 10]}}``
+        ``{func: randomize_light, mode: reset, params: {of: {uid: lamp}, position_range: [[-0.5, -0.5, 0], [0.5, 0.5, 0.5]], intensity_range: [-10, 10]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(

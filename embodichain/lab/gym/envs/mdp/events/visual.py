@@ -112,7 +112,7 @@ class RandomizeVisualMaterial(Term):
         ior_range: Not available: an error that says so.
 
     Example:
-        ``{func: randomize_visual_material, mode: reset, params: {entity_cfg: {uid: cube}, base_color_range: [[0.2, 0, 0], [1, 0.6, 0.6]], roughness_range: [0.2, 0.9]}}``
+        ``{func: randomize_visual_material, mode: reset, params: {of: {uid: cube}, base_color_range: [[0.2, 0, 0], [1, 0.6, 0.6]], roughness_range: [0.2, 0.9]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
@@ -169,7 +169,7 @@ class SetRigidObjectVisualMaterial(Term):
             `roughness`, `emissive`, `emissive_intensity`; what is absent takes its default there.
 
     Example:
-        ``{func: set_rigid_object_visual_material, mode: startup, params: {entity_cfg: {uid: cube}, mat_cfg: {base_color: [0.1, 0.5, 0.2, 1.0], roughness: 0.3}}}``
+        ``{func: set_rigid_object_visual_material, mode: startup, params: {of: {uid: cube}, mat_cfg: {base_color: [0.1, 0.5, 0.2, 1.0], roughness: 0.3}}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
