@@ -85,7 +85,8 @@ def _learn(job: Job) -> dict[str, Any]:
     """Learn until it ends or a signal stops it; returns what `summary.json` contains."""
     from embodichain.cli.dashboard import Dashboard
     from embodichain.config.algorithms import DEFAULT_ALGORITHM
-    from embodichain.learning.train import SUMMARY_FILE, train
+    from embodichain.config.run_folder import SUMMARY
+    from embodichain.learning.train import train
 
     started()
     root = job.root
@@ -105,7 +106,7 @@ def _learn(job: Job) -> dict[str, Any]:
                 *(job.resolved, job.folder, progress),
                 lambda env: job.attach_viewer(env, realtime=False),
             )
-    summary: dict[str, Any] = json.loads((job.folder / SUMMARY_FILE).read_text())
+    summary: dict[str, Any] = json.loads((job.folder / SUMMARY).read_text())
     return {**summary, "folder": str(job.folder)}
 
 
@@ -142,8 +143,9 @@ def _resumed(overrides: Sequence[str]) -> Resolved:
         ConfigError: There is no such run, none of its checkpoints can be resumed, or something
             else is asked to change.
     """
-    from embodichain.config.rerun import CONFIG, read_config
+    from embodichain.config.rerun import read_config
     from embodichain.config.resolved import resolve_tree
+    from embodichain.config.run_folder import CONFIG
     from embodichain.learning.checkpoint import read_note
     from embodichain.learning.keeper import find_resumable
     from embodichain.learning.train import check_training
@@ -198,8 +200,7 @@ def _parsed(overrides: Sequence[str]) -> dict[str, Any]:
 
 def _folder(name: Any, output_dir: Any) -> Path:
     """The run's folder; ``last`` is the newest training that has a checkpoint."""
-    from embodichain.config.rerun import CONFIG
-    from embodichain.config.run_folder import newest_run
+    from embodichain.config.run_folder import CONFIG, newest_run
 
     found = newest_run(output_dir, "checkpoints/*.zip") if name == "last" else Path(str(name))
     if found is None:

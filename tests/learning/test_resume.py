@@ -118,7 +118,7 @@ def test_a_broken_checkpoint_is_passed_over(tmp_path):
     shutil.copy(state_path(step), state_path(final))  # killed between the two files
     assert find_resumable(run)[0] == step
     state_path(step).unlink()
-    with pytest.raises(ConfigError, match="holds no checkpoint that a training can go on from"):
+    with pytest.raises(ConfigError, match="has no checkpoint that a training can go on from"):
         find_resumable(run)
 
 
@@ -190,7 +190,7 @@ def test_replay_buffers_come_back_whole(tmp_path):
     with pytest.raises(ConfigError, match="it is of 48 steps, the checkpoint of 64"):
         train(resumed, folder(tmp_path, "mixed"))
     (first / "checkpoints/final.replay.npz").unlink()
-    with pytest.raises(ConfigError, match="holds no state of a training"):
+    with pytest.raises(ConfigError, match="has no state of a training"):
         train(resumed, folder(tmp_path, "missing"))
     with pytest.raises(ConfigError, match="ppo learns from no replay buffer"):
         train(config(*PPO, KEEP, TWO), folder(tmp_path, "ppo"))
@@ -214,7 +214,7 @@ def test_trees_come_back_to_the_bit(tmp_path):
         write_tree(tmp_path / "u.npz", {"x": [object()]})
     assert not (tmp_path / "u.npz").exists()
     (tmp_path / "t.npz").write_bytes(b"no")
-    with pytest.raises(ConfigError, match="holds no state of a training"):
+    with pytest.raises(ConfigError, match="has no state of a training"):
         read_tree(tmp_path / "t.npz")
 
 
