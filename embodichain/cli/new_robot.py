@@ -18,7 +18,7 @@ __all__ = ["UR10", "describe_robot"]
 
 _TAKEN = ("marker", "pedestal", "default_plane")
 _PEDESTAL = """\
-  pedestal:                        # for pictures: the base stands in it, so it does not collide
+  pedestal:                        # for pictures only: the base is inside, so it does not collide
     shape:
       shape_type: Cylinder
       radius: 0.1
