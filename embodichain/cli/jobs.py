@@ -10,7 +10,7 @@ import logging
 import shlex
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -86,14 +86,16 @@ class Job:
             return None
         from embodichain.config.resolved import dump_yaml
         from embodichain.config.run_folder import LOG
-        from embodichain.recording import McapRecorder
+        from embodichain.recording import McapRecorder, RecordOptions
 
+        record = self.root.record
+        options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
         recorder = McapRecorder(
             self.folder / LOG,
             env,
             config=dump_yaml(self.resolved.tree),
             overrides=dump_yaml(list(self.resolved.overrides)),
-            options=self.root.record,
+            options=RecordOptions(**options),
             task=self.resolved.task_name,
         )
         env.add_observer(recorder)
@@ -131,7 +133,7 @@ class Job:
         warn_if_public(cfg.host, url, controls=cfg.name == "web")
 
     def film(self, log: str | Path | None) -> dict[str, str]:
-        """Film what was logged, if the config says so; comes last, when all else is written.
+        """Film what was logged, if the config asks for it; call it when all else is written.
 
         Args:
             log: The log, finished; None without.
@@ -267,7 +269,7 @@ def _pinned(resolved: Resolved) -> Resolved:
         return resolved
     path = newest_run(resolved.tree["output_dir"], CHECKPOINT) if last else named_checkpoint(policy)
     if path is None:
-        raise ConfigError("policy: the training that 'last' meant is gone")
+        raise ConfigError("policy: there is no training for 'last' any more")
     return resolved.changed(policy=str(path.resolve()))
 
 

@@ -18,7 +18,7 @@ __all__ = ["UR10", "describe_robot"]
 
 _TAKEN = ("marker", "pedestal", "default_plane")
 _PEDESTAL = """\
-  pedestal:                        # for pictures: the base stands in it, so it does not collide
+  pedestal:                        # for pictures only: the base is inside, so it does not collide
     shape:
       shape_type: Cylinder
       radius: 0.1
@@ -42,7 +42,7 @@ actions:                           # joint targets around the initial pose, rad
   arm:
     func: default_offset_joint_position
     params:
-      entity_cfg: {{uid: {uid}}}
+      of: {{uid: {uid}}}
       scale: {scale}
       clip: [-1, 1]
 """
@@ -51,7 +51,7 @@ actions:                           # controls of its actuators
   ctrl:
     func: actuator_ctrl
     params:
-      entity_cfg: {{uid: {uid}}}
+      of: {{uid: {uid}}}
 """
 _CLIP = "      clip: [-1, 1]\n"
 _FILE_DRIVES = "drive_pros: {stiffness: file}    # by the actuators of its file, as they are"

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from embodichain.recording.attachments import Attachment
 from embodichain.recording.block import ArrayKind, CallKind, pack_run
-from embodichain.recording.episode_ends import TOPIC as EPISODE_TOPIC
-from embodichain.recording.episode_ends import Ends, EpisodeSums, encode_ends
+from embodichain.recording.episodes import EPISODE_TOPIC, Ends, EpisodeSums, encode_ends
 from embodichain.recording.header import METADATA, METADATA_END, Header
 from embodichain.recording.log_file import LogFile
 from embodichain.recording.parts import Manifest, part_name

@@ -23,12 +23,12 @@ from embodichain.lab.sim.engine.api import EnvIndex, PhysicsEvent, Write
 from embodichain.recording.attachments import attachments_of, model_bytes, model_digest
 from embodichain.recording.block import DRAWN, ArrayKind, CallKind
 from embodichain.recording.columns import Moved
-from embodichain.recording.episode_ends import Ends
 from embodichain.recording.episode_gate import EpisodeGate
+from embodichain.recording.episodes import Ends
 from embodichain.recording.hashing import row_hashes
 from embodichain.recording.header import check_keyframes, header_of
 from embodichain.recording.log_writer import LogWriter, PendingRun, Recorded
-from embodichain.recording.options import RecordLike, RecordOptions, check_options
+from embodichain.recording.options import RecordOptions, check_options
 from embodichain.recording.views.layout import foxglove_layout
 from embodichain.recording.views.views import Views
 from embodichain.recording.writing import Writing
@@ -87,7 +87,7 @@ class McapRecorder(StepObserver):
         env: ObservedEnv,
         config: str = "",
         overrides: str | Sequence[str] = (),
-        options: RecordLike | None = None,
+        options: RecordOptions | None = None,
         task: str = "",
     ) -> None:
         options = RecordOptions() if options is None else options

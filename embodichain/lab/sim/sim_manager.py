@@ -309,7 +309,7 @@ class SimulationManager:
         else:
             for handle in chosen:
                 if handle is not None:
-                    columns = handle.row_columns()
+                    columns = handle.row_columns
                     engine.write("row", self._initial_row[columns], ids, columns)
         for handle in chosen:
             if isinstance(handle, Articulation):

@@ -127,6 +127,8 @@ class Drives:
         self.joints: Joints = np.arange(0)
         self.control_columns: Columns = slice(0)
         self._joint_of_control: Joints = np.arange(0)  # column in ``ctrl`` -> joint, or -1
+        # Position drives that events or users made velocity drives, or back, in any environment.
+        self._switched: Joints = np.arange(0)
         self._springless = False  # whether a drive has no stiffness: its control is a velocity
         self._limits_vary = False  # whether environments differ in which efforts are limited
         servos = parsed.servos
@@ -270,9 +272,8 @@ class Drives:
     def clear(self, ids: EnvIndex | None) -> None:
         """Forget velocity targets, as a reset does, which has set the controls as compiled."""
         self._forget_velocities(ids)
-        stiff, compiled = self.stiffness[:, self.joints] > 0, self.parsed.stiffness[self.joints] > 0
-        changed = self.joints[(stiff != compiled).any(axis=0)]
-        if len(changed):  # position drives that events or users made velocity drives, or back
+        changed = self._switched
+        if len(changed):
             where = _at(ids, changed)
             home = np.broadcast_to(self.parsed.init_qpos[changed], self.stiffness[where].shape)
             control = self._control(home, where)
@@ -287,7 +288,10 @@ class Drives:
         self.has_velocity_target = bool(self.target_qvel.any())
 
     def _note_gains(self) -> None:
-        self._springless = bool((self.stiffness[:, self.joints] == 0).any())
+        stiff = self.stiffness[:, self.joints] > 0
+        self._springless = not stiff.all()
+        changed = stiff != (self.parsed.stiffness[self.joints] > 0)
+        self._switched = self.joints[changed.any(axis=0)]
 
     # -- gains -----------------------------------------------------------------------------------
 

@@ -9,13 +9,15 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from embodichain.utils.random import constant
+
 if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.context import Draws
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
-__all__ = ["ActionTerm", "CommandMarker", "CommandTerm", "Term", "Uniform", "constant"]
+__all__ = ["ActionTerm", "CommandMarker", "CommandTerm", "Term", "Uniform"]
 
 
 class Term:
@@ -130,13 +132,6 @@ class CommandTerm(Term):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         self.values[:] = state["values"]
-
-
-def constant(values: Any) -> F64:
-    """A read-only float64 copy: streams scale many draws at once by bounds that cannot change."""
-    array = np.array(values, np.float64)
-    array.setflags(write=False)
-    return array
 
 
 class Uniform:

@@ -416,7 +416,7 @@ class JointAction(JointTerm):
         ConfigError: If a joint has no drive, or not one for this control.
 
     Example:
-        ``{func: joint_action, params: {entity_cfg: {uid: ur10}, centre: home, scale: 0.6}}``
+        ``{func: joint_action, params: {of: {uid: ur10}, centre: home, scale: 0.6}}``
     """
 
     def __init__(

@@ -36,7 +36,7 @@ class ParallelGripper(JointTerm):
     0.3's ParallelGripperAction.
 
     Example:
-        ``{func: parallel_gripper, params: {entity_cfg: {uid: panda, joint_names: ".*finger.*1"}}}``
+        ``{func: parallel_gripper, params: {of: {uid: panda, joint_names: ".*finger.*1"}}}``
 
     Args:
         entity_cfg: The robot and the joints of its gripper.
