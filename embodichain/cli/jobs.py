@@ -133,7 +133,7 @@ class Job:
         warn_if_public(cfg.host, url, controls=cfg.name == "web")
 
     def film(self, log: str | Path | None) -> dict[str, str]:
-        """Film what was logged, if the config says so; comes last, when all else is written.
+        """Film what was logged, if the config asks for it; call it when all else is written.
 
         Args:
             log: The log, finished; None without.
@@ -269,7 +269,7 @@ def _pinned(resolved: Resolved) -> Resolved:
         return resolved
     path = newest_run(resolved.tree["output_dir"], CHECKPOINT) if last else named_checkpoint(policy)
     if path is None:
-        raise ConfigError("policy: the training that 'last' meant is gone")
+        raise ConfigError("policy: there is no training for 'last' any more")
     return resolved.changed(policy=str(path.resolve()))
 
 

@@ -1,8 +1,8 @@
 """Hydra's own `main`: sweeps, `--cfg` and `--info`.
 
 Points, workers and searches are Hydra's: its basic sweeper and launcher, and the plug-ins of the
-extra `sweep`, which bring `hydra/launcher=joblib` and `hydra/sweeper=optuna`. Here is what is
-checked before a sweep starts, and what is said when one ends.
+extra `sweep`, which bring `hydra/launcher=joblib` and `hydra/sweeper=optuna`. The configs of all
+jobs are checked before a sweep starts.
 """
 
 from __future__ import annotations

@@ -26,10 +26,10 @@ PATTERNS = {_LINEAR: "a schedule lin_VALUE", _AUTO: "auto or auto_VALUE"}
 
 _WRAPPER = "wrappers are not used here: observation and reward terms do what they do"
 ALGO_INSTEAD = {
-    "n_timesteps": "it stands at the root: total_timesteps=N",
-    "n_envs": "it stands at the root: num_envs=N",
-    "seed": "it stands at the root: seed=N",
-    "device": "it stands at the root: device=NAME",
+    "n_timesteps": "it is a key of the root: total_timesteps=N",
+    "n_envs": "it is a key of the root: num_envs=N",
+    "seed": "it is a key of the root: seed=N",
+    "device": "it is a key of the root: device=NAME",
     "env": "the environment is the task's",
     "env_wrapper": _WRAPPER,
     "vec_env_wrapper": _WRAPPER,

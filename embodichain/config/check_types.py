@@ -136,7 +136,7 @@ def _repair(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> bool:
 
 
 def _prune(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> Loc:
-    """Remove what is wrong: the key, the list that holds it, or the map that lacks it."""
+    """Remove what is wrong: the key, the list around it, or the map without it."""
     if errors[0]["type"] == "missing" or errors[0]["type"].startswith("union_tag"):
         loc = loc[:-1]
     while loc and isinstance(loc[-1], int):

@@ -8,6 +8,7 @@ collected, so that one report has them all.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -64,8 +65,8 @@ class Composed:
         choices: The option of each group.
         locator: Where each key was set.
         problems: What went wrong so far.
-        usable: Whether `tree` is whole; otherwise its values besides the task are there at best,
-            and only their types can be checked.
+        usable: Whether `tree` is whole; otherwise it has values of the root at best, and only
+            their types can be checked.
         notes: What of a gym config was left out or is read otherwise.
     """
 
@@ -107,8 +108,7 @@ def compose(
         parsed = parse(lines, loader)
         gym, parsed = _gym_config(parsed)
         if gym is None and WITHOUT_TASK in parsed.for_hydra:
-            tree, locator = _partial(loader, config_name, parsed)
-            return Composed(config_name, lines, tree, {}, locator, parsed.problems, usable=False)
+            return _without_task(loader, config_name, lines, parsed, [])
         try:
             lines_of_groups = list(parsed.for_hydra)
             config = loader.load_configuration(config_name, lines_of_groups, RunMode.RUN)
@@ -117,10 +117,10 @@ def compose(
                 lines_of_groups.append(f"algo={chosen}")
                 config = loader.load_configuration(config_name, lines_of_groups, RunMode.RUN)
         except COMPOSING as error:
-            found = [] if _follows(error, parsed) else explain(error, loader)
-            problems = (*parsed.problems, *found)
-            tree, locator = _partial(loader, config_name, parsed)
-            return Composed(config_name, lines, tree, {}, locator, problems, usable=False)
+            # That a group has no option follows from leaving out its wrong one.
+            known = any(f"You must specify '{group}'" in str(error) for group in parsed.broken)
+            found = [] if known else explain(error, loader)
+            return _without_task(loader, config_name, lines, parsed, found)
     choices = dict(config.hydra.runtime.choices)
     folders = [folder_of_source(s.schema, s.path) for s in config.hydra.runtime.config_sources]
     files = partial(_files, loader, config_name, lines_of_groups, folders, gym)
@@ -198,20 +198,25 @@ def _files(
     return files
 
 
-def _partial(
-    loader: ConfigLoader, config_name: str, parsed: ParsedOverrides
-) -> tuple[dict[str, Any], Locator]:
+def _without_task(
+    loader: ConfigLoader,
+    config_name: str,
+    lines: tuple[str, ...],
+    parsed: ParsedOverrides,
+    found: Sequence[Problem],
+) -> Composed:
     """The root's own values with overrides of them, where task and groups cannot be composed."""
     values = [o for o in parsed.values if o.key_or_group.split(".")[0] != "task"]
     locator = Locator(list, values)
-    try:
+    tree: dict[str, Any] = {}
+    with suppress(*COMPOSING):
         config = loader.load_configuration(config_name, ["~task"], RunMode.RUN)
-    except COMPOSING:
-        return {}, locator
-    OmegaConf.set_struct(config, False)
-    del config["hydra"]
-    apply_values(config, values)
-    return _resolved(config, locator)[0], locator
+        OmegaConf.set_struct(config, False)
+        del config["hydra"]
+        apply_values(config, values)
+        tree = _resolved(config, locator)[0]
+    problems = (*parsed.problems, *found)
+    return Composed(config_name, lines, tree, {}, locator, problems, usable=False)
 
 
 def _algorithm(
@@ -219,7 +224,7 @@ def _algorithm(
 ) -> str | None:
     """The option of `algo` that a null choice means: named by a key, suggested, else ppo.
 
-    A name that is no option is left for the check of types to report where it stands.
+    A name that is no option is left for the check of types to report with its place.
     """
     if config.hydra.runtime.choices.get("algo", "") is not None:
         return None
@@ -227,11 +232,6 @@ def _algorithm(
     suggested = OmegaConf.select(config, "task.suggested.train.algo.name")
     written = OmegaConf.select(config, "algo.name")
     return next((n for n in (*named, written, suggested) if n in options), DEFAULT_ALGORITHM)
-
-
-def _follows(error: Exception, parsed: ParsedOverrides) -> bool:
-    """Whether an error only says that a group has no option, after its wrong one was left out."""
-    return any(f"You must specify '{group}'" in str(error) for group in parsed.broken)
 
 
 _INSTANTIATE = ("_target_", "_recursive_", "_convert_", "_partial_", "_args_")
@@ -308,7 +308,9 @@ def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
         if not override.key_or_group:
             problems.append(_malformed(line, HydraException("the key is missing")))
         elif override.is_sweep_override():
-            problems.append(_sweep(override))
+            key = override.key_or_group
+            message = f"{line!r} is a sweep: add -m to run every value, or write {key}=[...] for a "
+            problems.append(Problem(key, f"{message}list", source=COMMAND_LINE))
         elif _is_hydras(override):
             for_hydra.append(line)
         elif options := loader.get_group_options(override.key_or_group):
@@ -385,14 +387,6 @@ def _malformed(line: str, error: HydraException) -> Problem:
     reason = str(error).splitlines()[0]
     message = f"malformed override {line!r}: {reason}; expected key=value, +key=value or ~key"
     return Problem("", message, source=COMMAND_LINE)
-
-
-def _sweep(override: Override) -> Problem:
-    message = (
-        f"{override.input_line!r} is a sweep: add -m to run every value, or write "
-        f"{override.key_or_group}=[...] for a list"
-    )
-    return Problem(override.key_or_group, message, source=COMMAND_LINE)
 
 
 def _check_option(override: Override, options: list[str]) -> Problem | None:

@@ -1,4 +1,4 @@
-"""Checking one file where it lies: a task, another group's option, a dumped or a gym config."""
+"""Checking one file: a task, another group's option, a dumped or a gym config."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def validate_file(path: str | Path, verb: Verb = "run") -> list[Problem]:
 def resolve_file(path: str | Path, verb: Verb = "run") -> Resolved:
     """Check a file as a whole and fill in what follows.
 
-    A file with a map ``task`` in it is a whole config, as run folders hold; one with a map ``env``
+    A file with a map ``task`` in it is a whole config, as in run folders; one with a map ``env``
     is EmbodiChain's gym config; one in a folder named like a group is an option of that group; any
     other is a task.
 

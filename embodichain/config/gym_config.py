@@ -1,7 +1,4 @@
-"""EmbodiChain's gym config as a task: converted, every key with the file and line it came from.
-
-What keys mean is `compat.gym_config`'s; here the result takes the place of an option of `task`.
-"""
+"""EmbodiChain's gym config as a task: converted, every key with the file and line it came from."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ class ConfigFile:
         Raises:
             yaml.YAMLError: It is malformed, or has a tag (``!!python/...``, ``!!set``).
         """
-        with path.open(encoding="utf-8") as stream:  # a stream's name stands in error marks
+        with path.open(encoding="utf-8") as stream:  # error marks have a stream's name
             if "!" in stream.read():
                 stream.seek(0)
                 _refuse_tags(stream)
@@ -113,7 +113,7 @@ def _refuse_tags(stream: TextIO) -> None:
 
 
 def display_path(path: Path) -> str:
-    """Return a path as people read it: relative where it lies below the working directory."""
+    """Return a path as people read it: relative if it is below the working directory."""
     resolved = path.resolve()
     here = Path.cwd().resolve()
     return str(resolved.relative_to(here)) if resolved.is_relative_to(here) else str(resolved)
@@ -167,7 +167,7 @@ class Locator:
         return any(path in file.keys for file in self.files)
 
     def chosen(self, path: str, package: str) -> bool:
-        """Whether someone set this key besides the group option mounted at `package`."""
+        """Whether a file or an override other than the group option at `package` has this key."""
         parts = path.split(".")
         others = [file for file in self.files if file.package != package]
         return any(path in file.keys for file in others) or any(

@@ -20,11 +20,11 @@ from embodichain.config.composed import ParsedOverrides, apply_values, parse
 from embodichain.config.hydra_loader import config_loader
 from embodichain.config.locate import COMMAND_LINE
 from embodichain.config.resolved import Resolved, resolve_tree
+from embodichain.config.run_folder import CONFIG, SUMMARY
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["CONFIG", "read_config", "resolve_again", "task_of"]
+__all__ = ["read_config", "resolve_again", "task_of"]
 
-CONFIG = "config.yaml"
 _FOLDER = re.compile(r"\d\d-\d\d-\d\d_(.+?)(_\d+)?")  # see `run_folder.claim`
 _GROUPS = ("record", "viewer", "sim")
 
@@ -77,7 +77,7 @@ def resolve_again(
 def task_of(folder: Path) -> str:
     """Return what a run's task is called: by its summary, else by its folder's name."""
     try:
-        task = json.loads((folder / "summary.json").read_text(encoding="utf-8")).get("task")
+        task = json.loads((folder / SUMMARY).read_text(encoding="utf-8")).get("task")
     except (OSError, ValueError, AttributeError):
         task = None
     if isinstance(task, str):
@@ -97,7 +97,7 @@ def read_config(path: Path) -> dict[str, Any]:
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise ConfigError(f"cannot read {path}: {error}") from error
     if not isinstance(tree, dict):
-        raise ConfigError(f"{path} holds no config")
+        raise ConfigError(f"{path} has no config")
     return tree
 
 

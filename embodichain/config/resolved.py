@@ -177,16 +177,10 @@ def _with_defaults(tree: Mapping[str, Any], verb: Verb) -> dict[str, Any]:
 def _with_armature(
     tree: Mapping[str, Any], prepared: PreparedScene
 ) -> tuple[dict[str, Any], tuple[Problem, ...]]:
-    """Return a copy of a checked, settled tree with the armature that its joints lack.
+    """A copy with the armature that its joints lack, and a note for every articulation changed.
 
-    Only joints whose armature the task does not give are changed.
-
-    Args:
-        tree: A settled tree without mistakes.
-        prepared: Its scene, as checked; its articulations' configs are changed likewise.
-
-    Returns:
-        The tree, and a note for every articulation that was changed.
+    Only joints whose armature the task does not give are changed; the articulations' configs in
+    `prepared` are changed likewise.
     """
     changed, notes = copy.deepcopy(dict(tree)), []
     for path, raised in prepared.settle_armature().items():

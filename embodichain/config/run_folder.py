@@ -19,6 +19,7 @@ __all__ = [
     "CHECKPOINT",
     "CONFIG",
     "LOG",
+    "SUMMARY",
     "adopt",
     "claim",
     "find_run",
@@ -33,6 +34,8 @@ LOG = "rollout.mcap"
 """A run's log."""
 CHECKPOINT = "checkpoints/final.zip"
 """A training's policy."""
+SUMMARY = "summary.json"
+"""What a run found."""
 LATEST = "latest"
 _MOST_SUFFIXES = 10_000
 _PACKAGES = (
@@ -72,15 +75,15 @@ def adopt(folder: str | Path) -> Path:
     """Take a folder of a fixed name, as a sweep's jobs have, for one run.
 
     Raises:
-        ConfigError: It holds a run already, or cannot be made.
+        ConfigError: It has a run already, or cannot be made.
     """
     path = Path(folder)
     try:
         path.mkdir(parents=True, exist_ok=True)
         with (path / CONFIG).open("x"):
-            pass  # whoever makes this file owns the folder
+            pass  # the process that makes this file owns the folder
     except FileExistsError as error:
-        raise ConfigError(f"{path} holds a run already; it is never used again") from error
+        raise ConfigError(f"{path} has a run already; it is never used again") from error
     except OSError as error:
         raise ConfigError(f"cannot make the run folder {path}: {error}") from error
     return path
@@ -104,7 +107,7 @@ def find_run(name: str | Path, output_root: str | Path = "outputs") -> Path:
 
 
 def newest_run(output_root: str | Path, holding: str) -> Path | None:
-    """Return the folder of the run that began last of those that hold a file, or None.
+    """Return the folder of the run that began last of those with a file, or None.
 
     Args:
         output_root: Where runs are; the jobs of sweeps count too.

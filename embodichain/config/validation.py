@@ -11,7 +11,7 @@ import dataclasses
 import re
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ from embodichain.utils.type_errors import show_value, unknown_key
 __all__ = ["Check", "check", "check_training_keys", "check_tree", "validate"]
 
 Chosen = Callable[[str, str], bool]
-"""``chosen(path, package)``: whether a key was set besides by the option at `package`."""
+"""``chosen(path, package)``: whether a key was set elsewhere than in the option at `package`."""
 
 _SAME = {"episode_length_s": "max_episode_steps", "decimation": "sim_steps_per_control"}
 """Task keys that win over another one when given, see `EnvCfg`."""
@@ -68,12 +68,7 @@ def validate(composed: Composed, verb: Verb = "run") -> list[Problem]:
 
 
 def check(composed: Composed, verb: Verb) -> Check:
-    """Check a composed config as a whole.
-
-    Args:
-        composed: What `compose` returned.
-        verb: Whose suggested values count.
-    """
+    """Check a composed config as a whole, with the task's suggestions for a verb."""
     unknown: list[Problem] = []
     if composed.usable:
         unknown = _unknown_entries(composed)
@@ -85,7 +80,7 @@ def check(composed: Composed, verb: Verb) -> Check:
         types = check_types({**composed.tree, "task": {}})
         found = Check(_located(types.problems, composed.source), types, PreparedScene())
     before = [*composed.problems, *_located(unknown, composed.source)]
-    return dataclasses.replace(found, problems=[*before, *found.problems])
+    return replace(found, problems=[*before, *found.problems])
 
 
 def check_tree(
@@ -136,8 +131,8 @@ def _check_meaning(
     scene: PreparedScene,
 ) -> list[Problem]:
     """Values, terms and scene, of what has the right types."""
-    problems = _check_root(root, allow_import=allow_import)
-    problems += _check_task(root.task, allow_import=allow_import)
+    problems = _check_root(root, allow_import)
+    problems += _check_task(root.task, allow_import)
     if verb == "train":
         problems += check_training_keys(root)
     known = {p.path for p in problems}
@@ -146,7 +141,7 @@ def _check_meaning(
         from embodichain.lab.gym.envs.scene_setup import describe  # imports MuJoCo
 
         in_task += describe(root.task, scene)
-    found = [Problem(_in_task(p.path), p.message, p.hint) for p in in_task]
+    found = [replace(p, path=f"task.{p.path}".rstrip(".")) for p in in_task]
     return problems + [p for p in found if p.path not in known]
 
 
@@ -176,7 +171,7 @@ def _said_twice(composed: Composed) -> list[Problem]:
 
 
 def _unknown_entries(composed: Composed) -> list[Problem]:
-    """Overrides that would make a new entity or term by misspelling one; `+` says it is meant."""
+    """Overrides that name an entity or term that does not exist; with `+` they would add it."""
     problems: dict[str, Problem] = {}
     for override in composed.locator.overrides:
         parts = override.key_or_group.split(".")
@@ -212,10 +207,6 @@ def _unknown_entry(path: str, composed: Composed) -> Problem:
     return Problem(path, message, hint)
 
 
-def _in_task(path: str) -> str:
-    return f"task.{path}" if path else "task"
-
-
 def _below(path: str, ancestors: Iterable[str]) -> bool:
     return any(path == a or path.startswith(f"{a}.") for a in ancestors)
 
@@ -229,13 +220,8 @@ def _remove(tree: dict[str, Any], path: str) -> None:
         node.pop(name, None)
 
 
-def _check_root(root: RootCfg, *, allow_import: bool = True) -> list[Problem]:
-    """Check the everyday keys.
-
-    Args:
-        root: What passed the check of types.
-        allow_import: Whether a policy may be imported to read its signature.
-    """
+def _check_root(root: RootCfg, allow_import: bool) -> list[Problem]:
+    """Check the everyday keys; a policy is imported to read its signature, if that is allowed."""
     problems = _check_device(root.device) + _check_policy(root, allow_import)
     count = root.num_envs or 1
     beyond = [i for i in root.record.view_envs if i >= count]
@@ -251,13 +237,8 @@ def _check_root(root: RootCfg, *, allow_import: bool = True) -> list[Problem]:
     return problems
 
 
-def _check_task(task: EnvCfg, *, allow_import: bool = True) -> list[Problem]:
-    """Check values of a task that belong to no term and no entity.
-
-    Args:
-        task: What passed the check of types.
-        allow_import: Whether the module of an id ``package.module:id`` may be imported.
-    """
+def _check_task(task: EnvCfg, allow_import: bool) -> list[Problem]:
+    """Check values of a task that belong to no term and no entity."""
     problems = []
     steps = task.max_episode_steps
     if steps < 1 and steps != -1:
@@ -287,9 +268,9 @@ def _check_suggested(tree: Mapping[str, Any]) -> list[Problem]:
             if name not in allowed:
                 problems.append(Problem(f"{path}.{name}", *unknown_key(name, allowed)))
         known = {k: v for k, v in values.items() if k in allowed}
-        found = check_types({"task": {}, **known}) if known else None
-        for p in found.problems if found is not None else []:
-            problems.append(Problem(f"{path}.{p.path}", p.message, p.hint))
+        if known:
+            found = check_types({"task": {}, **known}).problems
+            problems += [replace(p, path=f"{path}.{p.path}") for p in found]
     return problems
 
 

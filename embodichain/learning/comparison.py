@@ -14,6 +14,7 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from embodichain.config.run_folder import SUMMARY
 from embodichain.learning.statistics import Estimate, bootstrap, estimate
 from embodichain.utils.errors import ConfigError
 
@@ -30,7 +31,6 @@ __all__ = [
 ]
 
 PROGRESS = "progress.csv"
-SUMMARY = "summary.json"
 STEPS, RETURN, SUCCESS = "time/total_timesteps", "rollout/ep_rew_mean", "rollout/success_rate"
 LENGTH = "rollout/ep_len_mean"
 """Columns of Stable-Baselines3's logger."""
@@ -59,7 +59,7 @@ class TrainedRun:
 
     Attributes:
         folder: Its run folder.
-        label: Task, algorithm and overrides besides the seed.
+        label: Task, algorithm and overrides without the seed.
         seed: Its seed.
         numbers: ``success_rate``, ``mean_return``, ``env_steps_per_second``, ``train_seconds``,
             ``env_steps``, ``eval_return``, ``eval_success``, as far as known.
@@ -86,7 +86,7 @@ class Group:
 
 
 def is_training(folder: Path) -> bool:
-    """Whether a folder holds a training that has come to an end; a damaged summary counts as one.
+    """Whether a folder has a training that has ended; a damaged summary counts as one.
 
     `read_run` says what is wrong with it.
     """
@@ -114,7 +114,7 @@ def read_run(folder: Path) -> TrainedRun:
     """
     summary = _json(folder / SUMMARY)
     if summary is None or "train_seconds" not in summary:
-        raise ConfigError(f"{folder} holds no finished training: no summary.json of one")
+        raise ConfigError(f"{folder} has no finished training: no summary.json of one")
     names = ("success_rate", "mean_return", "env_steps_per_second", "train_seconds", "env_steps")
     numbers = {n: float(summary[n]) for n in names if summary.get(n) is not None}
     evaluated = _evaluated(folder) or summary.get("eval") or {}

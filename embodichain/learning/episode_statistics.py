@@ -100,7 +100,7 @@ def play(env: BaseEnv, policy: Policy, obs: Any, counted: EpisodeStatistics) -> 
 
     Args:
         env: A batched environment that was just reset and resets its environments itself.
-        policy: Acts; told when environments begin a new episode.
+        policy: Acts; it is reset for environments that begin a new episode.
         obs: What the reset returned.
         counted: What is counted.
     """

@@ -1,4 +1,4 @@
-"""Policies from ONNX and TorchScript files, which hold no Python code."""
+"""Policies from ONNX and TorchScript files, which contain no Python code."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class PolicyMetadata:
-    """What an exported file says of itself.
+    """The metadata of an exported file.
 
     `columns` names the columns of its input; `action_low` and `action_high` bound those of its
     output; `embodichain` is the version that wrote it, `trained_in` the JSON of a `TaskDigest`.
@@ -89,7 +89,7 @@ class ExportedPolicy(TrainedPolicy):
 
     Args:
         network: (N, K) float32 observations to (N, A) float32 actions in the task's units.
-        metadata: What the file says of itself, if anything.
+        metadata: Of the file; None for files of other programs.
         name: What messages call it.
 
     Raises:

@@ -102,7 +102,7 @@ def load_statistics(path: str | Path) -> NormalizeStatistics:
     try:
         return NormalizeStatistics(**found)
     except TypeError as error:
-        message = f"{path} holds no normalization statistics: {error}"
+        message = f"{path} has no normalization statistics: {error}"
         raise ConfigError([Problem("policy", message)]) from error
 
 

@@ -56,9 +56,9 @@ def read_tree(path: Path, key: str = "resume", what: str = "state of a training"
             arrays = {name: archive[name] for name in archive.files}
         tree = _unpack(json.loads(str(arrays[_TREE])), arrays)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise ConfigError([Problem(key, f"{path} holds no {what}: {error}")]) from error
+        raise ConfigError([Problem(key, f"{path} has no {what}: {error}")]) from error
     if not isinstance(tree, dict):
-        raise ConfigError([Problem(key, f"{path} holds no {what}")])
+        raise ConfigError([Problem(key, f"{path} has no {what}")])
     return tree
 
 
@@ -73,7 +73,7 @@ def _pack(value: Any, path: str, arrays: dict[str, NDArray[Any]]) -> Any:
             kind = "scalar" if isinstance(value, np.generic) else "array"
             arrays[name] = np.asarray(value)
         if arrays[name].dtype.hasobject:
-            raise TypeError(f"{path} holds objects: they cannot be written")
+            raise TypeError(f"{path} contains objects: they cannot be written")
         return {_KIND: kind, "name": name}
     if isinstance(value, Mapping):
         items = [(k, _pack(v, f"{path}.{k}", arrays)) for k, v in value.items()]

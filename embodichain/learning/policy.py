@@ -51,7 +51,7 @@ def load_policy(
 
     Loading a zip runs code from the file: Stable-Baselines3 stores Python objects in it with
     cloudpickle. **Load only zips that you trust**, as you would run only programs that you trust;
-    one that lies in no run folder is warned about. ONNX and TorchScript files hold no Python.
+    one outside of a run folder is warned about. ONNX and TorchScript files contain no Python.
 
     Args:
         path: A zip file with, where observations were normalized, ``NAME.normalize.npz`` beside it;
@@ -121,7 +121,7 @@ class LearnedPolicy(TrainedPolicy):
         name: What messages call it.
         deterministic: Whether it takes the mean action.
         statistics: What normalizes observations for it; None where nothing did in training.
-        note: What its checkpoint says of it: ``algo``, ``task`` and the digest of the task.
+        note: Metadata of its checkpoint: ``algo``, ``task`` and the digest of the task.
 
     Raises:
         ConfigError: If the model's spaces are not those of an `SB3VecEnv`.

@@ -19,9 +19,11 @@ from stable_baselines3.common.logger import KVWriter
 
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.normalization import load_statistics, statistics_path
-from embodichain.learning.replay_buffer import buffer_of, buffer_path, load_buffer
 from embodichain.learning.train_logs import log_episode, log_interval, make_logger
 from embodichain.learning.training_state import (
+    buffer_of,
+    buffer_path,
+    load_buffer,
     load_parameters,
     restore,
     restore_exploration,
@@ -36,7 +38,7 @@ Progress = Callable[[TrainStatistics], None]
 """Is called after every control step. KeyboardInterrupt stops at the next rollout boundary."""
 PARTS = ("physics", "environment", "policy", "update")
 """Physics steps; what else `env.step` does (observations, rewards, resets); what else a rollout
-does (actions of the policy, buffers, statistics); what lies between two rollouts (the algorithm's
+does (actions of the policy, buffers, statistics); the time between two rollouts (the algorithm's
 update, logs, checkpoints)."""
 
 
@@ -49,7 +51,7 @@ class Session:
         vec_env: What it learns in, without wrappers.
         statistics: How it goes.
         run_dir: The run's folder.
-        writers: Who is told the logged numbers besides the files in it.
+        writers: Further outputs of the logged numbers.
     """
 
     model: BaseAlgorithm
@@ -64,7 +66,7 @@ class Session:
 
         Args:
             checkpoint: The zip.
-            state: What lies beside it, see `find_resumable`.
+            state: From the file beside it, see `find_resumable`.
 
         Raises:
             ConfigError: The checkpoint is damaged, of another network, or of code that kept less.
@@ -92,7 +94,7 @@ class Session:
     def learn(
         self, on_boundary: Callable[[], None], progress: Progress | None
     ) -> tuple[KeyboardInterrupt | None, bool]:
-        """Learn until all steps are taken or somebody stops it.
+        """Learn until all steps are taken or it is stopped.
 
         Args:
             on_boundary: Called as each rollout begins.
@@ -189,7 +191,7 @@ class _Watch(BaseCallback):
 
 
 class TimeSplit:
-    """Wall time by part, told where rollouts begin and end.
+    """Wall time by part; it is called where rollouts begin and end.
 
     Attributes:
         seconds: Seconds of each of `PARTS` so far.

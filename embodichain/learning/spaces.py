@@ -65,7 +65,7 @@ class ActionScale:
         """Return (N, A) actions of the environment, in memory of their own.
 
         Args:
-            actions: (N, A), meant to lie in [-1, 1]; what lies outside is scaled like the rest.
+            actions: (N, A), in [-1, 1]; what is outside is scaled like the rest.
 
         Raises:
             ValueError: If the shape is wrong.

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = ["CONFIDENCE", "Estimate", "Rate", "bootstrap", "estimate", "iqm", "rate"]
 
 CONFIDENCE = 0.95
-"""Share of repetitions in which an interval holds the true value, about."""
+"""Share of repetitions in which an interval contains the true value, about."""
 RESAMPLES = 2000
 """Resamples of a bootstrap: its ends then move by a few percent of its width."""
 _SEED = 0  # of the bootstrap's own generator: the same values always give the same interval

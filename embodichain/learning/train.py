@@ -15,6 +15,7 @@ from stable_baselines3.common.logger import KVWriter
 from embodichain.config import Resolved, make_env
 from embodichain.config.algorithms import DEFAULT_ALGORITHM, AlgoCfg
 from embodichain.config.resolved import thaw
+from embodichain.config.run_folder import SUMMARY
 from embodichain.config.validation import check_training_keys
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.learning.algorithms import Algorithm
@@ -31,7 +32,6 @@ from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = [
-    "SUMMARY_FILE",
     "TORCH_THREADS",
     "TrainSummary",
     "add_evaluation",
@@ -40,7 +40,6 @@ __all__ = [
     "train",
 ]
 
-SUMMARY_FILE = "summary.json"
 GROUP = "policy"
 _EVAL_KEYS = {field.name for field in dataclasses.fields(Evaluation)} - {"per_episode"}
 TORCH_THREADS = 1
@@ -52,19 +51,11 @@ class TrainSummary:
     """What a training was; `summary.json` has the same keys.
 
     Attributes:
-        task: The task's name.
-        algo: The algorithm's name.
-        seed: The seed of everything drawn.
-        num_envs: Environments stepped together.
         env_steps: Environment steps taken, summed over environments, with those before a resume.
         train_seconds: Wall time of learning, without start-up.
-        env_steps_per_second: Their ratio.
-        time_fractions: Shares of the wall time since the start or the resume, by part: ``physics``,
-            ``environment``, ``policy``, ``update`` (see `session.PARTS`).
-        episodes: Episodes finished.
+        time_fractions: Shares of the wall time since the start or the resume, see `session.PARTS`.
         success_rate: Share of the last 200 episodes that were a success; None without any.
         mean_return: Mean return of the last 200 episodes; None without any.
-        status: ``finished`` or ``interrupted``.
         checkpoint: Path of the final checkpoint, relative to the run folder.
         best: That of the best one; None where no episode ended.
         resumed_from: The checkpoint that this training went on from; None for a new one.
@@ -146,7 +137,7 @@ def add_evaluation(run_dir: Path, found: Mapping[str, Any]) -> dict[str, Any]:
     Returns:
         The summary.
     """
-    summary: dict[str, Any] = json.loads((run_dir / SUMMARY_FILE).read_text(encoding="utf-8"))
+    summary: dict[str, Any] = json.loads((run_dir / SUMMARY).read_text(encoding="utf-8"))
     summary["eval"] = {name: value for name, value in found.items() if name in _EVAL_KEYS}
     success, returns = found["success"], found["returns"]
     if found["complete"]:
@@ -257,7 +248,7 @@ def _learn(
 
 
 def _write(run_dir: Path, summary: Mapping[str, Any]) -> None:
-    write_text(run_dir / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
+    write_text(run_dir / SUMMARY, json.dumps(summary, indent=2) + "\n")
 
 
 @contextmanager

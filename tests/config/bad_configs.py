@@ -86,7 +86,7 @@ BAD = {
         overrides=("rewards.near.weight=2",),
     ),
     "a root key in a task": bad(
-        "conf/task/mine.yaml:1: task.num_envs: not a key of a task; it stands at the "
+        "conf/task/mine.yaml:1: task.num_envs: not a key of a task; it is a key of the "
         "root: num_envs=N",
         old="description: A small task.",
         new="num_envs: 4",
@@ -224,7 +224,7 @@ BAD = {
         verb="train",
     ),
     "an algorithm's key of rl-zoo3": bad(
-        "command line: algo.n_timesteps: not a key of an algorithm; it stands at the root: "
+        "command line: algo.n_timesteps: not a key of an algorithm; it is a key of the root: "
         "total_timesteps=N",
         overrides=(
             "algo.n_timesteps=1000",

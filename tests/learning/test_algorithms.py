@@ -146,7 +146,7 @@ def test_every_mistake_is_reported_at_once():
     assert found["algo.n_steps"].message == "expected an integer, got 'many'"
     assert found["algo.clip_range_vf"].message == "expected a number or text, got [1]"
     assert found["algo.seed"].message == (
-        "not a key of an algorithm; it stands at the root: seed=N"
+        "not a key of an algorithm; it is a key of the root: seed=N"
     )
     assert found["algo.policy_kwargs.activation_fn"].hint == "Did you mean 'relu'?"
     assert found["algo.policy_kwargs.ortho"].hint == "Did you mean 'ortho_init'?"

@@ -125,7 +125,7 @@ def other_file(tmp_path, what):
     [
         ("missing", "there is no file or folder"),
         ("text", "is no policy of Stable-Baselines3: File is not a zip file"),
-        ("folder", "holds no checkpoints/final.zip"),
+        ("folder", "has no checkpoints/final.zip"),
         ("foreign zip", "it has no data"),
         ("no algorithm", "does not say which algorithm made it"),
     ],

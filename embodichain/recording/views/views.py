@@ -77,7 +77,7 @@ class Views:
         self._every = max(1, math.ceil(1.0 / (options.view_hz * float(env.step_dt)) - 1e-9))
         self._period_ns = self._every * round(float(env.step_dt) * 1e9)
         self._due: dict[int, bool] = dict.fromkeys(self._ids.tolist(), True)
-        """Environments whose scene is due; whether even if it looks as before."""
+        """Environments whose scene is due; True: even if it is unchanged."""
         self._sampled = -1
         self._next_line: dict[str, int] = {}  # interval term: when it may have a line again
         self._rewards = getattr(env, "reward_manager", None)  # other classes may have no manager
@@ -216,9 +216,8 @@ class Views:
             self._say_endings(step, record)
         if self._viewed and step % self._every == 0:
             scalars, time_ns = self.declare(record), self._now()
-            if self._rewards is not None:
-                scalars.weigh(self._rewards.weights)
-            metrics = zip(self._viewed.values(), scalars.of(record), strict=True)
+            weights = {} if self._rewards is None else self._rewards.weights
+            metrics = zip(self._viewed.values(), scalars.of(record, weights), strict=True)
             self._sink.send(time_ns, ((v.metrics, scalars.encode(values)) for v, values in metrics))
 
     def _say_endings(self, step: int, record: StepRecord) -> None:
@@ -282,7 +281,7 @@ class _Viewed:
         return self._model
 
     def look(self, time_ns: int, anyway: bool) -> bytes | None:
-        """Return its `SceneUpdate`; None if it looks as before, unless `anyway`."""
+        """Return its `SceneUpdate`; None if the scene is unchanged, unless `anyway`."""
         model = self.model
         if not self._stale and not anyway:
             return None
