@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.compiler import ParsedArticulation
+    from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 
 __all__ = ["UR10", "describe_robot"]
 

@@ -68,16 +68,14 @@ def convert_lights(draft: Draft, data: Any) -> None:
             draft.note(source, f"lights of type {kind} are not drawn")
             continue
         target = draft.entity(item, source, "lights")
-        if (
-            target is not None
-            and draft.carry(item, source, target, known.LIGHT)
-            and kind is not None
-        ):
+        if target is None or not draft.carry(item, source, target, known.LIGHT):
+            continue
+        if kind is not None:
             draft.put((*target, "light_type"), kind, (*source, "light_type"))
 
 
 def convert_sensors(draft: Draft, data: Any) -> None:
-    """Say of each sensor why it is left out."""
+    """Note why each sensor is left out."""
     for source, item in draft.items(data, ("sensor",)):
         kind = str(item.get("sensor_type")) if isinstance(item, Mapping) else repr(item)
         reason = known.SENSORS.get(kind)

@@ -261,7 +261,7 @@ class RandomizeAnchorHeight(Term):
             setattr(self._env, self._key, torch.from_numpy(self._delta.astype(np.float32)))
 
     def state_dict(self) -> dict[str, Any]:
-        """Heights in force."""
+        """The current heights (a copy)."""
         return {"delta": self._delta.copy()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
