@@ -31,7 +31,7 @@ __all__ = ["command"]
     ("convert gym_config.json -o conf/task/push.yaml", "write it; then: run task=push"),
 )
 @click.argument("file", metavar="FILE")
-@click.option("--output", "-o", metavar="OUT", help="A new file; else the terminal.")
+@click.option("--output", "-o", metavar="OUT", help="A new file. Default: print it.")
 def command(file: str, output: str | None, json: bool) -> None:
     """Print the task, or write it to a new file; say on stderr what could not come along."""
     from embodichain.config.composed import compose

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.compiler import ParsedArticulation
+    from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 
 __all__ = ["UR10", "describe_robot"]
 
 _TAKEN = ("marker", "pedestal", "default_plane")
 _PEDESTAL = """\
-  pedestal:                        # for pictures: the base stands in it, so it does not collide
+  pedestal:                        # for pictures only: the base is inside, so it does not collide
     shape:
       shape_type: Cylinder
       radius: 0.1

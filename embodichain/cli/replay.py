@@ -58,34 +58,34 @@ _ONLY_WITH = {
 @log_argument()
 @click.option("--verify", is_flag=True, help="Simulate again and compare.")
 @click.option("--env", type=int, metavar="I", help="Only this environment.")
-@click.option("--episode", type=int, metavar="K", help="Only this episode, from 0.")
+@click.option("--episode", type=int, metavar="K", help="Only this episode, counted from 0.")
 @click.option("--from", "start", type=int, metavar="T", help="First control step.")
-@click.option("--to", "stop", type=int, metavar="T", help="Step that ends it.")
+@click.option("--to", "stop", type=int, metavar="T", help="The control step to stop before.")
 @click.option(
     "--speed",
     type=click.FloatRange(min=0, min_open=True),
     metavar="X",
-    help="Of --view and --video; 1 is real time.",
+    help="Speed of --view and --video; 1 is real time.",
 )
-@click.option("--policy", metavar="P", help="Play its episodes with this policy instead.")
+@click.option("--policy", metavar="P", help="Play the same episodes with this policy.")
 @click.option(
     "--allow-changed",
     is_flag=True,
     default=None,
-    help="Of --policy: also one trained in a task that is another than the log's.",
+    help="With --policy: allow one that was trained in another task.",
 )
 @click.option(
     "--view",
     is_flag=False,
     flag_value="",
     metavar="[WHERE]",
-    help="Play it in a window (native) or a browser (web); else native where a display is.",
+    help="Play it in a window (native) or a browser (web). Default: native, if there is a display.",
 )
-@click.option("--host", metavar="H", help="What --view web listens on; else 127.0.0.1.")
-@click.option("--port", type=int, metavar="P", help="Its port; else a free one from 8080.")
-@click.option("--video", metavar="OUT", help="Write an MP4 of --env, which is else 0.")
+@click.option("--host", metavar="H", help="Address of --view web. Default: 127.0.0.1.")
+@click.option("--port", type=int, metavar="P", help="Its port. Default: a free one from 8080.")
+@click.option("--video", metavar="OUT", help="Write an MP4 of --env. Default: environment 0.")
 @click.option("--camera", metavar="NAME", help="Film with this camera of the scene.")
-@click.option("--size", metavar="WxH", help="Pixels of the film; else 640x480.")
+@click.option("--size", metavar="WxH", help="Pixels of the film. Default: 640x480.")
 def command(**kwargs: Any) -> int:
     """Print what is in a log, or verify, film, view or replay it."""
     options = SimpleNamespace(**kwargs)

@@ -1,7 +1,7 @@
-"""`embodichain train`: learn a policy with Stable-Baselines3, or go on with a training.
+"""`embodichain train`: learn a policy with Stable-Baselines3, or resume a training.
 
 ``resume=RUN`` takes its config from the run's own `config.yaml`. It is the same experiment, so only
-few keys may change. It goes on in a folder of its own: what was written before stays as it is.
+few keys may change. It continues in a folder of its own: what was written before is not changed.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ MAY_CHANGE = (
     ("train task=reach total_timesteps=8192", "shorter"),
     ("train task=reach algo.learning_rate=3e-4 seed=1", "another learning rate and seed"),
     ("train task=reach algo=sac algo.normalize=obs", "another algorithm; normalized"),
-    ("train resume=last total_timesteps=400_000", "go on from the newest checkpoint"),
+    ("train resume=last total_timesteps=400_000", "resume from the newest checkpoint"),
     ("train -m task=reach seed=0,1,2", "a sweep: one training for each seed"),
     keys=True,
     config_dir=True,
@@ -58,7 +58,7 @@ def command(**kwargs: Any) -> None:
     flags = options.cfg, options.info, options.gym_config
     if options.multirun or hydras or any(flag is not None for flag in flags):
         only = "no --multirun, no --gym-config, no key of Hydra's"
-        raise ConfigError(f"resume goes on with one training: {only}")
+        raise ConfigError(f"resume continues one training: {only}")
     lines = [*split_overrides(words), *job_options(options)]
     execute(_resumed(lines), train_job, command_line())
 
@@ -134,7 +134,7 @@ def _print(summary: dict[str, Any]) -> None:
 
 
 def _resumed(overrides: Sequence[str]) -> Resolved:
-    """The config of a training that goes on.
+    """The config of a training that is resumed.
 
     Args:
         overrides: As typed: ``resume=RUN`` (or ``last``) and what may change.
@@ -154,7 +154,7 @@ def _resumed(overrides: Sequence[str]) -> Resolved:
     folder = _folder(changes.pop("resume"), changes.get("output_dir", "outputs"))
     allowed = ", ".join(MAY_CHANGE)
     problems = [
-        Problem(key, f"a training goes on as it was; what may change: {allowed}")
+        Problem(key, f"a resumed training keeps its config; what may change: {allowed}")
         for key in changes
         if key.partition(".")[0] not in MAY_CHANGE
     ]

@@ -66,7 +66,7 @@ def test_checkpoints_of_another_task_or_shape(run, capsys):
         err = refused(capsys, *arguments, "task=cart_pole", *extra)
         assert "has observations (21,), this task has (4,); has actions (6,)" in err
     err = refused(capsys, "train", f"resume={run}", "task=cart_pole")
-    assert "task: a training goes on as it was" in err
+    assert "task: a resumed training keeps its config" in err
     # The folder's config says another network than its checkpoint has.
     config = run / "config.yaml"
     tree = yaml.safe_load(config.read_text())

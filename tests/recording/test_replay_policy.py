@@ -92,7 +92,7 @@ def test_nothing_that_a_log_names_is_imported(path, tmp_path, capsys):
 def test_what_cannot_be_compared(path, record):
     with pytest.raises(ConfigError, match="nothing to compare"):
         call(["replay", str(path), "--policy", "zero", "--episode", "7"])
-    with pytest.raises(ConfigError, match="holds no config"):
+    with pytest.raises(ConfigError, match="contains no config"):
         call(["replay", str(record()), "--policy", "zero"])
 
 

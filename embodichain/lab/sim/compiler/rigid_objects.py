@@ -16,11 +16,11 @@ from embodichain.lab.sim.meshes.mesh_conversion import (
     MadeVisual,
     convert_collision,
     convert_visual,
+    decompose,
     has_materials,
     reads,
 )
-from embodichain.lab.sim.meshes.mesh_decomposition import decompose
-from embodichain.lab.sim.meshes.mesh_part import MeshError
+from embodichain.lab.sim.meshes.mesh_reading import MeshError
 from embodichain.lab.sim.shapes import (
     AnyShapeCfg,
     CapsuleCfg,

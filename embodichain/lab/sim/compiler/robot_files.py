@@ -23,11 +23,11 @@ from embodichain.lab.sim.meshes.mesh_conversion import (
     MadePart,
     convert_collision,
     convert_visual,
+    decompose,
     has_materials,
     reads,
 )
-from embodichain.lab.sim.meshes.mesh_decomposition import decompose
-from embodichain.lab.sim.meshes.mesh_part import MeshError
+from embodichain.lab.sim.meshes.mesh_reading import MeshError
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_multiply
 

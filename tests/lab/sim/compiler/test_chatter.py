@@ -10,7 +10,7 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.compiler import parse_articulation
+from embodichain.lab.sim.compiler.articulation import parse_articulation
 from embodichain.lab.sim.compiler.drives import DriveChange, PhysicsStep
 from tests.lab.sim.compiler.helpers import UR10, scene_of, write
 
