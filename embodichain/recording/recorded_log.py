@@ -133,8 +133,15 @@ class RecordedLog:
 
     @property
     def config_yaml(self) -> str:
-        """The resolved config, as it was written."""
-        return self.attachment("config.yaml").decode()
+        """The resolved config, as it was written.
+
+        Raises:
+            LogError: If it is missing or damaged.
+        """
+        try:
+            return self.attachment("config.yaml").decode()
+        except UnicodeDecodeError as error:
+            raise LogError(f"{self.path}: config.yaml is damaged: {error}") from error
 
     @cached_property
     def config(self) -> dict[str, Any]:
