@@ -193,7 +193,7 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
         prepared.add_articulation(path, articulation, step, changes.get(articulation.uid, ()))
     parts = physics, [*parsed.values()], objects, lights, sensors
     try:  # what MuJoCo still refuses, such as a broken mesh file
-        prepared.add_scene(compile_scene(*parts), *parts)
+        prepared.add_scene(compile_scene(*parts), parts)
     except ConfigError as error:
         return list(error.problems)
     return []
