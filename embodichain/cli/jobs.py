@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.app import command_line, split_overrides
 from embodichain.cli.process import Interrupted, StopFlag
@@ -23,7 +23,7 @@ from embodichain.utils.errors import ConfigError
 if TYPE_CHECKING:
     from embodichain.config.composed import Composed
     from embodichain.config.resolved import Resolved
-    from embodichain.config.schema import RootCfg
+    from embodichain.config.schema import RootCfg, Verb
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.recording import McapRecorder
     from embodichain.recording.film import Filmed
@@ -32,7 +32,6 @@ __all__ = [
     "FRESH",
     "Body",
     "Job",
-    "Verb",
     "check_extras",
     "ended_early",
     "execute",
@@ -52,7 +51,6 @@ FRESH: dict[str, Any] = {
     **{"output_dir": "outputs"},
 }
 """Root keys of a run's config that do not carry over to another run of it."""
-Verb = Literal["run", "train"]
 _log = logging.getLogger(__name__)
 
 
@@ -184,14 +182,22 @@ def start(verb: Verb, body: Body, options: Any) -> None:
         from embodichain.config.gym_config import override_of
 
         overrides.append(override_of(options.gym_config))
+    line = command_line()
+
+    def check(lines: Sequence[str]) -> Resolved:
+        return resolved_job(compose(lines, verb), verb)
+
+    def do(resolved: Resolved, folder: Path | None = None) -> float | None:
+        return execute(resolved, body, line, folder)
+
     hydras = any(line.lstrip("+~").startswith(("hydra.", "hydra/")) for line in overrides)
     prints = options.cfg is not None or options.info is not None
     if prints or options.multirun or hydras:
         from embodichain.cli.sweeping import call_hydra
 
-        call_hydra(verb, body, options, overrides)
+        call_hydra(verb, check, do, options, overrides)
     else:
-        execute(resolved_job(compose(overrides, verb), verb), body, command_line())
+        do(check(overrides))
 
 
 def job_options(options: Any) -> list[str]:

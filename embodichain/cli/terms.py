@@ -140,7 +140,8 @@ def _doc_of_alias(spec: AliasSpec) -> TermDoc:
     first: dict[str, Any] = yaml.safe_load(docs[0].example)
     params: dict[str, Any] = yaml.safe_load(spec.example) if spec.example else {}
     for name, (part, key) in spec.exposed.items() if not params else ():
-        given = first.get("params", {})
+        written = first.get("params", {})
+        given = {meant: written[key] for key, meant in spec.target.written(written).items()}
         if part:
             shape = yaml.safe_load(docs[part].example)["shape"]
             given = _parameters_of(shape, spec.steps[part - 1])

@@ -16,13 +16,14 @@ import click
 
 from embodichain.cli import process
 from embodichain.cli.app import overrides, split_overrides, verb
-from embodichain.cli.jobs import Verb, resolved_job
+from embodichain.cli.jobs import resolved_job
 from embodichain.cli.output import print_json
 from embodichain.cli.reporting import warnings_on_stderr
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
+    from embodichain.config.schema import Verb
 
 __all__ = ["command"]
 

@@ -143,7 +143,7 @@ def gather(
     steps: list[NDArray[np.int64]] = []
     pieces: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
     everyone = len(ids) == reader.require_header().num_envs
-    for run, index, states in _parts(reader, rows, span, slices):
+    for run, index, states in _parts(reader, rows, span, slices, len(slices) < len(names)):
         steps.append(run.first + index)
         outcome = run.calls[-1].arrays
         for name in names:
@@ -170,9 +170,9 @@ def gather(
 
 
 def _parts(
-    reader: LogReader, rows: Rows, span: Span, slices: Mapping[str, slice]
+    reader: LogReader, rows: Rows, span: Span, slices: Mapping[str, slice], with_outcomes: bool
 ) -> Iterator[_Part]:
-    """The steps of a span, those of each run together."""
+    """The steps of a span, those of each run together; of each only what is needed is read."""
     if not slices:
         for run in runs(reader, span, outcomes):
             index = _within(run, span)
@@ -181,6 +181,8 @@ def _parts(
         return
 
     def wanted(kind: CallKind) -> bool:
+        if outcomes(kind):
+            return with_outcomes
         if kind.kind != "write" or isinstance(rows, Simulation):
             return changes(kind)
         return kind.mode == "reset" or (kind.mode == "state" and kind.name in {*slices, "row"})

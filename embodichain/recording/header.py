@@ -154,6 +154,12 @@ class Header:
         if wrong:
             raise ValueError(f"impossible values of {', '.join(dict.fromkeys(wrong))}")
 
+    def check_env(self, env: int) -> None:
+        """Raise `ConfigError` unless the log has the environment."""
+        if not 0 <= env < self.num_envs:
+            there = f"there are 0 to {self.num_envs - 1}"
+            raise ConfigError(f"no environment {env} in the log: {there}")
+
     def require_states(self, path: Path) -> None:
         """Refuse a log without states.
 

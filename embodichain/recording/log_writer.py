@@ -75,7 +75,9 @@ class Queue:
         while self._channels:
             file.channel(*self._channels.popleft())
         while self._waiting:
-            file.send(*self._waiting.popleft())
+            time_ns, messages = self._waiting.popleft()
+            for topic, data in messages:
+                file.write(topic, time_ns, data)
 
 
 class LogWriter:

@@ -289,10 +289,8 @@ class RecordedLog:
         if env is None:
             return np.arange(self.num_envs)
         ids = np.atleast_1d(np.asarray(env, np.int64))
-        wrong = ids[(ids < 0) | (ids >= self.num_envs)]
-        if len(wrong):
-            there = f"there are 0 to {self.num_envs - 1}"
-            raise ConfigError(f"no environment {wrong[0]} in the log: {there}")
+        for one in ids.tolist():
+            self.header.check_env(one)
         if (np.diff(ids) <= 0).any():
             raise ConfigError(f"environments must be in ascending order, not {ids.tolist()}")
         return ids

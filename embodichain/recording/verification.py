@@ -143,8 +143,7 @@ def _still_good_for(header: Header) -> str:
 def _select(header: Header, env: int | None) -> EnvIndex:
     if env is None:
         return np.arange(header.num_envs, dtype=np.int64)
-    if not 0 <= env < header.num_envs:
-        raise ConfigError(f"no environment {env} in the log: there are 0 to {header.num_envs - 1}")
+    header.check_env(env)
     return np.array([env], np.int64)
 
 
@@ -201,7 +200,7 @@ def _follow(
     largest: dict[str, float] = {}
     simulation = None
     try:
-        for run in runs(reader, wanted=changes):
+        for run in runs(reader, wanted=lambda kind: changes(kind) or outcomes(kind)):
             if simulation is None:  # a start: so many environments are really in the file
                 simulation = Simulation(reader, *how)
                 largest = simulation.largest_error
