@@ -41,7 +41,7 @@ __all__ = [
 VERBS = {
     "run": "Run a task: simulate, show progress, write a log.",
     "train": "Train a policy with Stable-Baselines3.",
-    "eval": "Play a policy for exactly N episodes, and print intervals of confidence.",
+    "eval": "Play a policy for exactly N episodes; print results with confidence intervals.",
     "play": "Show a trained policy in a window.",
     "compare": "Put trainings side by side: a table, and curves with intervals over seeds.",
     "export": "Write a log in another format, or a policy as one ONNX or TorchScript file.",
@@ -55,7 +55,7 @@ VERBS = {
     "validate": "Check a task, build it as `run` does, and print every mistake.",
     "convert": "Write EmbodiChain's own config of a task as a task file.",
     "run-env": "EmbodiChain's command: run --gym-config, with its flags.",
-    "new": "Write a task and its test into your folder or package.",
+    "new": "Write a new task and its test into your folder or package.",
     "doctor": "Check this machine: versions, threads, rendering, disk, optional packages.",
 }
 """Verb -> what it does, in the order of `--help`."""
@@ -283,7 +283,7 @@ def _own_modules() -> Iterator[None]:
 def _search_first(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
     ctx.meta["config_dir"] = value
     if value is not None and not ctx.resilient_parsing:
-        from embodichain.config.search_path import user_configs
+        from embodichain.config.hydra_loader import user_configs
 
         ctx.with_resource(user_configs(value))
 
@@ -415,7 +415,7 @@ def log_of(name: str) -> Path:
     Raises:
         ConfigError: There is no log yet, or the folder has none.
     """
-    from embodichain.config.newest import LOG, newest_run
+    from embodichain.config.run_folder import LOG, newest_run
 
     path = newest_run("outputs", LOG) if name == "last" else Path(name)
     if path is None:

@@ -1,8 +1,8 @@
 """`embodichain bench`: control steps/s of a task beside the bare batch of the same model.
 
 The bare arm is `mujoco.batch.Batch.step` with nothing bound: C threads over the same simulations,
-under the same controls, and without MuJoCo's own timers, as everything here. Both arms live in one
-process and take turns, so that the ratio holds where the machine's speed wanders.
+under the same controls, and without MuJoCo's own timers. Both arms run in one process, in turns:
+when the speed of the machine varies, their ratio does not.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _ROUND_SECONDS = 0.3
     config_dir=True,
 )
 @overrides("task=NAME [num_envs=1,64,1024] [KEY=VALUE]...")
-@click.option("--rounds", type=click.IntRange(1), default=7, help="Rounds of each arm; else 7.")
+@click.option("--rounds", type=click.IntRange(1), default=7, help="Rounds of each arm. Default: 7.")
 def command(words: tuple[str, ...], rounds: int, json: bool) -> None:
     """Measure every size that was asked for."""
     from embodichain.config.resolved import resolve

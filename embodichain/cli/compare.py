@@ -12,7 +12,7 @@ import click
 
 from embodichain.cli.app import complete_last, verb
 from embodichain.cli.output import number, print_json, print_table
-from embodichain.config.newest import CHECKPOINT, newest_run
+from embodichain.config.run_folder import CHECKPOINT, newest_run
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:

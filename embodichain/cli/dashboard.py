@@ -1,4 +1,4 @@
-"""`Dashboard`: how a training goes, live on a terminal; a line every ten seconds elsewhere."""
+"""`Dashboard`: the state of a training, live on a terminal; a line every ten seconds elsewhere."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Dashboard(ProgressDisplay):
         super().__exit__(*error)
 
     def update(self, statistics: TrainStatistics) -> None:
-        """Show how the training goes."""
+        """Show the state of the training."""
         self._last = statistics
         mean, success = statistics.mean_return, statistics.success_rate
         facts = {

@@ -29,8 +29,8 @@ def command(a: str, b: str, json: bool) -> int:
     else:
         for note in report.notes:
             sys.stderr.write(f"note: {note}\n")
-        said = f"the same: {report.steps} control steps, every bit"
+        verdict = f"the same: {report.steps} control steps, every bit"
         if report.difference is not None:
-            said = f"they differ first at {report.difference}"
-        sys.stdout.write(f"{said}\n")
+            verdict = f"they differ first at {report.difference}"
+        sys.stdout.write(f"{verdict}\n")
     return process.OK if report.same else process.FAILED

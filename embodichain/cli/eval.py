@@ -1,4 +1,4 @@
-"""`embodichain eval`: exactly N episodes of a policy, with intervals of confidence.
+"""`embodichain eval`: exactly N episodes of a policy, with confidence intervals.
 
 The end of `train` evaluates with the same functions.
 """

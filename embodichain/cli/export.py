@@ -52,13 +52,13 @@ def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -
     "form",
     metavar="F",
     help="Of a log: csv, npz, parquet, hdf5, lerobot, rrd, ros2 or mp4; of a policy: onnx "
-    "(else) or torchscript.",
+    "(default) or torchscript.",
 )
 @click.option("--output", "-o", metavar="OUT", help="A new file (lerobot: folder).")
 @click.option("--env", type=int, metavar="I", help="Of a log: only this environment.")
 @click.option("--episode", type=int, metavar="K", help="Only this episode of --env.")
-@click.option("--from", "start", type=int, default=0, metavar="T", help="First step.")
-@click.option("--to", "stop", type=int, metavar="T", help="Step that ends it.")
+@click.option("--from", "start", type=int, default=0, metavar="T", help="First control step.")
+@click.option("--to", "stop", type=int, metavar="T", help="The control step to stop before.")
 def command(**kwargs: Any) -> None:
     """Write a log, or a part of it, or a policy, to a new file."""
     options = SimpleNamespace(**kwargs)

@@ -1,7 +1,7 @@
 """Finds code that draws from a global random generator, by reading its source.
 
-Such code stands outside the promise that environment i makes the same bytes whatever num_envs is:
-torch's, numpy's and Python's global generators are shared by all environments. Runs nothing.
+What such code computes depends on num_envs: torch's, numpy's and Python's global generators are
+shared by all environments.
 """
 
 from __future__ import annotations
@@ -47,17 +47,15 @@ def global_draws(thing: Callable[..., object]) -> list[str]:
 
 
 def _is_global(call: ast.Call) -> bool:
-    """Whether a call draws from a generator that nobody passed."""
+    """Whether a call draws from a generator that is not passed to it."""
+    owner, _, name = ast.unparse(call.func).rpartition(".")
     if any(keyword.arg == "generator" for keyword in call.keywords):
         return False
-    owner, _, name = ast.unparse(call.func).rpartition(".")
-    if name in _IN_PLACE:
-        return True
-    if owner == "torch":
-        return name in _TORCH
-    if owner in ("np.random", "numpy.random", "random"):
-        return name not in _OWN_GENERATOR
-    return False
+    return (
+        name in _IN_PLACE
+        or (owner == "torch" and name in _TORCH)
+        or (owner in ("np.random", "numpy.random", "random") and name not in _OWN_GENERATOR)
+    )
 
 
 def registered_code() -> Iterator[tuple[str, Callable[..., object]]]:
@@ -69,13 +67,12 @@ def registered_code() -> Iterator[tuple[str, Callable[..., object]]]:
 
     load_task_packages()
     seen: set[object] = set(BaseEnv.__mro__)
+    found: list[tuple[str, Callable[..., object]]] = []
     for name, spec in REGISTERED_ENVS.items():
-        for cls in inspect.getmro(spec.cls) if inspect.isclass(spec.cls) else (spec.cls,):
-            if cls not in seen:
-                seen.add(cls)
-                yield name, cls
-    for kind in KINDS:
-        for name, term in TERMS[kind].items():
-            if term.func not in seen:
-                seen.add(term.func)
-                yield f"{kind} term {name}", term.func
+        bases = inspect.getmro(spec.cls) if inspect.isclass(spec.cls) else (spec.cls,)
+        found += [(name, cls) for cls in bases]
+    found += [(f"{k} term {name}", t.func) for k in KINDS for name, t in TERMS[k].items()]
+    for name, thing in found:
+        if thing not in seen:
+            seen.add(thing)
+            yield name, thing

@@ -10,9 +10,9 @@ import logging
 import shlex
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.app import command_line, split_overrides
 from embodichain.cli.process import Interrupted, StopFlag
@@ -23,7 +23,7 @@ from embodichain.utils.errors import ConfigError
 if TYPE_CHECKING:
     from embodichain.config.composed import Composed
     from embodichain.config.resolved import Resolved
-    from embodichain.config.schema import RootCfg
+    from embodichain.config.schema import RootCfg, Verb
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.recording import McapRecorder
     from embodichain.recording.film import Filmed
@@ -32,7 +32,6 @@ __all__ = [
     "FRESH",
     "Body",
     "Job",
-    "Verb",
     "check_extras",
     "ended_early",
     "execute",
@@ -52,7 +51,6 @@ FRESH: dict[str, Any] = {
     **{"output_dir": "outputs"},
 }
 """Root keys of a run's config that do not carry over to another run of it."""
-Verb = Literal["run", "train"]
 _log = logging.getLogger(__name__)
 
 
@@ -84,16 +82,18 @@ class Job:
         """Attach the log, unless the config wants none; closing the environment finishes it."""
         if self.root.record.format == "none":
             return None
-        from embodichain.config.frozen import dump_yaml
-        from embodichain.config.newest import LOG
-        from embodichain.recording import McapRecorder
+        from embodichain.config.resolved import dump_yaml
+        from embodichain.config.run_folder import LOG
+        from embodichain.recording import McapRecorder, RecordOptions
 
+        record = self.root.record
+        options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
         recorder = McapRecorder(
             self.folder / LOG,
             env,
             config=dump_yaml(self.resolved.tree),
             overrides=dump_yaml(list(self.resolved.overrides)),
-            options=self.root.record,
+            options=RecordOptions(**options),
             task=self.resolved.task_name,
         )
         env.add_observer(recorder)
@@ -131,7 +131,7 @@ class Job:
         warn_if_public(cfg.host, url, controls=cfg.name == "web")
 
     def film(self, log: str | Path | None) -> dict[str, str]:
-        """Film what was logged, if the config says so; comes last, when all else is written.
+        """Film what was logged, if the config asks for it; call it when all else is written.
 
         Args:
             log: The log, finished; None without.
@@ -182,14 +182,22 @@ def start(verb: Verb, body: Body, options: Any) -> None:
         from embodichain.config.gym_config import override_of
 
         overrides.append(override_of(options.gym_config))
+    line = command_line()
+
+    def check(lines: Sequence[str]) -> Resolved:
+        return resolved_job(compose(lines, verb), verb)
+
+    def do(resolved: Resolved, folder: Path | None = None) -> float | None:
+        return execute(resolved, body, line, folder)
+
     hydras = any(line.lstrip("+~").startswith(("hydra.", "hydra/")) for line in overrides)
     prints = options.cfg is not None or options.info is not None
     if prints or options.multirun or hydras:
         from embodichain.cli.sweeping import call_hydra
 
-        call_hydra(verb, body, options, overrides)
+        call_hydra(verb, check, do, options, overrides)
     else:
-        execute(resolved_job(compose(overrides, verb), verb), body, command_line())
+        do(check(overrides))
 
 
 def job_options(options: Any) -> list[str]:
@@ -234,7 +242,8 @@ def execute(
         Interrupted: A signal came; what was written is complete up to there.
         Exception: Whatever `body` raises.
     """
-    from embodichain.config.run_folder import claim, write_record
+    from embodichain.config.resolved import write_record
+    from embodichain.config.run_folder import claim
 
     resolved = _pinned(resolved)
     if folder is None:
@@ -258,7 +267,7 @@ def execute(
 
 def _pinned(resolved: Resolved) -> Resolved:
     """Replace `last` and links by the folder that they mean now: the next run changes that."""
-    from embodichain.config.newest import CHECKPOINT, named_checkpoint, newest_run
+    from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
 
     policy = resolved.tree["policy"]
     last = policy == "last"
@@ -266,7 +275,7 @@ def _pinned(resolved: Resolved) -> Resolved:
         return resolved
     path = newest_run(resolved.tree["output_dir"], CHECKPOINT) if last else named_checkpoint(policy)
     if path is None:
-        raise ConfigError("policy: the training that 'last' meant is gone")
+        raise ConfigError("policy: there is no training for 'last' any more")
     return resolved.changed(policy=str(path.resolve()))
 
 

@@ -57,7 +57,7 @@ def _print_list(title: str, lines: list[str]) -> None:
 
 def _tasks() -> Rows:
     """Every option of the group `task` in the search path; a broken file is listed too."""
-    from embodichain.config.search_path import config_loader
+    from embodichain.config.hydra_loader import config_loader
 
     rows = []
     with config_loader() as loader:

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.compiler import ParsedArticulation
+    from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 
 __all__ = ["UR10", "describe_robot"]
 
 _TAKEN = ("marker", "pedestal", "default_plane")
 _PEDESTAL = """\
-  pedestal:                        # for pictures: the base stands in it, so it does not collide
+  pedestal:                        # for pictures only: the base is inside, so it does not collide
     shape:
       shape_type: Cylinder
       radius: 0.1
@@ -42,7 +42,7 @@ actions:                           # joint targets around the initial pose, rad
   arm:
     func: default_offset_joint_position
     params:
-      entity_cfg: {{uid: {uid}}}
+      of: {{uid: {uid}}}
       scale: {scale}
       clip: [-1, 1]
 """
@@ -51,7 +51,7 @@ actions:                           # controls of its actuators
   ctrl:
     func: actuator_ctrl
     params:
-      entity_cfg: {{uid: {uid}}}
+      of: {{uid: {uid}}}
 """
 _CLIP = "      clip: [-1, 1]\n"
 _FILE_DRIVES = "drive_pros: {stiffness: file}    # by the actuators of its file, as they are"
@@ -132,7 +132,7 @@ def describe_robot(fpath: str, *, python: bool) -> dict[str, str]:
 
     from embodichain.lab.sim.cfg import RobotCfg
     from embodichain.lab.sim.compiler.articulation import parse_with_problems
-    from embodichain.lab.sim.compiler.model_files import locate, read_model
+    from embodichain.lab.sim.compiler.robot_files import locate, read_model
 
     types = read_model(locate(fpath)).model.jnt_type
     floating = bool((types == mujoco.mjtJoint.mjJNT_FREE).any())

@@ -30,7 +30,7 @@ _TEXT = 16
 _SHORT = 24
 """Columns of cells that are not folded where there is room: names, numbers with intervals."""
 _PIPE_WIDTH = 100
-"""Columns of a line where there is no terminal: in log files, which people read too."""
+"""Columns of a line where there is no terminal."""
 
 
 def print_json(value: Mapping[str, Any]) -> None:

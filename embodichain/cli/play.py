@@ -30,7 +30,7 @@ _EPISODES = "5"
     quiet=True,
 )
 @overrides("RUN|last|PATH [KEY=VALUE]...", "last")
-@click.option("--episodes", type=int, metavar="N", help=f"How many; else {_EPISODES}.")
+@click.option("--episodes", type=int, metavar="N", help=f"How many episodes. Default: {_EPISODES}.")
 def command(**kwargs: Any) -> None:
     """Show episodes of one policy."""
     options = SimpleNamespace(**kwargs)

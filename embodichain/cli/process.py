@@ -6,7 +6,7 @@ again costs a fifth of the time to the first step. Python's `gc` manual describe
 
 Ctrl-C, SIGTERM and SIGUSR2 (which batch systems send some time before they kill, as with
 `sbatch --signal=USR2@120`) end a run after its current step, a film after its current picture, and
-anything else at once; everything is closed on the way.
+anything else at once; everything is closed before the process ends.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def _freeze() -> None:
 
 @contextmanager
 def signals_raise() -> Iterator[None]:
-    """Within it a signal raises `Interrupted`: files that are being written are removed on the way.
+    """Within it a signal raises `Interrupted`: files that are being written are removed.
 
     The same signals again are ignored meanwhile, but for Ctrl-C, which leaves at once. Within a
     `StopFlag`, signals set the flag instead.

@@ -22,12 +22,15 @@ from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.recording.api import Log
+    from embodichain.recording.episodes import LogEpisode
     from embodichain.recording.header import Header
-    from embodichain.recording.summary import Episode, LogSummary
+    from embodichain.recording.summary import LogSummary
     from embodichain.recording.viewers.log_player import Screen
 
 __all__ = ["command"]
 
+_COLUMNS = ("env", "episode", "steps", "total_reward", "terminated", "last_step", "success")
+"""Of the table of episodes."""
 _MOST_EPISODES = 20
 _ACTIONS = ("verify", "video", "policy", "view")
 _ONLY_WITH = {
@@ -55,34 +58,34 @@ _ONLY_WITH = {
 @log_argument()
 @click.option("--verify", is_flag=True, help="Simulate again and compare.")
 @click.option("--env", type=int, metavar="I", help="Only this environment.")
-@click.option("--episode", type=int, metavar="K", help="Only this episode, from 0.")
+@click.option("--episode", type=int, metavar="K", help="Only this episode, counted from 0.")
 @click.option("--from", "start", type=int, metavar="T", help="First control step.")
-@click.option("--to", "stop", type=int, metavar="T", help="Step that ends it.")
+@click.option("--to", "stop", type=int, metavar="T", help="The control step to stop before.")
 @click.option(
     "--speed",
     type=click.FloatRange(min=0, min_open=True),
     metavar="X",
-    help="Of --view and --video; 1 is real time.",
+    help="Speed of --view and --video; 1 is real time.",
 )
-@click.option("--policy", metavar="P", help="Play its episodes with this policy instead.")
+@click.option("--policy", metavar="P", help="Play the same episodes with this policy.")
 @click.option(
     "--allow-changed",
     is_flag=True,
     default=None,
-    help="Of --policy: also one trained in a task that is another than the log's.",
+    help="With --policy: allow one that was trained in another task.",
 )
 @click.option(
     "--view",
     is_flag=False,
     flag_value="",
     metavar="[WHERE]",
-    help="Play it in a window (native) or a browser (web); else native where a display is.",
+    help="Play it in a window (native) or a browser (web). Default: native, if there is a display.",
 )
-@click.option("--host", metavar="H", help="What --view web listens on; else 127.0.0.1.")
-@click.option("--port", type=int, metavar="P", help="Its port; else a free one from 8080.")
-@click.option("--video", metavar="OUT", help="Write an MP4 of --env, which is else 0.")
+@click.option("--host", metavar="H", help="Address of --view web. Default: 127.0.0.1.")
+@click.option("--port", type=int, metavar="P", help="Its port. Default: a free one from 8080.")
+@click.option("--video", metavar="OUT", help="Write an MP4 of --env. Default: environment 0.")
 @click.option("--camera", metavar="NAME", help="Film with this camera of the scene.")
-@click.option("--size", metavar="WxH", help="Pixels of the film; else 640x480.")
+@click.option("--size", metavar="WxH", help="Pixels of the film. Default: 640x480.")
 def command(**kwargs: Any) -> int:
     """Print what is in a log, or verify, film, view or replay it."""
     options = SimpleNamespace(**kwargs)
@@ -124,24 +127,27 @@ def _inspect(path: Path, options: SimpleNamespace) -> int:
             "duration_s": summary.duration_s,
             "mean_reward": summary.mean_reward,
         }
-        print_json({**data, "episodes": [asdict(episode) for episode in episodes]})
+        print_json({**data, "episodes": [_row(episode) for episode in episodes]})
     elif not options.quiet:
         _print_summary(summary, episodes)
     return process.OK
 
 
-def _is_wanted(episode: Episode, options: SimpleNamespace) -> bool:
+def _is_wanted(episode: LogEpisode, options: SimpleNamespace) -> bool:
     """Whether it is the environment's, the episode, and has a step in [--from, --to)."""
-    first = episode.last_step - episode.steps + 1
     return (
         options.env in (None, episode.env)
         and options.episode in (None, episode.episode)
         and (options.start is None or episode.last_step >= options.start)
-        and (options.stop is None or first < options.stop)
+        and (options.stop is None or episode.first_step < options.stop)
     )
 
 
-def _print_summary(summary: LogSummary, episodes: list[Episode]) -> None:
+def _row(episode: LogEpisode) -> dict[str, Any]:
+    return {name: getattr(episode, name) for name in _COLUMNS}
+
+
+def _print_summary(summary: LogSummary, episodes: list[LogEpisode]) -> None:
     header = summary.header
     started = datetime.fromtimestamp(header.start_ns / 1e9)
     state = "complete" if summary.complete else "INCOMPLETE"
@@ -158,7 +164,7 @@ def _print_summary(summary: LogSummary, episodes: list[Episode]) -> None:
     ]
     print_facts(str(summary.path), facts)
     print_table("channels", [asdict(channel) for channel in summary.channels])
-    print_table("episodes", [asdict(episode) for episode in episodes[:_MOST_EPISODES]])
+    print_table("episodes", [_row(episode) for episode in episodes[:_MOST_EPISODES]])
     if len(episodes) > _MOST_EPISODES:
         sys.stdout.write(f"... and {len(episodes) - _MOST_EPISODES} more: --env, --json\n")
 

@@ -108,7 +108,7 @@ def _resolved(log: Log) -> Resolved:
 
     tree = log.config
     if "task" not in tree:
-        raise ConfigError(f"{log.path} holds no config: it was not recorded by `run`")
+        raise ConfigError(f"{log.path} contains no config: it was not recorded by `run`")
     own = {"seed": log.seed, "num_envs": log.num_envs, "policy": None}
     here = {"viewer": {"name": "none"}, "quiet": True, "video": False, "resume": None}
     changed = {**tree, **own, **{name: value for name, value in here.items() if name in tree}}

@@ -29,7 +29,7 @@ _FORMAT = "%(asctime)s %(levelname)-7s %(name)s: %(message)s"
 
 
 class ProgressDisplay:
-    """Shows how far something is: a live bar on a terminal, a line every ten seconds elsewhere.
+    """Shows progress: a live bar on a terminal, a line every ten seconds elsewhere.
 
     Args:
         label: What runs.
@@ -119,7 +119,7 @@ def progress_row(label: str, done: int, total: int | None, *texts: str) -> Rende
 def log_to(path: Path) -> Iterator[logging.Logger]:
     """Write Python's logging and warnings to a file; show our warnings on stderr.
 
-    An exception that leaves the context is written with its traceback, and goes on.
+    An exception that leaves the context is written with its traceback, and raised again.
 
     Args:
         path: A new file, or one to append to.

@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 import logging
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from embodichain.cli.app import job_arguments, verb
 from embodichain.cli.jobs import Job, policy_of, start
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
 __all__ = ["SUMMARY_FILE", "command", "run_job"]
 
 SUMMARY_FILE = "summary.json"
-Status = Literal["finished", "max_steps", "interrupted"]
 _PICTURE_SIZE = (1280, 960)
 _log = logging.getLogger(__name__)
 
@@ -61,7 +59,7 @@ def run_job(job: Job) -> float | None:
         "policy": root.policy if isinstance(root.policy, (str, type(None))) else root.policy.func,
     }
     try:
-        outcome, log = _simulate(job)
+        counted, log = _simulate(job)
     except Exception as error:
         try:
             _write_summary(job.folder, {**facts, "status": "failed", "error": repr(error)})
@@ -70,7 +68,7 @@ def run_job(job: Job) -> float | None:
         raise
     if log is not None:
         facts |= {"log": str(log), "log_bytes": log.stat().st_size}
-    summary = _summary(outcome, facts)
+    summary = {**facts, **counted}
     _write_summary(job.folder, summary)
     _log.info("summary: %s", json.dumps(summary, default=str))
     summary |= job.film(log)
@@ -78,10 +76,10 @@ def run_job(job: Job) -> float | None:
         print_json(summary)
     elif not root.quiet:
         _print_summary(summary)
-    return outcome.statistics.mean("return")
+    return summary["return"]["mean"] if summary["return"] is not None else None
 
 
-def _simulate(job: Job) -> tuple[Outcome, Path | None]:
+def _simulate(job: Job) -> tuple[dict[str, Any], Path | None]:
     """The rollout from build to close, and where its log is."""
     from embodichain.config.factory import make_env
 
@@ -95,88 +93,56 @@ def _simulate(job: Job) -> tuple[Outcome, Path | None]:
         obs, _ = env.reset()
         picture = _StartPicture(env) if root.scene_png else None
         started()
-        outcome = _roll_out(env, policy, obs, job)
+        counted = _roll_out(env, policy, obs, job)
     finally:
         env.close()  # finishes the log too
         if picture is not None:
             picture.draw(job.folder / "scene.png")
-    return outcome, recorder.stats.path if recorder is not None else None
+    return counted, recorder.stats.path if recorder is not None else None
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """How a rollout ended.
-
-    Attributes:
-        status: ``finished``: every environment had its episodes; ``max_steps``: the limit came
-            first; ``interrupted``: a signal did.
-        statistics: What was counted.
-        seconds: Wall time of the loop.
-        signal: The signal's name, when interrupted.
-    """
-
-    status: Status
-    statistics: EpisodeStatistics
-    seconds: float
-    signal: str | None
-
-
-def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> Outcome:
+def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any]:
     """Step `env` with `policy` from `obs` until something ends it; no faster than a window shows.
 
     `env` was just reset, and resets its environments itself; `policy` is told when environments
     begin a new episode.
+
+    Returns:
+        What was counted, for `summary.json`. The status is ``finished`` if every environment had
+        its episodes, ``max_steps`` if the limit came first, ``interrupted`` if a signal did.
     """
-    episodes, max_steps, stop = job.root.episodes or 1, job.root.max_steps, job.stop
-    counted = EpisodeStatistics(env.num_envs, episodes)
+    max_steps, stop = job.root.max_steps, job.stop
+    counted = EpisodeStatistics(env.num_envs, job.root.episodes or 1)
     limit = float("inf") if max_steps is None else max_steps
-    label, total = job.resolved.task_name, env.num_envs * episodes
     start = time.perf_counter()
-    status: Status = "finished" if stop.stopped is None else "interrupted"
-    with ProgressDisplay(label, total, "episodes", quiet=job.quiet) as display:
+    status = "interrupted" if stop.is_stopped() else "finished"
+    with ProgressDisplay(
+        job.resolved.task_name, counted.wanted, "episodes", quiet=job.quiet
+    ) as display:
 
         def show() -> None:
             seconds = time.perf_counter() - start
             display.show(counted.episodes, _facts(counted, max_steps, seconds))
 
-        for _ in play(env, policy, obs, counted) if stop.stopped is None else ():
-            if env.sim.is_window_open:  # for people who look on
+        for _ in () if stop.is_stopped() else play(env, policy, obs, counted):
+            if env.sim.is_window_open:  # in real time
                 time.sleep(max(0.0, start + counted.steps * env.step_dt - time.perf_counter()))
             if display.due:
                 show()
-            if not counted.complete and (stop.stopped is not None or counted.steps >= limit):
-                status = "interrupted" if stop.stopped is not None else "max_steps"
+            if not counted.complete and (stop.is_stopped() or counted.steps >= limit):
+                status = "interrupted" if stop.is_stopped() else "max_steps"
                 break
         seconds = time.perf_counter() - start
         show()
-    return Outcome(status, counted, seconds, stop.stopped)
-
-
-def _facts(counted: EpisodeStatistics, max_steps: int | None, seconds: float) -> dict[str, str]:
-    """What stands beside the bar."""
-    steps = f"{counted.steps}/{max_steps}" if max_steps is not None else f"{counted.steps}"
-    facts = {"step": steps, "FPS": f"{counted.steps * counted.num_envs / max(seconds, 1e-9):,.0f}"}
-    mean_return, success = counted.mean("return"), counted.mean("success")
-    if mean_return:  # 0 all along: the task has no rewards
-        facts["return"] = f"{mean_return:.3g}"
-    if success is not None:
-        facts["success"] = f"{success:.0%}"
-    return facts
-
-
-def _summary(outcome: Outcome, facts: dict[str, Any]) -> dict[str, Any]:
-    """What `summary.json` contains: the caller's facts, then what was counted."""
-    counted, seconds = outcome.statistics, outcome.seconds
     env_steps = counted.steps * counted.num_envs
     return {
-        **facts,
-        "status": outcome.status,
-        "signal": outcome.signal,
+        "status": status,
+        "signal": stop.stopped,
         "num_envs": counted.num_envs,
         "control_steps": counted.steps,
         "env_steps": env_steps,
         "seconds": round(seconds, 6),
-        "fps": round(env_steps / seconds, 3) if seconds > 0 else 0.0,
+        "fps": round(env_steps / seconds, 3),
         "episodes": counted.episodes,
         "episodes_wanted": counted.wanted,
         "return": _spread(counted, "return"),
@@ -187,6 +153,18 @@ def _summary(outcome: Outcome, facts: dict[str, Any]) -> dict[str, Any]:
         "metrics": _means(counted, "metrics/"),
         "rewards": _means(counted, "rewards/"),
     }
+
+
+def _facts(counted: EpisodeStatistics, max_steps: int | None, seconds: float) -> dict[str, str]:
+    """The facts beside the bar."""
+    steps = f"{counted.steps}/{max_steps}" if max_steps is not None else f"{counted.steps}"
+    facts = {"step": steps, "FPS": f"{counted.steps * counted.num_envs / seconds:,.0f}"}
+    mean_return, success = counted.mean("return"), counted.mean("success")
+    if mean_return:  # a task without rewards always returns 0
+        facts["return"] = f"{mean_return:.3g}"
+    if success is not None:
+        facts["success"] = f"{success:.0%}"
+    return facts
 
 
 def _spread(counted: EpisodeStatistics, name: str) -> dict[str, float] | None:

@@ -47,7 +47,7 @@ _NO_EFFECT: dict[str, tuple[Any, str]] = {
         bool,
         "a run writes a log; `embodichain export` makes a data set of it",
     ),
-    "viser_env_ids": (str, "people choose the environment on the page"),
+    "viser_env_ids": (str, "the environment is chosen on the page"),
     "viser_fps": (float, "the page draws as fast as the browser asks"),
     "viser_image_fps": (float, "there are no camera images on the page"),
     "viser_soft_body_fps": (float, "there are no soft bodies"),
@@ -56,7 +56,7 @@ _NO_EFFECT: dict[str, tuple[Any, str]] = {
 
 
 def _flags(function: Any) -> Any:
-    """Add EmbodiChain's flags in both spellings, all unset: only what was typed counts."""
+    """Add EmbodiChain's flags in both spellings, without defaults."""
     file = "EmbodiChain's config of a task: YAML or JSON."
     flags: list[tuple[str, Any, str]] = [("gym_config", str, file)]
     flags += [(name, kind, text) for name, (kind, _, text) in _KEYS.items()]

@@ -6,6 +6,7 @@ The environment is built once and what was built is printed, so that nothing can
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from typing import Any
 
 import click
@@ -40,15 +41,14 @@ def command(words: tuple[str, ...], config: bool, json: bool) -> None:
         _show_term(words[1], json=json)
         return
     from embodichain.cli.show_task import task_tables, without_defaults
-    from embodichain.config.frozen import dump_yaml, thaw
-    from embodichain.config.resolved import resolve
+    from embodichain.config.resolved import dump_yaml, resolve, thaw
 
     resolved = resolve(split_overrides(words), "run")
     tables = {} if config else task_tables(resolved)
     if json:
         about = {"config": thaw(resolved.tree)}
         if not config:
-            notes = [note.as_dict() for note in resolved.notes]
+            notes = [asdict(note) for note in resolved.notes]
             about = {"task": resolved.task_name, **about, **({"notes": notes} if notes else {})}
         print_json({**about, **tables})
         return

@@ -126,7 +126,7 @@ def _joints(model: Any) -> Rows:
 
 
 def _actuators(model: Any) -> Rows:
-    from embodichain.lab.sim.compiler.actuators import describe_actuators
+    from embodichain.lab.sim.compiler.actuator_summary import describe_actuators
 
     return [
         {
@@ -163,7 +163,7 @@ def _articulations(env: BaseEnv) -> dict[str, Any]:
 
 def _drives(env: BaseEnv) -> Iterator[dict[str, Any]]:
     """Gains of the drives, and how fast they are; `max_velocity` bounds targets, not the joint."""
-    from embodichain.lab.sim.compiler.drive_response import (
+    from embodichain.lab.sim.compiler.actuator_summary import (
         joint_inertia,
         time_constants,
         top_speeds,

@@ -1,8 +1,8 @@
 """Hydra's own `main`: sweeps, `--cfg` and `--info`.
 
 Points, workers and searches are Hydra's: its basic sweeper and launcher, and the plug-ins of the
-extra `sweep`, which bring `hydra/launcher=joblib` and `hydra/sweeper=optuna`. Here is what is
-checked before a sweep starts, and what is said when one ends.
+extra `sweep`, which bring `hydra/launcher=joblib` and `hydra/sweeper=optuna`. The configs of all
+jobs are checked before a sweep starts.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import logging
 import os
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TextIO
@@ -24,13 +24,11 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from embodichain.cli.app import command_line
-from embodichain.cli.jobs import Body, Verb, execute, resolved_job
-from embodichain.config.composed import WITHOUT_TASK, compose, from_hydra
-from embodichain.config.overrides import relax
-from embodichain.config.resolved import resolve
+from embodichain.config.composed import WITHOUT_TASK, compose, from_hydra, relax
+from embodichain.config.hydra_loader import VERSION_BASE, config_loader
+from embodichain.config.resolved import Resolved, resolve
 from embodichain.config.run_folder import adopt
-from embodichain.config.search_path import VERSION_BASE, config_loader
+from embodichain.config.schema import Verb
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["BestPoint", "call_hydra", "points", "towards_scores"]
@@ -41,12 +39,19 @@ _MOST_CHECKED_JOBS = 64
 _ONE_BY_ONE = "BasicLauncher"
 
 
-def call_hydra(verb: Verb, body: Body, options: Any, overrides: Sequence[str]) -> None:
+def call_hydra(
+    verb: Verb,
+    check: Callable[[Sequence[str]], object],
+    do: Callable[[Resolved, Path | None], float | None],
+    options: Any,
+    overrides: Sequence[str],
+) -> None:
     """Call Hydra's `main` for a verb; its exceptions come out as they are.
 
     Args:
         verb: Whose jobs they are.
-        body: What a job does.
+        check: Checks the config of one job.
+        do: Does a job, in a folder or in a new one.
         options: `cfg`, `info`, `multirun`, `package`, `resolve`.
         overrides: As typed.
 
@@ -54,7 +59,6 @@ def call_hydra(verb: Verb, body: Body, options: Any, overrides: Sequence[str]) -
         ConfigError: Mistakes in the config of any job: nothing has started.
     """
     keys: list[str] = []
-    typed = command_line()
     gym = any(line.lstrip("+").startswith("gym_config=") for line in overrides)
     if options.cfg is not None or options.info is not None:
         if options.cfg is not None and gym:
@@ -65,10 +69,10 @@ def call_hydra(verb: Verb, body: Body, options: Any, overrides: Sequence[str]) -
     elif options.multirun:
         keys = _swept(overrides)
         for point in points(overrides, _MOST_CHECKED_JOBS):
-            resolved_job(compose(point, verb), verb)
+            check(point)
         overrides = towards_scores(overrides)
     else:
-        resolved_job(compose(overrides, verb), verb)
+        check(overrides)
 
     # Pickled by value for the workers of a sweep, with what it refers to.
     @hydra.main(version_base=VERSION_BASE, config_path="pkg://embodichain.conf", config_name=verb)
@@ -77,7 +81,7 @@ def call_hydra(verb: Verb, body: Body, options: Any, overrides: Sequence[str]) -
         if HydraConfig.get().mode == RunMode.MULTIRUN:
             folder = adopt(HydraConfig.get().runtime.output_dir)
         with _labelled_lines(_label(keys), json=resolved.root.json):
-            return execute(resolved, body, typed, folder)
+            return do(resolved, folder)
 
     with config_loader() as loader:
         relaxed = relax(overrides, loader)

@@ -47,7 +47,7 @@ _ENTRY = re.compile(r"^\*{0,2}(\w+)(?: \([^)]*\))?: (.*)$")
 
 @dataclass(frozen=True, slots=True)
 class TermDoc:
-    """A google-style docstring, taken apart.
+    """The parts of a google-style docstring.
 
     Attributes:
         summary: Its first paragraph, on one line.
@@ -77,11 +77,6 @@ class TermEntry:
     kinds: tuple[Kind, ...]
     spec: TermSpec
     doc: TermDoc
-
-    @property
-    def is_alias(self) -> bool:
-        """Whether it is another name of a term."""
-        return isinstance(self.spec, AliasSpec)
 
     @property
     def sections(self) -> str:
@@ -118,7 +113,7 @@ class TermEntry:
 
 
 def all_entries() -> list[TermEntry]:
-    """Every registered term, by section, then by name; one registered twice stands once."""
+    """Every registered term, by section, then by name; one registered twice is one entry."""
     found: dict[tuple[str, Any], list[TermSpec]] = {}
     for kind in SECTION_OF:
         for name, spec in sorted(TERMS[kind].items()):
@@ -145,7 +140,8 @@ def _doc_of_alias(spec: AliasSpec) -> TermDoc:
     first: dict[str, Any] = yaml.safe_load(docs[0].example)
     params: dict[str, Any] = yaml.safe_load(spec.example) if spec.example else {}
     for name, (part, key) in spec.exposed.items() if not params else ():
-        given = first.get("params", {})
+        written = first.get("params", {})
+        given = {meant: written[key] for key, meant in spec.target.written(written).items()}
         if part:
             shape = yaml.safe_load(docs[part].example)["shape"]
             given = _parameters_of(shape, spec.steps[part - 1])
@@ -156,11 +152,14 @@ def _doc_of_alias(spec: AliasSpec) -> TermDoc:
     if params:
         example["params"] = params
     text = yaml.safe_dump(example, default_flow_style=True, sort_keys=False, width=10_000)
-    told = docs[: 1 + len(spec.steps)]
+    shown = docs[: 1 + len(spec.steps)]
     return TermDoc(
         summary=f"{spec.doc} {docs[0].summary}",
-        text="\n\n".join([spec.doc, *(doc.summary for doc in told)]),
-        params={name: docs[part].params.get(key, "") for name, (part, key) in spec.exposed.items()},
+        text="\n\n".join([spec.doc, *(doc.summary for doc in shown)]),
+        params={
+            name: spec.texts.get(name) or docs[part].params.get(key, "")
+            for name, (part, key) in spec.exposed.items()
+        },
         example=text.strip(),
     )
 

@@ -1,7 +1,7 @@
-"""`embodichain train`: learn a policy with Stable-Baselines3, or go on with a training.
+"""`embodichain train`: learn a policy with Stable-Baselines3, or resume a training.
 
 ``resume=RUN`` takes its config from the run's own `config.yaml`. It is the same experiment, so only
-few keys may change. It goes on in a folder of its own: what was written before stays as it is.
+few keys may change. It continues in a folder of its own: what was written before is not changed.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ MAY_CHANGE = (
     ("train task=reach total_timesteps=8192", "shorter"),
     ("train task=reach algo.learning_rate=3e-4 seed=1", "another learning rate and seed"),
     ("train task=reach algo=sac algo.normalize=obs", "another algorithm; normalized"),
-    ("train resume=last total_timesteps=400_000", "go on from the newest checkpoint"),
+    ("train resume=last total_timesteps=400_000", "resume from the newest checkpoint"),
     ("train -m task=reach seed=0,1,2", "a sweep: one training for each seed"),
     keys=True,
     config_dir=True,
@@ -58,7 +58,7 @@ def command(**kwargs: Any) -> None:
     flags = options.cfg, options.info, options.gym_config
     if options.multirun or hydras or any(flag is not None for flag in flags):
         only = "no --multirun, no --gym-config, no key of Hydra's"
-        raise ConfigError(f"resume goes on with one training: {only}")
+        raise ConfigError(f"resume continues one training: {only}")
     lines = [*split_overrides(words), *job_options(options)]
     execute(_resumed(lines), train_job, command_line())
 
@@ -85,7 +85,8 @@ def _learn(job: Job) -> dict[str, Any]:
     """Learn until it ends or a signal stops it; returns what `summary.json` contains."""
     from embodichain.cli.dashboard import Dashboard
     from embodichain.config.algorithms import DEFAULT_ALGORITHM
-    from embodichain.learning.train import SUMMARY_FILE, train
+    from embodichain.config.run_folder import SUMMARY
+    from embodichain.learning.train import train
 
     started()
     root = job.root
@@ -105,13 +106,13 @@ def _learn(job: Job) -> dict[str, Any]:
                 *(job.resolved, job.folder, progress),
                 lambda env: job.attach_viewer(env, realtime=False),
             )
-    summary: dict[str, Any] = json.loads((job.folder / SUMMARY_FILE).read_text())
+    summary: dict[str, Any] = json.loads((job.folder / SUMMARY).read_text())
     return {**summary, "folder": str(job.folder)}
 
 
 def _evaluate(job: Job, evaluated: Resolved, asked: Asked) -> dict[str, Any]:
     """Play the final checkpoint; returns the summary with what was found."""
-    from embodichain.config.newest import CHECKPOINT
+    from embodichain.config.run_folder import CHECKPOINT
     from embodichain.learning.train import add_evaluation
 
     policy = str((job.folder / CHECKPOINT).resolve())
@@ -133,7 +134,7 @@ def _print(summary: dict[str, Any]) -> None:
 
 
 def _resumed(overrides: Sequence[str]) -> Resolved:
-    """The config of a training that goes on.
+    """The config of a training that is resumed.
 
     Args:
         overrides: As typed: ``resume=RUN`` (or ``last``) and what may change.
@@ -142,8 +143,9 @@ def _resumed(overrides: Sequence[str]) -> Resolved:
         ConfigError: There is no such run, none of its checkpoints can be resumed, or something
             else is asked to change.
     """
-    from embodichain.config.rerun import CONFIG, read_config
+    from embodichain.config.rerun import read_config
     from embodichain.config.resolved import resolve_tree
+    from embodichain.config.run_folder import CONFIG
     from embodichain.learning.checkpoint import read_note
     from embodichain.learning.keeper import find_resumable
     from embodichain.learning.train import check_training
@@ -152,7 +154,7 @@ def _resumed(overrides: Sequence[str]) -> Resolved:
     folder = _folder(changes.pop("resume"), changes.get("output_dir", "outputs"))
     allowed = ", ".join(MAY_CHANGE)
     problems = [
-        Problem(key, f"a training goes on as it was; what may change: {allowed}")
+        Problem(key, f"a resumed training keeps its config; what may change: {allowed}")
         for key in changes
         if key.partition(".")[0] not in MAY_CHANGE
     ]
@@ -198,8 +200,7 @@ def _parsed(overrides: Sequence[str]) -> dict[str, Any]:
 
 def _folder(name: Any, output_dir: Any) -> Path:
     """The run's folder; ``last`` is the newest training that has a checkpoint."""
-    from embodichain.config.newest import newest_run
-    from embodichain.config.rerun import CONFIG
+    from embodichain.config.run_folder import CONFIG, newest_run
 
     found = newest_run(output_dir, "checkpoints/*.zip") if name == "last" else Path(str(name))
     if found is None:

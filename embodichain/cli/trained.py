@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from embodichain.config.newest import CHECKPOINT, named_checkpoint, newest_run
+from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:

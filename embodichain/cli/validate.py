@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,14 +16,14 @@ import click
 
 from embodichain.cli import process
 from embodichain.cli.app import overrides, split_overrides, verb
-from embodichain.cli.jobs import Verb, resolved_job
+from embodichain.cli.jobs import resolved_job
 from embodichain.cli.output import print_json
 from embodichain.cli.reporting import warnings_on_stderr
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.config.locate import LocatedProblem
     from embodichain.config.resolved import Resolved
+    from embodichain.config.schema import Verb
 
 __all__ = ["command"]
 
@@ -40,14 +41,12 @@ __all__ = ["command"]
 @click.option("--train", is_flag=True, help="As `train` would read it.")
 def command(words: tuple[str, ...], train: bool, json: bool) -> int:
     """Print every mistake on stderr and exit 2, or say that there is none."""
-    from embodichain.config.locate import LocatedProblem
-
     verb: Verb = "train" if train else "run"
     name = " ".join(words)
     # By the ending, so that a file that is missing is reported as such.
     endings = (".yaml", ".yml", ".json")
     files = [word for word in words if "=" not in word and word.endswith(endings)]
-    notes: tuple[LocatedProblem, ...] = ()
+    notes: tuple[Problem, ...] = ()
     problems: tuple[Problem, ...] = ()
     if files and len(words) > 1:
         raise ConfigError(f"either one file or overrides: {name}")
@@ -71,8 +70,8 @@ def command(words: tuple[str, ...], train: bool, json: bool) -> int:
     except ConfigError as error:
         problems = error.problems
     if json:
-        mistakes = [LocatedProblem.of(p, getattr(p, "source", "")).as_dict() for p in problems]
-        listed = {"notes": [p.as_dict() for p in notes]} if notes else {}
+        mistakes = [asdict(p.at(p.source)) for p in problems]
+        listed = {"notes": [asdict(p) for p in notes]} if notes else {}
         print_json({"checked": name, "ok": not problems, "mistakes": mistakes, **listed})
         return process.WRONG_INPUT if problems else process.OK
     for note in notes:

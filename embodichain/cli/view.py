@@ -34,14 +34,14 @@ _MAGIC = b"\x89MCAP0\r\n"
 @log_argument()
 @click.option("--open", "opens", is_flag=True, help="Open it with the desktop's program.")
 @click.option("--serve", is_flag=True, help="Play it over a WebSocket.")
-@click.option("--host", default="127.0.0.1", help="Of --serve.")
-@click.option("--port", type=int, metavar="N", help="Of --serve; 8765.")
+@click.option("--host", default="127.0.0.1", help="Address of --serve. Default: 127.0.0.1.")
+@click.option("--port", type=int, metavar="N", help="Port of --serve. Default: 8765.")
 @click.option(
     "--speed",
     type=click.FloatRange(min=0, min_open=True),
     default=1.0,
     metavar="X",
-    help="Of --serve; 1.",
+    help="Speed of --serve; 1 is real time.",
 )
 def command(
     file: str, opens: bool, serve: bool, host: str, port: int | None, speed: float, json: bool

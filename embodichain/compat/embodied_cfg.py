@@ -41,7 +41,7 @@ class _EnvLightCfg:
 
 @configclass
 class EmbodiedEnvCfg(EnvCfg):
-    """The config of an environment in EmbodiChain's form. All fields of `EnvCfg` count, too.
+    """The config of an environment in EmbodiChain's form. It has all fields of `EnvCfg`.
 
     `events`, `observations`, `rewards` and `actions` are a configclass with a field for each
     functor, or a map. A functor's `func` is a term's name or a function.

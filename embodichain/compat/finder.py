@@ -1,7 +1,7 @@
-"""The import hook behind EmbodiChain's paths: modules that only it has, names that ours lack.
+"""The import hook of EmbodiChain's paths: its modules, and names that modules of ours lack.
 
-It acts on the modules of `names.upstream_modules` alone. A module of ours is loaded as usual, and
-its own names come first; only a name that it does not have is looked up in `names`.
+It acts on the modules of `names.upstream_modules` alone. A module of ours is loaded as usual; only
+a name that it lacks is looked up in `names`.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class _Finder(MetaPathFinder):
 
 
 def complete(module: ModuleType) -> None:
-    """Let a module answer for EmbodiChain's names too, after its own."""
+    """Look up EmbodiChain's names in a module that lacks them."""
     name_of, listed = module.__name__, upstream_names(module.__name__)
     own: Callable[[str], Any] | None = module.__dict__.get("__getattr__")
 

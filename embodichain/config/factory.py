@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from embodichain.config.gymnasium_ids import task_of_id
 from embodichain.config.resolved import Resolved, resolve
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -76,18 +76,13 @@ def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
         **kwargs: For `BaseEnv`, or for the class.
 
     Raises:
-        ConfigError: If no class of that name is registered, or what only building shows, with its
-            place.
+        ConfigError: What only building shows, with its place.
         TypeError: If an argument is unknown.
     """
     cfg = resolved.env_cfg
     if cfg.id is not None:
-        from embodichain.config.plugins import require_registered
         from embodichain.lab.gym.utils import registration
 
-        problem = require_registered(cfg.id)
-        if problem is not None:
-            raise ConfigError([Problem("task.id", problem)])
         with resolved.locating("task"):
             return registration.make(cfg.id.rpartition(":")[2], cfg=cfg, **kwargs)
     for key in kwargs:
@@ -103,7 +98,7 @@ def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
 
 
 def _check_once(key: str, value: int, overrides: Sequence[str]) -> None:
-    """Refuse a value that stands both in an argument and in an override: one would be dropped."""
+    """Refuse a value given both as an argument and in an override: one would be dropped."""
     for line in overrides:
         if line.partition("=")[0].lstrip("+") == key:
             raise ConfigError(f"{key} is given twice: {value} as argument, and {line} in overrides")

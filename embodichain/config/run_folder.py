@@ -1,45 +1,46 @@
-"""A run's own folder: claimed once, never shared, holding what it takes to do the run again.
+"""The folders of runs: claimed once, never shared, found again by name.
 
-`OUTPUT/DATE/TIME_TASK` is made by an exclusive mkdir; `OUTPUT/latest` is a link to the newest. What
-a verb writes into it besides (log, summary, checkpoints) is the verb's.
+`OUTPUT/DATE/TIME_TASK` is made by an exclusive mkdir; `OUTPUT/latest` is a link to the newest.
 """
 
 from __future__ import annotations
 
 import contextlib
 import importlib.metadata
-import json
 import os
 import platform
 import re
-import shlex
-import sys
-from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
-from embodichain import __version__
-from embodichain.config.frozen import dump_yaml
-from embodichain.config.resolved import Resolved
-from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["adopt", "claim", "find_run", "versions", "write_record"]
+__all__ = [
+    "CHECKPOINT",
+    "CONFIG",
+    "LOG",
+    "SUMMARY",
+    "adopt",
+    "claim",
+    "find_run",
+    "named_checkpoint",
+    "newest_run",
+    "versions",
+]
 
+CONFIG = "config.yaml"
+"""A run's config, in its folder."""
+LOG = "rollout.mcap"
+"""A run's log."""
+CHECKPOINT = "checkpoints/final.zip"
+"""A training's policy."""
+SUMMARY = "summary.json"
+"""What a run found."""
 LATEST = "latest"
 _MOST_SUFFIXES = 10_000
 _PACKAGES = (
-    "mujoco",
-    "numpy",
-    "torch",
-    "tensordict",
-    "gymnasium",
-    "stable-baselines3",
-    "hydra-core",
-    "omegaconf",
-    "pydantic",
-    "mcap",
-    "protobuf",
+    *("embodichain", "mujoco", "numpy", "torch", "tensordict", "gymnasium", "stable-baselines3"),
+    *("hydra-core", "omegaconf", "pydantic", "mcap", "protobuf"),
 )
 
 
@@ -74,43 +75,18 @@ def adopt(folder: str | Path) -> Path:
     """Take a folder of a fixed name, as a sweep's jobs have, for one run.
 
     Raises:
-        ConfigError: It holds a run already, or cannot be made.
+        ConfigError: It has a run already, or cannot be made.
     """
     path = Path(folder)
     try:
         path.mkdir(parents=True, exist_ok=True)
-        with (path / "config.yaml").open("x"):
-            pass  # whoever makes this file owns the folder
+        with (path / CONFIG).open("x"):
+            pass  # the process that makes this file owns the folder
     except FileExistsError as error:
-        raise ConfigError(f"{path} holds a run already; it is never used again") from error
+        raise ConfigError(f"{path} has a run already; it is never used again") from error
     except OSError as error:
         raise ConfigError(f"cannot make the run folder {path}: {error}") from error
     return path
-
-
-def write_record(folder: Path, resolved: Resolved, argv: Sequence[str] | None = None) -> None:
-    """Write ``config.yaml``, ``overrides.yaml``, ``command.txt`` and ``versions.json``.
-
-    Args:
-        folder: A claimed folder.
-        resolved: The config of the run.
-        argv: The command line; None is this process's own.
-
-    Raises:
-        ConfigError: Something cannot be written (the disk is full); says what and why.
-    """
-    command = shlex.join(sys.argv if argv is None else argv)
-    files = {
-        "config.yaml": dump_yaml(resolved.tree),
-        "overrides.yaml": dump_yaml(list(resolved.overrides)),
-        "command.txt": f"cd {shlex.quote(str(Path.cwd()))}\n{command}\n",
-        "versions.json": json.dumps(versions(), indent=2) + "\n",
-    }
-    for name, text in files.items():
-        try:
-            write_text(folder / name, text)
-        except OSError as error:
-            raise ConfigError(f"cannot write {folder / name}: {error}") from error
 
 
 def find_run(name: str | Path, output_root: str | Path = "outputs") -> Path:
@@ -130,9 +106,35 @@ def find_run(name: str | Path, output_root: str | Path = "outputs") -> Path:
     return path.resolve()
 
 
+def newest_run(output_root: str | Path, holding: str) -> Path | None:
+    """Return the folder of the run that began last of those with a file, or None.
+
+    Args:
+        output_root: Where runs are; the jobs of sweeps count too.
+        holding: The file's path in a run's folder; may be a pattern (``*.zip``).
+    """
+    runs = [file.parent for file in Path(output_root).rglob(CONFIG)]
+    found = [run for run in runs if any(file.is_file() for file in run.glob(holding))]
+    return max(found, key=_began).resolve() if found else None
+
+
+def named_checkpoint(path: str | Path) -> Path:
+    """Return what exists under a path: itself, or the checkpoint that it names without ``.zip``.
+
+    ``RUN/best`` and ``RUN/checkpoints/best`` are both ``RUN/checkpoints/best.zip``.
+
+    Args:
+        path: As typed; is returned as it is where none of these exist.
+    """
+    given = Path(path)
+    file = f"{given.name}.zip"
+    choices = (given, given.parent / file, given.parent / Path(CHECKPOINT).parent / file)
+    return next((choice for choice in choices if choice.exists()), given)
+
+
 def versions() -> dict[str, str | None]:
     """Return the versions of everything that can change a result; None for what is not there."""
-    found: dict[str, str | None] = {"embodichain": __version__, "python": platform.python_version()}
+    found: dict[str, str | None] = {"python": platform.python_version()}
     for package in _PACKAGES:
         found[package] = None
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
@@ -157,3 +159,8 @@ def _point_latest(root: Path, folder: Path) -> None:
     temporary = root / f".{LATEST}.{folder.parent.name}.{folder.name}"
     temporary.symlink_to(folder.relative_to(root), target_is_directory=True)
     os.replace(temporary, link)
+
+
+def _began(run: Path) -> tuple[int, str]:
+    """A run's config is written once, when it begins."""
+    return (run / CONFIG).stat().st_mtime_ns, str(run)

@@ -18,22 +18,27 @@ __all__ = [
     "LARGEST_TRAINING_SEED",
     "ROOT_INSTEAD",
     "SUGGESTED_KEYS",
+    "VERBS",
     "CheckpointCfg",
     "EvalCfg",
     "PolicyCfg",
     "RecordCfg",
     "RootCfg",
     "SimCfg",
+    "Verb",
     "ViewerCfg",
     "WandbCfg",
 ]
 
 ROOT_INSTEAD = {
-    "num_envs": "it stands at the root: num_envs=N",
-    "seed": "it stands at the root: seed=N",
+    "num_envs": "it is a key of the root: num_envs=N",
+    "seed": "it is a key of the root: seed=N",
     "sim_cfg": "use task.physics for the physics and the group sim for how it runs",
 }
 """Fields of `EnvCfg` that a task file must not set, and where their value goes instead."""
+
+Verb = Literal["run", "train"]
+VERBS: tuple[Verb, ...] = ("run", "train")
 
 LARGEST_TRAINING_SEED = 2**32 - 1
 """Stable-Baselines3 seeds numpy's global generator, which takes no larger one."""
@@ -43,7 +48,7 @@ PositiveInt = Annotated[int, Field(ge=1)]
 
 @configclass
 class SimCfg:
-    """How a scene is run; what it is stands in the task."""
+    """How a scene is run; the scene itself is in the task."""
 
     engine: Literal["mujoco"] = "mujoco"
     """`mujoco.batch` on the CPU."""
@@ -83,7 +88,7 @@ class ViewerCfg:
     name: Literal["none", "native", "web", "foxglove"] = "none"
     """`native` is MuJoCo's window; `web` and `foxglove` serve a page and a WebSocket."""
     host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
-    """The address that is listened on; nobody is asked for a password."""
+    """The address to listen on; there is no password."""
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
     """None is the viewer's own: the first free one from 8080 for `web`, 8765 for `foxglove`."""
     env: Annotated[int, Field(ge=0)] = 0
@@ -101,7 +106,7 @@ class PolicyCfg:
 
 @configclass
 class CheckpointCfg:
-    """When a training writes checkpoints, besides the final one."""
+    """When a training writes checkpoints before the final one."""
 
     every_steps: PositiveInt | None = None
     """Environment steps between two, rounded up to whole rollouts; null is a tenth of all."""
@@ -136,7 +141,7 @@ class WandbCfg:
 
 @configclass
 class RootCfg:
-    """Everything one execution is told. Null keys are filled by `derive`."""
+    """The root of a config. Null keys are filled by suggestions and defaults."""
 
     task: EnvCfg
     sim: SimCfg = SimCfg()

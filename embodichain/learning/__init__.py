@@ -1,6 +1,6 @@
 """Stable-Baselines3 on the batched environment: vector environment, training, learned policies.
 
-What a task is stands in `lab.gym`; which algorithm trains it, in the config. Names are found on
+Names are found on
 first use: torch and Stable-Baselines3 come with the modules, not with this package. Training itself
 is `embodichain.learning.train.train`: a function of its module's name, here, would hide the module.
 """

@@ -1,7 +1,4 @@
-"""Checkpoints: zip files of Stable-Baselines3 with a note of what made them, written atomically.
-
-How a checkpoint acts is in `policy.py`. Finding one and reading its note runs no code of it.
-"""
+"""Checkpoints: zip files of Stable-Baselines3 with a note of what made them, written atomically."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from embodichain.config.newest import named_checkpoint
+from embodichain.config.run_folder import named_checkpoint
 from embodichain.learning.task_digest import TaskDigest
 from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError, Problem
@@ -41,13 +38,12 @@ _MEMBERS = ("data", "policy.pth")
 
 
 def save_checkpoint(model: BaseAlgorithm, path: Path, note: Mapping[str, Any]) -> None:
-    """Write a model under a temporary name, then rename it: readers see all of it or none.
+    """Write a model, whole or not at all.
 
     Args:
         model: The model; gets the note as an attribute.
         path: Where to; the folder is made.
-        note: What a reader must know before loading: plain JSON with ``algo`` and ``group``, and
-            what the task was (`DIGEST`).
+        note: Plain JSON with ``algo``, ``group``, and what the task was (`DIGEST`).
 
     Raises:
         OSError: It cannot be written (the disk is full); nothing is left behind.
@@ -71,16 +67,16 @@ def find_checkpoint(path: str | Path) -> Path:
         found = given / CHECKPOINTS / FINAL
         if found.is_file():
             return found
-        message = f"{given} holds no {CHECKPOINTS}/{FINAL}: it is no finished training's folder"
+        message = f"{given} has no {CHECKPOINTS}/{FINAL}: it is no finished training's folder"
         raise ConfigError([Problem("policy", message)])
     raise ConfigError([Problem("policy", f"there is no file or folder {str(given)!r}")])
 
 
 def read_note(path: Path) -> dict[str, Any]:
-    """Read a checkpoint's note without running anything that the file holds.
+    """Read a checkpoint's note without running code of the file.
 
     Returns:
-        The note; for a file that Stable-Baselines3 itself wrote, ``algo`` told from the attributes
+        The note; for a file that Stable-Baselines3 itself wrote, ``algo`` found from the attributes
         in it and ``group`` ``policy``.
 
     Raises:
@@ -106,7 +102,7 @@ def read_note(path: Path) -> dict[str, Any]:
 
 
 def read_digest(note: Mapping[str, Any], path: Path) -> TaskDigest | None:
-    """Return what a checkpoint's task was in training; None where its note does not say it.
+    """Return what a checkpoint's task was in training; None where its note has no digest.
 
     Raises:
         ConfigError: If what the note says is damaged.

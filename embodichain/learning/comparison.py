@@ -1,7 +1,4 @@
-"""Finished trainings side by side: runs that differ by their seed only are one group.
-
-Reads files of run folders and runs nothing; drawing is in `plots.py`.
-"""
+"""Finished trainings side by side: runs that differ by their seed only are one group."""
 
 from __future__ import annotations
 
@@ -11,12 +8,13 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from embodichain.config.run_folder import SUMMARY
 from embodichain.learning.statistics import Estimate, bootstrap, estimate
 from embodichain.utils.errors import ConfigError
 
@@ -33,7 +31,6 @@ __all__ = [
 ]
 
 PROGRESS = "progress.csv"
-SUMMARY = "summary.json"
 STEPS, RETURN, SUCCESS = "time/total_timesteps", "rollout/ep_rew_mean", "rollout/success_rate"
 LENGTH = "rollout/ep_len_mean"
 """Columns of Stable-Baselines3's logger."""
@@ -49,14 +46,8 @@ _FIRST = re.compile(r"[./@]")
 F64 = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Curve:
-    """One quantity of a training.
-
-    Attributes:
-        steps: (n,) environment steps, rising.
-        values: (n,) the quantity there.
-    """
+class Curve(NamedTuple):
+    """One quantity of a training: (n,) environment steps, rising, and (n,) its values there."""
 
     steps: F64
     values: F64
@@ -68,7 +59,7 @@ class TrainedRun:
 
     Attributes:
         folder: Its run folder.
-        label: Task, algorithm and overrides besides the seed.
+        label: Task, algorithm and overrides without the seed.
         seed: Its seed.
         numbers: ``success_rate``, ``mean_return``, ``env_steps_per_second``, ``train_seconds``,
             ``env_steps``, ``eval_return``, ``eval_success``, as far as known.
@@ -84,23 +75,18 @@ class TrainedRun:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Runs that differ by their seed.
-
-    Attributes:
-        label: What they share.
-        runs: In the order given.
-    """
+    """Runs that differ by their seed only, in the order given."""
 
     label: str
     runs: tuple[TrainedRun, ...]
 
     def number(self, name: str) -> Estimate | None:
-        """Sum up a number over the runs; its intervals say how it varies with the seed."""
+        """Summarize a number over the runs; its intervals say how it varies with the seed."""
         return estimate([run.numbers[name] for run in self.runs if name in run.numbers])
 
 
 def is_training(folder: Path) -> bool:
-    """Whether a folder holds a training that has come to an end; a damaged summary counts as one.
+    """Whether a folder has a training that has ended; a damaged summary counts as one.
 
     `read_run` says what is wrong with it.
     """
@@ -128,15 +114,14 @@ def read_run(folder: Path) -> TrainedRun:
     """
     summary = _json(folder / SUMMARY)
     if summary is None or "train_seconds" not in summary:
-        raise ConfigError(f"{folder} holds no finished training: no summary.json of one")
+        raise ConfigError(f"{folder} has no finished training: no summary.json of one")
     names = ("success_rate", "mean_return", "env_steps_per_second", "train_seconds", "env_steps")
     numbers = {n: float(summary[n]) for n in names if summary.get(n) is not None}
-    evaluated = _evaluated(folder) or summary.get("eval")
-    if isinstance(evaluated, dict):
-        for name, key, value in (("return", "returns", "mean"), ("success", "success", "rate")):
-            part = evaluated.get(key)
-            if isinstance(part, dict) and part.get(value) is not None:
-                numbers[f"eval_{name}"] = float(part[value])
+    evaluated = _evaluated(folder) or summary.get("eval") or {}
+    for name, key, value in (("return", "returns", "mean"), ("success", "success", "rate")):
+        part = evaluated.get(key) or {}
+        if part.get(value) is not None:
+            numbers[f"eval_{name}"] = float(part[value])
     task, algo = str(summary.get("task")), str(summary.get("algo"))
     return TrainedRun(
         folder=folder,
@@ -210,16 +195,12 @@ def _overrides(folder: Path) -> list[str]:
 
 def _evaluated(folder: Path) -> dict[str, Any] | None:
     """The newest evaluation of this training among the runs beside it."""
-    found: tuple[int, dict[str, Any]] | None = None
+    found: dict[int, dict[str, Any]] = {}
     for path in folder.parent.parent.glob("*/*/eval.json"):
-        data = _json(path)
-        policy = Path(str(data.get("policy"))) if data is not None else Path()
-        if data is None or not policy.is_relative_to(folder):
-            continue
-        when = path.stat().st_mtime_ns
-        if found is None or when > found[0]:
-            found = when, data
-    return found[1] if found is not None else None
+        data = _json(path) or {}
+        if Path(str(data.get("policy"))).is_relative_to(folder):
+            found[path.stat().st_mtime_ns] = data
+    return found[max(found)] if found else None
 
 
 def read_curves(path: Path) -> dict[str, Curve]:

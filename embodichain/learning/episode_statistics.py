@@ -1,6 +1,6 @@
 """Episodes counted over a batch: returns, lengths, successes of the first few of each environment.
 
-`play` is the loop of `run` and `evaluate`. Imports neither torch nor Stable-Baselines3.
+Imports neither torch nor Stable-Baselines3.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ def play(env: BaseEnv, policy: Policy, obs: Any, counted: EpisodeStatistics) -> 
 
     Args:
         env: A batched environment that was just reset and resets its environments itself.
-        policy: Acts; told when environments begin a new episode.
+        policy: Acts; it is reset for environments that begin a new episode.
         obs: What the reset returned.
         counted: What is counted.
     """

@@ -1,8 +1,4 @@
-"""`TrainStatistics`: how a training goes, counted while it runs.
-
-Who counts is `watch.py`; what is kept of it in files is in `train.py`; how people see it, in the
-command line.
-"""
+"""`TrainStatistics`: how a training goes, counted while it runs."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""`evaluate`: exactly N episodes of a policy, each as likely to count as any other.
-
-How numbers become intervals is in `statistics.py`, where policies come from in `policy.py`.
-"""
+"""`evaluate`: exactly N episodes of a policy, each as likely to count as any other."""
 
 from __future__ import annotations
 
@@ -111,9 +108,15 @@ def evaluate(
     require_torch_batch(env, "evaluate")
     acting = _resolve(env, policy, deterministic)
     counted = EpisodeStatistics(env.num_envs, quotas(episodes, env.num_envs))
-    with torch.random.fork_rng(devices=()):  # the caller draws on as if nothing had been
-        seconds = _play(env, acting, counted, EVAL_SEED_OFFSET + seed, watch)
-    return _sum_up(counted, seed, seconds)
+    # Forked: the caller's next random numbers are what they would have been.
+    with torch.random.fork_rng(devices=()), torch.no_grad():
+        obs, _ = env.reset(seed=EVAL_SEED_OFFSET + seed)
+        acting.reset(None)
+        start = time.perf_counter()
+        for _ in play(env, acting, obs, counted):
+            if watch is not None and watch(counted):
+                break
+    return _summary(counted, seed, time.perf_counter() - start)
 
 
 def quotas(episodes: int, num_envs: int) -> NDArray[np.int64]:
@@ -131,25 +134,7 @@ def _resolve(env: BaseEnv, policy: Any, deterministic: bool) -> Policy:
     return load(policy) if isinstance(policy, Path) else resolve_policy(policy, load_file=load)
 
 
-def _play(
-    env: BaseEnv,
-    policy: Policy,
-    counted: EpisodeStatistics,
-    seed: int,
-    watch: Callable[[EpisodeStatistics], bool | None] | None,
-) -> float:
-    """Step until the quota is met; returns the seconds it took."""
-    obs, _ = env.reset(seed=seed)
-    policy.reset(None)
-    start = time.perf_counter()
-    with torch.no_grad():
-        for _ in play(env, policy, obs, counted):
-            if watch is not None and watch(counted):
-                break
-    return time.perf_counter() - start
-
-
-def _sum_up(counted: EpisodeStatistics, seed: int, seconds: float) -> Evaluation:
+def _summary(counted: EpisodeStatistics, seed: int, seconds: float) -> Evaluation:
     order = np.lexsort((counted.column("episode"), counted.column("env")))
 
     def column(name: str) -> NDArray[Any]:

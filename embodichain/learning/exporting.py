@@ -1,7 +1,6 @@
 """`export_policy`: a model of Stable-Baselines3 as one ONNX or TorchScript file that needs neither.
 
-The file takes flat observations as the task gives them: normalization, clipping and scaling to the
-task's bounds are part of the network. Reading such files is in `exported.py`.
+Normalization, clipping and scaling to the task's bounds are part of the file's network.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain import __version__
-from embodichain.learning.columns import observation_columns
 from embodichain.learning.exported import (
     INPUT,
     METADATA,
@@ -29,6 +27,7 @@ from embodichain.learning.exported import (
 )
 from embodichain.learning.normalization import NormalizeStatistics
 from embodichain.learning.policy import LearnedPolicy
+from embodichain.learning.spaces import observation_columns
 from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -73,7 +72,7 @@ def export_policy(
     if form == "onnx":
         for package in ("onnx", "onnxruntime"):
             need_onnx(package)
-    scale = policy.check(env)
+    policy.check(env)
     network = _Network(policy, env)
     metadata = PolicyMetadata(
         task=task or policy.task or "unknown",
@@ -86,7 +85,7 @@ def export_policy(
         trained_in=policy.trained_in.to_json() if policy.trained_in is not None else None,
     )
     observations = _observations(policy)
-    wanted = scale(policy.predict(observations))
+    wanted = policy.act(observations)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(path, new=True) as temporary:

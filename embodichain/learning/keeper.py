@@ -1,7 +1,4 @@
-"""`CheckpointKeeper`: which checkpoints of a training there are, and `find_resumable` among them.
-
-How one is written is in `checkpoint.py`, `normalization.py` and `plain_state.py`.
-"""
+"""`CheckpointKeeper`: which checkpoints of a training are written; `find_resumable` finds one."""
 
 from __future__ import annotations
 
@@ -14,9 +11,14 @@ from typing import Any
 from embodichain.learning.checkpoint import CHECKPOINTS, FINAL, read_note, save_checkpoint
 from embodichain.learning.normalization import save_statistics, statistics_path
 from embodichain.learning.plain_state import read_tree, write_tree
-from embodichain.learning.replay_buffer import buffer_of, buffer_path, full_size, save_buffer
 from embodichain.learning.session import Session
-from embodichain.learning.training_state import capture
+from embodichain.learning.training_state import (
+    buffer_of,
+    buffer_path,
+    capture,
+    full_size,
+    save_buffer,
+)
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 __all__ = [
@@ -41,9 +43,9 @@ class CheckpointKeeper:
 
     Args:
         session: The training.
-        note: What the zips say of themselves; gets ``env_steps``.
+        note: Metadata of the zips; gets ``env_steps``.
         every: Environment steps between two.
-        keep: How many are kept.
+        keep: How many of the newest are kept.
         replay_buffer: Whether those that a training can go on from have the replay buffer.
     """
 
@@ -66,7 +68,6 @@ class CheckpointKeeper:
             _log.info("each checkpoint has the replay buffer, %.0f MB when it is full", size)
         self._written: list[Path] = []
         self._next: int | None = None
-        self._best: tuple[float, float] | None = None
 
     @property
     def best(self) -> str | None:
@@ -104,10 +105,11 @@ class CheckpointKeeper:
         return f"{CHECKPOINTS}/{FINAL}"
 
     def _judge(self) -> None:
-        score = self._session.statistics.score
-        if score is not None and (self._best is None or score > self._best):
-            self._best = score
-            self._session.statistics.best = (self._session.model.num_timesteps, score)
+        """Write the best checkpoint if this one is it."""
+        statistics, steps = self._session.statistics, self._session.model.num_timesteps
+        score = statistics.score
+        if score is not None and (statistics.best is None or score > statistics.best[1]):
+            statistics.best = steps, score
             self._write(BEST, resumable=False)
 
     def _write(self, name: str, *, resumable: bool, rolling: bool = True) -> Path:
@@ -117,18 +119,13 @@ class CheckpointKeeper:
         if normalizer is not None:
             save_statistics(statistics_path(path), normalizer)
         steps = model.num_timesteps
-        if resumable and self._buffer is not None:
-            save_buffer(buffer_path(path), self._buffer, steps)
         if resumable:
-            write_tree(
-                state_path(path),
-                {
-                    "env_steps": steps,
-                    "replay_buffer": self._buffer is not None,
-                    "training": capture(model, self._session.vec_env, rolling=rolling),
-                    "statistics": self._session.statistics.state_dict(),
-                },
-            )
+            if self._buffer is not None:
+                save_buffer(buffer_path(path), self._buffer, steps)
+            state: dict[str, Any] = {"env_steps": steps, "replay_buffer": self._buffer is not None}
+            state["training"] = capture(model, self._session.vec_env, rolling=rolling)
+            state["statistics"] = self._session.statistics.state_dict()
+            write_tree(state_path(path), state)
         save_checkpoint(model, path, {**self._note, "env_steps": steps})
         return path
 
@@ -150,7 +147,7 @@ def find_resumable(run: Path) -> tuple[Path, dict[str, Any]]:
             state = read_tree(state_path(path))
             if state.get("env_steps") == steps[path]:
                 return path, state
-    message = f"{run} holds no checkpoint that a training can go on from"
+    message = f"{run} has no checkpoint that a training can go on from"
     raise ConfigError([Problem("resume", message)])
 
 
@@ -190,6 +187,6 @@ def _what_remains(run_dir: Path) -> str:
     try:
         checkpoint, _ = find_resumable(run_dir)
     except (ConfigError, OSError):
-        return "it holds no checkpoint to go on from yet"
+        return "it has no checkpoint to go on from yet"
     command = f"embodichain train resume={run_dir}"
     return f"with room again, `{command}` goes on from its {checkpoint.name}"

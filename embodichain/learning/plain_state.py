@@ -1,7 +1,4 @@
-"""Trees of plain values and arrays in one npz file, without pickle, to the bit.
-
-What a training's state is made of stands in `training_state.py`.
-"""
+"""Trees of plain values and arrays in one npz file, without pickle, to the bit."""
 
 from __future__ import annotations
 
@@ -43,8 +40,13 @@ def write_tree(path: Path, tree: Mapping[str, Any]) -> None:
         np.savez(stream, allow_pickle=False, **entries)
 
 
-def read_tree(path: Path) -> dict[str, Any]:
+def read_tree(path: Path, key: str = "resume", what: str = "state of a training") -> dict[str, Any]:
     """Read what `write_tree` wrote; runs nothing of the file.
+
+    Args:
+        path: The file.
+        key: Key path of the mistake that a damaged file is.
+        what: What messages call the content.
 
     Raises:
         ConfigError: If the file is missing or is no such file.
@@ -54,10 +56,9 @@ def read_tree(path: Path) -> dict[str, Any]:
             arrays = {name: archive[name] for name in archive.files}
         tree = _unpack(json.loads(str(arrays[_TREE])), arrays)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        message = f"{path} holds no state of a training: {error}"
-        raise ConfigError([Problem("resume", message)]) from error
+        raise ConfigError([Problem(key, f"{path} has no {what}: {error}")]) from error
     if not isinstance(tree, dict):
-        raise ConfigError([Problem("resume", f"{path} holds no state of a training")])
+        raise ConfigError([Problem(key, f"{path} has no {what}")])
     return tree
 
 
@@ -72,7 +73,7 @@ def _pack(value: Any, path: str, arrays: dict[str, NDArray[Any]]) -> Any:
             kind = "scalar" if isinstance(value, np.generic) else "array"
             arrays[name] = np.asarray(value)
         if arrays[name].dtype.hasobject:
-            raise TypeError(f"{path} holds objects: they cannot be written")
+            raise TypeError(f"{path} contains objects: they cannot be written")
         return {_KIND: kind, "name": name}
     if isinstance(value, Mapping):
         items = [(k, _pack(v, f"{path}.{k}", arrays)) for k, v in value.items()]

@@ -1,10 +1,8 @@
-"""What a learner sees of an environment: observations flat or by name, actions within [-1, 1].
-
-The environment's own spaces are built in `lab.gym`.
-"""
+"""What a learner sees of an environment: observations flat or by name, actions within [-1, 1]."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +24,7 @@ __all__ = [
     "ActionScale",
     "flat_observation",
     "observation_box",
+    "observation_columns",
     "observation_dict",
     "require_torch_batch",
 ]
@@ -66,7 +65,7 @@ class ActionScale:
         """Return (N, A) actions of the environment, in memory of their own.
 
         Args:
-            actions: (N, A), meant to lie in [-1, 1]; what lies outside is scaled like the rest.
+            actions: (N, A), in [-1, 1]; what is outside is scaled like the rest.
 
         Raises:
             ValueError: If the shape is wrong.
@@ -85,10 +84,6 @@ class ActionScale:
 def observation_box(env: BaseEnv, group: str) -> spaces.Box:
     """Return the space of one environment's flat observation: (K,), unbounded.
 
-    Args:
-        env: The environment.
-        group: The observation group.
-
     Raises:
         ConfigError: If no observation is in the group; lists the groups.
     """
@@ -99,10 +94,6 @@ def observation_box(env: BaseEnv, group: str) -> spaces.Box:
 def observation_dict(env: BaseEnv, group: str) -> spaces.Dict:
     """Return the spaces of one environment's observations by name, in the order of the task.
 
-    Args:
-        env: The environment.
-        group: The observation group.
-
     Raises:
         ConfigError: If no observation is in the group; lists the groups.
     """
@@ -111,6 +102,22 @@ def observation_dict(env: BaseEnv, group: str) -> spaces.Dict:
     except ValueError as error:
         raise ConfigError(str(error)) from error
     return entry_spaces(env.single_observation_space, names)
+
+
+def observation_columns(env: BaseEnv, group: str) -> tuple[str, ...]:
+    """Return a name for each column of a group's flat vector: ``robot/qpos[0]``.
+
+    Raises:
+        ValueError: If no observation is in the group.
+    """
+    columns: list[str] = []
+    for name in env.observation_manager.group_terms(group):
+        space: Any = env.single_observation_space
+        for key in name.split("/"):
+            space = space[key]
+        for index in itertools.product(*map(range, space.shape)):
+            columns.append(f"{name}[{','.join(map(str, index))}]" if index else name)
+    return tuple(columns)
 
 
 def flat_observation(env: BaseEnv, obs: Any, group: str) -> F32:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = ["CONFIDENCE", "Estimate", "Rate", "bootstrap", "estimate", "iqm", "rate"]
 
 CONFIDENCE = 0.95
-"""Share of repetitions in which an interval holds the true value, about."""
+"""Share of repetitions in which an interval contains the true value, about."""
 RESAMPLES = 2000
 """Resamples of a bootstrap: its ends then move by a few percent of its width."""
 _SEED = 0  # of the bootstrap's own generator: the same values always give the same interval
@@ -117,7 +117,7 @@ def bootstrap(
 
 
 def estimate(values: ArrayLike) -> Estimate | None:
-    """Sum up values; None for none.
+    """Summarize values; None for none.
 
     Args:
         values: (n,).
@@ -143,7 +143,7 @@ def _interval(data: F64, statistic: Callable[..., Any]) -> tuple[float, float] |
 
 
 def rate(happened: ArrayLike) -> Rate | None:
-    """Sum up yes-or-no values with Wilson's score interval at 95 % (Wilson, 1927); None for none.
+    """Summarize truth values with Wilson's score interval at 95 % (Wilson, 1927); None for none.
 
     Unlike a bootstrap it does not shrink to a point where all trials agree.
 

@@ -1,6 +1,6 @@
 """`TaskDigest`: what a policy was trained in, model and MDP, and what of it is another elsewhere.
 
-It lies in checkpoints and in exported policies, as plain values rather than as a hash: a difference
+It is kept in checkpoints and exported policies, as plain values rather than as a hash: a difference
 has a name and two values. The values are `physics_values`'s and `mdp_values`'s.
 """
 
@@ -28,7 +28,7 @@ ALLOW = "allow_changed=true"
 """What the command line takes to go on in a task that has changed."""
 
 TOLD = ("rewards", "corruption", "curriculum", "mujoco")
-"""Parts in which a policy acts as before: that they changed is told, and refused nowhere."""
+"""Parts whose change does not affect how a policy acts: it is only warned about."""
 
 _FORMAT = 1
 _RELATIVE, _ABSOLUTE = 1e-6, 1e-12
@@ -132,7 +132,7 @@ def check_unchanged(
 
     Args:
         name: What messages call the policy.
-        trained_in: What lies beside the policy; None compares nothing.
+        trained_in: From the file of the policy; None compares nothing.
         env: Where it will act.
         group: The observation group that it sees.
         allow: Whether it acts there all the same; what changed is then a warning.

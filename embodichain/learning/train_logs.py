@@ -20,6 +20,7 @@ from stable_baselines3.common.logger import (
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from embodichain.config.schema import WandbCfg
+from embodichain.learning.comparison import PROGRESS
 from embodichain.learning.vec_env import ENDS
 from embodichain.utils.errors import EmbodichainError, Problem
 
@@ -27,19 +28,15 @@ if TYPE_CHECKING:
     import wandb
 
 __all__ = [
-    "PROGRESS_FILE",
     "TENSORBOARD",
     "WandbWriter",
     "check_wandb",
-    "log_curriculum",
     "log_episode",
-    "log_fractions",
     "log_interval",
     "make_logger",
     "wandb_writers",
 ]
 
-PROGRESS_FILE = "progress.csv"
 TENSORBOARD = "tensorboard"
 _MOST_ROWS = 200
 _log = logging.getLogger(__name__)
@@ -50,9 +47,9 @@ def make_logger(run_dir: Path, writers: Sequence[KVWriter] = ()) -> Logger:
 
     Args:
         run_dir: The folder.
-        writers: Who is told the same numbers besides.
+        writers: Further outputs of the same numbers.
     """
-    formats: list[KVWriter] = [CSVOutputFormat(str(run_dir / PROGRESS_FILE))]
+    formats: list[KVWriter] = [CSVOutputFormat(str(run_dir / PROGRESS))]
     if importlib.util.find_spec("tensorboard") is not None:
         formats.append(TensorBoardOutputFormat(str(run_dir / TENSORBOARD)))
     else:
@@ -91,23 +88,11 @@ def log_episode(logger: Logger, info: Mapping[str, Any]) -> None:
         logger.record_mean(f"Episode_Termination/{name}", float(true))
 
 
-def log_fractions(logger: Logger, fractions: Mapping[str, float]) -> None:
-    """Take in where the wall time went so far: ``time/physics_fraction`` and the like."""
-    for name, value in fractions.items():
-        logger.record(f"time/{name}_fraction", round(value, 4))
-
-
-def log_curriculum(logger: Logger, values: Mapping[str, float]) -> None:
-    """Take in what curricula have set, as it stands: ``Curriculum/TERM``."""
-    for name, value in values.items():
-        logger.record(f"Curriculum/{name}", value)
-
-
 class WandbWriter(KVWriter):
     """Writes rows of Stable-Baselines3's logger into a run of Weights & Biases.
 
     Args:
-        run: The run; whoever opened it finishes it.
+        run: The run; it is finished elsewhere.
     """
 
     def __init__(self, run: wandb.Run) -> None:

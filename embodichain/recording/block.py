@@ -194,7 +194,7 @@ def unpack_run(
         num_envs: N of the log.
         moved: Columns that physics writes.
         nstate: Columns of a whole row.
-        wanted: Whether a call is read; None reads all.
+        wanted: Whether a call is read; None reads all. A ``step`` that is not has no arrays.
 
     Returns:
         The run; most of its arrays share the message's bytes.
@@ -210,6 +210,8 @@ def unpack_run(
         declaration = _declaration if len(declared) < _LARGEST_CACHED else _declaration.__wrapped__
         kind, places, why = declaration(declared, num_envs, moved, nstate)
         if wanted is not None and not wanted(kind):
+            if kind.kind == "step":
+                calls.append(Call(kind, {}))
             continue
         if why:
             raise DamageError(f"step {first}: {why}")

@@ -14,7 +14,7 @@ import mujoco
 from embodichain.lab.sim.engine.api import row_layout
 from embodichain.recording.columns import moved_ranges
 from embodichain.recording.log_error import LARGEST_CHUNK, DamageError, LogError
-from embodichain.recording.options import RecordLike
+from embodichain.recording.options import RecordOptions
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -154,6 +154,12 @@ class Header:
         if wrong:
             raise ValueError(f"impossible values of {', '.join(dict.fromkeys(wrong))}")
 
+    def check_env(self, env: int) -> None:
+        """Raise `ConfigError` unless the log has the environment."""
+        if not 0 <= env < self.num_envs:
+            there = f"there are 0 to {self.num_envs - 1}"
+            raise ConfigError(f"no environment {env} in the log: {there}")
+
     def require_states(self, path: Path) -> None:
         """Refuse a log without states.
 
@@ -220,7 +226,7 @@ def check_part(first: Header, values: Mapping[str, str], part: int) -> None:
 
 
 def header_of(
-    env: ObservedEnv, options: RecordLike, model_digest: str, task: str, start_ns: int
+    env: ObservedEnv, options: RecordOptions, model_digest: str, task: str, start_ns: int
 ) -> Header:
     """The metadata of a recording that begins.
 
@@ -270,7 +276,7 @@ def why_unverifiable(model: mujoco.MjModel, state: str) -> str:
     return ""
 
 
-def check_keyframes(options: RecordLike, model: mujoco.MjModel) -> None:
+def check_keyframes(options: RecordOptions, model: mujoco.MjModel) -> None:
     """Raise `ConfigError` where what lies between keyframes could not be simulated again."""
     why = why_unverifiable(model, "all") if options.state == "keyframes" else ""
     if why:

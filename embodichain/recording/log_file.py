@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -190,11 +190,6 @@ class LogFile:
         if last_step is not None:
             self._last_step = last_step
         self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
-
-    def send(self, time_ns: int, messages: Iterable[tuple[str, bytes]]) -> None:
-        """Write messages of one moment, each with its topic."""
-        for topic, data in messages:
-            self.write(topic, time_ns, data)
 
     def flush(self) -> None:
         """Make everything readable in the file.

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from embodichain.recording.attachments import Attachment
 from embodichain.recording.block import ArrayKind, CallKind, pack_run
-from embodichain.recording.episode_ends import TOPIC as EPISODE_TOPIC
-from embodichain.recording.episode_ends import Ends, EpisodeSums, encode_ends
+from embodichain.recording.episodes import EPISODE_TOPIC, Ends, EpisodeSums, encode_ends
 from embodichain.recording.header import METADATA, METADATA_END, Header
 from embodichain.recording.log_file import LogFile
 from embodichain.recording.parts import Manifest, part_name
@@ -76,7 +75,9 @@ class Queue:
         while self._channels:
             file.channel(*self._channels.popleft())
         while self._waiting:
-            file.send(*self._waiting.popleft())
+            time_ns, messages = self._waiting.popleft()
+            for topic, data in messages:
+                file.write(topic, time_ns, data)
 
 
 class LogWriter:

@@ -39,9 +39,7 @@ def span_of(
     Raises:
         ConfigError: If the environment or the episode does not exist, or the range is none.
     """
-    if not 0 <= env < log.num_envs:
-        there = f"there are 0 to {log.num_envs - 1}"
-        raise ConfigError(f"no environment {env} in the log: {there}")
+    log.header.check_env(env)
     start, end = first or 0, last
     if episode is not None:
         found = episode_of(log.episodes, env, episode)
@@ -59,9 +57,7 @@ def follower_of(log: RecordedLog, env: int) -> Simulation:
         ConfigError: If there is no such environment.
         LogError: If the log has no states, or its model cannot be loaded.
     """
-    if not 0 <= env < log.num_envs:
-        there = f"there are 0 to {log.num_envs - 1}"
-        raise ConfigError(f"no environment {env} in the log: {there}")
+    log.header.check_env(env)
     log.header.require_states(log.path)
     simulates = log.header.keyframe_every > 0
     model = log.model_to_simulate if simulates else log.model

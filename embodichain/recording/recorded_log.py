@@ -6,7 +6,6 @@ import json
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import mujoco
@@ -15,25 +14,31 @@ import yaml
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.api import EnvIndex
-from embodichain.recording.arrays import LogArrays
-from embodichain.recording.attachments import MODEL
+from embodichain.recording.arrays import OUTCOMES, LogArrays, first_step, gather
+from embodichain.recording.attachments import (
+    MODEL,
+    approximate_model,
+    exact_model,
+    model_to_simulate,
+)
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.columns import Column, state_columns
-from embodichain.recording.episode_ends import TOPIC as EPISODE_TOPIC
-from embodichain.recording.episode_ends import EndedEpisode, by_episode, decode_ends
 from embodichain.recording.episodes import (
+    EPISODE_TOPIC,
     LogEpisode,
+    decode_ends,
     episode_of,
     find_episodes,
-    of_ended,
-    with_unrecorded,
 )
-from embodichain.recording.events import LogEvent, LogWrite, read_events, read_writes
-from embodichain.recording.gather import OUTCOMES, first_step, gather
+from embodichain.recording.events import (
+    LogEvent,
+    LogWrite,
+    read_events,
+    read_metrics,
+    read_writes,
+)
 from embodichain.recording.header import Header
 from embodichain.recording.log_error import DamageError, LogError
-from embodichain.recording.metrics import read_metrics
-from embodichain.recording.recorded_model import approximate_model, exact_model, model_to_simulate
 from embodichain.recording.simulation import Simulation
 from embodichain.recording.trajectory import Rows, Span, outcomes, runs
 from embodichain.utils.errors import ConfigError
@@ -71,12 +76,7 @@ class RecordedLog:
         """Return the log."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        tb: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close the file."""
         self.close()
 
@@ -289,10 +289,8 @@ class RecordedLog:
         if env is None:
             return np.arange(self.num_envs)
         ids = np.atleast_1d(np.asarray(env, np.int64))
-        wrong = ids[(ids < 0) | (ids >= self.num_envs)]
-        if len(wrong):
-            there = f"there are 0 to {self.num_envs - 1}"
-            raise ConfigError(f"no environment {wrong[0]} in the log: {there}")
+        for one in ids.tolist():
+            self.header.check_env(one)
         if (np.diff(ids) <= 0).any():
             raise ConfigError(f"environments must be in ascending order, not {ids.tolist()}")
         return ids
@@ -313,12 +311,10 @@ class RecordedLog:
         A log with `record.state=none` tells only of those that ended. With `record.every` those
         that were not recorded are there too, with everything but their steps.
         """
-        ended = by_episode(self._ended())
         if self.header.state == "none":
-            return of_ended(ended)
+            return find_episodes(self._ended(), None)
         data = self.read(["episodes", "rewards", "terminated", "truncated"])
-        found = find_episodes(data, ended)
-        return found if self.header.every == 1 else with_unrecorded(found, ended)
+        return find_episodes(self._ended(), data, self.header.every)
 
     def metrics(self, env: int) -> tuple[NDArray[np.int64], dict[str, NDArray[np.float64]]]:
         """Numbers of a viewed environment: rewards of each term, metrics, sums of the episode.
@@ -349,10 +345,10 @@ class RecordedLog:
         """Yield topic, log time in ns and bytes of every message, in file order."""
         return self.reader.messages()
 
-    def _ended(self) -> Iterator[list[EndedEpisode]]:
+    def _ended(self) -> Iterator[LogEpisode]:
         for topic, _, payload in self.reader.messages():
             if topic == EPISODE_TOPIC:
                 try:
-                    yield decode_ends(payload)
+                    yield from decode_ends(payload)
                 except DamageError as error:
                     raise LogError(f"{self.path}: a message is damaged: {error}") from error

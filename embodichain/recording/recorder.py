@@ -23,12 +23,11 @@ from embodichain.lab.sim.engine.api import EnvIndex, PhysicsEvent, Write
 from embodichain.recording.attachments import attachments_of, model_bytes, model_digest
 from embodichain.recording.block import DRAWN, ArrayKind, CallKind
 from embodichain.recording.columns import Moved
-from embodichain.recording.episode_ends import Ends
-from embodichain.recording.episode_gate import EpisodeGate
+from embodichain.recording.episodes import Ends
 from embodichain.recording.hashing import row_hashes
 from embodichain.recording.header import check_keyframes, header_of
 from embodichain.recording.log_writer import LogWriter, PendingRun, Recorded
-from embodichain.recording.options import RecordLike, RecordOptions, check_options
+from embodichain.recording.options import RecordOptions, check_options
 from embodichain.recording.views.layout import foxglove_layout
 from embodichain.recording.views.views import Views
 from embodichain.recording.writing import Writing
@@ -87,7 +86,7 @@ class McapRecorder(StepObserver):
         env: ObservedEnv,
         config: str = "",
         overrides: str | Sequence[str] = (),
-        options: RecordLike | None = None,
+        options: RecordOptions | None = None,
         task: str = "",
     ) -> None:
         options = RecordOptions() if options is None else options
@@ -101,7 +100,7 @@ class McapRecorder(StepObserver):
         self._moved, self._period_ns = Moved(header.moved), header.period_ns
         self._substeps, self._keyframe_every = header.substeps, header.keyframe_every
         self._keeps_state = options.state != "none"
-        self._gate = EpisodeGate(options.every, next(iter(options.view_envs), 0))
+        self._gate = _EpisodeGate(options.every, next(iter(options.view_envs), 0))
         self._max_bytes = 0.0 if options.max_mb is None else options.max_mb * 1e6
         self._view_envs = header.view_envs
         self._step = 0
@@ -407,6 +406,50 @@ class McapRecorder(StepObserver):
                 self._write_rest()
             self._views.close(self._step, self._engine.rows)
             self._log.finish(self._step)
+
+
+class _EpisodeGate:
+    """Open while the leading environment is in every k-th of its episodes, the first included.
+
+    What opens the gate is a reset, and what happened in it belongs to the episode: events of a
+    step are held until it is known whether they are wanted.
+
+    Args:
+        every: k; 1 keeps the gate open.
+        lead: The leading environment.
+
+    Attributes:
+        open: Whether what happens now is recorded.
+    """
+
+    def __init__(self, every: int, lead: int) -> None:
+        self._every, self._lead = every, lead
+        self.open = True
+        self._episodes = self._steps = 0
+        self._in_step = False
+        self._held: list[EventRecord] = []
+
+    def on_physics(self) -> None:
+        """A control step's own physics begins."""
+        self._steps += 1
+        self._in_step = True
+
+    def hold(self, event: EventRecord) -> None:
+        """An event fired while the gate was closed."""
+        self._held.append(event)
+
+    def on_reset(self, env_ids: EnvIndex) -> list[EventRecord] | None:
+        """Environments were reset; returns what `switch` does, unless a step is under way."""
+        if (env_ids == self._lead).any():
+            self._episodes += self._steps > 0  # an episode without steps is none
+            self._steps = 0
+        return None if self._in_step else self.switch()
+
+    def switch(self) -> list[EventRecord] | None:
+        """Between two steps: open or close; returns the events that were held if it opens."""
+        held, self._held, self._in_step = self._held, [], False
+        before, self.open = self.open, self._episodes % self._every == 0
+        return held if self.open and not before else None
 
 
 def _of(ids: EnvIndex | None, name: str = "env_ids") -> tuple[ArrayKind, ...]:

@@ -19,6 +19,7 @@ from embodichain.recording.log_error import DamageError, LogError
 from embodichain.recording.parts import first_file
 from embodichain.recording.schema import STEPS_TOPIC
 from embodichain.recording.trajectory import outcomes
+from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["Recovery", "recover"]
@@ -65,20 +66,17 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
     """
     source, target = first_file(source), Path(target)
     with LogReader(source) as reader:
+        taken = f"{target} exists; recover writes a new file"
         if os.path.lexists(target):
-            raise ConfigError(f"{target} exists; recover writes a new file")
+            raise ConfigError(taken)
         if not target.parent.is_dir():
             raise ConfigError(f"the folder {target.parent} does not exist")
-        temporary = target.with_name(f".{target.name}.{os.getpid()}")
         try:
-            with temporary.open("xb") as stream:
+            with atomic_file(target, new=True) as temporary, temporary.open("xb") as stream:
                 copy = _Copy(reader, Writer(stream, compression=CompressionType.LZ4))
                 copy.all_records()
-                stream.flush()
-                os.fsync(stream.fileno())
-            _publish(temporary, target)
-        finally:
-            temporary.unlink(missing_ok=True)
+        except FileExistsError:
+            raise ConfigError(taken) from None
         lost = 0 if reader.complete else reader.total_bytes - reader.good_bytes
         names = copy.attachments
         nbytes = target.stat().st_size
@@ -156,17 +154,3 @@ class _Copy:
             declared_as = self._schemas[schema.id]
             self._channels[topic] = self._writer.register_channel(topic, "protobuf", declared_as)
         return self._channels[topic]
-
-
-def _publish(temporary: Path, target: Path) -> None:
-    """Give a file its name, unless that is taken by now."""
-    try:
-        os.link(temporary, target)
-    except FileExistsError:
-        raise ConfigError(f"{target} exists; recover writes a new file") from None
-    except OSError:  # a file system without links: claim the name, then take its place
-        try:
-            target.open("xb").close()
-        except FileExistsError:
-            raise ConfigError(f"{target} exists; recover writes a new file") from None
-        temporary.replace(target)

@@ -95,18 +95,13 @@ def _add_field(message: descriptor_pb2.DescriptorProto, declaration: str) -> Non
     words = left.split()
     repeated = words[0] == "repeated"
     kind, name = words[-2:]
-    field = message.field.add(name=name, number=int(number), json_name=_json_name(name))
+    field = message.field.add(name=name, number=int(number))
     field.label = _F.LABEL_REPEATED if repeated else _F.LABEL_OPTIONAL
     if kind in _KINDS:
         field.type = _KINDS[kind]
     else:
         field.type = _F.TYPE_MESSAGE
         field.type_name = f".{_PACKAGE}.{kind}"
-
-
-def _json_name(name: str) -> str:
-    head, *tail = name.split("_")
-    return head + "".join(word.capitalize() for word in tail)
 
 
 @cache

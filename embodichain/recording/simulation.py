@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from embodichain.lab.sim.engine.api import F64, EnvIndex
 from embodichain.lab.sim.engine.cpu import CpuEngine
 from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS
+from embodichain.recording.attachments import check_rows
 from embodichain.recording.block import Call, Run
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.columns import column_name
 from embodichain.recording.hashing import row_hashes
 from embodichain.recording.log_error import LogError
-from embodichain.recording.recorded_model import check_rows
 from embodichain.recording.trajectory import Rows, columns_of
 
 __all__ = ["Active", "Difference", "DifferenceFound", "Simulation", "always", "never"]

@@ -11,14 +11,13 @@ import numpy as np
 from embodichain.recording.attachments import MODEL, model_digest, unpack_model
 from embodichain.recording.block import unpack_run
 from embodichain.recording.chunks import LogReader
-from embodichain.recording.episode_ends import TOPIC as EPISODE_TOPIC
-from embodichain.recording.episode_ends import EndedEpisode, decode_ends
+from embodichain.recording.episodes import EPISODE_TOPIC, LogEpisode, decode_ends
 from embodichain.recording.header import Header
 from embodichain.recording.log_error import DamageError, LogError
 from embodichain.recording.schema import STEPS_TOPIC
 from embodichain.recording.trajectory import outcomes
 
-__all__ = ["ChannelInfo", "Episode", "LogSummary", "inspect"]
+__all__ = ["ChannelInfo", "LogSummary", "inspect"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,35 +28,6 @@ class ChannelInfo:
     schema: str
     encoding: str
     messages: int
-
-
-@dataclass(frozen=True, slots=True)
-class Episode:
-    """An episode that ended within the log.
-
-    Attributes:
-        env: The environment.
-        episode: Its episode id, from 0 within the environment.
-        steps: Control steps of it that the recorder saw.
-        total_reward: Sum of rewards over them, undiscounted.
-        terminated: Whether it ended by itself; else by a limit.
-        last_step: Control step that ended it.
-        success: Whether it was one; None where the task does not say.
-    """
-
-    env: int
-    episode: int
-    steps: int
-    total_reward: float
-    terminated: bool
-    last_step: int
-    success: bool | None = None
-
-    @classmethod
-    def of(cls, end: EndedEpisode) -> Episode:
-        """What `/episode` tells."""
-        total = end.total_reward
-        return cls(end.env, end.episode, end.steps, total, end.terminated, end.step, end.success)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +53,7 @@ class LogSummary:
     header: Header
     channels: list[ChannelInfo]
     steps: int
-    episodes: list[Episode]
+    episodes: list[LogEpisode]
     attachments: dict[str, int]
     compressions: list[str]
     complete: bool
@@ -117,7 +87,7 @@ def inspect(path: str | Path) -> LogSummary:
     """
     counts: Counter[str] = Counter()
     steps, last_step = 0, -1
-    episodes: list[Episode] = []
+    episodes: list[LogEpisode] = []
     with LogReader(path) as reader:
         header = reader.require_header()
         sizes = header.num_envs, header.moved_width, header.nstate
@@ -129,7 +99,7 @@ def inspect(path: str | Path) -> LogSummary:
                     if run.steps:
                         steps, last_step = steps + run.steps, run.first + run.count - 1
                 elif topic == EPISODE_TOPIC:
-                    episodes += map(Episode.of, decode_ends(data))
+                    episodes += decode_ends(data)
         except DamageError as error:
             reader.complete, reader.damage = False, f"a message is damaged: {error}"
         # Of a log that ends early, an episode may be told whose last steps are missing.

@@ -73,7 +73,8 @@ def runs(reader: LogReader, span: Span = _ALL, wanted: Wanted | None = None) -> 
     Args:
         reader: The log; its `damage` tells of what is met.
         span: The control steps; None is all.
-        wanted: Whether a call is read; ``start`` and ``step`` are always; None reads all.
+        wanted: Whether a call is read; None reads all. A ``start`` is always read; a ``step`` that
+            is not has no arrays.
 
     Raises:
         LogError: If a message is damaged, or a chunk lies where it does not belong.
@@ -81,9 +82,10 @@ def runs(reader: LogReader, span: Span = _ALL, wanted: Wanted | None = None) -> 
     header = reader.require_header()
     sizes = header.num_envs, header.moved_width, header.nstate
     expected: int | None = None
-    reads = None
-    if wanted is not None:
-        reads = _also_starts_and_steps(wanted)
+
+    def reads(kind: CallKind) -> bool:
+        return wanted is None or kind.kind == "start" or wanted(kind)
+
     for topic, time_ns, payload in reader.messages(_needed(reader, span)):
         is_start = topic == START_TOPIC
         if not is_start and (topic != STEPS_TOPIC or expected is None):
@@ -105,10 +107,6 @@ def runs(reader: LogReader, span: Span = _ALL, wanted: Wanted | None = None) -> 
         expected = run.first + run.steps
         if span.ends_before(expected):
             return
-
-
-def _also_starts_and_steps(wanted: Wanted) -> Wanted:
-    return lambda kind: kind.kind in ("start", "step") or wanted(kind)
 
 
 def _wrong(run: Run, time_ns: int, is_start: bool, header: Header) -> str:

@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.api import EnvIndex
-from embodichain.recording.chunks import LogReader
-from embodichain.recording.header import Header
-from embodichain.recording.log_error import LogError
-from embodichain.recording.provenance import what_can_be_played, what_differs
-from embodichain.recording.recorded_model import (
+from embodichain.recording.attachments import (
     approximate_model,
     check_rows,
     model_to_simulate,
+    what_differs,
 )
+from embodichain.recording.chunks import LogReader
+from embodichain.recording.header import Header
+from embodichain.recording.log_error import LogError
 from embodichain.recording.simulation import (
     Active,
     Difference,
@@ -129,14 +129,21 @@ def _with_notes(report: VerifyReport, reader: LogReader) -> VerifyReport:
         found = what_differs(header, None)
     if not found:
         found = ["MuJoCo, processor and platform are the recorded ones: the file was changed"]
-    return replace(report, notes=[*report.notes, *found, what_can_be_played(header)])
+    return replace(report, notes=[*report.notes, *found, _still_good_for(header)])
+
+
+def _still_good_for(header: Header) -> str:
+    """What such a log is still good for where physics is another."""
+    if header.keyframe_every and header.mujoco_version != mujoco.__version__:
+        what = f"every {header.keyframe_every}th state, which was recorded, can be read"
+        return f"{what} (recording.open); those between need mujoco=={header.mujoco_version}"
+    return "its recorded states can be played all the same: replay --view, replay --video, export"
 
 
 def _select(header: Header, env: int | None) -> EnvIndex:
     if env is None:
         return np.arange(header.num_envs, dtype=np.int64)
-    if not 0 <= env < header.num_envs:
-        raise ConfigError(f"no environment {env} in the log: there are 0 to {header.num_envs - 1}")
+    header.check_env(env)
     return np.array([env], np.int64)
 
 
@@ -193,7 +200,7 @@ def _follow(
     largest: dict[str, float] = {}
     simulation = None
     try:
-        for run in runs(reader, wanted=changes):
+        for run in runs(reader, wanted=lambda kind: changes(kind) or outcomes(kind)):
             if simulation is None:  # a start: so many environments are really in the file
                 simulation = Simulation(reader, *how)
                 largest = simulation.largest_error

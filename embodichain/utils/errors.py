@@ -1,14 +1,14 @@
 """The exceptions users see, and the `Problem` records that configuration checks collect.
 
-`ConfigError.__str__` lists its problems; the command line adds files and lines.
+`ConfigError.__str__` lists its problems, each in one line.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-__all__ = ["ConfigError", "DeviceError", "EmbodichainError", "Problem", "RenderError"]
+__all__ = ["ConfigError", "DeviceError", "EmbodichainError", "Problem", "RenderError", "below"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,16 +19,31 @@ class Problem:
         path: Dotted key path from the root of what was checked, e.g. ``robot.init_qpos``.
         message: One line: what was found and what is allowed.
         hint: The closest match as a sentence (``Did you mean 'x'?``), or empty.
+        source: Where it was written: ``FILE:LINE``, ``FILE``, ``command line``; or empty.
     """
 
     path: str
     message: str
     hint: str = ""
+    source: str = ""
+
+    def at(self, source: str, path: str | None = None) -> Problem:
+        """Return it with its place, and with another key path if one is given."""
+        message = self.message.rstrip()
+        if self.hint and not message.endswith((".", "?", "!")):
+            message += "."  # the hint is a sentence of its own
+        path = self.path if path is None else path
+        return replace(self, path=path, message=message, hint=self.hint.strip(), source=source)
 
     def __str__(self) -> str:
-        """Return ``path: message hint``."""
-        text = f"{self.path}: {self.message}" if self.path else self.message
-        return f"{text} {self.hint}".rstrip()
+        """Return ``source: path: message hint``."""
+        parts = (part for part in (self.source, self.path, self.message) if part)
+        return f"{': '.join(parts)} {self.hint}".rstrip()
+
+
+def below(path: str, problems: Iterable[Problem]) -> list[Problem]:
+    """Return problems of a part of a configuration with the key path of that part before theirs."""
+    return [replace(p, path=f"{path}.{p.path}" if path else p.path) for p in problems]
 
 
 class EmbodichainError(Exception):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["RandomStreams", "first_seed"]
+__all__ = ["RandomStreams", "constant", "first_seed"]
 
 U64 = NDArray[np.uint64]
 _GAMMA = np.uint64(0x9E3779B97F4A7C15)
@@ -45,6 +45,13 @@ def _unit(bits: U64) -> NDArray[np.float64]:
 def _fixed(bound: Any) -> bool:
     """Whether a bound is the same numbers as long as it is the same object."""
     return isinstance(bound, np.ndarray) and not bound.flags.writeable
+
+
+def constant(values: Any) -> NDArray[np.float64]:
+    """A read-only float64 copy: streams scale many draws at once by bounds that cannot change."""
+    array = np.array(values, np.float64)
+    array.setflags(write=False)
+    return array
 
 
 class _Block:

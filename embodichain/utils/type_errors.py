@@ -16,7 +16,14 @@ from pydantic import TypeAdapter, ValidationError
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["ErrorDetails", "from_dict", "show_value", "unknown_key", "what_is_wrong"]
+__all__ = [
+    "ErrorDetails",
+    "from_dict",
+    "member_from_dict",
+    "show_value",
+    "unknown_key",
+    "what_is_wrong",
+]
 
 ErrorDetails = Mapping[str, Any]
 """One entry of `ValidationError.errors()`."""
@@ -99,6 +106,19 @@ def _expected(error: ErrorDetails, patterns: Mapping[str, str]) -> str:
 
 def _choices(error: ErrorDetails) -> list[str]:
     return re.findall(r"'([^']*)'", error.get("ctx", {}).get("expected", ""))
+
+
+def member_from_dict(members: Mapping[str, type[Any]], tag: str, init_dict: dict[str, Any]) -> Any:
+    """Return the config of the class that ``init_dict[tag]`` names, as `from_dict` does.
+
+    Raises:
+        ConfigError: If no member has that name, or of `from_dict`.
+    """
+    kind = str(init_dict.get(tag, ""))
+    if kind not in members:
+        message = f"unknown {tag} {kind!r}; one of: {', '.join(members)}."
+        raise ConfigError([Problem(tag, message, did_you_mean(kind, members).strip())])
+    return from_dict(members[kind], init_dict)
 
 
 def from_dict(cls: type[Any], init_dict: dict[str, Any]) -> Any:

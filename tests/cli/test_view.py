@@ -89,7 +89,7 @@ def test_it_is_played_to_who_looks_and_again(name, request):
     player = threading.Thread(target=stream_log, args=(path, server, stop.is_set), daemon=True)
     player.start()
     try:
-        for _ in range(2):  # whoever comes later sees the scene as well
+        for _ in range(2):  # a later subscriber is sent the scene as well
             with Client(server.port) as client:
                 client.meet(len(topics))
                 client.subscribe("/tf", "/env_1/scene")

@@ -6,13 +6,8 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from embodichain.compat.gym_config import scene
 from embodichain.compat.gym_config.draft import Draft, Path
-from embodichain.compat.gym_config.rigid_objects import (
-    convert_lights,
-    convert_objects,
-    convert_sensors,
-)
-from embodichain.compat.gym_config.robots import convert_articulations, convert_robot
 from embodichain.compat.gym_config.terms import convert_actions, convert_terms
 from embodichain.compat.gym_config.vocabulary import ENV, PHYSICS, TOP
 from embodichain.utils.errors import Problem
@@ -81,12 +76,12 @@ def convert(
     draft.carry(config, (), (), TOP)
     _identity(draft, config.get("id"), registered)
     _physics(draft, config)
-    robot = convert_robot(draft, config["robot"]) if config.get("robot") is not None else ""
+    robot = scene.convert_robot(draft, config["robot"]) if config.get("robot") is not None else ""
     for section in ("background", "rigid_object"):
-        convert_objects(draft, section, config.get(section))
-    convert_articulations(draft, config.get("articulation"))
-    convert_lights(draft, config.get("light"))
-    convert_sensors(draft, config.get("sensor"))
+        scene.convert_objects(draft, section, config.get(section))
+    scene.convert_articulations(draft, config.get("articulation"))
+    scene.convert_lights(draft, config.get("light"))
+    scene.convert_sensors(draft, config.get("sensor"))
     env = config.get("env")
     if env is not None and draft.carry(env, ("env",), (), ENV):
         _control_period(draft, env)

@@ -25,7 +25,7 @@ class Draft:
 
     Attributes:
         task: The task; plain values.
-        origins: Path in the task -> path in the gym config, for subtrees that came over whole.
+        origins: Path in the task -> path in the gym config, for whole subtrees.
         notes: What was left out and why; paths are the gym config's.
         problems: What is wrong in the gym config.
     """

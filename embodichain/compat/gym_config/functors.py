@@ -46,7 +46,7 @@ LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
         **each(_IK, _EEF),
     },
 }
-"""Kind -> functor -> why it is left out. A term of ours with the same name goes before it."""
+"""Kind -> functor -> why it is left out. A registered term of the name has precedence."""
 
 _TEXTURES = "textures are not drawn: colours are"
 PARAMS_LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {

@@ -28,7 +28,6 @@ __all__ = [
 T = TypeVar("T")
 _SHARED = ("affordance_datas",)
 """Attributes of the environment that are made for terms to write into."""
-_PACKAGE = "embodichain.lab."
 
 
 class _Has(Reference):
@@ -176,7 +175,10 @@ def stored(env: TermContext, name: str, first: Callable[[], T], path: str) -> T:
     Raises:
         ConfigError: If the name is no identifier, or belongs to the environment.
     """
-    if not name.isidentifier() or name.startswith("_") or _is_environments(env, name):
+    bases = [base for base in type(env).__mro__ if base.__module__.startswith("embodichain.lab.")]
+    own = {n for base in bases for n in (*vars(base), *vars(base).get("__annotations__", {}))}
+    taken = name in own and name not in _SHARED
+    if not name.isidentifier() or name.startswith("_") or taken:
         message = f"{name!r} is not an identifier, or taken by the environment"
         raise ConfigError([Problem(path, message)])
     if not hasattr(env, name):
@@ -188,14 +190,6 @@ def stored(env: TermContext, name: str, first: Callable[[], T], path: str) -> T:
         raise ConfigError([Problem(path, message)])
     value: T = found
     return value
-
-
-def _is_environments(env: TermContext, name: str) -> bool:
-    """Whether an attribute is one of the package's own class of environments."""
-    own = [base for base in type(env).__mro__ if base.__module__.startswith(_PACKAGE)]
-    return name not in _SHARED and any(
-        name in vars(base) or name in vars(base).get("__annotations__", {}) for base in own
-    )
 
 
 def asset_of(env: TermContext, uid: str, path: str, objects_only: bool = False) -> Any:

@@ -15,7 +15,7 @@ from embodichain.lab.gym.envs.managers.param_types import Body, Joints, Range
 from embodichain.lab.gym.envs.managers.registry import quantity, register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.mdp._rotations import pose_matrix
+from embodichain.lab.gym.envs.mdp.quantities.bodies import pose_matrix
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import pose_to_matrix
 

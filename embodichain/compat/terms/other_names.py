@@ -143,8 +143,10 @@ ACTIONS: Final[Mapping[str, Alias]] = {
 
 _WAYS = ("operation", "distribution")
 _DRAW = ("distribution",)
-_OBJECT = P("entity_cfg", needed=True, hint=RigidObject)
-_ARTICULATION = P("entity_cfg", needed=True, hint=Articulation)
+_OBJECT = P("entity_cfg", needed=True, hint=RigidObject, text="The rigid object.")
+_ARTICULATION = P(
+    "entity_cfg", needed=True, hint=Articulation, text="The robot; link names pick links."
+)
 
 
 def _range(name: str, hint: Any = Ranges) -> P:
@@ -153,7 +155,8 @@ def _range(name: str, hint: Any = Ranges) -> P:
 
 def _fields(uid: str, example: str, only: Sequence[str] = _WAYS, **params: Any) -> Alias:
     """`randomize` for fields of one entity; the example is of the entity `uid`."""
-    entity = P("entity_cfg", needed=True, hint=ResolvedEntity)
+    text = "The robot or object; joint names, control parts or link names pick what changes."
+    entity = P("entity_cfg", needed=True, hint=ResolvedEntity, text=text)
     example = f"{{entity_cfg: {{uid: {uid}}}, {example}}}"
     return alias("randomize", only=only, example=example, **{"entity_cfg": entity, **params})
 

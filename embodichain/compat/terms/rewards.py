@@ -15,10 +15,9 @@ from embodichain.compat.terms._targets import joints_of, target_position, tool_o
 from embodichain.lab.gym.envs.managers.param_types import Body, NonNegative, Positive
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.mdp import _kernels
 from embodichain.lab.gym.envs.mdp._rows import norm, total
 from embodichain.lab.gym.envs.mdp.quantities.pairs import distance
-from embodichain.lab.gym.envs.mdp.shapes import Rate
+from embodichain.lab.gym.envs.mdp.shapes import Rate, tanh_kernel
 from embodichain.utils.math import quat_conjugate, quat_multiply
 
 if TYPE_CHECKING:
@@ -186,7 +185,7 @@ class ReachingBehindObject:
         length = norm(way)[:, None]
         direction = way / np.where(length == 0.0, 1.0, length)
         wanted = place - self._behind * direction + self._up
-        return _kernels.tanh_kernel(norm(self._tool.position() - wanted), 1.0 / self._scale)
+        return tanh_kernel(norm(self._tool.position() - wanted), 1.0 / self._scale)
 
 
 @quantity("reward", "metric")
@@ -208,7 +207,7 @@ def object_goal_distance(
         ``{func: object_goal_distance, weight: 16.0, params: {object_cfg: {uid: cube}, goal_cfg:
         {uid: goal}, std: 0.3, minimal_height: 0.1}}``
     """
-    kernel = _kernels.tanh_kernel(distance(env, object_cfg, goal_cfg), std)
+    kernel = tanh_kernel(distance(env, object_cfg, goal_cfg), std)
     return np.where(object_cfg.position()[:, 2] <= minimal_height, 0.0, kernel)
 
 

@@ -12,7 +12,6 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import BeforeValidator, Field
 
 from embodichain.lab.sim.drive_cfg import JointDrivePropertiesCfg
@@ -40,7 +39,8 @@ __all__ = [
 ]
 
 Vec3 = Annotated[Sequence[float], Field(min_length=3, max_length=3)]
-Quat = Annotated[Sequence[float], Field(min_length=4, max_length=4)]
+Four = Annotated[Sequence[float], Field(min_length=4, max_length=4)]
+Quat = Four
 
 DEFAULT_RENDERER = "hybrid"
 
@@ -392,8 +392,3 @@ def name_of(cfg: ObjectBaseCfg) -> str:
     if urdf is not None and urdf.stem():
         return urdf.stem()
     raise ValueError(f"{type(cfg).__name__} has no uid")
-
-
-# Kept for annotations of user code.
-FloatArray = Sequence[float] | np.ndarray
-JointValues = FloatArray | Mapping[str, float]

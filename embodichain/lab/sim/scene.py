@@ -8,7 +8,7 @@ from typing import Any
 
 from embodichain.lab.sim.cfg import ArticulationCfg, SimulationManagerCfg, name_of
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_articulation
-from embodichain.lab.sim.compiler.chatter import DriveChange, physics_step
+from embodichain.lab.sim.compiler.drives import DriveChange, physics_step
 from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
 from embodichain.lab.sim.compiler.scene_sensors import SensorPlan, plan_sensor
 from embodichain.lab.sim.engine.api import Engine
@@ -19,7 +19,7 @@ from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.lab.sim.sensors.cfg import CameraCfg, SensorCfg, no_camera
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError, Problem, below
 
 __all__ = ["Entity", "Scene"]
 
@@ -106,7 +106,7 @@ class Scene:
         }
         plan, problems = plan_sensor(uid, cfg, known, ground=self._cfg.ground_plane)
         if plan is None:
-            raise ConfigError([Problem(f"{uid}.{p.path}", p.message, p.hint) for p in problems])
+            raise ConfigError(below(uid, problems))
         return plan
 
     def remove(self, uid: str) -> bool:
@@ -140,7 +140,7 @@ class Scene:
                 {uid: light.cfg for uid, light in self.lights.items()},
                 {uid: sensor.plan for uid, sensor in self.sensors.items()},
             )
-            self.compiled = self._prepared.take_scene(*parts) or compile_scene(*parts)
+            self.compiled = self._prepared.take_scene(parts) or compile_scene(*parts)
             notes = [f"{parsed.uid}: {note}" for parsed in articulations for note in parsed.notes]
             for note in (*notes, *self.compiled.notes):
                 _log.warning("%s", note)

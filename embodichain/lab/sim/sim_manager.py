@@ -22,7 +22,7 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.compiler.chatter import DriveChange
+from embodichain.lab.sim.compiler.drives import DriveChange
 from embodichain.lab.sim.compiler.scene import CompiledScene
 from embodichain.lab.sim.engine.cpu import CpuEngine
 from embodichain.lab.sim.objects._arrays import as_env_ids
@@ -309,7 +309,7 @@ class SimulationManager:
         else:
             for handle in chosen:
                 if handle is not None:
-                    columns = handle.row_columns()
+                    columns = handle.row_columns
                     engine.write("row", self._initial_row[columns], ids, columns)
         for handle in chosen:
             if isinstance(handle, Articulation):

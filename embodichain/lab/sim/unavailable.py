@@ -115,41 +115,18 @@ class _Unavailable:
         raise NotImplementedError(f"{type(self).__name__}: {self.__doc__}")
 
 
-class SoftObject(_Unavailable):
-    """Soft bodies are not available yet."""
+def _refusing(name: str, why: str) -> tuple[type[_Unavailable], type[_Unavailable]]:
+    """Return a class and that of its config."""
+    members = {"__doc__": why, "__module__": __name__}
+    return type(name, (_Unavailable,), members), type(f"{name}Cfg", (_Unavailable,), members)
 
 
-class SoftObjectCfg(SoftObject):
-    """Soft bodies are not available yet."""
-
-
-class ClothObject(_Unavailable):
-    """Cloth is not available yet."""
-
-
-class ClothObjectCfg(ClothObject):
-    """Cloth is not available yet."""
-
-
-class RigidObjectGroup(_Unavailable):
-    """Object groups are not available yet; add objects one by one."""
-
-
-class RigidObjectGroupCfg(RigidObjectGroup):
-    """Object groups are not available yet; add objects one by one."""
-
-
-class RigidConstraint(_Unavailable):
-    """Rigid constraints are not available yet."""
-
-
-class RigidConstraintCfg(RigidConstraint):
-    """Rigid constraints are not available yet."""
-
-
-class Gizmo(_Unavailable):
-    """Gizmos are not available yet."""
-
-
-class GizmoCfg(Gizmo):
-    """Gizmos are not available yet."""
+SoftObject, SoftObjectCfg = _refusing("SoftObject", "soft bodies are not available yet")
+ClothObject, ClothObjectCfg = _refusing("ClothObject", "cloth is not available yet")
+RigidObjectGroup, RigidObjectGroupCfg = _refusing(
+    "RigidObjectGroup", "object groups are not available yet; add objects one by one"
+)
+RigidConstraint, RigidConstraintCfg = _refusing(
+    "RigidConstraint", "rigid constraints are not available yet"
+)
+Gizmo, GizmoCfg = _refusing("Gizmo", "gizmos are not available yet")

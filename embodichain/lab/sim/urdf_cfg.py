@@ -1,7 +1,7 @@
 """`URDFCfg`: one robot of several URDF files, arm and hand for example. Pure data.
 
 Names, order of the components, and which is fixed on which are EmbodiChain 0.2.1's; the compiler
-puts the files together (`compiler.assembly`) and nothing is written to disk.
+puts the files together (`compiler.robot_assembly`) and nothing is written to disk.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ class WebView(StepObserver):
         return self._page.watched
 
     def on_write(self, env: ObservedEnv, write: Write) -> None:
-        """Note changes of how the environment looks that is shown."""
+        """Note whether the appearance of the shown environment changes."""
         if write.op == "model" and write.field in LOOKS:
             self._restyled |= write.env_ids is None or self._env_id in write.env_ids
 

@@ -150,8 +150,6 @@ class Scalars:
         for name in map(identifier, self._titles([n for names, _ in commands for n in names])):
             taken = sum(n == name or n.startswith(f"{name}__") for n in self.names)
             self.names.append(f"{name}__{taken + 1}" if taken else name)
-        self._factors: list[float] = []  # of the scalars; empty: all are 1
-        self._weights: object = None  # those in `_factors`
         self._message = scalars_class(METRICS, self.names)
 
     def _titles(self, commands: list[str]) -> Iterator[str]:
@@ -165,17 +163,12 @@ class Scalars:
         """Schema of the message."""
         return scalars_descriptor_set(METRICS, self.names)
 
-    def weigh(self, weights: Mapping[str, float]) -> None:
-        """Multiply reward terms with these weights from now on, as they add to the reward."""
-        if weights is not self._weights:
-            self._weights = weights
-            factors = [1.0] * len(self.names)
-            for at, name in enumerate(self._terms["rewards"], 3 + len(self._counts)):
-                factors[at] = weights.get(name, 1.0)
-            self._factors = factors if set(factors) != {1.0} else []
-
-    def of(self, step: StepRecord) -> list[list[float]]:
+    def of(self, step: StepRecord, weights: Mapping[str, float]) -> list[list[float]]:
         """The values of each viewed environment in a step, in the order of `names`.
+
+        Args:
+            step: The step.
+            weights: Of the reward terms: their values are those that add to the reward.
 
         Raises:
             ValueError: If the step has other scalars than the first one.
@@ -186,6 +179,7 @@ class Scalars:
             raise ValueError(
                 f"a step's scalars are not those of the first one: {self.names}"
             ) from error
+        factors = [weights.get(name, 1.0) for name in self._terms["rewards"]]
         found = []
         for env_id in self._ids:
             values: list[float] = []
@@ -194,16 +188,15 @@ class Scalars:
                     values.append(block.item(env_id))
                 else:
                     values += block[:, env_id].tolist()
-            if self._factors:
-                values = [a * b for a, b in zip(values, self._factors, strict=True)]
+            for at, weight in enumerate(factors, 3 + len(self._counts)):
+                values[at] *= weight
             found.append(values)
         return found
 
     def encode(self, values: Sequence[float]) -> bytes:
         """Return the serialized message of values that `of` returned."""
-        data: bytes = self._message(
-            **dict(zip(self.names, values, strict=True))
-        ).SerializeToString()
+        message = self._message(**dict(zip(self.names, values, strict=True)))
+        data: bytes = message.SerializeToString()
         return data
 
     def _blocks(self, step: StepRecord) -> list[NDArray[Any]]:

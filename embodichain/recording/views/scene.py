@@ -8,6 +8,7 @@ commanded velocity as arrows; goals that are bodies are part of the scene.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -18,7 +19,7 @@ from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
-from embodichain.lab.sim.engine.api import F64
+from embodichain.lab.sim.engine.api import F64, EnvIndex
 from embodichain.recording.views.channels import frame_names
 from embodichain.recording.views.shapes import MEDIA_TYPE, PLANE_SIZE, Shape, glb, mesh_of, shapes
 from embodichain.utils.math import quat_multiply
@@ -140,25 +141,32 @@ class Commands:
             found.append(([f"{name}_{label}" for label in labels], values))
         return found
 
-    def encode(self, time_ns: int, env_id: int, data: mujoco.MjData) -> bytes:
+    def values_of(self, env_ids: EnvIndex) -> list[F64]:
+        """Copies of the values, (n, columns), of each command that is drawn."""
+        return [command.values[env_ids] for command in self._drawn.values()]
+
+    def encode(
+        self, time_ns: int, env_id: int, data: mujoco.MjData, values: Sequence[F64]
+    ) -> bytes:
         """Return the serialized `SceneUpdate` of an environment's commands.
 
         Args:
             time_ns: Its time.
             env_id: The environment.
             data: Its kinematics.
+            values: Of each command that is drawn, (columns,).
         """
         update = SceneUpdate()
-        for name, command in self._drawn.items():
+        for (name, command), row in zip(self._drawn.items(), values, strict=True):
             is_pose, body = command.marker.kind == "pose", int(command.marker.body)
             entity = update.entities.add(id=f"env_{env_id}/commands/{name}")
             entity.timestamp.FromNanoseconds(time_ns)
             entity.frame_locked = is_pose  # it moves with the body
             entity.frame_id = f"env_{env_id}{self._frames[body if is_pose else 0]}"
             if is_pose:
-                _add_axes(entity.arrows, command.values[env_id])
+                _add_axes(entity.arrows, row)
             else:
-                _add_velocity(entity.arrows, command.values[env_id], data, body)
+                _add_velocity(entity.arrows, row, data, body)
         encoded: bytes = update.SerializeToString()
         return encoded
 

@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex, Write, row_layout
-from embodichain.recording.options import RecordLike
+from embodichain.recording.options import RecordOptions
 from embodichain.recording.views.channels import (
     METRICS,
     Frames,
@@ -68,7 +68,7 @@ class Views:
     """
 
     def __init__(
-        self, env: ObservedEnv, options: RecordLike, sink: Sink, now: Callable[[], int]
+        self, env: ObservedEnv, options: RecordOptions, sink: Sink, now: Callable[[], int]
     ) -> None:
         self._ids = np.array(sorted(set(options.view_envs)), np.int64)
         self._is_viewed = np.zeros(env.num_envs, np.bool_)
@@ -77,7 +77,7 @@ class Views:
         self._every = max(1, math.ceil(1.0 / (options.view_hz * float(env.step_dt)) - 1e-9))
         self._period_ns = self._every * round(float(env.step_dt) * 1e9)
         self._due: dict[int, bool] = dict.fromkeys(self._ids.tolist(), True)
-        """Environments whose scene is due; whether even if it looks as before."""
+        """Environments whose scene is due; True: even if it is unchanged."""
         self._sampled = -1
         self._next_line: dict[str, int] = {}  # interval term: when it may have a line again
         self._rewards = getattr(env, "reward_manager", None)  # other classes may have no manager
@@ -146,16 +146,23 @@ class Views:
         ]
         self._due = {}
         models = [viewed.model for viewed in self._viewed.values()]
-        samples = chain(scenes, self._encoded(time_ns, rows[self._ids], models))
-        # Values of commands and models of single environments may change before the file is
-        # written.
-        live = self._commands.drawn or any(viewed.owns_model for viewed in self._viewed.values())
+        commands = self._commands.values_of(self._ids)
+        samples = chain(scenes, self._encoded(time_ns, rows[self._ids], models, commands))
+        # Models of single environments may change before the file is written.
+        live = any(viewed.owns_model for viewed in self._viewed.values())
         self._sink.send(time_ns, list(samples) if live else samples)
 
     def _encoded(
-        self, time_ns: int, rows: F64, models: list[mujoco.MjModel]
+        self, time_ns: int, rows: F64, models: list[mujoco.MjModel], commands: list[F64]
     ) -> Iterator[tuple[str, bytes]]:
-        """Encode a sample of the n viewed environments: (n, nstate) rows, and n models."""
+        """Encode a sample of the n viewed environments.
+
+        Args:
+            time_ns: Its time.
+            rows: (n, nstate) states.
+            models: n of them.
+            commands: (n, columns) values of each command that is drawn.
+        """
         data = self._data
         for index, (env_id, viewed) in enumerate(self._viewed.items()):
             row = rows[index]
@@ -164,8 +171,9 @@ class Views:
             mujoco.mj_kinematics(models[index], data)
             self._frames.place(index, data)
             yield viewed.joints, self._joints.encode(time_ns, row)
-            if self._commands.drawn:
-                yield viewed.markers, self._commands.encode(time_ns, env_id, data)
+            if commands:
+                values = [of_all[index] for of_all in commands]
+                yield viewed.markers, self._commands.encode(time_ns, env_id, data, values)
         yield "/tf", self._frames.encode(time_ns)
 
     def on_reset(self, env_ids: EnvIndex) -> None:
@@ -208,9 +216,8 @@ class Views:
             self._say_endings(step, record)
         if self._viewed and step % self._every == 0:
             scalars, time_ns = self.declare(record), self._now()
-            if self._rewards is not None:
-                scalars.weigh(self._rewards.weights)
-            metrics = zip(self._viewed.values(), scalars.of(record), strict=True)
+            weights = {} if self._rewards is None else self._rewards.weights
+            metrics = zip(self._viewed.values(), scalars.of(record, weights), strict=True)
             self._sink.send(time_ns, ((v.metrics, scalars.encode(values)) for v, values in metrics))
 
     def _say_endings(self, step: int, record: StepRecord) -> None:
@@ -274,7 +281,7 @@ class _Viewed:
         return self._model
 
     def look(self, time_ns: int, anyway: bool) -> bytes | None:
-        """Return its `SceneUpdate`; None if it looks as before, unless `anyway`."""
+        """Return its `SceneUpdate`; None if the scene is unchanged, unless `anyway`."""
         model = self.model
         if not self._stale and not anyway:
             return None

@@ -113,7 +113,7 @@ def live():
     view = FoxgloveView(env, port=0, view_envs=[0, 2], fps=1000)
     env.add_observer(view)
     env.reset()
-    env.sim.engine.write_model("geom_rgba", 0.75, np.array([2]), geom)  # nobody looks yet
+    env.sim.engine.write_model("geom_rgba", 0.75, np.array([2]), geom)  # before any subscription
     env.step()
     with Running(env) as running:
         yield running, view
@@ -131,11 +131,11 @@ def test_its_channels_are_those_of_the_file(live, tmp_path):
     in_file = {
         channel.topic: summary.schemas[channel.schema_id]
         for channel in summary.channels.values()
-        if not channel.topic.startswith(("/sim/", "/episode"))  # for programs, not for people
+        if not channel.topic.startswith(("/sim/", "/episode"))  # for programs
     }
     with Client(live[1].server.port) as client:
         found = client.meet(len(in_file))
-    assert client.server["capabilities"] == []  # nobody can change anything
+    assert client.server["capabilities"] == []  # clients cannot change anything
     assert set(found) == set(in_file)
     for topic, schema in in_file.items():
         channel = found[topic]
@@ -161,7 +161,7 @@ def test_what_comes_is_the_state_of_the_simulation(live):
         assert (later - time_ns) % 20_000_000 == 0 < later - time_ns  # the log's own clock
 
 
-def test_a_scene_comes_to_everybody_who_subscribes(live):
+def test_a_scene_is_sent_to_every_subscriber(live):
     _, view = live
     for _ in range(2):
         with Client(view.server.port) as client:
@@ -170,7 +170,7 @@ def test_a_scene_comes_to_everybody_who_subscribes(live):
             _, _, scene = client.until("/env_2/scene")
             entities = {e.id: e for e in scene.entities}
             assert {"env_2", "env_2/arm/upper", "env_2/cube", "env_2/goal"} <= set(entities)
-            # It was painted while nobody looked.
+            # It was painted before the subscription.
             assert entities["env_2/cube"].cubes[0].color.r == 0.75
             assert "move_goal" in client.until("/log")[2].message
     with Client(view.server.port) as first, Client(view.server.port) as second:
@@ -182,7 +182,7 @@ def test_a_scene_comes_to_everybody_who_subscribes(live):
         assert second.until("/env_0/scene")[2].entities
 
 
-def test_nothing_is_made_while_nobody_looks(monkeypatch):
+def test_no_message_is_made_without_a_subscription(monkeypatch):
     env = SmallEnv()
     view = FoxgloveView(env, port=0, fps=1e9)
     env.add_observer(view)
@@ -212,7 +212,7 @@ def _step_until(env, condition):
     assert condition()
 
 
-def test_the_clock_is_kept_while_somebody_looks(monkeypatch):
+def test_real_time_is_kept_while_anything_is_subscribed_to(monkeypatch):
     env = SmallEnv()
     env.add_observer(view := FoxgloveView(env, port=0, realtime=True))
     slept = []

@@ -1,4 +1,4 @@
-"""A log on a screen: which states are shown, in which order, and what people can do meanwhile."""
+"""A log on a screen: which states are shown, in which order, and the controls meanwhile."""
 
 import threading
 import time
@@ -87,7 +87,7 @@ def test_it_begins_anew_and_goes_on_with_another_environment(path, monkeypatch):
     assert steps == [*((0, t) for t in range(3, 8)), *again, *((2, t) for t in (5, 6, 7, 3))]
 
 
-def test_nothing_is_played_while_nobody_looks(path):
+def test_a_log_is_played_while_it_is_watched(path):
     screen = Screen({4: shut})
     screen.watched = False
     with recording.open(path) as log:

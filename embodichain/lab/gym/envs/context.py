@@ -94,11 +94,7 @@ class EditableTerms(Protocol):
         """The built terms by name."""
         ...
 
-    def params(self, name: str) -> dict[str, Any]:
-        """Return a term's current parameters (a deep copy), as the config writes them."""
-        ...
-
-    def set_params(self, name: str, params: dict[str, Any]) -> None:
+    def set_params(self, name: str, params: dict[str, Any], shape: Any = None) -> None:
         """Build a term anew with other parameters; its state is carried over."""
         ...
 

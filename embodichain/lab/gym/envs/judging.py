@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import logging
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.episodes import zeroed
 from embodichain.lab.gym.envs.managers.value_managers import JudgedEnv, check_shapes
 from embodichain.lab.sim.objects._arrays import all_finite, as_env_ids
+from embodichain.utils.atomic import atomic_file
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.episodes import Episodes
@@ -325,7 +325,6 @@ class StateDump:
                 "action": action[env_id],
                 **{f"model.{name}": field[env_id] for name, field in fields.items()},
             }
-            partial = path.with_suffix(".partial.npz")
-            np.savez(partial, allow_pickle=False, **values)
-            os.replace(partial, path)
+            with atomic_file(path) as partial:
+                np.savez(partial, allow_pickle=False, **values)
             self._written += 1

@@ -7,7 +7,7 @@ observer: it does not see what happens inside an automatic reset.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -177,48 +177,40 @@ class StepObserver:
         """The environment closes; nothing follows."""
 
 
-class Observers:
-    """The observers attached to an environment; they also hear its engine.
+class Observers(list[StepObserver]):
+    """The observers attached to an environment, in this order; they also hear its engine.
 
     Args:
         env: The environment.
     """
 
     def __init__(self, env: ObservedEnv) -> None:
+        super().__init__()
         self._env = env
-        self._attached: list[StepObserver] = []
-
-    def __iter__(self) -> Iterator[StepObserver]:
-        """Iterate in the order of attachment."""
-        return iter(self._attached)
-
-    def __len__(self) -> int:
-        """Return the number of observers."""
-        return len(self._attached)
 
     def add(self, observer: StepObserver) -> None:
         """Attach an observer."""
-        if not self._attached:
+        if not self:
             self._env.sim.engine.listeners.append(self)
-        self._attached.append(observer)
+        self.append(observer)
 
     def remove(self, observer: StepObserver) -> None:
         """Detach an observer; ValueError if it is not attached."""
-        self._attached.remove(observer)
-        if not self._attached:
+        super().remove(observer)
+        if not self:
             self._env.sim.engine.listeners.remove(self)
 
     def on_write(self, write: Write) -> None:
         """Something outside physics was written."""
-        for observer in self._attached:
+        for observer in self:
             observer.on_write(self._env, write)
 
     def on_physics(self, event: PhysicsEvent) -> None:
         """Physics is about to step, or has stepped."""
-        for observer in self._attached:
+        for observer in self:
             observer.on_physics(self._env, event)
 
     def on_event(self, event: EventRecord) -> None:
         """A term has fired."""
-        for observer in self._attached:
+        for observer in self:
             observer.on_event(self._env, event)

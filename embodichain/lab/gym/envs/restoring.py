@@ -83,9 +83,9 @@ def put(
     _put_model(sim.engine, snapshot.fields, where)
     sim.engine.write("row", snapshot.row, where)
     for handle in {**sim.robots, **sim.articulations}.values():
-        handle.drives.take_over(where, snapshot.fields)
+        handle.drives.load_fields(where, snapshot.fields)
     for body in sim.rigid_objects.values():
-        body.take_over(where, snapshot.fields)
+        body.load_fields(where, snapshot.fields)
     sim.engine.forward(where)
     commands: Any = managers["commands"]
     commands.update(where)

@@ -29,17 +29,15 @@ from embodichain.lab.sim.cfg import (
     name_of,
 )
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
-from embodichain.lab.sim.compiler.chatter import DriveChange, PhysicsStep, physics_step
-from embodichain.lab.sim.compiler.entity_names import Known, pick
-from embodichain.lab.sim.compiler.names import check_uid
+from embodichain.lab.sim.compiler.drives import DriveChange, PhysicsStep, physics_step
+from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
 from embodichain.lab.sim.compiler.rigid_objects import check_object
-from embodichain.lab.sim.compiler.robot_bodies import MAX_MASKED
-from embodichain.lab.sim.compiler.scene import compile_scene
+from embodichain.lab.sim.compiler.robot_links import MAX_MASKED
+from embodichain.lab.sim.compiler.scene import check_light, compile_scene
 from embodichain.lab.sim.compiler.scene_sensors import plan_sensors
-from embodichain.lab.sim.compiler.visuals import GROUND, check_light
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.lab.sim.viewer import has_display
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError, Problem, below
 from embodichain.utils.suggest import did_you_mean, listing
 
 if TYPE_CHECKING:
@@ -195,7 +193,7 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
         prepared.add_articulation(path, articulation, step, changes.get(articulation.uid, ()))
     parts = physics, [*parsed.values()], objects, lights, sensors
     try:  # what MuJoCo still refuses, such as a broken mesh file
-        prepared.add_scene(compile_scene(*parts), *parts)
+        prepared.add_scene(compile_scene(*parts), parts)
     except ConfigError as error:
         return list(error.problems)
     return []
@@ -240,7 +238,7 @@ def _parse(
             found = check_object(cfg)
         elif isinstance(cfg, LightCfg):
             found = check_light(cfg)
-        problems += [Problem(f"{path}.{p.path}", p.message, p.hint) for p in found]
+        problems += below(path, found)
     return parsed, problems
 
 

@@ -1,54 +1,58 @@
-"""`parse_articulation`: a robot file and its config into one checked `ParsedArticulation`.
-
-Reading files is `files`, the parts of a config are `drives`, `initial`, `roots`, `collision`;
-putting several entities into one model is `scene`.
-"""
+"""`parse_articulation`: a robot file and its config into one checked `ParsedArticulation`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from embodichain.lab.sim.cfg import ArticulationCfg
-from embodichain.lab.sim.compiler.actuators import Servos, control_names, read_servos
-from embodichain.lab.sim.compiler.chatter import (
+from embodichain.lab.sim.cfg import ArticulationCfg, URDFCfg
+from embodichain.lab.sim.compiler.drives import (
     DriveChange,
+    DriveGains,
     PhysicsStep,
+    apply_drives,
     drawn_joints,
     quiet_armature,
+    resolve_drives,
 )
-from embodichain.lab.sim.compiler.drives import DriveGains, apply_drives, resolve_drives
-from embodichain.lab.sim.compiler.file_joints import movable_joints, read_joints, read_mimics
-from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.initial import (
-    Keyframe,
-    initial_controls,
-    read_keyframe,
-    resolve_qpos,
-)
-from embodichain.lab.sim.compiler.link_additions import (
-    add_attachments,
-    add_tools,
-    check_attachments,
-    resolve_tools,
-)
-from embodichain.lab.sim.compiler.model_files import (
+from embodichain.lab.sim.compiler.index import F64, Mask
+from embodichain.lab.sim.compiler.names import exact_pattern, match
+from embodichain.lab.sim.compiler.rigid_objects import check_pose
+from embodichain.lab.sim.compiler.robot_assembly import assemble
+from embodichain.lab.sim.compiler.robot_files import (
     MUJOCO_ERRORS,
     ModelFile,
     as_line,
     compile_quietly,
+    locate,
+    read_model,
 )
-from embodichain.lab.sim.compiler.names import exact_pattern, match
-from embodichain.lab.sim.compiler.rigid_math import initial_pose
-from embodichain.lab.sim.compiler.robot_assembly import read_robot
-from embodichain.lab.sim.compiler.robot_bodies import prepare_shapes, set_root, strip_world
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.lab.sim.compiler.robot_joints import (
+    Keyframe,
+    Servos,
+    control_names,
+    initial_controls,
+    movable_joints,
+    read_joints,
+    read_keyframe,
+    read_mimics,
+    read_servos,
+    resolve_qpos,
+)
+from embodichain.lab.sim.compiler.robot_links import (
+    add_attachments,
+    add_tools,
+    check_attachments,
+    prepare_shapes,
+    resolve_tools,
+    set_root,
+    strip_world,
+)
+from embodichain.utils.errors import ConfigError, Problem, below
 from embodichain.utils.suggest import listing
 
 __all__ = ["ParsedArticulation", "parse_articulation", "parse_with_problems"]
@@ -131,7 +135,7 @@ class ParsedArticulation:
     control_parts: dict[str, tuple[int, ...]]
     tools: dict[str, str]
     own_actuators: bool
-    driven: NDArray[np.bool_]
+    driven: Mask
     drives: tuple[str, ...]
     servos: Servos
     control_names: tuple[str, ...]
@@ -180,7 +184,7 @@ def parse_articulation(
     """
     parsed, problems = parse_with_problems(uid, cfg, step, changes)
     if parsed is None or problems:
-        raise ConfigError([Problem(f"{uid}.{p.path}", p.message, p.hint) for p in problems])
+        raise ConfigError(below(uid, problems))
     return parsed
 
 
@@ -202,19 +206,18 @@ def parse_with_problems(
             p if p.path.startswith("urdf_cfg") else Problem("fpath", str(p), "")
             for p in error.problems
         ]
-    problems = _unsupported(cfg, file)
-    _checked(lambda: initial_pose(cfg), problems)
+    problems = [*_unsupported(cfg, file), *check_pose(cfg)]
     joints = read_joints(file.model, file.velocity_limits, is_urdf=file.is_urdf)
     mimics = read_mimics(file.model)
     parts, wrong = _control_parts(getattr(cfg, "control_parts", None), joints.names)
     problems += wrong
     gains, wrong = resolve_drives(cfg.drive_pros, joints, parts, mimics.ids)
-    problems += [Problem(f"drive_pros.{p.path}", p.message, p.hint) for p in wrong]
+    problems += below("drive_pros", wrong)
     keyframe = read_keyframe(file.spec, file.model)
     qpos, wrong = resolve_qpos(cfg.init_qpos, joints, mimics, keyframe)
     problems += wrong
-    problems += check_attachments(file.spec, cfg.attachments)
     links = [body.name for body in file.spec.bodies[1:]]  # the first is the world
+    problems += check_attachments(links, cfg.attachments)
     tools, wrong = resolve_tools(cfg, parts, [*links, *cfg.attachments])
     problems += wrong
     said = [*strip_world(file.spec), *_unused(file.spec, keyframe)]
@@ -227,10 +230,9 @@ def parse_with_problems(
         if not problems:
             add_attachments(file.spec, cfg.attachments)
             add_tools(file.spec, tools)
-        if cfg.gravcomp is not None:
-            for body in file.spec.bodies[1:]:  # the first is the world
-                body.gravcomp = float(cfg.gravcomp)
         for body in file.spec.bodies[1:]:
+            if cfg.gravcomp is not None:
+                body.gravcomp = float(cfg.gravcomp)
             body.simple = 0  # its centre of mass may move: see `add_object`
         spec, root = set_root(file.spec, cfg.fix_base)
         model = compile_quietly(spec)
@@ -309,17 +311,7 @@ def _quieten(
     Returns:
         (D,) what was added, and what a user should be told.
     """
-    lacking = quiet_armature(
-        model,
-        names,
-        stiffness=np.where(gains.driven, gains.stiffness, 0.0),
-        damping=np.where(gains.driven, gains.damping, 0.0),
-        max_effort=gains.max_effort,
-        home=home,
-        parts=parts,
-        step=step,
-        changes=changes,
-    )
+    lacking = quiet_armature(model, names, gains, home, parts, step, changes)
     given = gains.armature_given | drawn_joints("armature", names, parts, changes)
     added = np.where(given, 0.0, lacking)
     for i in np.flatnonzero(added > 0).tolist():
@@ -342,18 +334,28 @@ def _rounded(values: F64) -> F64:
 
 
 def _armature_note(
-    what: str, names: Sequence[str], enough: F64, joints: NDArray[np.bool_], step: PhysicsStep
+    what: str, names: Sequence[str], enough: F64, joints: Mask, step: PhysicsStep
 ) -> str:
     listed = ", ".join(f"{names[i]}: {enough[i]:.4g}" for i in np.flatnonzero(joints).tolist())
     because = f"limited drives would chatter at a time step of {step.dt:g} s"
     return f"drive_pros.armature {what}: {because}; enough is {{{listed}}}" if listed else ""
 
 
-def _checked(check: Callable[[], Any], problems: list[Problem]) -> None:
-    try:
-        check()
-    except ConfigError as error:
-        problems += error.problems
+def read_robot(cfg: ArticulationCfg) -> ModelFile:
+    """Read the file of an articulation, or the files of a robot with a `urdf_cfg`.
+
+    Raises:
+        ConfigError: If a file is missing or malformed, or a component is wrong; problems of
+            components have paths that begin with ``urdf_cfg``.
+    """
+    urdf: URDFCfg | None = getattr(cfg, "urdf_cfg", None)
+    convex_parts = cfg.collision == "decompose"
+    if urdf is not None and not cfg.fpath:
+        return assemble(urdf, convex_parts)
+    file = read_model(locate(cfg.fpath), convex_parts)
+    if urdf is not None:
+        file.notes.append("urdf_cfg has no effect: fpath names the robot's file")
+    return file
 
 
 def _unsupported(cfg: ArticulationCfg, file: ModelFile) -> list[Problem]:

@@ -8,14 +8,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["F64", "EntityIndex", "Ids"]
+__all__ = ["F64", "EntityIndex", "Ids", "Mask"]
 
 F64 = NDArray[np.float64]
 Ids = NDArray[np.int64]
-
-
-def _none() -> Ids:
-    return np.zeros(0, np.int64)
+Mask = NDArray[np.bool_]
+_NONE: Ids = np.zeros(0, np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +51,11 @@ class EntityIndex:
     mocap_id: int = -1
     free_qpos_adr: int = -1
     free_qvel_adr: int = -1
-    qpos_adr: Ids = field(default_factory=_none)
-    dof_adr: Ids = field(default_factory=_none)
-    actuator_ids: Ids = field(default_factory=_none)
-    ctrl_ids: Ids = field(default_factory=_none)
-    velocity_ctrl_ids: Ids = field(default_factory=_none)
-    own_actuator_ids: Ids = field(default_factory=_none)
-    own_ctrl_ids: Ids = field(default_factory=_none)
-    own_act_ids: Ids = field(default_factory=_none)
+    qpos_adr: Ids = field(default_factory=_NONE.copy)
+    dof_adr: Ids = field(default_factory=_NONE.copy)
+    actuator_ids: Ids = field(default_factory=_NONE.copy)
+    ctrl_ids: Ids = field(default_factory=_NONE.copy)
+    velocity_ctrl_ids: Ids = field(default_factory=_NONE.copy)
+    own_actuator_ids: Ids = field(default_factory=_NONE.copy)
+    own_ctrl_ids: Ids = field(default_factory=_NONE.copy)
+    own_act_ids: Ids = field(default_factory=_NONE.copy)

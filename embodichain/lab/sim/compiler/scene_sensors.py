@@ -9,9 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.compiler.entity_names import Known, check_reference
-from embodichain.lab.sim.compiler.names import check_uid, match
-from embodichain.lab.sim.compiler.visuals import GROUND
+from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
 from embodichain.lab.sim.sensors.cfg import (
     ContactSensorCfg,
     ForceTorqueSensorCfg,
@@ -19,7 +17,7 @@ from embodichain.lab.sim.sensors.cfg import (
     LinksCfg,
     SensorCfg,
 )
-from embodichain.utils.errors import Problem
+from embodichain.utils.errors import Problem, below
 
 __all__ = [
     "SensorIndex",
@@ -73,7 +71,7 @@ def plan_sensors(
         if cfg.uid not in (None, "", uid):
             message = f"the key {uid!r} is its uid; it cannot be {cfg.uid!r}: leave uid out"
             found = [Problem("uid", message), *found]
-        problems += [Problem(f"{path}.{p.path}", p.message, p.hint) for p in found]
+        problems += below(path, found)
         if plan is not None:
             plans[uid] = plan
     return plans, problems
@@ -119,21 +117,16 @@ def _links(
     path: str, cfg: LinksCfg, known: Known, open_scene: bool
 ) -> tuple[tuple[str, ...], list[Problem]]:
     """The links that a config picks, all of them if it names none."""
-    fields = {"uid": cfg.uid, "link_names": cfg.link_names}
-    problems = check_reference(path, fields, known, open_scene)
+    picked, problems = pick(path, vars(cfg), known, open_scene)
     entity = known.get(cfg.uid)
     if problems or entity is None:
         return (), problems
     names = (cfg.uid,) if isinstance(entity, str) else entity.link_names
     if cfg.link_names is None:
         return names, []
-    patterns = [cfg.link_names] if isinstance(cfg.link_names, str) else cfg.link_names
-    picked = [i for p in patterns for i in match(p, names, "link", path)[0]]
-    unique = list(dict.fromkeys(picked))
-    ordered = unique if cfg.preserve_order else sorted(unique)
-    if not ordered:
+    if not picked.links:
         return (), [Problem(f"{path}.link_names", "names no link; leave it out for all")]
-    return tuple(names[i] for i in ordered), []
+    return tuple(names[i] for i in picked.links), []
 
 
 def _one(

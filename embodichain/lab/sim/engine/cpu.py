@@ -142,7 +142,7 @@ class CpuEngine(Engine):
             self._set_const_now()
         ids = None if self._all_dirty else np.flatnonzero(self._dirty)
         if self._kinematics.enough and not self.persistent:
-            flags = self._fields.own("opt.disableflags")
+            flags = self._fields.internal("opt.disableflags")
             self._call(self._kinematics.forward, self._batch, flags, ids)
         else:
             self._call(self._batch.forward, ids, stage=_STAGE_VEL)

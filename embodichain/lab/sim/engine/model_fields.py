@@ -58,7 +58,7 @@ class ModelFields:
         self._batch = batch
         self._num_envs = num_envs
         self._views: dict[str, NDArray[Any]] = {}
-        self._own: dict[str, NDArray[Any]] = {}
+        self._internal: dict[str, NDArray[Any]] = {}
         self._stale: NDArray[np.bool_] = np.zeros(num_envs, np.bool_)
         self.stale = False
         self.resets_alike = True
@@ -90,19 +90,19 @@ class ModelFields:
                 self.resets_alike = False
         return view
 
-    def own(self, name: str) -> NDArray[Any]:
+    def internal(self, name: str) -> NDArray[Any]:
         """(N, size) live values of a field that the engine changes for one call of the batch.
 
         It does not count as expanded.
         """
-        found = self._own.get(name)
+        found = self._internal.get(name)
         if found is None:
-            found = self._own[name] = self._expand(name)
+            found = self._internal[name] = self._expand(name)
         return found
 
     def expanded(self) -> dict[str, NDArray[Any]]:
         """Name -> (N, ...) values of all expanded fields, those included that MuJoCo derived."""
-        names = mjbatch.MODEL_FIELDS - (self._own.keys() - self._views.keys())
+        names = mjbatch.MODEL_FIELDS - (self._internal.keys() - self._views.keys())
         found = {name: self._batch.expanded(name) for name in sorted(names)}
         return {name: values for name, values in found.items() if values is not None}
 

@@ -292,7 +292,7 @@ class Articulation(BatchEntity):
             array, ids = self._checked(value, len(joints), env_ids, name, finite=False)
             if not (array >= 0).all():
                 raise ValueError(f"{self.uid}: {name} must not be negative or NaN")
-            self.drives.put(name, array, ids, joints)
+            self.drives.write(name, array, ids, joints)
 
     def get_joint_drive(
         self, joint_ids: Any = None, env_ids: Any = None

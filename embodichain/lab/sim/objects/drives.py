@@ -54,19 +54,19 @@ class JointLimits:
         self.compiled = compiled
         self._count = count
         self._low, self._high = compiled.T.copy()
-        self._own: F64 | None = None  # (N, D, 2), once an environment has limits of its own
+        self._varied: F64 | None = None  # (N, D, 2), once an environment has limits of its own
 
     @property
     def values(self) -> F64:
         """(N, D, 2); do not write."""
         shape = (self._count, *self.compiled.shape)
-        return np.broadcast_to(self.compiled, shape) if self._own is None else self._own
+        return np.broadcast_to(self.compiled, shape) if self._varied is None else self._varied
 
     def of(self, joints: Joints, ids: EnvIndex | None) -> tuple[F64, F64]:
         """Lower and upper limits of joints (k,) in environments (n,): (k,) each, or (n, k)."""
-        if self._own is None:
+        if self._varied is None:
             return self._low[joints], self._high[joints]
-        picked = self._own[_at(ids, joints)]
+        picked = self._varied[_at(ids, joints)]
         return picked[..., 0], picked[..., 1]
 
     def clamp(self, values: F64, joints: Joints, ids: EnvIndex | None) -> F64:
@@ -76,14 +76,14 @@ class JointLimits:
 
     def set(self, side: Literal[0, 1], values: F64, joints: Joints, ids: EnvIndex | None) -> None:
         """Give environments limits of their own: (n, k) lower (0) or upper (1) ones."""
-        if self._own is None:
-            self._own = self.values.copy()
-        self._own[(*_at(ids, joints), side)] = values
+        if self._varied is None:
+            self._varied = self.values.copy()
+        self._varied[(*_at(ids, joints), side)] = values
 
     def restore(self, values: F64) -> None:
         """Take over (N, D, 2) limits."""
         same = bool((values == self.compiled).all())
-        self._own = None if same else values.copy()
+        self._varied = None if same else values.copy()
 
 
 class Drives:
@@ -127,6 +127,8 @@ class Drives:
         self.joints: Joints = np.arange(0)
         self.control_columns: Columns = slice(0)
         self._joint_of_control: Joints = np.arange(0)  # column in ``ctrl`` -> joint, or -1
+        # Position drives that events or users made velocity drives, or back, in any environment.
+        self._switched: Joints = np.arange(0)
         self._springless = False  # whether a drive has no stiffness: its control is a velocity
         self._limits_vary = False  # whether environments differ in which efforts are limited
         servos = parsed.servos
@@ -270,9 +272,8 @@ class Drives:
     def clear(self, ids: EnvIndex | None) -> None:
         """Forget velocity targets, as a reset does, which has set the controls as compiled."""
         self._forget_velocities(ids)
-        stiff, compiled = self.stiffness[:, self.joints] > 0, self.parsed.stiffness[self.joints] > 0
-        changed = self.joints[(stiff != compiled).any(axis=0)]
-        if len(changed):  # position drives that events or users made velocity drives, or back
+        changed = self._switched
+        if len(changed):
             where = _at(ids, changed)
             home = np.broadcast_to(self.parsed.init_qpos[changed], self.stiffness[where].shape)
             control = self._control(home, where)
@@ -287,11 +288,14 @@ class Drives:
         self.has_velocity_target = bool(self.target_qvel.any())
 
     def _note_gains(self) -> None:
-        self._springless = bool((self.stiffness[:, self.joints] == 0).any())
+        stiff = self.stiffness[:, self.joints] > 0
+        self._springless = not stiff.all()
+        changed = stiff != (self.parsed.stiffness[self.joints] > 0)
+        self._switched = self.joints[changed.any(axis=0)]
 
     # -- gains -----------------------------------------------------------------------------------
 
-    def put(self, name: str, values: F64, ids: EnvIndex | None, joints: Joints) -> None:
+    def write(self, name: str, values: F64, ids: EnvIndex | None, joints: Joints) -> None:
         """Set one of the attributes, by name, to values (n, k) that are not negative.
 
         A `max_effort` of at least `NO_LIMIT` is no limit.
@@ -303,7 +307,7 @@ class Drives:
         driven = index.actuator_ids[joints] >= 0
         if name == "damping" and not driven.all():
             # The damping of a joint without a drive is the joint's own.
-            self.put("joint_damping", values[:, ~driven], ids, joints[~driven])
+            self.write("joint_damping", values[:, ~driven], ids, joints[~driven])
             joints, values = joints[driven], values[:, driven]
             if not len(joints):
                 return
@@ -355,7 +359,7 @@ class Drives:
         for side, bound in ((0, -most * low), (1, most * high)):
             engine.write_model("actuator_forcerange", bound, ids, columns_of(2 * actuators + side))
 
-    def put_limit(
+    def write_limit(
         self, side: Literal[0, 1], values: F64, ids: EnvIndex | None, joints: Joints
     ) -> None:
         """Set lower (0) or upper (1) position limits (n, k) of joints that have limits."""
@@ -366,7 +370,7 @@ class Drives:
 
     # -- whole simulations -------------------------------------------------------------------------
 
-    def take_over(self, ids: EnvIndex | None, fields: Mapping[str, NDArray[Any]]) -> None:
+    def load_fields(self, ids: EnvIndex | None, fields: Mapping[str, NDArray[Any]]) -> None:
         """Read gains and limits out of a model that environments were given; no targets.
 
         Where gains and effort limit of a drive are scaled alike, or only a limit is there, strength

@@ -143,6 +143,7 @@ class BatchEntity(Handle["EntityIndex"]):
         """Give the entity its configured state: root, joints and drive targets, no velocity."""
         self.host.reset_objects_state(env_ids, only=(self.uid,))
 
+    @cached_property
     def row_columns(self) -> NDArray[np.int64]:
         """Sorted columns of the state row that belong to the entity."""
         engine, index = self.engine, self.index

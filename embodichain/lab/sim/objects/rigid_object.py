@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.compiler.rigid_math import inertia_about_axes
+from embodichain.lab.sim.compiler.rigid_objects import inertia_about_axes
 from embodichain.lab.sim.objects._arrays import as_env_ids, field_values, to_tensor
 from embodichain.lab.sim.objects.entity import BatchEntity, TensorRead, TensorReads
 from embodichain.lab.sim.objects.solid import Solid
@@ -228,14 +228,14 @@ class RigidObject(BatchEntity):
 
         The inertia scales with it, unless ``inertia`` is False: another distribution of mass.
         """
-        moments = self._inertia[slice(None) if ids is None else ids]
-        self._write_inertia(ids, mass, moments * (mass / self._mass0)[:, None], inertia)
+        moments = self._inertia[self._rows(ids)] * (mass / self._mass0)[:, None]
+        self._write_inertia(ids, mass, moments if inertia else None)
 
     def write_inertia_scale(self, factor: F64, ids: EnvIndex | None) -> None:
         """Scale the inertia that belongs to the present mass and size by (n,) checked factors."""
         mass = self.read_inertia(ids)[0]
-        moments = self._inertia[slice(None) if ids is None else ids]
-        self._write_inertia(ids, mass, moments * (mass / self._mass0 * factor)[:, None])
+        moments = self._inertia[self._rows(ids)] * (mass / self._mass0 * factor)[:, None]
+        self._write_inertia(ids, mass, moments)
 
     def get_inertia(self, env_ids: Any = None) -> torch.Tensor:
         """(n, 3) principal moments of inertia, kg m^2."""
@@ -258,20 +258,18 @@ class RigidObject(BatchEntity):
         self._inertia[self._rows(ids)] = new * (self._mass0 / mass)[:, None]
         self._write_inertia(ids, mass, new)
 
-    def _write_inertia(
-        self, ids: EnvIndex | None, mass: F64, moments: F64, inertia: bool = True
-    ) -> None:
+    def _write_inertia(self, ids: EnvIndex | None, mass: F64, moments: F64 | None) -> None:
         self.engine.write_model("body_mass", mass[:, None], ids, self._columns(1))
-        if inertia:
+        if moments is not None:
             self.engine.write_model("body_inertia", moments, ids, self._columns(3))
-        self._damp(ids, mass, moments if inertia else self.read_inertia(ids)[1])
+        self._damp(ids)
         self.engine.set_const_later(ids)
 
-    def _damp(self, ids: EnvIndex | None, mass: F64, moments: F64) -> None:
+    def _damp(self, ids: EnvIndex | None) -> None:
         """Keep velocities decaying at the same rates; see the compiler's `damping_of`."""
         if self._dofs is None:
             return
-        rate = self._damping[slice(None) if ids is None else ids]
+        rate, (mass, moments) = self._damping[self._rows(ids)], self.read_inertia(ids)
         values = np.empty((len(mass), 6))
         values[:, :3] = (rate[:, 0] * mass)[:, None]
         iquat = self.engine.model.body_iquat[self.index.root_body_id]
@@ -287,7 +285,7 @@ class RigidObject(BatchEntity):
         self._need_dynamic("set_damping")
         new, ids = self._checked(damping, 2, env_ids, "damping")
         self._damping[self._rows(ids)] = new
-        self._damp(ids, *self.read_inertia(ids))
+        self._damp(ids)
 
     def read_com_pose(self, compiled: bool = False) -> F64:
         """(N, 7) centre-of-mass frame in the body's frame, now or as compiled."""
@@ -394,7 +392,7 @@ class RigidObject(BatchEntity):
 
     # -- whole simulations -------------------------------------------------------------------------
 
-    def take_over(self, ids: EnvIndex | None, fields: Mapping[str, NDArray[Any]]) -> None:
+    def load_fields(self, ids: EnvIndex | None, fields: Mapping[str, NDArray[Any]]) -> None:
         """Read size, inertia and damping out of a model that environments were given.
 
         Args:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from embodichain.lab.sim.cfg import ObjectBaseCfg, Quat, Vec3
+from embodichain.lab.sim.cfg import Four, ObjectBaseCfg, Quat, Vec3
 from embodichain.utils.configclass import configclass
-from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.suggest import did_you_mean
-from embodichain.utils.type_errors import from_dict
+from embodichain.utils.type_errors import from_dict, member_from_dict
 
 __all__ = [
     "AnySensorCfg",
@@ -59,12 +56,11 @@ class SensorCfg:
         Raises:
             ConfigError: If the type or a key is unknown; lists what exists.
         """
-        kind = str(init_dict.get("sensor_type", ""))
-        if cls is SensorCfg and kind not in _SENSORS:
-            hint = did_you_mean(kind, _SENSORS).strip()
-            message = f"unknown sensor_type {kind!r}; one of: {', '.join(_SENSORS)}."
-            raise ConfigError([Problem("sensor_type", message, hint)])
-        built: SensorCfg = from_dict(_SENSORS[kind] if cls is SensorCfg else cls, init_dict)
+        built: SensorCfg = (
+            from_dict(cls, init_dict)
+            if cls is not SensorCfg
+            else member_from_dict(_SENSORS, "sensor_type", init_dict)
+        )
         return built
 
 
@@ -119,15 +115,12 @@ AnySensorCfg = Annotated[
 """The union that YAML is checked against; `sensor_type` selects the member."""
 
 
-_Intrinsics = Annotated[Sequence[float], Field(min_length=4, max_length=4)]
-
-
 @configclass
 class _OffsetCfg:
     """A pose in the frame of a link, or of the environment without one."""
 
     pos: Vec3 = (0.0, 0.0, 0.0)
-    quat: Annotated[Sequence[float], Field(min_length=4, max_length=4)] = (1.0, 0.0, 0.0, 0.0)
+    quat: Quat = (1.0, 0.0, 0.0, 0.0)
     """wxyz."""
     parent: str | None = None
     """A link of the robot."""
@@ -156,7 +149,7 @@ class CameraCfg(ObjectBaseCfg):
     near: float = 0.005
     """Metres."""
     far: float = 100.0
-    intrinsics: _Intrinsics = (600.0, 600.0, 320.0, 240.0)
+    intrinsics: Four = (600.0, 600.0, 320.0, 240.0)
     """fx, fy, cx, cy in pixels."""
     extrinsics: _ExtrinsicsCfg = _ExtrinsicsCfg()
     enable_color: bool = True
@@ -171,7 +164,7 @@ class StereoCameraCfg(CameraCfg):
     """Two cameras side by side; see `CameraCfg`."""
 
     sensor_type: str = "StereoCamera"
-    intrinsics_right: _Intrinsics = (600.0, 600.0, 320.0, 240.0)
+    intrinsics_right: Four = (600.0, 600.0, 320.0, 240.0)
     left_to_right_pos: Vec3 = (0.05, 0.0, 0.0)
     """Metres."""
     left_to_right_rot: Vec3 = (0.0, 0.0, 0.0)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from embodichain.lab.gym.envs.mdp._kernels import SIGMOIDS, Tolerance, gaussian, tanh_kernel
+from embodichain.lab.gym.envs.mdp.shapes import SIGMOIDS, Tolerance, gaussian_kernel, tanh_kernel
 from embodichain.utils.errors import ConfigError
 
 HALF = {  # value at x = 0.5 where 0.1 is wanted at x = 1, by the formulas of dm_control's paper
@@ -71,7 +71,7 @@ def test_a_value_at_the_margin_must_suit_the_sigmoid(sigmoid) -> None:
 
 
 def test_isaac_labs_kernels() -> None:
-    assert gaussian(np.array([0.0, 0.25]), 0.5) == pytest.approx([1.0, math.exp(-1)])
+    assert gaussian_kernel(np.array([0.0, 0.25]), 0.5) == pytest.approx([1.0, math.exp(-1)])
     assert tanh_kernel(np.array([0.0, 0.2]), 0.1) == pytest.approx([1.0, 1 - math.tanh(2)])
 
 

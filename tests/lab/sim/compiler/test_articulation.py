@@ -12,7 +12,8 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.compiler import compile_scene, parse_articulation
+from embodichain.lab.sim.compiler.articulation import parse_articulation
+from embodichain.lab.sim.compiler.scene import compile_scene
 from embodichain.utils.errors import ConfigError
 from tests.lab.sim.compiler.helpers import (
     GRIPPER_URDF,

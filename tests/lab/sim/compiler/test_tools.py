@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from embodichain.lab.sim.cfg import RobotCfg, SolverCfg
-from embodichain.lab.sim.compiler import parse_articulation
+from embodichain.lab.sim.compiler.articulation import parse_articulation
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.type_errors import from_dict
 from tests.lab.sim.compiler.helpers import HOME, UR10

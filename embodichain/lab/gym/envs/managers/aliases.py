@@ -41,12 +41,14 @@ class P:
         default: Its value where a config gives none; the target's default if absent.
         hint: Its type, if it is narrower than the target's.
         needed: Whether a config must give it although the target has a default.
+        text: Its description, if it differs from the target's.
     """
 
     name: str
     default: Any = _EMPTY
     hint: Any = None
     needed: bool = False
+    text: str = ""
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,7 @@ class AliasSpec(TermSpec):
         fixed: The values that the alias sets, one map for each of `parts`.
         exposed: Parameter -> index in `parts` and its name there.
         narrower: Parameter -> its type, where it is narrower than the target's.
+        texts: Parameter -> its description, where it differs from the target's.
         example: Parameters in its example, as YAML; empty if they follow from those of `parts`.
     """
 
@@ -108,6 +111,7 @@ class AliasSpec(TermSpec):
     fixed: tuple[dict[str, Any], ...] = ()
     exposed: Mapping[str, tuple[int, str]] = field(default_factory=dict)
     narrower: Mapping[str, Any] = field(default_factory=dict)
+    texts: Mapping[str, str] = field(default_factory=dict)
     example: str = ""
 
     @property
@@ -188,6 +192,7 @@ def _spec(name: str, kind: Kind, meant: Alias) -> AliasSpec:
     exposed: dict[str, tuple[int, str]] = {}
     params: dict[str, inspect.Parameter] = {}
     narrower: dict[str, Any] = {}
+    texts: dict[str, str] = {}
     for part in (*range(1, len(parts)), 0):
         for key, value in given[part].items():
             if isinstance(value, P):
@@ -197,6 +202,8 @@ def _spec(name: str, kind: Kind, meant: Alias) -> AliasSpec:
                 params[value.name] = source.replace(default=_EMPTY if value.needed else default)
                 if value.hint is not None:
                     narrower[value.name] = value.hint
+                if value.text:
+                    texts[value.name] = value.text
     needed = [n for n, p in params.items() if p.default is _EMPTY]
     entities = [n for n in needed if exposed[n][1] in _OLD or n in _OLD.values()]
     order = dict.fromkeys([*entities, *needed, *params])
@@ -214,6 +221,7 @@ def _spec(name: str, kind: Kind, meant: Alias) -> AliasSpec:
         fixed=fixed,
         exposed=exposed,
         narrower=narrower,
+        texts=texts,
         example=meant.example,
     )
 

@@ -248,12 +248,6 @@ class EventManager(DrawingManager[EventCfg]):
         for interval in self._intervals:
             interval.restart(env_ids)
 
-    def restart_global(self) -> None:
-        """Start the timers anew that all environments share: for a reset with a seed."""
-        for interval in self._intervals:
-            if interval.is_global:
-                interval.timer.left[:] = 0
-
     def _run(self, term: BuiltTerm[EventCfg], mode: str, env_ids: EnvIndex | None) -> None:
         self._call(term, mode, env_ids, self.env, env_ids)
 

@@ -282,26 +282,28 @@ class Manager(Generic[C]):
 
     def params(self, name: str) -> dict[str, Any]:
         """The parameters that a term has now (a deep copy), as the config writes them."""
-        return copy.deepcopy(self._changed.get(name, self._declared[name].params))
+        return copy.deepcopy(self.terms[name].cfg.params)
 
-    def set_params(self, name: str, params: dict[str, Any]) -> None:
-        """Build a term anew with other parameters; what it keeps between calls is carried over.
+    def set_params(self, name: str, params: dict[str, Any], shape: Any = None) -> None:
+        """Build a term anew with other parameters; what it stores between calls is carried over.
 
         Args:
             name: The term.
             params: All its parameters, as the config would write them.
+            shape: Its shapes, the same ones with other parameters; None leaves them as they are.
 
         Raises:
             ConfigError: If they are wrong; the term stays as it was.
         """
         old = self.terms[name]
-        cfg = copy.copy(self._declared[name])
-        cfg.params = params
+        changed = {"params": params} if shape is None else {"params": params, "shape": shape}
+        cfg = copy.copy(old.cfg)
+        vars(cfg).update(changed)
         term = build_term(self.env, self._kind, name, cfg, f"{self.section}.{name}")
         if old.instance is not None and hasattr(old.instance, "state_dict"):
             term.instance.load_state_dict(old.instance.state_dict())
         self.terms[name] = term
-        self._changed[name] = copy.deepcopy(params)
+        self._changed[name] = copy.deepcopy(self._changed.get(name, {}) | changed)
         self._collect()
 
     def __len__(self) -> int:
@@ -322,8 +324,9 @@ class Manager(Generic[C]):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         for name in {*self._changed, *state["params"]}:
-            params = state["params"].get(name, self._declared[name].params)
-            self.set_params(name, copy.deepcopy(params))
+            first = self._declared[name]
+            usual = {"params": first.params, "shape": getattr(first, "shape", None)}
+            self.set_params(name, **copy.deepcopy(usual | state["params"].get(name, {})))
         for name, term in self._stateful.items():
             term.load_state_dict(state["terms"][name])
 

@@ -94,7 +94,8 @@ logger = logging.getLogger(__name__)
 
 T = TypeVar("T", bound=Callable[..., Any])
 _BUILTIN = "embodichain.lab.gym.envs.mdp"
-_PACKAGES = ("actions", "commands", "curriculum", "events", "quantities")
+_MODULES = ("shapes", "sampled_commands", "curricula")
+_PACKAGES = ("actions", "events", "quantities")
 ENTRY_POINTS = "embodichain.terms"
 """Entry point group of packages with terms: each names a module that is imported with ours."""
 _PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
@@ -196,10 +197,9 @@ class _TermTable(Mapping[Kind, dict[str, TermSpec]]):
         if not self._loaded:
             self._loaded = True  # before: a module of terms may look terms up
             try:
-                importlib.import_module(f"{_BUILTIN}.shapes")
                 for package in _PACKAGES:
                     _import_modules(f"{_BUILTIN}.{package}")
-                for module in TERM_MODULES:
+                for module in (*(f"{_BUILTIN}.{name}" for name in _MODULES), *TERM_MODULES):
                     importlib.import_module(module)
             except BaseException:
                 self._loaded = False

@@ -1,6 +1,6 @@
 """`ResolvedEntity`: what a `SceneEntityCfg` means in a scene, and what its joints and links read.
 
-What a reference picks is `compiler.entity_names.pick`, which checks a config too. Arrays are the
+What a reference picks is `compiler.names.pick`, which checks a config too. Arrays are the
 engine's own float64 numbers. Sums run over columns in a fixed order, because a reduction may round
 differently for another number of environments.
 """
@@ -305,7 +305,7 @@ def resolve_entity(
     if isinstance(cfg, ResolvedEntity):
         return cfg
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation  # imports MuJoCo
-    from embodichain.lab.sim.compiler.entity_names import pick
+    from embodichain.lab.sim.compiler.names import pick
 
     if not isinstance(cfg, SceneEntityCfg):
         cfg = _from_mapping(cfg)

@@ -268,7 +268,7 @@ def _drive(entity: ResolvedEntity, options: Options, name: str, driven: bool = F
     asset, joints = entity.asset, _joints(entity, driven)
 
     def write(ids: NDArray[np.int64]) -> Write:
-        return lambda values, env_ids: asset.drives.put(name, values, env_ids, joints[ids])
+        return lambda values, env_ids: asset.drives.write(name, values, env_ids, joints[ids])
 
     names = [asset.parsed.joint_names[i] for i in joints]
     compiled = np.asarray(getattr(asset.parsed, name), np.float64)[joints]
@@ -279,7 +279,7 @@ def _limit(entity: ResolvedEntity, options: Options, side: int) -> Values:
     asset, joints = entity.asset, _joints(entity, driven=False)
 
     def write(ids: NDArray[np.int64]) -> Write:
-        return lambda values, env_ids: asset.drives.put_limit(side, values, env_ids, joints[ids])
+        return lambda values, env_ids: asset.drives.write_limit(side, values, env_ids, joints[ids])
 
     names = [asset.parsed.joint_names[i] for i in joints]
     compiled = np.asarray(asset.parsed.qpos_limits, np.float64)[joints]
@@ -308,7 +308,7 @@ def _strength(entity: ResolvedEntity, options: Options) -> Values:
 
         def factors(values: F64, env_ids: EnvIndex | None) -> None:
             if len(drives):
-                asset.drives.put("strength", values[:, : len(drives)], env_ids, drives)
+                asset.drives.write("strength", values[:, : len(drives)], env_ids, drives)
             factor = values[:, len(drives) :]
             for name, columns, compiled, source in parts:
                 asset.engine.write_model(name, compiled * factor[:, source], env_ids, columns)

@@ -9,12 +9,11 @@ import numpy as np
 from embodichain.lab.gym.envs.cfg import Names
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.managers.term import ActionTerm
+from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
 from embodichain.lab.gym.envs.mdp.actions.joint_action import (
     Affine,
     JointClip,
     PerJoint,
-    finite_limits,
 )
 from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import ConfigError, Problem
@@ -39,7 +38,7 @@ class ActuatorCtrl(ActionTerm):
     the action of an MJCF robot whose task declares none.
 
     Example:
-        ``{func: actuator_ctrl, params: {entity_cfg: {uid: ur10}, actuator_names: "Joint[1-3]"}}``
+        ``{func: actuator_ctrl, params: {of: {uid: ur10}, actuator_names: "Joint[1-3]"}}``
 
     Args:
         entity_cfg: The robot.
@@ -97,7 +96,7 @@ class ActuatorCtrl(ActionTerm):
         if endless:
             message = (
                 f"actuators without a ctrlrange: {', '.join(endless)}; give the bounds of the "
-                "action, as in actions: {ctrl: {func: actuator_ctrl, params: {entity_cfg: {uid: "
+                "action, as in actions: {ctrl: {func: actuator_ctrl, params: {of: {uid: "
                 f"{self._asset.uid}}}, clip: [-1, 1]}}}}}}, or clip: {{NAME: [-1, 1], ...}}"
             )
             raise ConfigError([Problem("clip", message)])

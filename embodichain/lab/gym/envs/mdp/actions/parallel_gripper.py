@@ -8,10 +8,10 @@ import numpy as np
 
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import finite_limits
 from embodichain.lab.gym.envs.mdp.actions.joint_action import (
     JointTerm,
     PerJoint,
-    finite_limits,
     per_joint,
 )
 from embodichain.utils.errors import ConfigError, Problem
@@ -36,7 +36,7 @@ class ParallelGripper(JointTerm):
     0.3's ParallelGripperAction.
 
     Example:
-        ``{func: parallel_gripper, params: {entity_cfg: {uid: panda, joint_names: ".*finger.*1"}}}``
+        ``{func: parallel_gripper, params: {of: {uid: panda, joint_names: ".*finger.*1"}}}``
 
     Args:
         entity_cfg: The robot and the joints of its gripper.

@@ -37,7 +37,7 @@ class ResetJoints(Term):
             which replaces it.
 
     Example:
-        ``{func: reset_joints, mode: reset, params: {entity_cfg: {uid: ur10}, position_range: [-0.1, 0.1], velocity_range: [-0.2, 0.2]}}``
+        ``{func: reset_joints, mode: reset, params: {of: {uid: ur10}, position_range: [-0.1, 0.1], velocity_range: [-0.2, 0.2]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(

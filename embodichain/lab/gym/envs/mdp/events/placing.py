@@ -126,7 +126,7 @@ class ResetRootStateUniform(Term):
             axes. Needs a dynamic object or a floating base; joints do not change.
 
     Example:
-        ``{func: reset_root_state_uniform, mode: reset, params: {entity_cfg: {uid: cube}, pose_range: {x: [-0.2, 0.2], yaw: [-3.14, 3.14]}, velocity_range: {z: [-0.5, 0.5]}}}``
+        ``{func: reset_root_state_uniform, mode: reset, params: {of: {uid: cube}, pose_range: {x: [-0.2, 0.2], yaw: [-3.14, 3.14]}, velocity_range: {z: [-0.5, 0.5]}}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
@@ -184,7 +184,7 @@ class RandomizePose(Term):
             entity can settle; -1 or 0 takes none.
 
     Example:
-        ``{func: randomize_pose, mode: reset, params: {entity_cfg: {uid: cube}, position_range: [[-0.1, -0.1, 0], [0.1, 0.1, 0]], rotation_range: [[0, 0, -180], [0, 0, 180]]}}``
+        ``{func: randomize_pose, mode: reset, params: {of: {uid: cube}, position_range: [[-0.1, -0.1, 0], [0.1, 0.1, 0]], rotation_range: [[0, 0, -180], [0, 0, 180]]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
@@ -266,7 +266,7 @@ class RandomizeObjectPositionInShell(Term):
         elevation_range: [low, high] in rad above the horizontal, within +-pi/2.
 
     Example:
-        ``{func: randomize_object_position_in_shell, mode: reset, params: {entity_cfg: {uid: goal}, relative_to: {uid: ur10}, radius_range: [0.4, 1.1]}}``
+        ``{func: randomize_object_position_in_shell, mode: reset, params: {of: {uid: goal}, relative_to: {uid: ur10}, radius_range: [0.4, 1.1]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
@@ -333,7 +333,7 @@ class RandomizeRobotEefPose(Term):
             orientation.
 
     Example:
-        ``{func: randomize_robot_eef_pose, mode: reset, params: {entity_cfg: {uid: ur10, link_names: [ee_link]}, position_range: [[-0.05, -0.05, -0.05], [0.05, 0.05, 0.05]], rotation_range: [[-10, -10, -10], [10, 10, 10]]}}``
+        ``{func: randomize_robot_eef_pose, mode: reset, params: {of: {uid: ur10, link_names: [ee_link]}, position_range: [[-0.05, -0.05, -0.05], [0.05, 0.05, 0.05]], rotation_range: [[-10, -10, -10], [10, 10, 10]]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(

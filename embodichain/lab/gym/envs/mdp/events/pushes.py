@@ -95,7 +95,7 @@ class PushBySettingVelocity(Term):
             axis that is absent is not pushed.
 
     Example:
-        ``{func: push_by_setting_velocity, mode: interval, interval_range_s: [1, 3], params: {entity_cfg: {uid: cube}, velocity_range: {x: [-0.5, 0.5], y: [-0.5, 0.5]}}}``
+        ``{func: push_by_setting_velocity, mode: interval, interval_range_s: [1, 3], params: {of: {uid: cube}, velocity_range: {x: [-0.5, 0.5], y: [-0.5, 0.5]}}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(self, env: TermContext, entity_cfg: ResolvedEntity, velocity_range: Axes6) -> None:
@@ -128,7 +128,7 @@ class ApplyExternalForceTorque(Term):
         torque_range: [low, high] in N m.
 
     Example:
-        ``{func: apply_external_force_torque, mode: interval, interval_range_s: [1, 2], params: {entity_cfg: {uid: ur10, link_names: [wrist_3_link]}, force_range: [-5, 5], torque_range: [-0.5, 0.5]}}``
+        ``{func: apply_external_force_torque, mode: interval, interval_range_s: [1, 2], params: {of: {uid: ur10, link_names: [wrist_3_link]}, force_range: [-5, 5], torque_range: [-0.5, 0.5]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
@@ -177,7 +177,7 @@ class ApplyBodyImpulse(ApplyExternalForceTorque):
         cooldown_s: [low, high] seconds without a force.
 
     Example:
-        ``{func: apply_body_impulse, mode: interval, interval_step: 1, params: {entity_cfg: {uid: go}, force_range: [-30, 30], torque_range: [0, 0], duration_s: [0.1, 0.2], cooldown_s: [1, 3]}}``
+        ``{func: apply_body_impulse, mode: interval, interval_step: 1, params: {of: {uid: go}, force_range: [-30, 30], torque_range: [0, 0], duration_s: [0.1, 0.2], cooldown_s: [1, 3]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(

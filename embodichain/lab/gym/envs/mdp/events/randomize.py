@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.managers.param_types import Box3, Positive, Ranges, ScaleRange
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.managers.term import Term, constant
 from embodichain.lab.gym.envs.mdp._model_fields import (
     FIELDS,
     SCENE_FIELDS,
@@ -26,6 +25,7 @@ from embodichain.lab.gym.envs.mdp._model_fields import (
 )
 from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.random import constant
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
@@ -39,7 +39,7 @@ bounds at three standard deviations, clipped there."""
 
 
 @register_term("event", name="randomize")
-class Randomize(Term):
+class Randomize:
     """Draws model fields of an entity, or of the scene, in each environment by itself.
 
     Every draw starts from the compiled values, so repeated calls do not drift. A range is
@@ -94,7 +94,7 @@ class Randomize(Term):
         ConfigError: If the entity has no such field, or the range would give impossible values.
 
     Example:
-        ``{func: randomize, mode: reset, params: {entity_cfg: {uid: cube}, mass: [0.5, 2.0], friction: [0.3, 1.2]}}``
+        ``{func: randomize, mode: reset, params: {of: {uid: cube}, mass: [0.5, 2.0], friction: [0.3, 1.2]}}``
     """  # noqa: E501  (an example is one line)
 
     drive_ranges: ClassVar = {

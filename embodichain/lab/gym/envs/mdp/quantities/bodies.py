@@ -11,17 +11,12 @@ import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import Body, Positive, Vec3
 from embodichain.lab.gym.envs.managers.registry import quantity
-from embodichain.lab.gym.envs.mdp import _kernels
-from embodichain.lab.gym.envs.mdp._rotations import (
-    Heading,
-    Rotation,
-    as_rotation,
-    heading,
-    unique_quat,
-)
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._rows import norm, squares, total
+from embodichain.lab.gym.envs.mdp.shapes import gaussian_kernel
 from embodichain.lab.sim.body_motion import Frame
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import quat_to_matrix
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,20 +25,88 @@ if TYPE_CHECKING:
     from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
+    "Heading",
+    "Rotation",
     "angular_velocity",
+    "as_rotation",
     "at_rest",
+    "heading",
     "height",
     "linear_velocity",
+    "link_pose",
+    "link_velocity",
     "orientation",
+    "pose_matrix",
     "position",
     "projected_gravity",
     "root_quat_w",
     "speed",
     "tilt",
+    "unique_quat",
     "upright",
     "velocity",
     "yaw",
 ]
+
+Rotation = Literal["quat", "matrix", "rot6d"]
+Heading = Literal["yaw", "sin_cos"]
+
+
+def unique_quat(quat: F64) -> F64:
+    """The one of q and -q, which are the same rotation, that has w >= 0, (..., 4)."""
+    return np.where(quat[..., :1] < 0.0, -quat, quat)
+
+
+def as_rotation(quat: F64, kind: Rotation) -> F64:
+    """Orientations as quaternions with w >= 0, matrices, or six numbers.
+
+    Six numbers are the first column of the matrix, then the second: a form without jumps (Zhou et
+    al., "On the continuity of rotation representations in neural networks", CVPR 2019).
+
+    Args:
+        quat: (..., 4) unit wxyz.
+        kind: The form.
+
+    Returns:
+        (..., 4), (..., 3, 3) or (..., 6).
+    """
+    if kind == "quat":
+        return unique_quat(quat)
+    matrix = quat_to_matrix(quat)
+    if kind == "matrix":
+        return matrix
+    return np.concatenate([matrix[..., 0], matrix[..., 1]], axis=-1)
+
+
+def heading(quat: F64, kind: Heading) -> F64:
+    """Direction of the x axis in the horizontal plane, about z from the world's x axis.
+
+    Args:
+        quat: (N, 4) unit wxyz.
+        kind: ``yaw``, the angle in (-pi, pi]; or ``sin_cos``, its sine and cosine, without a jump.
+
+    Returns:
+        (N, 1) rad or (N, 2); yaw 0 where the x axis is vertical.
+    """
+    w, x, y, z = (quat[:, i] for i in range(4))
+    ahead, left = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
+    if kind == "yaw":
+        found: F64 = np.arctan2(left, ahead)[:, None]
+        return found
+    length = np.sqrt(ahead * ahead + left * left)
+    vertical = length == 0.0
+    length = np.where(vertical, 1.0, length)
+    return np.stack([left / length, np.where(vertical, 1.0, ahead / length)], axis=1)
+
+
+def pose_matrix(position: F64, quat: F64) -> F64:
+    """(..., 4, 4) of positions (..., 3) and unit wxyz quaternions (..., 4)."""
+    out = np.zeros((*position.shape[:-1], 4, 4))
+    out[..., :3, :3] = quat_to_matrix(quat)
+    out[..., :3, 3] = position
+    out[..., 3, 3] = 1.0
+    return out
+
 
 Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
 
@@ -180,7 +243,7 @@ def upright(env: TermContext, of: Body, std: Positive | None = None) -> F64:
     if std is None:
         return 0.5 * (1.0 + of.axes()[:, 2, 2])
     down = projected_gravity(env, of, "xy")
-    return _kernels.gaussian(squares(down), std)
+    return gaussian_kernel(squares(down), std)
 
 
 @quantity()
@@ -288,3 +351,49 @@ def at_rest(
     angular = np.inf if angular_threshold is None else angular_threshold
     slow: NDArray[np.bool_] = norm(of.linear_velocity()) < linear
     return slow & (norm(of.angular_velocity()) < angular)
+
+
+def _one_or_all(values: F64) -> F64:
+    """(N, L, ...), without L if that is 1."""
+    return values[:, 0] if values.shape[1] == 1 else values
+
+
+@quantity("observation")
+def link_pose(
+    env: TermContext, of: ResolvedEntity, to_matrix: bool = False, in_root_frame: bool = False
+) -> F64:
+    """Poses of the picked links, x, y, z, qw, qx, qy, qz: metres, wxyz.
+
+    (N, 7) of one link, (N, L, 7) of L; as matrices (N, 4, 4) or (N, L, 4, 4). Isaac Lab's
+    ``body_pose_w``.
+
+    Args:
+        of: The robot and links of it; without links its root.
+        to_matrix: Whether to give matrices.
+        in_root_frame: Whether poses are relative to the robot's root, instead of in the
+            environment's frame.
+
+    Example:
+        ``{func: link_pose, params: {of: {uid: ur10, link_names: [ee_link]}}}``
+    """
+    position, quat = of.link_poses(in_root_frame)
+    if to_matrix:
+        return _one_or_all(pose_matrix(position, quat))
+    return _one_or_all(np.concatenate([position, quat], axis=2))
+
+
+@quantity("observation")
+def link_velocity(env: TermContext, of: ResolvedEntity, in_root_frame: bool = False) -> F64:
+    """Linear velocity of the picked links' origins in m/s, then angular in rad/s.
+
+    (N, 6) of one link, (N, L, 6) of L. Isaac Lab's ``body_link_vel_w``.
+
+    Args:
+        of: The robot and links of it; without links its root.
+        in_root_frame: Whether velocities are those minus the root's, in the root's axes, instead of
+            in world axes.
+
+    Example:
+        ``{func: link_velocity, params: {of: {uid: ur10, link_names: [ee_link]}}}``
+    """
+    return _one_or_all(np.concatenate(of.link_velocities(in_root_frame), axis=2))

@@ -8,9 +8,8 @@ import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import Angle, Body, Positive
 from embodichain.lab.gym.envs.managers.registry import quantity
-from embodichain.lab.gym.envs.mdp._rotations import Rotation, as_rotation, pose_matrix
 from embodichain.lab.gym.envs.mdp._rows import angle_between, norm
-from embodichain.lab.gym.envs.mdp.quantities.bodies import tilt
+from embodichain.lab.gym.envs.mdp.quantities.bodies import Rotation, as_rotation, pose_matrix, tilt
 from embodichain.utils.math import quat_conjugate, quat_multiply, rotate_back
 
 if TYPE_CHECKING:

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
-from embodichain.lab.gym.envs.cfg import EnvCfg
-from embodichain.lab.gym.envs.managers.check import check_params
+from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
+from embodichain.lab.gym.envs.managers.check import check_params, check_shape
 from embodichain.lab.gym.envs.managers.param_types import Finite
-from embodichain.lab.gym.envs.managers.registry import SECTIONS, register_term, resolve_term
+from embodichain.lab.gym.envs.managers.registry import (
+    SECTIONS,
+    TermSpec,
+    register_term,
+    resolve_term,
+)
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -156,7 +162,8 @@ class ModifyTermParam(Term):
     Args:
         section: The section of the task with the term.
         term_name: The term.
-        param: The parameter; with dots it is a part of one: ``position_range.1.2``.
+        param: The parameter; with dots it is a part of one: ``position_range.1.2``. ``shape.tanh``
+            is a parameter of a shape, of several ``shape.0.tanh``.
         value: The new value.
         num_steps: Control steps until the change is complete; a reset after them applies it.
         interpolate: Whether the value changes linearly, number by number.
@@ -179,7 +186,7 @@ class ModifyTermParam(Term):
         self._path = param.split(".")
         self._when = start_step, num_steps, interpolate
         term = self._manager.terms[term_name]
-        self._first = get_at(_declared(term.spec, term.cfg.params), self._path)
+        self._first = get_at(_values(term.spec, term.cfg), self._path)
         self._share = 0.0
 
     @classmethod
@@ -195,7 +202,7 @@ class ModifyTermParam(Term):
         except ConfigError:
             return []  # found where the term stands
         path = params["param"].split(".")
-        now = _declared(spec, term.params)
+        now = _values(spec, term)
         try:
             first = get_at(now, path)
         except ConfigError as error:
@@ -205,8 +212,12 @@ class ModifyTermParam(Term):
                 between(first, params["value"], 0.5)
         except ConfigError as error:
             return [Problem("value", p.message) for p in error.problems]
-        found = check_params(spec, with_value(now, path, params["value"]), "")[1]
-        known = {p.path for p in check_params(spec, now, "")[1]}
+        found, shapes = _check_values(spec, with_value(now, path, params["value"]))
+        before, shapes_before = _check_values(spec, now)
+        if not found and shapes != shapes_before:
+            message = "the shapes of a term stay the same: name a parameter of one, as shape.tanh"
+            return [Problem("param", message)]
+        known = {p.path for p in before}
         wrong = [p for p in found if p.path not in known]
         problems = [Problem("value", f"{p.path[1:]}: {p.message}", p.hint) for p in wrong]
         return problems + _check_times(params)
@@ -217,8 +228,9 @@ class ModifyTermParam(Term):
         value = between(self._first, self._value, share) if 0.0 < share < 1.0 else self._value
         if share != self._share:
             term = self._manager.terms[self._name]
-            params = _declared(term.spec, self._manager.params(self._name))
-            self._manager.set_params(self._name, with_value(params, self._path, value))
+            values = with_value(_values(term.spec, term.cfg), self._path, value)
+            params, shape = _divided(term.spec, values)
+            self._manager.set_params(self._name, params, shape)
             self._share = share
         number = isinstance(self._first, (int, float)) and not isinstance(self._first, bool)
         if not number:
@@ -226,7 +238,7 @@ class ModifyTermParam(Term):
         return float(value if share > 0.0 else self._first)
 
     def state_dict(self) -> dict[str, Any]:
-        """How much of the change is done; the values are their manager's to keep."""
+        """How much of the change is done; the manager has the values."""
         return {"share": self._share}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -234,11 +246,25 @@ class ModifyTermParam(Term):
         self._share = state["share"]
 
 
-def _declared(spec: Any, params: Mapping[str, Any]) -> dict[str, Any]:
-    """The parameters of a term, with the defaults of those that the config leaves out."""
+def _values(spec: TermSpec, cfg: TermCfg) -> dict[str, Any]:
+    """The parameters of a term, defaults included, and its ``shape``."""
     empty = inspect.Parameter.empty
     defaults = {k: p.default for k, p in spec.params.items() if p.default is not empty}
-    return {**defaults, **params}
+    shape = getattr(cfg, "shape", None)
+    return {**({} if shape is None else {"shape": shape}), **defaults, **copy.deepcopy(cfg.params)}
+
+
+def _divided(spec: TermSpec, values: Mapping[str, Any]) -> tuple[dict[str, Any], Any]:
+    """The parameters and the shape in what `_values` returned."""
+    params = dict(values)
+    return params, params.pop("shape", None) if "shape" not in spec.params else None
+
+
+def _check_values(spec: TermSpec, values: Mapping[str, Any]) -> tuple[list[Problem], list[str]]:
+    """Every mistake in parameters and shapes, and the shapes' names."""
+    params, shape = _divided(spec, values)
+    steps, problems = check_shape(shape, ".shape")
+    return check_params(spec, params, "")[1] + problems, [step.name for step, _ in steps]
 
 
 def _check_name(section: str, task: EnvCfg, params: Mapping[str, Any]) -> list[Problem]:

@@ -10,7 +10,7 @@ import embodichain
 import embodichain.recording as recording
 from embodichain.lab.gym.envs.observers import StepRecord
 from embodichain.recording import McapRecorder, RecordOptions
-from embodichain.recording.episode_ends import Ends, EpisodeSums, decode_ends, encode_ends
+from embodichain.recording.episodes import Ends, EpisodeSums, decode_ends, encode_ends
 from embodichain.recording.log_error import DamageError
 
 

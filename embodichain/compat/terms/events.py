@@ -1,4 +1,4 @@
-"""EmbodiChain's events that place objects, tables and targets."""
+"""EmbodiChain's events that place objects, tables and targets, and a push at its own times."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ import numpy as np
 from pydantic import Field
 
 from embodichain.compat.terms._targets import RigidObject, asset_of, stored
-from embodichain.lab.gym.envs.managers.param_types import Box2, Box3, Finite, Range
+from embodichain.lab.gym.envs.managers.param_types import Axes6, Box2, Box3, Finite, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
 from embodichain.lab.gym.envs.mdp._ik import Reach
+from embodichain.lab.gym.envs.mdp.events.pushes import EpisodeTimer, PushBySettingVelocity
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import euler_xyz_to_quat, pose_to_matrix, quat_multiply
 
@@ -27,6 +28,7 @@ else:
 
 __all__ = [
     "PlannerGridCellSampler",
+    "PushArticulation",
     "RandomizeAnchorHeight",
     "RandomizeTargetPose",
     "SampleRigidObjectPoseFromWorkspace",
@@ -259,7 +261,7 @@ class RandomizeAnchorHeight(Term):
             setattr(self._env, self._key, torch.from_numpy(self._delta.astype(np.float32)))
 
     def state_dict(self) -> dict[str, Any]:
-        """Heights in force."""
+        """The current heights (a copy)."""
         return {"delta": self._delta.copy()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -334,3 +336,52 @@ class RandomizeTargetPose(Term):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         setattr(self._env, self._key, state["poses"].clone())
+
+
+@register_term("event", name="push_articulation_by_setting_velocity")
+class PushArticulation(PushBySettingVelocity):
+    """`push_by_setting_velocity` at its own times.
+
+    Give it `mode: interval` and `interval_step: 1`: it counts control steps. Each environment is
+    pushed after a time drawn from `interval_range_s`, counted from its last push or from the
+    beginning of its episode.
+
+    Args:
+        entity_cfg: A robot with a floating base, or a dynamic object.
+        interval_range_s: [low, high] seconds between pushes, positive.
+        velocity_range: See `push_by_setting_velocity`.
+
+    Example:
+        ``{func: push_articulation_by_setting_velocity, mode: interval, interval_step: 1, params: {entity_cfg: {uid: go}, interval_range_s: [5, 10], velocity_range: {x: [-0.5, 0.5]}}}``
+    """  # noqa: E501
+
+    def __init__(
+        self,
+        env: TermContext,
+        entity_cfg: ResolvedEntity,
+        interval_range_s: Range,
+        velocity_range: Axes6,
+    ) -> None:
+        super().__init__(env, entity_cfg, velocity_range)
+        self._interval = EpisodeTimer.seconds("interval", "interval_range_s", interval_range_s)
+        self._timer = EpisodeTimer(env)
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Draw a new time where an episode begins."""
+        self._timer.reset(env_ids)
+
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+        """Push the environments whose time has come."""
+        self._timer.start(self._interval, self._timer.stopped(env_ids))
+        due = self._timer.advance(env_ids)
+        if len(due):
+            super().__call__(env, due)
+            self._timer.start(self._interval, due)
+
+    def state_dict(self) -> dict[str, Any]:
+        """When the next pushes come."""
+        return self._timer.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        self._timer.load_state_dict(state)
