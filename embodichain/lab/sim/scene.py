@@ -32,7 +32,7 @@ class Scene:
     """Entities and sensors by uid; compiled once, after which nothing can be added.
 
     What a check of the same config has read and compiled (`PreparedScene`) is used. What a user
-    should be told about files is logged as warnings, once.
+    should be known about files is logged as warnings, once.
 
     Args:
         cfg: Physics options and ground plane.

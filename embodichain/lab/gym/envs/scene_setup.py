@@ -365,7 +365,7 @@ def _pair(given: Any) -> tuple[float, float] | None:
 
 
 def _add(sim: SimulationManager, entity: _Entity) -> None:
-    """Add an entity that is not there yet; mistakes are told from the root of the config."""
+    """Add an entity that is not there yet; paths of mistakes start at the root of the config."""
     path, uid, cfg = entity
     if path != "robot":
         cfg.uid = uid

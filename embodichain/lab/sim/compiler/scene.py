@@ -131,7 +131,7 @@ class CompiledScene:
             entity at its configured place, targets of drives at the configured joint positions,
             and what else a file's keyframe says.
         sensors: Where each sensor is.
-        notes: What a user should be told, one line each: options of the robots' files that the
+        notes: Messages for the user, one line each: options of the robots' files that the
             scene's replace, sensors that can report nothing.
     """
 
@@ -234,7 +234,7 @@ def _check(
 
 
 def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, parsed: ParsedArticulation) -> list[str]:
-    """Attach an articulation at its pose; return what a user should be told."""
+    """Attach an articulation at its pose; return messages for the user."""
     what = "; ".join(_replace_options(child, spec))
     options = f"{parsed.uid}: the scene's physics replaces options of {parsed.path}: {what}"
     pos, quat = initial_pose(parsed.cfg)
@@ -478,7 +478,7 @@ def aim_camera(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData) 
 
 
 def _aim_sun(spec: mujoco.MjSpec, model: mujoco.MjModel, center: F64, radius: float) -> None:
-    """Move the default light close: its shadow map spans what lies around its position."""
+    """Move the default light close: its shadow map covers the surroundings of its position."""
     sun = spec.light(SUN)
     if sun is not None:
         light = model.light(SUN)

@@ -55,7 +55,7 @@ def _numbers(value: Any) -> Any:
         else [value]
     )
     if not parts or not all(map(_is_number, parts)):
-        raise ValueError("wants a finite number, a list of one a joint, or {joint regex: number}")
+        raise ValueError("must be a finite number, a list of one a joint, or {joint regex: number}")
     return value
 
 
@@ -65,7 +65,7 @@ def _interval(value: Any) -> tuple[float, float]:
         value = (-value, value)
     if not (isinstance(value, (list, tuple)) and len(value) == 2 and all(map(_is_number, value))):
         raise ValueError(
-            "wants [low, high] or one number for both sides, a list of such pairs (one a joint), "
+            "must be [low, high] or one number for both sides, a list of such pairs (one a joint), "
             "or {joint regex: [low, high]}"
         )
     low, high = map(float, value)
