@@ -79,7 +79,7 @@ class Job:
         return self.root.quiet or self.root.json
 
     def attach_log(self, env: BaseEnv) -> McapRecorder | None:
-        """Attach the log, unless the config wants none; closing the environment finishes it."""
+        """Attach the log, unless the config says none; closing the environment finishes it."""
         if self.root.record.format == "none":
             return None
         from embodichain.config.resolved import dump_yaml

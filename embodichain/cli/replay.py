@@ -93,7 +93,7 @@ def command(**kwargs: Any) -> int:
     actions = [name for name in _ACTIONS if name in given]
     if len(actions) > 1:
         raise ConfigError(
-            f"--{actions[0]} and --{actions[1]} are two things: ask for one at a time"
+            f"--{actions[0]} and --{actions[1]} exclude each other: give one at a time"
         )
     for name, wanted in _ONLY_WITH.items():
         if name in given and not set(wanted) & given:

@@ -104,7 +104,7 @@ def _simulate(job: Job) -> tuple[dict[str, Any], Path | None]:
 def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any]:
     """Step `env` with `policy` from `obs` until something ends it; no faster than a window shows.
 
-    `env` was just reset, and resets its environments itself; `policy` is told when environments
+    `env` was just reset, and resets its environments itself; `policy` is notified when environments
     begin a new episode.
 
     Returns:

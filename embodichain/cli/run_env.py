@@ -48,7 +48,7 @@ _NO_EFFECT: dict[str, tuple[Any, str]] = {
         "a run writes a log; `embodichain export` makes a data set of it",
     ),
     "viser_env_ids": (str, "the environment is chosen on the page"),
-    "viser_fps": (float, "the page draws as fast as the browser asks"),
+    "viser_fps": (float, "the page draws as fast as the browser requests"),
     "viser_image_fps": (float, "there are no camera images on the page"),
     "viser_soft_body_fps": (float, "there are no soft bodies"),
 }

@@ -50,7 +50,9 @@ class Target:
 
             resolved = resolve_again(self.run, overrides, {**values, "policy": None})
         else:
-            raise ConfigError(f"{self.policy} lies in no run's folder: say which task, task=NAME")
+            raise ConfigError(
+                f"{self.policy} is not in the folder of a run: give the task, task=NAME"
+            )
         return resolved.changed(policy=self.policy)
 
 
@@ -105,6 +107,6 @@ def take(overrides: list[str], key: str, default: str) -> str:
 
 
 def _run_of(file: Path) -> Path | None:
-    """The run that a file belongs to: a checkpoint lies one folder below, an export in it."""
+    """The run that a file belongs to: a checkpoint is one folder below, an export in it."""
     folders = (file.parent.parent, file.parent)
     return next((folder for folder in folders if (folder / "config.yaml").is_file()), None)

@@ -1,6 +1,6 @@
 """The root of a config as data classes: what YAML and the command line are checked against.
 
-`task` is the very `EnvCfg` that the Python API uses; the keys of it that stand at the root here are
+`task` is the very `EnvCfg` that the Python API uses; the keys of it that are root keys here are
 refused below `task` (`ROOT_INSTEAD`). No torch, no Hydra.
 """
 

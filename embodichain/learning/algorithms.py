@@ -226,7 +226,7 @@ def _check_call(
     """Check arguments against a signature: names, then types.
 
     Returns:
-        The values as the annotations ask for them, and every mistake.
+        The values in the types of the annotations, and every mistake.
     """
     parameters = inspect.signature(function).parameters
     allowed = [name for name in parameters if name not in instead]

@@ -19,7 +19,7 @@ __all__ = ["load_mjz", "scene_archive"]
 _FOLDERS = ("assetdir", "meshdir", "texturedir")
 _ROOT = "model.xml"
 _MOST_BYTES = 2**29
-"""Unpacked, an archive of more is not believed."""
+"""An archive that unpacks to more is refused."""
 
 
 def scene_archive(spec: mujoco.MjSpec) -> bytes:

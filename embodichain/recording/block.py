@@ -30,7 +30,7 @@ alone in a message of its own on `START_TOPIC`, and says what the simulation is 
 `first`: no message before it is needed to follow those after it.
 
 Steps with equal calls (names, columns, dtypes, shapes) make one message on `STEPS_TOPIC`: steps
-`first` to `first + count - 1`. The array `name` of a call lies in `data` at `offset`, as `count`
+`first` to `first + count - 1`. The array `name` of a call is in `data` at `offset`, as `count`
 arrays of `shape` one after another, little-endian, by rows; `packing` may store it in less.
 """
 
@@ -55,7 +55,7 @@ DRAWN = "drawn."
 
 MOST_STEPS = 2**12
 MOST_PHYSICS_STEPS = 1_000_000
-"""Larger counts in a file are not believed."""
+"""Larger counts in a file are refused."""
 
 _IDS = frozenset({"env_ids", "failed"})
 """Arrays that name environments."""
@@ -187,7 +187,7 @@ def unpack_run(
     nstate: int,
     wanted: Callable[[CallKind], bool] | None = None,
 ) -> Run:
-    """Read `embodichain.Steps`; no length, index or shape in it is believed unchecked.
+    """Read `embodichain.Steps`; every length, index and shape in it is checked.
 
     Args:
         data: The message.

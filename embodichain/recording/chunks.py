@@ -1,7 +1,7 @@
 """`LogReader`: the chunks, attachments and metadata of a log, in one file or several.
 
 The file may be broken, or grow meanwhile: it is read up to the first damage, and `damage` says
-why. No length that a file states is believed before it is compared with what is there, so memory
+why. No length that a file states is trusted before it is compared with what is there, so memory
 stays below a few times `LARGEST_CHUNK` and every loop ends with the bytes.
 """
 
@@ -36,7 +36,7 @@ MAGIC = b"\x89MCAP0\r\n"
 CUT = "the file ends early: it was not closed, or cut"
 _KEPT = (Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
 _KEPT_LIMIT = 2**29
-"""Bytes of the largest attachment or metadata record that is believed."""
+"""Bytes of the largest attachment or metadata record that is accepted."""
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
@@ -47,13 +47,13 @@ Found = tuple[str, int, memoryview]
 
 @dataclass(frozen=True, slots=True)
 class ChunkPlace:
-    """Where a chunk lies.
+    """The place of a chunk.
 
     Attributes:
         start_ns: Smallest log time in it.
         offset: Where its record begins, after opcode and length.
         length: Bytes of the record.
-        part: Number of the file it lies in, of those that were opened.
+        part: Number of the file that contains it, of those that were opened.
     """
 
     start_ns: int

@@ -54,7 +54,7 @@ class Moved:
         ranges: Of whole rows.
 
     Attributes:
-        spans: Columns of whole rows, and where they lie in results.
+        spans: Columns of whole rows, and their places in results.
         width: Columns of a result.
         columns: (width,) columns of whole rows.
     """
@@ -76,7 +76,7 @@ class Moved:
         return out
 
     def find(self, columns: slice) -> slice | None:
-        """Where columns of whole rows lie in results; None if physics does not write them."""
+        """Places of columns of whole rows in results; None if physics does not write them."""
         for here, there in self.spans:
             if here.start <= columns.start and columns.stop <= here.stop:
                 at = there.start - here.start

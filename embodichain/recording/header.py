@@ -39,7 +39,7 @@ METADATA_RECOVERED = "embodichain.recovered"
 FORMAT_VERSION = 3
 """A log of another version is refused."""
 _LONGEST_STEP = 1e5
-"""Seconds; a longer step is not believed."""
+"""Seconds; a longer step is not accepted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -277,7 +277,7 @@ def why_unverifiable(model: mujoco.MjModel, state: str) -> str:
 
 
 def check_keyframes(options: RecordOptions, model: mujoco.MjModel) -> None:
-    """Raise `ConfigError` where what lies between keyframes could not be simulated again."""
+    """Raise `ConfigError` where what is between keyframes could not be simulated again."""
     why = why_unverifiable(model, "all") if options.state == "keyframes" else ""
     if why:
         message = f"keyframes cannot be replayed: {why}; use record.state=all"

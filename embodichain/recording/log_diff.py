@@ -1,7 +1,7 @@
 """`diff`: the first place where two logs part, in the order in which things happened.
 
 Control steps are compared bit for bit, call by call: draws of events, writes, what physics
-returned, actions, rewards and flags. How many steps lie in a message, wall clock, compression,
+returned, actions, rewards and flags. How many steps a message contains, wall clock, compression,
 channels for viewers and threads take no part.
 """
 

@@ -1,4 +1,4 @@
-"""Errors of reading a log, and the size beyond which nothing in a file is believed."""
+"""Errors of reading a log, and the size beyond which nothing in a file is accepted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a recorder can be told. Pure data: no file is opened here."""
+"""The options of a recorder. Pure data: no file is opened here."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class RecordOptions:
 
     state: str = "all"
     """``all``: everything that replay needs, of every environment. ``keyframes``: the same with
-    states only every `keyframe_every` steps; what lies between is simulated again. ``none``: only
+    states only every `keyframe_every` steps; what is between is simulated again. ``none``: only
     what people look at; such a file cannot be verified."""
     view_envs: Sequence[int] = (0,)
     """Environments whose poses, joints and metrics viewers show."""

@@ -1,4 +1,4 @@
-"""How the arrays of a run are stored one after another, without what can be told from others.
+"""How the arrays of a run are stored one after another, without what follows from others.
 
 * Arrays of one type with equal bytes are stored once.
 * float64 arrays whose values are all float32 ones (actions of a policy) are stored as float32.

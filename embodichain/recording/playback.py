@@ -51,7 +51,7 @@ def span_of(
 
 
 def follower_of(log: RecordedLog, env: int) -> Simulation:
-    """One environment of a log on an engine, which simulates only what lies between keyframes.
+    """One environment of a log on an engine, which simulates only what is between keyframes.
 
     Raises:
         ConfigError: If there is no such environment.

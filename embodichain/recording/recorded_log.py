@@ -210,7 +210,7 @@ class RecordedLog:
         start: int = 0,
         stop: int | None = None,
     ) -> LogArrays:
-        """Arrays of some fields, environments and steps; only the chunks they lie in are read.
+        """Arrays of some fields, environments and steps; reads only the chunks that contain them.
 
         States are as physics received them: after every write of the step, controls included. Only
         complete steps are read. (The times of a step's state and reward differ by a step's length:

@@ -53,7 +53,7 @@ class Recovery:
 def recover(source: str | Path, target: str | Path) -> Recovery:
     """Copy a log up to where it is good: messages, attachments and metadata, with a new index.
 
-    One that lies in several files becomes one file.
+    One that consists of several files becomes one file.
 
     Args:
         source: A log that was cut or damaged; a whole one is copied.

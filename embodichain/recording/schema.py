@@ -43,7 +43,7 @@ _PACKAGE = "embodichain"
 _FILE = "embodichain/log.proto"
 
 MESSAGES: Mapping[str, Sequence[str]] = {
-    # `block` defines what the calls of a run are, and how their arrays lie in `data`.
+    # `block` defines what the calls of a run are, and how their arrays are placed in `data`.
     "Array": (
         "string name = 1",
         "string dtype = 2",

@@ -45,7 +45,7 @@ class LogSummary:
         compressions: Compressions of its chunks.
         complete: Whether the file has its end and everything that was announced.
         warnings: What is missing or damaged, one line each; empty for a complete log.
-        files: Names of the files it lies in.
+        files: Names of the files that contain it.
     """
 
     path: Path

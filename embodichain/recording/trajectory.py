@@ -77,7 +77,7 @@ def runs(reader: LogReader, span: Span = _ALL, wanted: Wanted | None = None) -> 
             is not has no arrays.
 
     Raises:
-        LogError: If a message is damaged, or a chunk lies where it does not belong.
+        LogError: If a message is damaged, or a chunk is where it does not belong.
     """
     header = reader.require_header()
     sizes = header.num_envs, header.moved_width, header.nstate

@@ -54,7 +54,7 @@ TOP: Vocabulary = {
     **each(HANDLED, "light background rigid_object articulation env"),
     **each(HANDLED, "environment embodiment scene"),
     "max_episode_steps": KEEP,
-    "headless": "a run opens no window unless viewer=native asks for one",
+    "headless": "a run opens no window unless viewer=native",
     "gpu_id": "physics runs on the CPU",
     "arena_space": "every environment is its own world",
     **each(_RENDER, "renderer render_cfg"),

@@ -40,7 +40,7 @@ F64 = NDArray[np.float64]
 
 
 class Policy(Protocol):
-    """What acts: called once a control step, told when environments begin a new episode."""
+    """What acts: called once a control step, and notified when environments begin a new episode."""
 
     def __call__(self, obs: EnvObs, env: BaseEnv) -> torch.Tensor:
         """Return (N, A) float32 actions for an observation."""

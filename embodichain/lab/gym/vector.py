@@ -25,8 +25,8 @@ _FINAL = ("final_obs", "final_observation", "final_info", "_final_obs", "_final_
 class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
     """N environments with numpy observations, rewards and flags.
 
-    Which of Gymnasium's wrappers wants which mode: RecordEpisodeStatistics, NormalizeReward,
-    TransformReward and DictInfoToList take any; NormalizeObservation wants NEXT_STEP and
+    Which of Gymnasium's wrappers needs which mode: RecordEpisodeStatistics, NormalizeReward,
+    TransformReward and DictInfoToList take any; NormalizeObservation needs NEXT_STEP and
     `flatten`, FlattenObservation NEXT_STEP or DISABLED; RecordVideo leaves out the last picture
     of an episode with SAME_STEP.
 

@@ -15,16 +15,10 @@ import numpy as np
 from embodichain.lab.sim.drive_cfg import FileFirst
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.cfg import (
-        ArticulationCfg,
-        LightCfg,
-        RigidObjectCfg,
-        SimulationManagerCfg,
-    )
+    from embodichain.lab.sim.cfg import ArticulationCfg
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation
     from embodichain.lab.sim.compiler.drives import DriveChange, PhysicsStep
-    from embodichain.lab.sim.compiler.scene import CompiledScene
-    from embodichain.lab.sim.compiler.scene_sensors import SensorPlan
+    from embodichain.lab.sim.compiler.scene import CompiledScene, SceneParts
 
 __all__ = ["PreparedScene"]
 
@@ -110,46 +104,26 @@ class PreparedScene:
 
     # -- the scene ---------------------------------------------------------------------------------
 
-    def add_scene(
-        self,
-        scene: CompiledScene,
-        sim_cfg: SimulationManagerCfg,
-        articulations: Sequence[ParsedArticulation],
-        objects: Mapping[str, RigidObjectCfg],
-        lights: Mapping[str, LightCfg],
-        sensors: Mapping[str, SensorPlan],
-    ) -> None:
-        """Store the scene that was compiled of these; see `compile_scene`."""
-        key = _scene_key(sim_cfg, objects, lights, sensors)
-        self._scene = [parsed.spec for parsed in articulations], key, scene
+    def add_scene(self, scene: CompiledScene, parts: SceneParts) -> None:
+        """Store the scene that was compiled of these arguments of `compile_scene`."""
+        self._scene = [parsed.spec for parsed in parts[1]], _scene_key(parts), scene
 
-    def take_scene(
-        self,
-        sim_cfg: SimulationManagerCfg,
-        articulations: Sequence[ParsedArticulation],
-        objects: Mapping[str, RigidObjectCfg],
-        lights: Mapping[str, LightCfg],
-        sensors: Mapping[str, SensorPlan],
-    ) -> CompiledScene | None:
-        """Return the scene that would be compiled of these, or None."""
+    def take_scene(self, parts: SceneParts) -> CompiledScene | None:
+        """Return the scene that would be compiled of these arguments, or None."""
         found, self._scene = self._scene, None
         if found is None:
             return None
         specs, key, scene = found
-        same = len(specs) == len(articulations) and all(
-            spec is parsed.spec for spec, parsed in zip(specs, articulations, strict=True)
+        # Specs compare by identity: two that were read of one file are not the same.
+        same = len(specs) == len(parts[1]) and all(
+            spec is parsed.spec for spec, parsed in zip(specs, parts[1], strict=True)
         )
-        return scene if same and key == _scene_key(sim_cfg, objects, lights, sensors) else None
+        return scene if same and key == _scene_key(parts) else None
 
 
-def _scene_key(
-    sim_cfg: SimulationManagerCfg,
-    objects: Mapping[str, RigidObjectCfg],
-    lights: Mapping[str, LightCfg],
-    sensors: Mapping[str, SensorPlan],
-) -> Any:
-    physics = [sim_cfg.physics_dt, sim_cfg.physics_config, sim_cfg.ground_plane]
-    return _key([physics, objects, lights, sensors])
+def _scene_key(parts: SceneParts) -> Any:
+    sim, _, *others = parts
+    return _key([sim.physics_dt, sim.physics_config, sim.ground_plane, *others])
 
 
 def _stamp(parsed: ParsedArticulation) -> tuple[int, int]:

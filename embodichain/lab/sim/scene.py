@@ -32,7 +32,7 @@ class Scene:
     """Entities and sensors by uid; compiled once, after which nothing can be added.
 
     What a check of the same config has read and compiled (`PreparedScene`) is used. What a user
-    should be told about files is logged as warnings, once.
+    should be known about files is logged as warnings, once.
 
     Args:
         cfg: Physics options and ground plane.
@@ -140,7 +140,7 @@ class Scene:
                 {uid: light.cfg for uid, light in self.lights.items()},
                 {uid: sensor.plan for uid, sensor in self.sensors.items()},
             )
-            self.compiled = self._prepared.take_scene(*parts) or compile_scene(*parts)
+            self.compiled = self._prepared.take_scene(parts) or compile_scene(*parts)
             notes = [f"{parsed.uid}: {note}" for parsed in articulations for note in parsed.notes]
             for note in (*notes, *self.compiled.notes):
                 _log.warning("%s", note)

@@ -237,7 +237,7 @@ def demonstrations(log: Log, part: Part) -> list[tuple[LogEpisode, range]]:
         if len(chosen) < count:
             _log.warning("%d of %d episodes are left out: %s", count - len(chosen), count, why)
     if not chosen:
-        raise ConfigError("no episode lies in what was asked for")
+        raise ConfigError("no episode is in the chosen range")
     return chosen
 
 

@@ -90,7 +90,7 @@ def write_lerobot(log: Log, part: Part, path: Path) -> None:
     fps = round(1.0 / log.dt)
     if fps < 1 or abs(fps * log.dt - 1.0) > 1e-6:
         raise ConfigError(
-            f"LeRobot wants a whole number of frames a second; control steps make {1 / log.dt:g}"
+            f"LeRobot needs a whole number of frames a second; control steps make {1 / log.dt:g}"
         )
     chosen = demonstrations(log, part)
     features, cameras = _features(log), list(_cameras(log))

@@ -305,7 +305,7 @@ class _Scene:
 
 
 def _paths(rr: Any, model: mujoco.MjModel, root: str) -> list[str]:
-    """Paths of bodies by id. None lies below another: poses below each other are chained."""
+    """Paths of bodies by id. None is below another: poses below each other are chained."""
     names = [model.body(i).name or f"body_{i}" for i in range(1, model.nbody)]
     parts = [[rr.escape_entity_path_part(p) for p in name.split("/") if p] for name in names]
     paths = ["/".join([root, *part]) for part in parts]

@@ -32,7 +32,7 @@ class WebView(StepObserver):
     Args:
         env: The environment.
         options: Where the page is, and its initial state.
-        stopped: Whether the run was told to stop, which ends a pause.
+        stopped: Whether the run was stopped, which ends a pause.
 
     Attributes:
         url: Where the page is.

@@ -129,6 +129,10 @@ ENTITY = "events.place_goal.params.entity_cfg"
             "at position 5",
         ),
         (
+            pointing(uid="goal", body_ids=[1]),
+            f"{ENTITY}.body_ids: 'goal' has 1 links, numbered from 0; got [1]",
+        ),
+        (
             pointing(uid="goal", joint_names="Joint1"),
             f"{ENTITY}.joint_names: 'goal' is a rigid object without joints",
         ),

@@ -19,13 +19,16 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs import restoring, scene_setup
-from embodichain.lab.gym.envs.actions import ActionCheck, action_space
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.env_reads import EnvReads
 from embodichain.lab.gym.envs.episodes import Episodes, add_finals, parse_mode, seed_globals, zeroed
 from embodichain.lab.gym.envs.hooks import EnvHooks, overridden_hooks
 from embodichain.lab.gym.envs.judging import StateDump, StepJudge, as_mask, none_set, reset_ids
-from embodichain.lab.gym.envs.managers.action_manager import ActionManager
+from embodichain.lab.gym.envs.managers.action_manager import (
+    ActionCheck,
+    ActionManager,
+    action_space,
+)
 from embodichain.lab.gym.envs.managers.drawing import CommandManager, EventManager
 from embodichain.lab.gym.envs.managers.manager import CurriculumManager, Manager
 from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager

@@ -67,7 +67,7 @@ class SceneEntityCfg:
     link_names: Names = None
     body_names: Names = None
     control_parts: Names = None
-    """Without joints that mimic another: nobody drives those."""
+    """Without joints that mimic another, which have no drive."""
     preserve_order: bool = False
     joint_ids: list[int] | None = None
     body_ids: list[int] | None = None
@@ -141,7 +141,7 @@ class ObservationCfg(ValueCfg):
 
     mode: Literal["add", "modify"] = "add"
     name: str | None = None
-    """Where it stands in the observation; "/" nests. None is the term's key."""
+    """Its place in the observation; "/" nests. None is the term's key."""
     group: str = "policy"
     noise: NoiseCfg | None = None
     """Switched off, a group at a time, by the task's `enable_corruption`."""

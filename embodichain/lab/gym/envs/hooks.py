@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from embodichain.lab.gym.envs.actions import drive_robot
 from embodichain.lab.gym.envs.judging import task_state
+from embodichain.lab.gym.envs.managers.action_manager import drive_robot
 from embodichain.lab.gym.envs.scene_setup import (
     add_declared_robots,
     add_declared_scene,

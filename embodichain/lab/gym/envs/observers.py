@@ -178,7 +178,7 @@ class StepObserver:
 
 
 class Observers(list[StepObserver]):
-    """The observers attached to an environment, in this order; they also hear its engine.
+    """The observers of an environment, in this order; they also receive the events of its engine.
 
     Args:
         env: The environment.

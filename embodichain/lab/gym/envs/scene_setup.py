@@ -193,7 +193,7 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
         prepared.add_articulation(path, articulation, step, changes.get(articulation.uid, ()))
     parts = physics, [*parsed.values()], objects, lights, sensors
     try:  # what MuJoCo still refuses, such as a broken mesh file
-        prepared.add_scene(compile_scene(*parts), *parts)
+        prepared.add_scene(compile_scene(*parts), parts)
     except ConfigError as error:
         return list(error.problems)
     return []
@@ -365,7 +365,7 @@ def _pair(given: Any) -> tuple[float, float] | None:
 
 
 def _add(sim: SimulationManager, entity: _Entity) -> None:
-    """Add an entity that is not there yet; mistakes are told from the root of the config."""
+    """Add an entity that is not there yet; paths of mistakes start at the root of the config."""
     path, uid, cfg = entity
     if path != "robot":
         cfg.uid = uid

@@ -61,5 +61,5 @@ class PolicyView:
             return named_obs(obs, self._entries)
         count = int(obs.batch_size[0])
         parts = [obs[path].reshape(count, -1).numpy(force=True) for path in self._paths]
-        none = np.zeros((count, 0), np.float32)  # concatenate wants one part at least
+        none = np.zeros((count, 0), np.float32)  # concatenate needs at least one part
         return np.concatenate([none, *parts], axis=1, dtype=np.float32)

@@ -102,7 +102,7 @@ class ParsedArticulation:
         init_ctrl: (M,) initial controls.
         init_act: (K,) initial activations, in the order of its actuators.
         keyframe: Where the file's keyframe puts the root and ball joints, or None.
-        notes: What a user should be told about the file, one line each.
+        notes: Messages for the user about the file, one line each.
     """
 
     uid: str
@@ -309,7 +309,7 @@ def _quieten(
     """Raise the armature that the config does not give, in a spec and in the model made of it.
 
     Returns:
-        (D,) what was added, and what a user should be told.
+        (D,) what was added, and messages for the user.
     """
     lacking = quiet_armature(model, names, gains, home, parts, step, changes)
     given = gains.armature_given | drawn_joints("armature", names, parts, changes)

@@ -218,7 +218,7 @@ def _number(value: Any, path: str, problems: list[Problem]) -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):
-        problems.append(Problem(path, f"wants a number, got {value!r}"))
+        problems.append(Problem(path, f"must be a number, got {value!r}"))
         return math.nan
     if number >= 0.0:
         return number
@@ -234,7 +234,7 @@ def apply_drives(
     Actuators of the file on joints that get a drive go, with the sensors that read them.
 
     Returns:
-        The name of each joint's drive, empty where it has none, and what a user should be told.
+        The name of each joint's drive, empty where it has none, and messages for the user.
     """
     names, servos = joints.names, joints.servos
     for i, name in enumerate(names):

@@ -95,9 +95,9 @@ def _vector(value: object, size: int, key: str) -> F64:
     try:
         array = np.asarray(value, np.float64)
     except (TypeError, ValueError):
-        raise ConfigError([Problem(key, f"wants {size} numbers, got {value!r}")]) from None
+        raise ConfigError([Problem(key, f"must be {size} numbers, got {value!r}")]) from None
     if array.size != size or not np.isfinite(array).all():
-        raise ConfigError([Problem(key, f"wants {size} finite numbers, got {array.tolist()}")])
+        raise ConfigError([Problem(key, f"must be {size} finite numbers, got {array.tolist()}")])
     return array.reshape(-1).copy()
 
 
@@ -115,7 +115,7 @@ def check_object(cfg: RigidObjectCfg) -> list[Problem]:
     problems = check_pose(cfg)
     scale = np.asarray(cfg.body_scale, np.float64)
     if scale.shape != (3,) or not (scale > 0).all():
-        problems.append(Problem("body_scale", f"wants 3 positive numbers, got {scale.tolist()}"))
+        problems.append(Problem("body_scale", f"must be 3 positive numbers, got {scale.tolist()}"))
         scale = np.ones(3)
     if not cfg.max_convex_hull_num >= 1:
         message = f"must be at least 1, got {cfg.max_convex_hull_num}"

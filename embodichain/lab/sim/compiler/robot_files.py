@@ -61,13 +61,13 @@ class ModelFile:
     """A robot file as MuJoCo sees it.
 
     Attributes:
-        path: Where it lies.
+        path: Its path.
         is_urdf: URDF, else MJCF.
         spec: Parsed, not edited; it compiles.
         model: Compiled as it is in the file.
         velocity_limits: Joint name -> limit; URDF only.
         last_link: The last link in the order of a URDF, which is not that of the tree.
-        notes: What a user should be told, one line each.
+        notes: Messages for the user, one line each.
     """
 
     path: Path
@@ -80,7 +80,7 @@ class ModelFile:
 
 
 def locate(fpath: str | None) -> Path:
-    """Return where a file lies.
+    """Return the path of a file.
 
     Raises:
         ConfigError: If it is missing; lists the places searched and the closest names.

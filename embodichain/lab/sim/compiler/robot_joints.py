@@ -458,18 +458,18 @@ def _take_qpos(value: Any, names: tuple[str, ...], qpos: F64) -> tuple[Mask, lis
             try:
                 qpos[list(ids)] = float(entry)
             except (TypeError, ValueError):
-                problems.append(Problem(path, f"wants a number in rad or m, got {entry!r}"))
+                problems.append(Problem(path, f"must be a number in rad or m, got {entry!r}"))
                 continue
             named[list(ids)] = True
     elif value is not None:
-        message = f"wants {len(names)} numbers or a map by joint, got {value!r}"
+        message = f"must be {len(names)} numbers or a map by joint, got {value!r}"
         try:
             array = np.asarray(value, np.float64).reshape(-1)
             if len(array) == len(names):
                 qpos[:], named[:] = array, True
                 return named, []
             each = f"one for each joint ({listing(names)})"
-            message = f"wants {len(names)} values, {each}, got {len(array)}"
+            message = f"must be {len(names)} values, {each}, got {len(array)}"
         except (TypeError, ValueError):
             pass  # it is no array of numbers, which the message says
         problems.append(Problem("init_qpos", message))

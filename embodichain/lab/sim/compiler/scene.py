@@ -32,7 +32,7 @@ from embodichain.lab.sim.compiler.scene_sensors import (
 from embodichain.utils.errors import ConfigError, Problem, below
 from embodichain.utils.math import quat_multiply, quat_rotate
 
-__all__ = ["CompiledScene", "apply_options", "compile_scene", "replace_options"]
+__all__ = ["CompiledScene", "SceneParts", "check_light", "compile_scene"]
 
 _INTEGRATORS = {
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
@@ -61,7 +61,7 @@ _FLAGS: dict[str, type[Any]] = {
 }
 
 
-def apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
+def _apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
     """Set a scene's physics options.
 
     Auto-reset is off: it would put a diverged simulation back to qpos0 in the middle of a step.
@@ -81,7 +81,7 @@ def apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
 
-def replace_options(child: mujoco.MjSpec, scene: mujoco.MjSpec) -> list[str]:
+def _replace_options(child: mujoco.MjSpec, scene: mujoco.MjSpec) -> list[str]:
     """Give a child the scene's options.
 
     Returns:
@@ -90,7 +90,7 @@ def replace_options(child: mujoco.MjSpec, scene: mujoco.MjSpec) -> list[str]:
     """
     default = mujoco.MjSpec().option
     replaced: list[str] = []
-    for name in _names(default):
+    for name in (name for name in dir(default) if not name.startswith("_")):
         old, new = getattr(child.option, name), getattr(scene.option, name)
         if name in _FLAGS:
             theirs = int(old) & ~int(new)
@@ -102,10 +102,6 @@ def replace_options(child: mujoco.MjSpec, scene: mujoco.MjSpec) -> list[str]:
     return replaced
 
 
-def _names(option: Any) -> list[str]:
-    return [name for name in dir(option) if not name.startswith("_")]
-
-
 def _show(name: str, value: Any) -> str:
     if name in _ENUMS:
         return str(_ENUMS[name](int(value)).name.split("_")[-1].lower())
@@ -115,12 +111,8 @@ def _show(name: str, value: Any) -> str:
 
 def _flags(name: str, bits: int) -> str:
     known = [flag for flag in _FLAGS[name].__members__.values() if int(flag) & bits]
-    names = [flag.name.split("_")[-1].lower() for flag in known if _one_bit(int(flag))]
+    names = [flag.name.split("_")[-1].lower() for flag in known if int(flag).bit_count() == 1]
     return ", ".join(names) or hex(bits)
-
-
-def _one_bit(value: int) -> bool:
-    return value > 0 and value & (value - 1) == 0
 
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -139,7 +131,7 @@ class CompiledScene:
             entity at its configured place, targets of drives at the configured joint positions,
             and what else a file's keyframe says.
         sensors: Where each sensor is.
-        notes: What a user should be told, one line each: options of the robots' files that the
+        notes: Messages for the user, one line each: options of the robots' files that the
             scene's replace, sensors that can report nothing.
     """
 
@@ -149,6 +141,16 @@ class CompiledScene:
     initial_row: F64
     sensors: dict[str, SensorIndex] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+
+
+SceneParts = tuple[
+    SimulationManagerCfg,
+    Sequence[ParsedArticulation],
+    Mapping[str, RigidObjectCfg],
+    Mapping[str, LightCfg],
+    Mapping[str, SensorPlan],
+]
+"""The arguments of `compile_scene`."""
 
 
 def compile_scene(
@@ -175,7 +177,7 @@ def compile_scene(
     spec = mujoco.MjSpec()
     spec.modelname = "embodichain"
     spec.compiler.degree = False
-    apply_options(spec, sim_cfg)
+    _apply_options(spec, sim_cfg)
     set_look(spec)
     if sim_cfg.ground_plane:
         add_ground(spec)
@@ -232,8 +234,8 @@ def _check(
 
 
 def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, parsed: ParsedArticulation) -> list[str]:
-    """Attach an articulation at its pose; return what a user should be told."""
-    what = "; ".join(replace_options(child, spec))
+    """Attach an articulation at its pose; return messages for the user."""
+    what = "; ".join(_replace_options(child, spec))
     options = f"{parsed.uid}: the scene's physics replaces options of {parsed.path}: {what}"
     pos, quat = initial_pose(parsed.cfg)
     frame = spec.worldbody.add_frame(pos=pos, quat=quat)
@@ -476,7 +478,7 @@ def aim_camera(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData) 
 
 
 def _aim_sun(spec: mujoco.MjSpec, model: mujoco.MjModel, center: F64, radius: float) -> None:
-    """Move the default light close: its shadow map spans what lies around its position."""
+    """Move the default light close: its shadow map covers the surroundings of its position."""
     sun = spec.light(SUN)
     if sun is not None:
         light = model.light(SUN)

@@ -149,7 +149,7 @@ def _check_mount(cfg: ImuSensorCfg) -> list[Problem]:
         value: Any = getattr(cfg, key)
         array = np.asarray(value, np.float64)
         if array.shape != (size,) or not np.isfinite(array).all():
-            problems.append(Problem(key, f"wants {size} finite numbers, got {value!r}"))
+            problems.append(Problem(key, f"must be {size} finite numbers, got {value!r}"))
         elif key == "quat" and not array.any():
             problems.append(Problem(key, "must not be zero: it is a rotation, wxyz"))
     return problems

@@ -4,7 +4,7 @@ import numpy as np
 
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.cfg import ActionTermCfg, EnvCfg
-from embodichain.lab.gym.envs.mdp.actions.joint_action import finite_limits
+from embodichain.lab.gym.envs.managers.term import finite_limits
 from embodichain.lab.sim.cfg import JointDrivePropertiesCfg, RobotCfg
 
 ARM = """<mujoco><worldbody><body name="base"><geom size="0.1"/>

@@ -331,7 +331,7 @@ def test_a_missing_file_says_where_it_was_looked_for_and_what_is_close():
             {"Joint3": 3.5},
             "a.init_qpos: joint 'Joint3' starts at 3.5, outside its limits [-3.14159, 3.14159]",
         ),
-        ({"Joint1": "x"}, "a.init_qpos.Joint1: wants a number in rad or m, got 'x'"),
+        ({"Joint1": "x"}, "a.init_qpos.Joint1: must be a number in rad or m, got 'x'"),
         (
             [float("nan")] + [0.0] * 5,
             "a.init_qpos: joint 'Joint1' starts at nan, outside its limits [-6.28319, 6.28319]",

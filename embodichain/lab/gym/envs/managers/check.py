@@ -1,4 +1,4 @@
-"""Checks of terms: their parameters against signatures, and what stands beside `func` and `params`.
+"""Checks of terms: their parameters against signatures, and their keys beside `func` and `params`.
 
 For a whole task and for one term that is being built. Entities that parameters point at are checked
 against the scene in `scene_setup.py`. No torch here.
@@ -247,7 +247,7 @@ def check_params(
         path: Key path of `params`, for messages.
 
     Returns:
-        The values as the annotations ask for them (dicts made `SceneEntityCfg`), without defaults,
+        The values in the types of the annotations (dicts made `SceneEntityCfg`), without defaults,
         and every mistake.
     """
     values: dict[str, Any] = {}

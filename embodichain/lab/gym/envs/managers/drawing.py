@@ -217,7 +217,7 @@ class EventManager(DrawingManager[EventCfg]):
             interval.term = self.terms[interval.term.name]
 
     def apply(self, mode: Literal["startup", "reset"], env_ids: EnvIndex | None = None) -> None:
-        """Fire every event of a mode; `startup` events fire once, whoever asks again.
+        """Fire every event of a mode; `startup` events fire once, however often this is called.
 
         Args:
             mode: Which events.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from embodichain.utils.random import constant
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import Draws
     from embodichain.lab.sim.engine.api import F64, EnvIndex
 
-__all__ = ["ActionTerm", "CommandMarker", "CommandTerm", "Term", "Uniform"]
+__all__ = ["ActionTerm", "CommandMarker", "CommandTerm", "Term", "Uniform", "finite_limits"]
 
 
 class Term:
@@ -41,6 +41,27 @@ class Term:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
+
+
+_UNLIMITED = 2.0 * np.pi
+"""Bound of an action for a joint without a limit, rad (or m): a turn either way.
+
+Action spaces must be finite, for learners and for random actions.
+"""
+
+
+def finite_limits(
+    limits: ArrayLike, joint_ids: Sequence[int] | NDArray[np.int64]
+) -> tuple[F64, F64]:
+    """Return (A,) lowest and highest positions, rad or m; unlimited sides get +-`_UNLIMITED`.
+
+    Args:
+        limits: (D, 2) joint limits, infinite where there is none.
+        joint_ids: The A joints, in the order of the action.
+    """
+    chosen = np.asarray(limits, np.float64)[np.asarray(joint_ids, np.int64)]
+    low, high = np.where(np.isfinite(chosen), chosen, [-_UNLIMITED, _UNLIMITED]).T
+    return low, high
 
 
 class ActionTerm(Term):

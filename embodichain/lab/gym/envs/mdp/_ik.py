@@ -27,7 +27,7 @@ __all__ = [
 
 
 def tool_links(entity: ResolvedEntity) -> list[int]:
-    """The link that acts, as an index; several or none where that cannot be told.
+    """The link that acts, as an index; several or none where that is unknown.
 
     It is the tool point that the robot's `solver_cfg` gives the picked control part (without one,
     the whole robot), else the farthest link that all picked joints move.

@@ -36,7 +36,7 @@ _STAGES = 100
 
 
 def get_at(tree: Any, path: Sequence[str]) -> Any:
-    """Return what stands at a path of keys and indices.
+    """Return the value at a path of keys and indices.
 
     Raises:
         ConfigError: If nothing does; lists what is there.

@@ -148,7 +148,7 @@ class Tolerance:
         low = value_at_margin >= 0.0 if sigmoid in _MAY_END else value_at_margin > 0.0
         if not (low and value_at_margin < 1.0):
             allowed = "[0, 1)" if sigmoid in _MAY_END else "(0, 1)"
-            message = f"must lie in {allowed} for sigmoid {sigmoid!r}, got {value_at_margin}"
+            message = f"must be in {allowed} for sigmoid {sigmoid!r}, got {value_at_margin}"
             raise ConfigError([Problem("value_at_margin", message)])
         self._low, self._high = (float(bound) for bound in bounds)
         self._margin = float(margin)

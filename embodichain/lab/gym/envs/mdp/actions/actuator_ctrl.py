@@ -9,12 +9,11 @@ import numpy as np
 from embodichain.lab.gym.envs.cfg import Names
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.managers.term import ActionTerm
+from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
 from embodichain.lab.gym.envs.mdp.actions.joint_action import (
     Affine,
     JointClip,
     PerJoint,
-    finite_limits,
 )
 from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import ConfigError, Problem

@@ -17,13 +17,13 @@ from pydantic import PlainValidator
 from embodichain.lab.gym.envs.managers.param_types import Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.managers.term import ActionTerm
+from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
 from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     import torch
-    from numpy.typing import ArrayLike, NDArray
+    from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
@@ -37,7 +37,6 @@ __all__ = [
     "JointTerm",
     "PerJoint",
     "VelocityTargets",
-    "finite_limits",
     "joint_clip",
     "per_joint",
 ]
@@ -56,7 +55,7 @@ def _numbers(value: Any) -> Any:
         else [value]
     )
     if not parts or not all(map(_is_number, parts)):
-        raise ValueError("wants a finite number, a list of one a joint, or {joint regex: number}")
+        raise ValueError("must be a finite number, a list of one a joint, or {joint regex: number}")
     return value
 
 
@@ -66,7 +65,7 @@ def _interval(value: Any) -> tuple[float, float]:
         value = (-value, value)
     if not (isinstance(value, (list, tuple)) and len(value) == 2 and all(map(_is_number, value))):
         raise ValueError(
-            "wants [low, high] or one number for both sides, a list of such pairs (one a joint), "
+            "must be [low, high] or one number for both sides, a list of such pairs (one a joint), "
             "or {joint regex: [low, high]}"
         )
     low, high = map(float, value)
@@ -163,27 +162,6 @@ def _matched(
                 raise ConfigError([Problem(where, message)])
             source[name], found[name] = pattern, one
     return found
-
-
-_UNLIMITED = 2.0 * np.pi
-"""Bound of an action for a joint without a limit, rad (or m): a turn either way.
-
-Action spaces must be finite, for learners and for random actions.
-"""
-
-
-def finite_limits(
-    limits: ArrayLike, joint_ids: Sequence[int] | NDArray[np.int64]
-) -> tuple[F64, F64]:
-    """Return (A,) lowest and highest positions, rad or m; unlimited sides get +-`_UNLIMITED`.
-
-    Args:
-        limits: (D, 2) joint limits, infinite where there is none.
-        joint_ids: The A joints, in the order of the action.
-    """
-    chosen = np.asarray(limits, np.float64)[np.asarray(joint_ids, np.int64)]
-    low, high = np.where(np.isfinite(chosen), chosen, [-_UNLIMITED, _UNLIMITED]).T
-    return low, high
 
 
 class Affine:

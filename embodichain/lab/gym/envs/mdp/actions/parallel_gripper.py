@@ -8,10 +8,10 @@ import numpy as np
 
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
+from embodichain.lab.gym.envs.managers.term import finite_limits
 from embodichain.lab.gym.envs.mdp.actions.joint_action import (
     JointTerm,
     PerJoint,
-    finite_limits,
     per_joint,
 )
 from embodichain.utils.errors import ConfigError, Problem

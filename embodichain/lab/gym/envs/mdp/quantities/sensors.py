@@ -82,7 +82,7 @@ def contact_force(env: TermContext, sensor: ContactOf, norm: bool = False) -> F6
 class FeetAirTime(Term):
     """Sum over feet that land in this step of (time in the air - threshold), s: rewards long steps.
 
-    0 where the command asks for less than `min_command`. Air time counts control steps, the one of
+    0 where the commanded speed is less than `min_command`. Air time counts control steps, that of
     the landing included; feet that an episode begins in the air count from its first step. Isaac
     Lab's reward of the same name.
 
