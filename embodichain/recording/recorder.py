@@ -1,7 +1,7 @@
-"""`McapRecorder`: watches an environment and writes its log.
+"""`McapRecorder`: observes an environment and writes its log.
 
-It collects the calls of each control step, gathers steps with the same calls in a run, and writes
-a run, in the stepping thread, when the calls change or the run is large or old enough.
+It collects the calls of each control step and groups consecutive steps with the same calls into a
+run. The stepping thread writes the runs when they are large or old enough.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ if TYPE_CHECKING:
 __all__ = ["McapRecorder", "RecordStats"]
 
 RUN_STEPS, RUN_BYTES, RUN_SECONDS = 256, 2**20, 0.25
-"""A run is written when it has so many steps, or bytes, or has waited so long."""
+"""Runs are written when they reach this many steps or bytes, or this age."""
 FLUSH_SECONDS = 0.5
-"""What is written is readable in the file after so long; with `RUN_SECONDS`, and the time between
-two calls of the timer, at most a second is lost when the process is killed."""
+"""Interval between flushes. With `RUN_SECONDS` and the timer's interval, at most one second is
+lost when the process is killed."""
 START_SHARE = 128
-"""A start is written after so many times its bytes of other data."""
+"""A start is written after other data of this many times its size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +51,8 @@ class RecordStats:
     """What a recorder has written.
 
     Attributes:
-        path: The file; the first one, if the log goes on in others.
-        steps: Control steps.
+        path: The file; the first one if the log has several.
+        steps: Number of control steps.
         nbytes: Size of the log so far.
     """
 
@@ -62,13 +62,13 @@ class RecordStats:
 
 
 class McapRecorder(StepObserver):
-    """Records an environment from now on; attach it with `env.add_observer` at once.
+    """Records an environment; attach it with `env.add_observer` right after it is built.
 
-    Build it before the first `env.reset()`. The simulation's state at that moment, its randomized
-    model fields included, is written first, so a log that starts later verifies as well.
+    Build it before the first `env.reset()`. The current state of the simulation, including
+    randomized model fields, is written first, so a log that starts later can be verified too.
 
     Args:
-        path: A new file. Its folder must exist; ``foxglove_layout.json`` is put beside it.
+        path: A new file in an existing folder; ``foxglove_layout.json`` is written next to it.
         env: The environment.
         config: The resolved config as YAML text.
         overrides: The command line's overrides.
@@ -106,7 +106,7 @@ class McapRecorder(StepObserver):
         self._step = 0
         self._calls: list[Recorded] = []  # since the last control step
         self._runs: list[PendingRun] = []  # not written yet
-        self._waiting = 0  # bytes of them
+        self._waiting = 0  # bytes in `_runs`
         self._kinds: dict[object, CallKind] = {}
         self._since_start = self._start_bytes = 0
         self._flushed = time.monotonic()
@@ -120,7 +120,7 @@ class McapRecorder(StepObserver):
         self._log.began()
         file = self._log.file
         self._writing = Writing(self._path, lambda: file.where_it_ends, self._tick)
-        # A program that ends without closing still leaves a whole log.
+        # A program that exits without closing the recorder still leaves a complete log.
         self._at_exit = partial(_close_if_alive, weakref.ref(self))
         atexit.register(self._at_exit)
 
@@ -129,13 +129,13 @@ class McapRecorder(StepObserver):
 
     @property
     def stats(self) -> RecordStats:
-        """What has been written so far."""
+        """What has been recorded so far."""
         return RecordStats(self._path, self._step, self._log.file.nbytes)
 
-    # -- what happens ------------------------------------------------------------------------------
+    # -- callbacks of the environment --------------------------------------------------------------
 
     def on_write(self, env: ObservedEnv, write: Write) -> None:
-        """Record a write outside physics, and of a reset the rows that it left."""
+        """Record a write outside physics; for a reset, the resulting rows."""
         op, field, ids, columns, values = write
         if op == "model":
             self._views.on_model_write(write)
@@ -167,7 +167,7 @@ class McapRecorder(StepObserver):
         return CallKind("write", write.field, write.op, 0, named, _of(write.env_ids) + values)
 
     def _width_of(self, write: Write) -> int:
-        """Columns of the flattened field that is written."""
+        """Number of columns of the flattened field that is written."""
         if write.op == "state":
             if write.field == "row":
                 return int(self._engine.rows.shape[1])
@@ -179,11 +179,11 @@ class McapRecorder(StepObserver):
         return int(np.size(owner))
 
     def _records(self, ids: EnvIndex | None) -> bool:
-        """Whether something that happens in these environments is recorded."""
+        """Whether calls for these environments are recorded."""
         return self._gate.open and self._keeps_state and (ids is None or len(ids) > 0)
 
     def on_physics(self, env: ObservedEnv, event: PhysicsEvent) -> None:
-        """Show what physics receives; record what it returned."""
+        """Pass the rows before physics to the views; record the rows after it."""
         phase, nstep, ids, rows, failed = event
         if phase == "before":
             if ids is None:
@@ -212,7 +212,7 @@ class McapRecorder(StepObserver):
             self._calls.append((kind, tuple(np.ascontiguousarray(a) for a in more)))
 
     def on_event(self, env: ObservedEnv, event: EventRecord) -> None:
-        """Record that a term of the event manager fired, and what it drew."""
+        """Record that a term of the event manager fired, and the values it drew."""
         if not self._gate.open:
             self._gate.hold(event)
             return
@@ -230,17 +230,17 @@ class McapRecorder(StepObserver):
             self._calls.append((kind, tuple(values if ids is None else (ids.copy(), *values))))
 
     def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
-        """Show environments that were reset; begin or pause recording there (`record.every`)."""
+        """Update the views after a reset; start or pause recording (`record.every`)."""
         if self._gate.open:
             self._views.on_reset(env_ids)
         was_open = self._gate.open
         self._switched(env, was_open, self._gate.on_reset(env_ids))
 
     def on_step(self, env: ObservedEnv, step: StepRecord) -> None:
-        """Record that a control step ended.
+        """Record the end of a control step.
 
         Raises:
-            LogWriteError: If the log could not be written; it ends there.
+            LogWriteError: If the log could not be written; recording has stopped.
         """
         self._writing.check()
         number = self._step
@@ -250,7 +250,7 @@ class McapRecorder(StepObserver):
         was_open = self._gate.open
         if was_open:
             self._views.on_step(number, step, ended=ends is not None)
-            # Copies: the caller of `step` may write into what it received.
+            # Copies: the caller of `step` may write into the arrays it received.
             arrays = (
                 np.array(step.action, np.float64, order="C"),
                 np.array(step.reward, np.float32, order="C"),
@@ -272,12 +272,12 @@ class McapRecorder(StepObserver):
             self._write_when_due()
 
     def _switched(self, env: ObservedEnv, was_open: bool, held: list[EventRecord] | None) -> None:
-        """Between two steps: recording may have been paused, or goes on.
+        """Between two steps: apply a pause or a resumption of recording.
 
         Args:
             env: The environment.
             was_open: Whether it was recorded before.
-            held: Events that led here, if recording goes on; else None.
+            held: If recording resumes, the deferred events of this step; else None.
         """
         if was_open and not self._gate.open:
             with self._writing.writes():
@@ -293,11 +293,11 @@ class McapRecorder(StepObserver):
     # -- runs --------------------------------------------------------------------------------------
 
     def _add_step(self) -> None:
-        """Add a finished step to the last run, or begin another one if its calls are others."""
+        """Add a finished step to the last run, or begin a new run if its calls differ."""
         kinds = [kind for kind, _ in self._calls]
         with self._writing.lock:
             run = self._runs[-1] if self._runs else None
-            # One statement takes the step over: an interrupt loses none, and repeats none.
+            # A single statement adds the step, so an interrupt neither loses nor repeats it.
             if run is not None and kinds == run.kinds:
                 run.steps.append(self._calls)
             else:
@@ -309,7 +309,7 @@ class McapRecorder(StepObserver):
         self._calls = []
 
     def _write_when_due(self) -> None:
-        """Write the runs if they are large or old, then a start, the next file, or flush."""
+        """Write the runs if they are large or old; then start the next file, or write a start."""
         runs, now = self._runs, time.monotonic()
         begins = self._start_is_due(self._since_start + self._waiting)
         full = self._max_bytes > 0 and self._log.is_full(self._max_bytes)
@@ -341,7 +341,7 @@ class McapRecorder(StepObserver):
         self._log.write(runs)
 
     def _write_rest(self) -> None:
-        """Write calls that no control step follows."""
+        """Write the calls after the last control step."""
         calls, self._calls = self._calls, []
         if calls:
             kinds = [kind for kind, _ in calls]
@@ -358,7 +358,7 @@ class McapRecorder(StepObserver):
         self._log.flush()
 
     def _tick(self) -> None:
-        """On the timer's thread: write and flush what no further step does."""
+        """On the timer's thread: write and flush data that is waiting while no steps are made."""
         if time.monotonic() - self._flushed >= FLUSH_SECONDS:
             self._write_runs()
             self._flush()
@@ -366,13 +366,13 @@ class McapRecorder(StepObserver):
     # -- the end -----------------------------------------------------------------------------------
 
     def on_close(self, env: ObservedEnv) -> None:
-        """The environment closes."""
+        """Close the log with the environment."""
         self.close()
 
     def flush(self) -> None:
-        """Write everything recorded so far into the file, where readers find it.
+        """Write everything recorded so far to the file, so that readers find it.
 
-        The recorder does so by itself within a second. After `close` it does nothing.
+        The recorder does this itself at least once a second. After `close` it does nothing.
 
         Raises:
             LogWriteError: If the file could not be written.
@@ -386,7 +386,7 @@ class McapRecorder(StepObserver):
         """Write the last rows and finish the file. A second call does nothing.
 
         Raises:
-            LogWriteError: If the file could not be written, and no step raised it before.
+            LogWriteError: If the file could not be written and no step has raised this error yet.
         """
         if self._closed:
             return
@@ -399,7 +399,7 @@ class McapRecorder(StepObserver):
             if self._runs:
                 run = self._runs[-1]
                 if self._calls is run.steps[-1]:
-                    self._calls = []  # an interrupt came right after the step was taken over
+                    self._calls = []  # an interrupt came right after the step was added
                 self._step = max(self._step, run.end)
             self._write_runs()
             if self._gate.open:
@@ -409,17 +409,17 @@ class McapRecorder(StepObserver):
 
 
 class _EpisodeGate:
-    """Open while the leading environment is in every k-th of its episodes, the first included.
+    """Open during every k-th episode of the leading environment, beginning with the first.
 
-    What opens the gate is a reset, and what happened in it belongs to the episode: events of a
-    step are held until it is known whether they are wanted.
+    A reset opens the gate, and the reset's events belong to the new episode. So the events of a
+    step are held back until it is known whether they are recorded.
 
     Args:
         every: k; 1 keeps the gate open.
         lead: The leading environment.
 
     Attributes:
-        open: Whether what happens now is recorded.
+        open: Whether calls are currently recorded.
     """
 
     def __init__(self, every: int, lead: int) -> None:
@@ -430,30 +430,30 @@ class _EpisodeGate:
         self._held: list[EventRecord] = []
 
     def on_physics(self) -> None:
-        """A control step's own physics begins."""
+        """Count a control step; its physics begins."""
         self._steps += 1
         self._in_step = True
 
     def hold(self, event: EventRecord) -> None:
-        """An event fired while the gate was closed."""
+        """Keep an event that fired while the gate was closed."""
         self._held.append(event)
 
     def on_reset(self, env_ids: EnvIndex) -> list[EventRecord] | None:
-        """Environments were reset; returns what `switch` does, unless a step is under way."""
+        """Count episodes of environments that were reset; outside a step, also call `switch`."""
         if (env_ids == self._lead).any():
-            self._episodes += self._steps > 0  # an episode without steps is none
+            self._episodes += self._steps > 0  # an episode without steps does not count
             self._steps = 0
         return None if self._in_step else self.switch()
 
     def switch(self) -> list[EventRecord] | None:
-        """Between two steps: open or close; returns the events that were held if it opens."""
+        """Between two steps: open or close; if it opens, return the events that were held."""
         held, self._held, self._in_step = self._held, [], False
         before, self.open = self.open, self._episodes % self._every == 0
         return held if self.open and not before else None
 
 
 def _of(ids: EnvIndex | None, name: str = "env_ids") -> tuple[ArrayKind, ...]:
-    """The kind of an array of environments; None for nothing."""
+    """The kind of an array of environment indices; empty if `ids` is None."""
     return () if ids is None else (ArrayKind(name, "<i8", ids.shape),)
 
 

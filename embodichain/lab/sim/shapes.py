@@ -1,4 +1,4 @@
-"""Shapes of rigid objects: pure data, full sizes in metres; the compiler makes geometry of them."""
+"""Shapes of rigid objects, as pure data; sizes are full sizes in metres."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = [
 
 @configclass
 class VisualMaterialCfg:
-    """How a surface looks. Only `base_color` reaches MuJoCo's renderer."""
+    """Appearance of a surface. MuJoCo's renderer uses only `base_color`."""
 
     uid: str = "default_mat"
     base_color: list[float] = [1.0, 1.0, 1.0, 1.0]
@@ -104,7 +104,7 @@ class PlaneCfg(ShapeCfg):
 
     shape_type: Literal["Plane"] = "Plane"
     size: Annotated[list[float], Field(min_length=2, max_length=2)] = [0.0, 0.0]
-    """Rendered full edge lengths along x, y in metres; 0 is endless. Collision is infinite."""
+    """Rendered full edge lengths along x, y in metres; 0 is infinite. Collision is infinite."""
 
 
 @configclass
@@ -120,13 +120,13 @@ class LoadOption:
 
 @configclass
 class MeshCfg(ShapeCfg):
-    """A mesh file. It collides by its hull, or by convex parts (`RigidObjectCfg.collision`)."""
+    """A mesh file. Its hull or convex parts collide (`RigidObjectCfg.collision`)."""
 
     shape_type: Literal["Mesh"] = "Mesh"
     fpath: str = ""
-    """A path that `embodichain.data.get_data_path` finds: .obj, .stl, .dae, .glb, .gltf, .ply, .off
-    or .msh. Coordinates are taken as they are, in metres, or by the unit and up axis of .dae. Its
-    colours are drawn unless `visual_material` is given."""
+    """A .obj, .stl, .dae, .glb, .gltf, .ply, .off or .msh file, found by
+    `embodichain.data.get_data_path`. Coordinates are in metres; a .dae file's unit and up axis are
+    applied. Its colours are drawn unless `visual_material` is given."""
     load_option: LoadOption = LoadOption()
     compute_uv: bool = False
     """Accepted for compatibility."""

@@ -1,7 +1,7 @@
 """`TermContext`: what terms and managers use of an environment.
 
-`BaseEnv` satisfies these protocols by its structure. Terms annotate their first argument with
-`TermContext`, so that they depend on what they use and not on the environment's class.
+`BaseEnv` satisfies these protocols structurally. Terms annotate their first argument with
+`TermContext`, so that they do not depend on the environment's class.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Commands(Draws, Protocol):
         ...
 
     def values(self, name: str) -> F64:
-        """(N, K) float64 current command: a live view, not to be written to or stored."""
+        """(N, K) float64 current command: a live view; do not write to it or store it."""
         ...
 
     def get_command(self, name: str) -> torch.Tensor:
@@ -95,7 +95,7 @@ class EditableTerms(Protocol):
         ...
 
     def set_params(self, name: str, params: dict[str, Any], shape: Any = None) -> None:
-        """Build a term anew with other parameters; its state is carried over."""
+        """Rebuild a term with other parameters; its state is carried over."""
         ...
 
 
@@ -109,7 +109,7 @@ class TermContext(ObservedEnv, Protocol):
 
     @property
     def device(self) -> torch.device:
-        """Device of the tensors that are handed out."""
+        """Device of the returned tensors."""
         ...
 
     @property
@@ -144,7 +144,7 @@ class TermContext(ObservedEnv, Protocol):
 
     @property
     def max_episode_steps(self) -> int:
-        """Control steps after which an episode is truncated; 2**31 - 1 is never."""
+        """Control steps after which an episode is truncated; 2**31 - 1 is no limit."""
         ...
 
     @property
@@ -206,5 +206,5 @@ class TermContext(ObservedEnv, Protocol):
         env_ids: EnvIndex | None,
         drawn: Mapping[str, NDArray[Any]] | None = None,
     ) -> None:
-        """Tell observers that a term fired, and what it drew."""
+        """Report to observers that a term fired and what it drew."""
         ...

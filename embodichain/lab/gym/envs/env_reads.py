@@ -35,10 +35,10 @@ class EnvReads:
     """Size, clock, counters, random numbers and scene of N environments.
 
     Attributes:
-        affordance_datas: Values that a task's own code shares; `state_dict` contains only the
-            entries that event terms write.
-        rollout_buffer, action_bank: Always None, `current_rollout_step` 0: names of EmbodiChain's;
-            learners have buffers of their own, and there are no action banks.
+        affordance_datas: Values shared by a task's code; `state_dict` contains only the entries
+            that event terms write.
+        rollout_buffer, action_bank: Always None, and `current_rollout_step` 0: names of EmbodiChain
+            without a function here (learners have their own buffers).
     """
 
     affordance_datas: dict[str, Any]
@@ -95,7 +95,7 @@ class EnvReads:
 
     @property
     def max_episode_steps(self) -> int:
-        """Control steps after which an episode is truncated; 2**31 - 1 is never."""
+        """Control steps after which an episode is truncated; 2**31 - 1 is no limit."""
         return self.episodes.limit
 
     @max_episode_steps.setter
@@ -121,7 +121,7 @@ class EnvReads:
         return to_tensor(self.episodes.last_action)
 
     def truncate(self, env_ids: Any) -> None:
-        """End the episodes of environments with the next step, as truncated.
+        """Truncate the episodes of environments at the next step.
 
         Args:
             env_ids: (n,) which of the N.
@@ -145,8 +145,8 @@ class EnvReads:
     ) -> torch.Tensor:
         """Draw uniformly from [low, high), each environment from its own stream.
 
-        What environment *i* draws depends on the seed, *i*, the name and how often it drew, and on
-        nothing else.
+        The numbers of environment *i* depend only on the seed, *i*, the name and the number of its
+        earlier draws.
 
         Args:
             name: The stream: one name for one purpose.
@@ -192,7 +192,7 @@ class EnvReads:
         return self.sensors[name]
 
     def add_detached_uids_for_reset(self, uids: Sequence[str]) -> None:
-        """Name entities that resets leave where they are.
+        """Exclude entities from the reset of states.
 
         Raises:
             ValueError: If an entity does not exist; lists those that do.
@@ -215,7 +215,7 @@ class EnvReads:
 
     @property
     def judges_success(self) -> bool:
-        """Whether the task says what success is: a metric, a termination, or the class."""
+        """Whether the task defines success: by a metric, a termination, or its class."""
         declared = self.metric_manager.has_success or self.termination_manager.has_success
         return declared or not self.overridden.isdisjoint(("compute_task_state", "evaluate"))
 
@@ -236,7 +236,7 @@ class EnvReads:
         env_ids: EnvIndex | None,
         drawn: Mapping[str, NDArray[Any]] | None = None,
     ) -> None:
-        """Tell observers that a term fired, and what it drew."""
+        """Report to observers that a term fired and what it drew."""
         if self.observers:
             self.observers.on_event(EventRecord(term, mode, env_ids, drawn or {}))
 

@@ -1,6 +1,6 @@
-"""`Episodes`: counters of N environments' episodes, and how they end; autoreset modes.
+"""`Episodes`: counters of the episodes of N environments, and how they end; autoreset modes.
 
-`add_finals` and `zeroed` change what `info` has of an episode that a reset replaced.
+`add_finals` and `zeroed` edit the entries of `info` for environments that autoreset resets.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ Mask = NDArray[np.bool_]
 
 
 class Episodes:
-    """Counts steps and episodes; all arrays may be read, and are written here only.
+    """Counts steps and episodes; its arrays may be read, and are written by its methods only.
 
     Args:
         num_envs: N.
         limit: Control steps after which an episode is truncated, or `NO_LIMIT`.
 
     Attributes:
-        limit: That.
+        limit: Control steps after which an episode is truncated.
         elapsed: (N,) int32 finished control steps of the current episodes.
         ids: (N,) int64 number of the current episode, from 0; -1 before the first reset.
         success: (N,) bool whether the last step was a success.
@@ -86,11 +86,11 @@ class Episodes:
         self.settle(ids)
 
     def _forget(self, ids: NDArray[np.int64]) -> None:
-        self.success = self.success.copy()  # those handed out stay as they are
+        self.success = self.success.copy()  # arrays returned earlier must not change
         self.success[ids] = False
 
     def settle(self, ids: NDArray[np.int64]) -> None:
-        """Environments (n,) were reset explicitly: no reset of theirs is pending."""
+        """Clear the pending reset of environments (n,) that were reset explicitly."""
         if self.pending is not None:
             self.pending[ids] = False
 
@@ -101,7 +101,7 @@ class Episodes:
         self.cut[ids] = True
 
     def over(self) -> Mask:
-        """(N,) episodes that are truncated after this step: at the limit, or cut."""
+        """(N,) episodes that are truncated after this step: at the limit, or by `truncate`."""
         over: Mask = self.elapsed >= np.int32(self.limit)
         if self.cut is not None:
             over |= self.cut
@@ -149,9 +149,9 @@ def parse_mode(mode: AutoresetMode | str) -> AutoresetMode:
 
 
 def seed_globals(env: gym.Env[Any, Any], seed: int) -> None:
-    """Seed what code outside this package may draw from: `np_random` and torch's generator.
+    """Seed the generators that code outside this package may use: `np_random` and torch's.
 
-    Nothing in this package draws from torch's generator; tutorial-like classes do.
+    This package does not draw from torch's generator; users' classes may.
     """
     gym.Env.reset(env, seed=seed if seed >= 0 else seed % 2**64)
     torch.manual_seed(seed % 2**64)
@@ -173,7 +173,7 @@ def zeroed(info: Mapping[str, Any], rows: torch.Tensor) -> dict[str, Any]:
     """Return a copy of ``info`` with some rows of every (N, ...) tensor zeroed, nested ones too.
 
     Args:
-        info: Left as it is, its tensors too.
+        info: Not changed, nor are its tensors.
         rows: (N,) bool.
     """
     copy = dict(info)

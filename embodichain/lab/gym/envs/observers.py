@@ -148,13 +148,13 @@ class StepRecord(NamedTuple):
 
 
 class StepObserver:
-    """Base of everything that watches; override what you need, the rest does nothing.
+    """Base class of observers; the default of every method does nothing.
 
     An observer must not change the environment. Attach it with `BaseEnv.add_observer`.
     """
 
     def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
-        """Environments were reset, explicitly or automatically; their new state is complete.
+        """Called after environments were reset, explicitly or automatically.
 
         Args:
             env: The environment.
@@ -162,19 +162,19 @@ class StepObserver:
         """
 
     def on_write(self, env: ObservedEnv, write: Write) -> None:
-        """Something outside physics was written. ``write.values`` may be live: copy it."""
+        """Called after a write outside physics. ``write.values`` may be a live view: copy it."""
 
     def on_physics(self, env: ObservedEnv, event: PhysicsEvent) -> None:
-        """Physics is about to step, or has just stepped. ``event.rows`` is live: copy it."""
+        """Called before and after physics steps. ``event.rows`` is a live view: copy it."""
 
     def on_event(self, env: ObservedEnv, event: EventRecord) -> None:
         """A term of the event manager fired."""
 
     def on_step(self, env: ObservedEnv, step: StepRecord) -> None:
-        """A control step ended; environments that are done have been reset already."""
+        """Called after a control step; environments that are done have been reset already."""
 
     def on_close(self, env: ObservedEnv) -> None:
-        """The environment closes; nothing follows."""
+        """Called when the environment closes; the last call."""
 
 
 class Observers(list[StepObserver]):

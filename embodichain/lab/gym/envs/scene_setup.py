@@ -1,7 +1,7 @@
-"""A task's scene: `describe` finds every mistake in it, `add_declared_...` build its entities.
+"""The scene of a task: `describe` finds every mistake in it, `add_declared_...` build its entities.
 
 `check_references` finds references of terms to entities that do not exist, `drive_changes` which
-drive gains and link masses events may draw; `frozen_cfg` fills in what follows from other values.
+drive gains and link masses events may draw; `frozen_cfg` fills in derived values.
 Imports no torch: `validate` calls `describe`.
 """
 
@@ -62,7 +62,7 @@ logger = logging.getLogger(__name__)
 
 
 class _Entity(NamedTuple):
-    """One declared entity: its key path, its name (empty: none), its config."""
+    """One declared entity: its key path, its name (empty if none) and its config."""
 
     path: str
     uid: str
@@ -70,7 +70,7 @@ class _Entity(NamedTuple):
 
 
 def _declared(cfg: EnvCfg, *sections: str) -> list[_Entity]:
-    """The entities that some sections of a task declare, in order."""
+    """The entities declared in some sections of a task, in order."""
     entities: list[_Entity] = []
     for section in sections:
         declared: Any = getattr(cfg, section)
@@ -89,18 +89,18 @@ def _declared(cfg: EnvCfg, *sections: str) -> list[_Entity]:
 
 
 def frozen_cfg(cfg: EnvCfg | None, num_envs: int | None = None) -> EnvCfg:
-    """Return a deep copy of a config in which what follows from other fields is filled in.
+    """Return a deep copy of a config with derived fields filled in.
 
     The ``physics`` section goes into ``sim_cfg``, ``decimation`` into ``sim_steps_per_control``,
     ``episode_length_s`` into ``max_episode_steps`` (rounded up to whole control steps), and the
     number of environments into ``sim_cfg``.
 
     Args:
-        cfg: The user's config, left as it is; None is the default one.
-        num_envs: Wins over the config's.
+        cfg: The user's config, not changed; None is the default one.
+        num_envs: Overrides the config's.
 
     Raises:
-        ConfigError: If a value makes no sense; names its key path.
+        ConfigError: If a value is invalid; names its key path.
         NotImplementedError: If an `EmbodiedEnvCfg` declares a camera.
     """
     cfg = copy.deepcopy(cfg) if cfg is not None else EnvCfg()
@@ -121,7 +121,7 @@ def frozen_cfg(cfg: EnvCfg | None, num_envs: int | None = None) -> EnvCfg:
 
 
 def _physics(cfg: EnvCfg) -> SimulationManagerCfg:
-    """The simulation's config with the task's own physics in it; EmbodiChain allows None."""
+    """The simulation config with the task's ``physics`` section; EmbodiChain allows None."""
     given: SimulationManagerCfg | None = cfg.sim_cfg
     sim = SimulationManagerCfg(headless=True) if given is None else dataclasses.replace(given)
     own = {} if cfg.physics is None else vars(cfg.physics)
@@ -132,7 +132,7 @@ def _physics(cfg: EnvCfg) -> SimulationManagerCfg:
 
 
 def _check_numbers(cfg: EnvCfg) -> None:
-    """Check what pydantic has checked of a task in YAML, but not of one in Python."""
+    """Check the numbers of a task made in Python; pydantic checks those of a task in YAML."""
 
     def is_integer(value: Any) -> bool:
         return isinstance(value, int) and not isinstance(value, bool)
@@ -159,15 +159,15 @@ def _check_numbers(cfg: EnvCfg) -> None:
 
 
 def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem]:
-    """Check what a task declares of its scene: files, names, poses, joints, sizes, references.
+    """Check the declared scene of a task: files, names, poses, joints, sizes, references.
 
     Args:
         cfg: The task.
-        prepared: Receives what was read and compiled, for the simulation that is built next.
+        prepared: Receives the files and models that were read, for the simulation built next.
 
     Returns:
-        Every mistake, with paths relative to the task; empty if the scene compiles. A user's
-        mistake raises nothing.
+        Every mistake, with paths relative to the task; empty if the scene compiles. Mistakes of a
+        user are never raised.
     """
     prepared = PreparedScene() if prepared is None else prepared
     entities = _declared(cfg, "robot", "robots", "articulations", "objects", "lights")
@@ -192,7 +192,7 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
     for path, articulation in parsed.items():
         prepared.add_articulation(path, articulation, step, changes.get(articulation.uid, ()))
     parts = physics, [*parsed.values()], objects, lights, sensors
-    try:  # what MuJoCo still refuses, such as a broken mesh file
+    try:  # MuJoCo finds further mistakes, such as a broken mesh file
         prepared.add_scene(compile_scene(*parts), parts)
     except ConfigError as error:
         return list(error.problems)
@@ -200,7 +200,7 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
 
 
 def _check_names(entities: Sequence[_Entity]) -> list[Problem]:
-    """Every entity name that is empty, taken, malformed, or another one than its key."""
+    """Every entity name that is empty, taken, malformed, or different from its key."""
     problems: list[Problem] = []
     taken = {GROUND: "the ground plane"}
     for entity in entities:
@@ -249,13 +249,13 @@ _KEY = re.compile(r"(.*_)?(entity_cfg|cfg|relative_to)|of|from|to")
 def check_references(cfg: EnvCfg, known: Known, open_scene: bool) -> list[Problem]:
     """Return every reference to an entity, joint, link or control part that does not exist.
 
-    A parameter is a reference if it is a `SceneEntityCfg`, or a map with nothing but its keys that
-    has ``uid`` or whose own key says so (``of``, ``from``, ``to``, ``..._cfg``, ``relative_to``).
+    A parameter is a reference if it is a `SceneEntityCfg`, or a map with only its keys that has
+    ``uid`` or is named like one (``of``, ``from``, ``to``, ``..._cfg``, ``relative_to``).
 
     Args:
         cfg: The task.
         known: The declared entities.
-        open_scene: Whether Python code may add entities: an unknown uid is then no mistake.
+        open_scene: Whether Python code may add entities: then an unknown uid is not a mistake.
     """
     problems: list[Problem] = []
     for section, kind in SECTIONS.items():
@@ -299,10 +299,10 @@ def _references(path: str, params: Any) -> Iterator[tuple[str, Mapping[str, Any]
 
 
 def drive_changes(events: Mapping[str, EventCfg]) -> dict[str, list[DriveChange]]:
-    """Return what events may draw for each articulation, by uid; malformed parameters are left out.
+    """Return the drive changes that events may draw, by uid; malformed parameters are left out.
 
-    A term class says so with a class attribute ``drive_ranges``: parameter -> quantity of
-    `DriveChange`. Functions of users' own are not seen.
+    A term class declares them in a class attribute ``drive_ranges``: parameter -> quantity of
+    `DriveChange`. Terms without it, such as functions, are ignored.
 
     Args:
         events: The task's events.
@@ -332,7 +332,7 @@ def drive_changes(events: Mapping[str, EventCfg]) -> dict[str, list[DriveChange]
 def _names(
     fields: Mapping[str, Any], quantity: str, params: Mapping[str, Any]
 ) -> tuple[str, ...] | None:
-    """The patterns of links or joints that are picked; None is all."""
+    """The patterns of the picked links or joints; None is all."""
     if quantity == "mass":
         given = [params.get("link_names") or fields.get("link_names")]
     else:
@@ -342,7 +342,7 @@ def _names(
 
 
 def _operation(params: Mapping[str, Any], quantity: str) -> Any:
-    if quantity == "strength":  # factors, whatever the operation of the other fields
+    if quantity == "strength":  # always factors, unlike the other fields
         return "abs"
     default = "add" if quantity == "mass" and params.get("relative") else "abs"
     return params.get("operation") or default
@@ -365,7 +365,7 @@ def _pair(given: Any) -> tuple[float, float] | None:
 
 
 def _add(sim: SimulationManager, entity: _Entity) -> None:
-    """Add an entity that is not there yet; paths of mistakes start at the root of the config."""
+    """Add an entity if the scene lacks it; key paths of mistakes start at the config's root."""
     path, uid, cfg = entity
     if path != "robot":
         cfg.uid = uid
@@ -385,7 +385,7 @@ def _add(sim: SimulationManager, entity: _Entity) -> None:
 
 
 def _at(path: str, uid: str, error: ConfigError) -> ConfigError:
-    """The same mistakes, with key paths from the root of the config instead of the entity's."""
+    """The error with key paths from the root of the config instead of the entity's."""
     return ConfigError(
         Problem(f"{path}.{p.path.removeprefix(uid).strip('.')}".strip("."), p.message, p.hint)
         for p in error.problems
@@ -393,7 +393,7 @@ def _at(path: str, uid: str, error: ConfigError) -> ConfigError:
 
 
 def add_declared_robots(sim: SimulationManager, cfg: EnvCfg) -> Robot | None:
-    """Add the declared robots that are not there yet; return the first declared one, or None.
+    """Add the declared robots that the scene lacks; return the first declared one, or None.
 
     Raises:
         ConfigError: If a file or a value is wrong; the path is the one in the config.
@@ -405,7 +405,7 @@ def add_declared_robots(sim: SimulationManager, cfg: EnvCfg) -> Robot | None:
 
 
 def add_declared_scene(sim: SimulationManager, cfg: EnvCfg) -> None:
-    """Add declared articulations, objects and lights that are not there yet.
+    """Add the declared articulations, objects and lights that the scene lacks.
 
     Raises:
         ConfigError: If a file or a value is wrong; the path is the one in the config.
@@ -415,7 +415,7 @@ def add_declared_scene(sim: SimulationManager, cfg: EnvCfg) -> None:
 
 
 def add_declared_sensors(sim: SimulationManager, cfg: EnvCfg) -> dict[str, BaseSensor]:
-    """Add declared sensors that are not there yet; return all that are declared, by uid.
+    """Add the declared sensors that the scene lacks; return all declared ones, by uid.
 
     Raises:
         ConfigError: If an entity or a link does not exist; the path is the one in the config.
@@ -431,7 +431,7 @@ def add_declared_sensors(sim: SimulationManager, cfg: EnvCfg) -> dict[str, BaseS
 
 
 def set_extensions(env: object, extensions: dict[str, Any]) -> None:
-    """Make ``extensions`` attributes of an environment.
+    """Set ``extensions`` as attributes of an environment.
 
     Raises:
         ConfigError: If the environment has an attribute of that name already.
@@ -452,9 +452,9 @@ def with_all_problems(error: ConfigError, cfg: EnvCfg, built_by_hooks: bool) -> 
     """Return an error with every mistake of the config, not only the one that stopped the build.
 
     Args:
-        error: What stopped it.
+        error: The error that stopped the build.
         cfg: The task.
-        built_by_hooks: Whether hooks build the scene, so that the config does not show all of it.
+        built_by_hooks: Whether hooks build the scene, so that the config is not all of it.
     """
     problems = list(check_terms(cfg))
     if not built_by_hooks:
@@ -462,12 +462,12 @@ def with_all_problems(error: ConfigError, cfg: EnvCfg, built_by_hooks: bool) -> 
     known = {(p.path, p.message) for p in problems}
     found = [p for p in error.problems if (p.path, p.message) not in known]
     if any(p.path == q.path for p in found for q in problems):
-        found = []  # the same mistake in other words
+        found = []  # the same mistake with another message
     return ConfigError([*problems, *found]) if problems else error
 
 
 def default_actions(robot: Robot | None) -> dict[str, ActionTermCfg]:
-    """Return the action term of an MJCF robot that has actuators of its own; else nothing."""
+    """Return the action term of an MJCF robot with actuators in its file; else an empty dict."""
     if robot is None:
         return {}
     parsed = robot.parsed
