@@ -1,7 +1,7 @@
-"""`PreparedScene`: files that were read and a model that was compiled while a config was checked.
+"""`PreparedScene`: files read and the model compiled while a config was checked.
 
-It is passed from the check to the simulation that is built of the same config, so that nothing is
-read or compiled twice.
+The check passes it to the simulation built from the same config, so that nothing is read or
+compiled twice.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class _Entry:
 class PreparedScene:
     """Parsed articulations and a compiled scene, each for the first simulation of equal config.
 
-    What is taken is no longer kept. Configs are compared by value, files by their time and size.
+    Taking an entry removes it. Configs are compared by value, files by their time and size.
     """
 
     def __init__(self) -> None:
@@ -63,13 +63,13 @@ class PreparedScene:
         step: PhysicsStep,
         changes: Sequence[DriveChange],
     ) -> None:
-        """Store an articulation that has no mistakes.
+        """Store an articulation without mistakes.
 
         Args:
             path: Its key path in the task.
             parsed: The articulation.
-            step: Time step and integrator that it was parsed for.
-            changes: What events may draw for its drives and links.
+            step: Time step and integrator it was parsed for.
+            changes: Values that events may draw for its drives and links.
         """
         entry = _Entry(path, parsed, step, changes, _stamp(parsed))
         self._articulations[parsed.uid] = entry
@@ -77,7 +77,7 @@ class PreparedScene:
     def take_articulation(
         self, uid: str, cfg: ArticulationCfg, step: PhysicsStep, changes: Sequence[DriveChange]
     ) -> ParsedArticulation | None:
-        """Return the articulation that would be parsed of these, or None."""
+        """Return the stored articulation that was parsed from equal arguments, or None."""
         entry = self._articulations.pop(uid, None)
         if entry is None or entry.stamp != _stamp(entry.parsed):
             return None
@@ -86,10 +86,10 @@ class PreparedScene:
         return dataclasses.replace(entry.parsed, cfg=cfg)
 
     def settle_armature(self) -> dict[str, dict[str, float]]:
-        """Take the armature that limited drives were given into the articulations' configs.
+        """Write the armature that was added for limited drives into the articulations' configs.
 
         Returns:
-            Path of the articulation in the task -> joint -> its armature, kg m^2 or kg.
+            Key path of the articulation in the task -> joint -> armature, kg m^2 or kg.
         """
         found: dict[str, dict[str, float]] = {}
         for uid, entry in self._articulations.items():
@@ -105,16 +105,16 @@ class PreparedScene:
     # -- the scene ---------------------------------------------------------------------------------
 
     def add_scene(self, scene: CompiledScene, parts: SceneParts) -> None:
-        """Store the scene that was compiled of these arguments of `compile_scene`."""
+        """Store the scene that `compile_scene` made from these arguments."""
         self._scene = [parsed.spec for parsed in parts[1]], _scene_key(parts), scene
 
     def take_scene(self, parts: SceneParts) -> CompiledScene | None:
-        """Return the scene that would be compiled of these arguments, or None."""
+        """Return the stored scene that was compiled from equal arguments, or None."""
         found, self._scene = self._scene, None
         if found is None:
             return None
         specs, key, scene = found
-        # Specs compare by identity: two that were read of one file are not the same.
+        # Specs compare by identity: two read from one file are not equal.
         same = len(specs) == len(parts[1]) and all(
             spec is parsed.spec for spec, parsed in zip(specs, parts[1], strict=True)
         )
@@ -136,7 +136,7 @@ def _stamp(parsed: ParsedArticulation) -> tuple[int, int]:
 
 
 def _key(value: Any) -> Any:
-    """A config as nested tuples; a `uid` is left out, because sections set it."""
+    """A config as nested tuples, without `uid`, which the sections of a task set."""
     if isinstance(value, FileFirst):
         return "file first", float(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

@@ -1,7 +1,7 @@
-"""Names of EmbodiChain's that exist here and raise NotImplementedError with the reason.
+"""Names of EmbodiChain that are not available: they raise NotImplementedError with the reason.
 
 Objects and their configs raise when they are built, methods when they are called. Some methods of
-the simulation return what is true here without them, such as that there is no gizmo.
+the simulation return a constant instead, such as that there is no gizmo.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ SIMULATION_ANSWERS: Mapping[str, tuple[Any, str]] = {
     "is_window_recording": (False, "windows are not recorded"),
     "get_texture_cache": (None, _TEXTURE),
 }
-"""Method of `SimulationManager` -> what it always returns, and why."""
+"""Method of `SimulationManager` -> its constant return value, and why."""
 
 SIMULATION_REFUSALS: Mapping[str, str] = {
     "add_soft_object": "soft bodies come later",
@@ -116,7 +116,7 @@ class _Unavailable:
 
 
 def _refusing(name: str, why: str) -> tuple[type[_Unavailable], type[_Unavailable]]:
-    """Return a class and that of its config."""
+    """Return an unavailable class and its config class."""
     members = {"__doc__": why, "__module__": __name__}
     return type(name, (_Unavailable,), members), type(f"{name}Cfg", (_Unavailable,), members)
 

@@ -1,4 +1,4 @@
-"""Sensors: contacts, inertial measurements, joint forces. Cameras have configs only."""
+"""Sensors: contacts, inertial measurements, joint forces. Cameras have only configs so far."""
 
 from typing import TYPE_CHECKING
 

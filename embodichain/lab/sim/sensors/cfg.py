@@ -26,9 +26,9 @@ __all__ = [
 
 @configclass
 class LinksCfg:
-    """An entity and, optionally, links of it.
+    """An entity and, optionally, some of its links.
 
-    The order of links is the entity's own unless `preserve_order`, then that of the patterns.
+    Links are in the entity's order, or with `preserve_order` in the order of the patterns.
     """
 
     uid: str = ""
@@ -47,7 +47,7 @@ class SensorCfg:
     entity_cfg: LinksCfg = LinksCfg()
     """The links it is fixed on."""
     observe: bool = False
-    """Whether ``obs["sensor"][uid]`` holds its data; terms can read it in either case."""
+    """Whether ``obs["sensor"][uid]`` contains its data; terms can read it in either case."""
 
     @classmethod
     def from_dict(cls, init_dict: dict[str, Any]) -> SensorCfg:
@@ -66,7 +66,7 @@ class SensorCfg:
 
 @configclass
 class ContactSensorCfg(SensorCfg):
-    """Which links are touched, and the net contact force on each."""
+    """Contact of links: whether each is touched, and the net contact force on it."""
 
     sensor_type: Literal["contact"] = "contact"
     against: LinksCfg | None = None
@@ -81,7 +81,7 @@ class ImuSensorCfg(SensorCfg):
     pos: Vec3 = (0.0, 0.0, 0.0)
     """Its position, metres in the link's frame."""
     quat: Quat = (1.0, 0.0, 0.0, 0.0)
-    """How it is turned, wxyz in the link's frame."""
+    """Its orientation, wxyz in the link's frame."""
 
 
 @configclass
@@ -105,7 +105,7 @@ _READINGS = {
 
 
 def readings(cfg: SensorCfg) -> tuple[str, ...]:
-    """Return the names of what a sensor's `get_data` gives."""
+    """Return the names of the entries of a sensor's `get_data`."""
     return _READINGS.get(cfg.sensor_type, ())
 
 
@@ -117,7 +117,7 @@ AnySensorCfg = Annotated[
 
 @configclass
 class _OffsetCfg:
-    """A pose in the frame of a link, or of the environment without one."""
+    """A pose in the frame of a link, or without one in the environment's frame."""
 
     pos: Vec3 = (0.0, 0.0, 0.0)
     quat: Quat = (1.0, 0.0, 0.0, 0.0)
@@ -128,7 +128,7 @@ class _OffsetCfg:
 
 @configclass
 class _ExtrinsicsCfg(_OffsetCfg):
-    """Where a camera is: a pose, or the point it looks at."""
+    """Pose of a camera, given directly or by eye and target points."""
 
     eye: Vec3 | None = None
     target: Vec3 | None = None
@@ -173,7 +173,7 @@ class StereoCameraCfg(CameraCfg):
 
 
 def no_camera(cfg: Any) -> NotImplementedError:
-    """Return the error of a camera that is to be built."""
+    """Return the error for building a camera."""
     return NotImplementedError(
         f"sensor {cfg.uid!r}: cameras are not available yet ({type(cfg).__name__}); leave it out. "
         "Pictures: SimulationManager.render, the event record_camera_data"
