@@ -162,7 +162,7 @@ class MetricManager(Manager[MetricCfg]):
 
     def __init__(self, env: TermContext, cfgs: Mapping[str, MetricCfg]) -> None:
         super().__init__(env, "metrics", "metric", cfgs)
-        # Arrays (N,), replaced and never written to: those handed out stay as they are.
+        # Arrays (N,), replaced and never written to: returned ones must not change.
         self._so_far: dict[str, NDArray[Any]] = {
             name: np.full(self.num_envs, start, dtype)
             for name, _, dtype, _, start, _ in self._calls
@@ -259,7 +259,7 @@ class RewardManager(Manager[RewardCfg]):
         weights = {name: float(cfg.weight) for name, cfg in cfgs.items()}
         self.weights: Mapping[str, float] = MappingProxyType(weights)
         super().__init__(env, "rewards", "reward", cfgs)
-        # Arrays (T, N), replaced and never written to: those handed out stay as they are.
+        # Arrays (T, N), replaced and never written to: returned ones must not change.
         self._sums: F32 = np.zeros((len(self.terms), self.num_envs), np.float32)
         self._sums_before = self._sums
         self._names = tuple(self.terms)

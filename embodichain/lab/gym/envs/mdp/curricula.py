@@ -191,7 +191,7 @@ class ModifyTermParam(Term):
 
     @classmethod
     def check_task(cls, task: EnvCfg, params: Mapping[str, Any], allow_import: bool) -> Any:
-        """Mistakes that only the whole task shows: the term, its parameter, the value's type."""
+        """Return mistakes that depend on the whole task: term, parameter, type of the value."""
         section = params["section"]
         problems = _check_name(section, task, params)
         if problems:
