@@ -1,4 +1,4 @@
-"""`open` a log: `Log` is all that can be asked of one, snapshots for `BaseEnv.restore` included."""
+"""`open` and `Log`: reading a log, including snapshots for `BaseEnv.restore`."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ _CONTROLS = frozenset({"ctrl", "qfrc_applied", "xfrc_applied"})
 
 
 def open(path: str | Path, simulate: bool = False) -> Log:
-    """Open a log; its messages are read when they are asked for. Close it, or use `with`.
+    """Open a log; its messages are read on demand. Close it, or use `with`.
 
-    A broken file is read up to where it is good: `complete` is False, and `warnings` says why.
+    A broken file is read up to the first damage: `complete` is False, and `warnings` says why.
 
     Args:
-        path: A log, the manifest of one in several files, or the folder of a run. The first file
-            of several stands for all of them; any other is opened alone.
-        simulate: Whether states between the keyframes of a log with `record.state=keyframes` are
-            simulated again, from the file alone. Without it only keyframes are read.
+        path: A log, the manifest of a log in several files, or the folder of a run. The first of
+            several files opens all of them; any other is opened alone.
+        simulate: With `record.state=keyframes`: whether states between keyframes are simulated
+            again, from the file alone. Otherwise only keyframes are read.
 
     Raises:
         ConfigError: If the file is missing, empty or not MCAP.
-        LogError: If it is not a log of embodichain's.
+        LogError: If it is not an embodichain log.
     """
     return Log(path, simulate)
 
@@ -48,20 +48,20 @@ class Log(RecordedLog):
     Attributes:
         path: The file.
         reader: The file's chunks, channels and messages.
-        header: What was recorded and how: task, seed, num_envs, time steps, layout of states.
+        header: Metadata: task, seed, num_envs, time steps, layout of states, options.
     """
 
     def snapshot(self, env: int, episode: int | None = None, step: int | None = None) -> Snapshot:
-        """One environment before a control step: `env.restore(log, ...)` goes on from there.
+        """The state of one environment before a control step, for `env.restore(log, ...)`.
 
         Args:
             env: The environment.
             episode: One of its episodes; None counts steps from the start of the recording.
-            step: Finished control steps, from the start of the episode or of the recording; None
-                is 0.
+            step: Number of finished control steps since the start of the episode or recording;
+                None is 0.
 
         Raises:
-            ConfigError: If there is no such moment in the log.
+            ConfigError: If the log does not contain this step.
             LogError: If the log has no states, or is damaged there.
         """
         self.header.require_states(self.path)
@@ -92,7 +92,7 @@ class Log(RecordedLog):
 def _moment(
     log: RecordedLog, env: int, episode: int | None, step: int | None
 ) -> tuple[LogEpisode, int]:
-    """The episode that is meant, and the control step that comes next, from the log's start."""
+    """The selected episode, and the next control step, counted from the log's start."""
     span_of(log, env, episode)  # raises if there is none
     mine = [e for e in log.episodes if e.env == env]
     if not mine:
@@ -120,7 +120,7 @@ def _moment(
 
 
 def _state(log: RecordedLog, env: int, step: int) -> tuple[F64, dict[str, NDArray[Any]]]:
-    """(nstate,) row before a control step, and model fields."""
+    """(nstate,) row before a control step, and the model fields."""
     follower = follower_of(log, env)
     for number, call, t in _calls_before(log, step, max(step - 1, log.header.first_step)):
         if isinstance(call, Run):
@@ -135,12 +135,12 @@ def _state(log: RecordedLog, env: int, step: int) -> tuple[F64, dict[str, NDArra
 
 
 def _calls_before(log: RecordedLog, step: int, first: int) -> Iterator[tuple[int, Call | Run, int]]:
-    """Yield starts and calls that come before the action of a control step is written.
+    """Yield the starts and calls before the action of a control step is written.
 
     Args:
         log: The log.
         step: The control step.
-        first: The step from which on they are wanted; earlier ones may come.
+        first: The first step that is needed; earlier ones may be yielded too.
     """
     for run in runs(log.reader, Span(first, step)):
         if run.of_kind("start"):
@@ -156,10 +156,10 @@ def _calls_before(log: RecordedLog, step: int, first: int) -> Iterator[tuple[int
 
 
 def _before_action(log: RecordedLog, run: Run) -> int:
-    """How many calls of a step come before its action is written.
+    """The number of calls of a step before its action is written.
 
-    Normally none. A reset that was asked for between two steps, as the first always is, ends with
-    an event, or with a write to something else than controls.
+    Usually 0. The calls of a reset between two steps, as the first reset always is, end with an
+    event, or with a write to something other than controls.
     """
     end = own_physics(log.reader, run) if run.steps else len(run.calls)
     marks = [i for i in range(end) if _precedes_action(run.calls[i])]
@@ -172,9 +172,9 @@ def _precedes_action(call: Call) -> bool:
 
 
 def _history(log: RecordedLog, env: int, step: int) -> tuple[tuple[Drawn, ...], bool]:
-    """What terms drew for an environment since its reset, of each term the last.
+    """The last draw of each term for an environment since its reset.
 
-    Also whether it was reset before the first control step of the log.
+    Also returns whether the environment was reset before the first control step of the log.
     """
     found: dict[tuple[str, str], Drawn] = {}
     begins = False

@@ -1,4 +1,4 @@
-"""`LogArrays`: what was read from a log, as numpy, torch or a pandas frame; `gather` reads it."""
+"""`LogArrays`: arrays read from a log, as numpy, torch or a pandas frame; `gather` reads them."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ OUTCOMES = {
     "truncated": ("truncated", np.bool_),
     "episodes": ("episode_ids", np.int64),
 }
-"""Field to the array of a ``step`` call that it is, and its type."""
+"""Field to its array in a ``step`` call, and its type."""
 
 _Part = tuple[Run, NDArray[np.int64], Mapping[str, F64]]
-"""A run, which of its steps, and components of the rows in them: (T, n, k)."""
+"""A run, indices of T of its steps, and components of their rows: (T, n, k)."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,8 @@ class LogArrays:
     Attributes:
         steps: (T,) control steps, counted from the start of the recording.
         env_ids: (N,) environments.
-        control_dt: Seconds a control step.
-        columns: Field to name and unit of its columns; one of them for fields that are (T, N).
+        control_dt: Length of a control step in seconds.
+        columns: Field to name and unit of its columns; a single one for fields of shape (T, N).
         values: Field to array, time first, environments second.
     """
 
@@ -64,7 +64,7 @@ class LogArrays:
         """The array of a field.
 
         Raises:
-            ConfigError: If it was not read.
+            ConfigError: If the field was not read.
         """
         if field not in self.values:
             hint = did_you_mean(field, self.values)
@@ -76,7 +76,7 @@ class LogArrays:
         return iter(self.values)
 
     def __len__(self) -> int:
-        """T."""
+        """Number of control steps T."""
         return len(self.steps)
 
     def names(self, field: str) -> list[str]:
@@ -89,7 +89,7 @@ class LogArrays:
         return self.steps.astype(np.float64) * np.float64(self.control_dt)
 
     def torch(self) -> dict[str, torch.Tensor]:
-        """The same arrays as tensors, which share their memory."""
+        """The arrays as tensors that share their memory."""
         import torch
 
         return {field: torch.from_numpy(values) for field, values in self.values.items()}
@@ -129,14 +129,14 @@ def gather(
 
     Args:
         reader: The log.
-        rows: Of the environments that are wanted; followed where a component is read.
-        span: The control steps. Those whose rows are not known are left out where a component of
-            them is read.
+        rows: Rows of the selected environments; followed only if a component of rows is read.
+        span: The control steps. If a component of rows is read, steps with unknown rows are left
+            out.
         names: Components of rows, and keys of `OUTCOMES`.
         columns: Columns of each field.
 
     Raises:
-        LogError: If the log says what cannot be.
+        LogError: If the log is inconsistent.
     """
     layout, ids = reader.require_header().layout, rows.env_ids
     slices = {name: slice(*layout[name]) for name in names if name in layout}
@@ -172,7 +172,7 @@ def gather(
 def _parts(
     reader: LogReader, rows: Rows, span: Span, slices: Mapping[str, slice], with_outcomes: bool
 ) -> Iterator[_Part]:
-    """The steps of a span, those of each run together; of each only what is needed is read."""
+    """The steps of a span, grouped by run; reads only the needed components."""
     if not slices:
         for run in runs(reader, span, outcomes):
             index = _within(run, span)
@@ -199,7 +199,7 @@ def _parts(
 def _received(
     reader: LogReader, rows: Rows, run: Run, span: Span, slices: Mapping[str, slice]
 ) -> tuple[NDArray[np.int64], Mapping[str, F64]]:
-    """Which steps of a run are known and wanted, and what physics received in them."""
+    """Indices of a run's known steps within the span, and the input of their physics."""
     together = None
     if run.steps > 1 and not isinstance(rows, Simulation):
         together = stacked(reader, rows, run, slices)
@@ -216,13 +216,13 @@ def _received(
 
 
 def _within(run: Run, span: Span) -> NDArray[np.int64]:
-    """Numbers of those steps of a run that are wanted."""
+    """Indices of the steps of a run that are in the span."""
     last = sys.maxsize if span.last is None else span.last
     return np.arange(max(span.first - run.first, 0), min(last - run.first + 1, run.steps))
 
 
 def first_step(reader: LogReader, span: Span) -> int | None:
-    """Return the first of some steps that is in a log; None if none is.
+    """Return the first step of a span that is in a log; None if there is none.
 
     Raises:
         LogError: If a message is damaged.

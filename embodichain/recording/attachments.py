@@ -1,6 +1,6 @@
-"""What a log carries beside its messages, so that it can be read and replayed alone.
+"""Attachments of a log, with which it can be read and replayed without other files.
 
-The model, the scene, the config, and where the log was made: written here, and read again.
+Writes and reads the model, the scene, the config, and versions of the recording machine.
 """
 
 from __future__ import annotations
@@ -43,30 +43,30 @@ Attachment = tuple[str, str, bytes]
 """Name, media type and content."""
 
 MODEL = "model.mjb.zst"
-"""Attachment with the compiled model, compressed by zstd."""
+"""Name of the attachment with the compiled model, compressed by zstd."""
 _LARGEST_MODEL = 2**31
-"""Bytes; a larger model is not unpacked."""
+"""Bytes; larger models are not unpacked."""
 
 _DRAWN = {"qpos", "qvel", "mocap_pos", "mocap_quat", "ctrl"}
-"""Components that are drawn, exported or named by the model."""
+"""Components that are drawn or exported, or have column names from the model."""
 _DECIDES = {"cpu": "processor", "platform": "platform"}
-"""Entries of versions.json, beside MuJoCo's, on which bits of physics may depend."""
+"""Entries of versions.json, besides MuJoCo's, on which the bits of physics may depend."""
 
 
 def model_bytes(model: mujoco.MjModel) -> bytes:
-    """The compiled model in MuJoCo's binary format, exact to the bit."""
+    """The compiled model in MuJoCo's binary format, which is exact."""
     buffer = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, buffer)
     return buffer.tobytes()
 
 
 def model_digest(mjb: bytes) -> str:
-    """Names a model in the log's metadata."""
+    """Digest that identifies a model in the log's metadata."""
     return blake2b(mjb, digest_size=16).hexdigest()
 
 
 def unpack_model(data: bytes) -> bytes:
-    """What `model_bytes` made, out of the attachment `MODEL`.
+    """Decompress the attachment `MODEL` to the bytes of `model_bytes`.
 
     Raises:
         LogError: If it is damaged, or too large.
@@ -81,16 +81,16 @@ def unpack_model(data: bytes) -> bytes:
 
 
 def load_mjb(data: bytes) -> mujoco.MjModel:
-    """Load what `model_bytes` made.
+    """Load a model from the bytes of `model_bytes`.
 
     Raises:
-        ValueError: If this MuJoCo does not read it.
+        ValueError: If this version of MuJoCo cannot read it.
     """
     return mujoco.MjModel.from_binary_path("model.mjb", {"model.mjb": data})
 
 
 def cpu_name() -> str:
-    """Name of this machine's processor, as far as it tells."""
+    """Name of this machine's processor, if it is known."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -109,10 +109,10 @@ def attachments_of(
     """Every attachment of a log.
 
     Args:
-        mjb: The model, of `model_bytes`.
+        mjb: The model, from `model_bytes`.
         spec: The scene, if it is known.
         config: The resolved config as YAML text.
-        overrides: The command line's, a list or YAML text.
+        overrides: Overrides of the command line, a list or YAML text.
         layout: The viewers' layout.
     """
     if not isinstance(overrides, str):
@@ -136,14 +136,14 @@ def attachments_of(
 
 
 def exact_model(header: Header, packed: bytes) -> mujoco.MjModel:
-    """The recorded model, to the bit: for the same version of MuJoCo.
+    """The exact recorded model; needs the same version of MuJoCo.
 
     Args:
         header: The log's metadata.
         packed: Its attachment `MODEL`.
 
     Raises:
-        LogError: It is another model, or this MuJoCo does not read it.
+        LogError: If its digest is wrong, or this version of MuJoCo cannot read it.
     """
     mjb = unpack_model(packed)
     if model_digest(mjb) != header.model:
@@ -157,10 +157,10 @@ def exact_model(header: Header, packed: bytes) -> mujoco.MjModel:
 
 
 def model_to_simulate(header: Header, attachment: Callable[[str], bytes]) -> mujoco.MjModel:
-    """The model with which a log is simulated to the bit; `attachment` returns one by name.
+    """The model for exact simulation of a log; `attachment` returns an attachment by name.
 
     Raises:
-        LogError: If it cannot be with this MuJoCo, or the model is damaged.
+        LogError: If this version of MuJoCo cannot simulate it exactly, or the model is damaged.
     """
     if header.mujoco_version != mujoco.__version__:
         raise LogError(f"need mujoco=={header.mujoco_version}, this is {mujoco.__version__}")
@@ -168,15 +168,16 @@ def model_to_simulate(header: Header, attachment: Callable[[str], bytes]) -> muj
 
 
 def approximate_model(header: Header, mjz: bytes) -> mujoco.MjModel:
-    """The model compiled from the scene's XML, which has six digits: for another version.
+    """The model compiled from the scene's XML (six digits), for other versions of MuJoCo.
 
     Args:
         header: The log's metadata.
         mjz: Its attachment scene.mjz.
 
     Raises:
-        LogError: It cannot be compiled, or a component of its state has another size. What only
-            one of the versions has makes no difference to what is read; `check_rows` minds it.
+        LogError: If it cannot be compiled, or a component of its state has another size.
+            Components that only one version has do not matter for reading; `check_rows` checks
+            them.
     """
     try:
         model = load_mjz(mjz)
@@ -191,10 +192,10 @@ def approximate_model(header: Header, mjz: bytes) -> mujoco.MjModel:
 
 
 def check_rows(header: Header, model: mujoco.MjModel) -> None:
-    """Check that a log's rows are those of a model's state, column by column.
+    """Check that a log's rows have the same columns as a model's state.
 
     Raises:
-        LogError: They are not.
+        LogError: If they have not.
     """
     size = mujoco.mj_stateSize(model, int(mujoco.mjtState.mjSTATE_INTEGRATION))
     if size != header.nstate:
@@ -207,7 +208,7 @@ def check_rows(header: Header, model: mujoco.MjModel) -> None:
 
 
 def what_differs(header: Header, versions: bytes | None) -> list[str]:
-    """What decides bits of physics and is another here than where the log was made, a line each.
+    """Differences to the recording machine on which the bits of physics may depend, a line each.
 
     Args:
         header: The log's metadata.

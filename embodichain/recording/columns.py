@@ -1,10 +1,11 @@
-"""Columns of a state row: which of them physics writes, and what each is called.
+"""Columns of a state row: which of them physics writes, and their names.
 
-Inputs (controls, applied forces, mocap poses...) are columns that physics reads and never writes.
-They follow from a start and the writes since, so what physics returns is recorded without them.
+Inputs (ctrl, applied forces, mocap poses...) are columns that physics reads and never writes. They
+are known from a start and the writes after it, so results of physics are recorded without them.
 
-Names are the model's: ``arm/shoulder`` for a joint with one coordinate, ``cube/free.qw`` for a
-coordinate of one with several, ``goal.x`` for a mocap body. SI units, radians, quaternions wxyz.
+Names are from the model: ``arm/shoulder`` for a joint with one coordinate, ``cube/free.qw`` for a
+coordinate of a joint with several, ``goal.x`` for a mocap body. Units are SI and radians,
+quaternions wxyz.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _INPUTS = frozenset(
 
 
 def moved_ranges(layout: Mapping[str, slice]) -> Ranges:
-    """Columns of whole rows that physics may write; at least one range, if perhaps empty."""
+    """Columns of full rows that physics may write; at least one range, possibly empty."""
     nstate = max(columns.stop for columns in layout.values())
     keep = np.ones(nstate + 1, np.bool_)
     for name in _INPUTS & layout.keys():
@@ -48,15 +49,15 @@ def moved_ranges(layout: Mapping[str, slice]) -> Ranges:
 
 
 class Moved:
-    """The columns that physics writes, side by side as its results have them.
+    """The columns that physics writes; a result of physics is recorded as just these columns.
 
     Args:
-        ranges: Of whole rows.
+        ranges: The columns, as ranges within full rows.
 
     Attributes:
-        spans: Columns of whole rows, and their places in results.
-        width: Columns of a result.
-        columns: (width,) columns of whole rows.
+        spans: Columns of full rows, and their places in results.
+        width: Number of columns of a result.
+        columns: (width,) columns of full rows.
     """
 
     def __init__(self, ranges: Sequence[tuple[int, int]]) -> None:
@@ -76,7 +77,7 @@ class Moved:
         return out
 
     def find(self, columns: slice) -> slice | None:
-        """Places of columns of whole rows in results; None if physics does not write them."""
+        """Places in results of columns of full rows; None if physics does not write them."""
         for here, there in self.spans:
             if here.start <= columns.start and columns.stop <= here.stop:
                 at = there.start - here.start
@@ -97,7 +98,7 @@ class Column(NamedTuple):
 
     name: str
     unit: str
-    """Empty where it has none: quaternions, flags, controls of unknown meaning."""
+    """Empty if it has none: quaternions, flags, ctrl of actuators that are not servos."""
 
 
 _QUAT = tuple((f"q{axis}", "") for axis in "wxyz")
@@ -133,14 +134,14 @@ _ACCELERATIONS = {
     kind: tuple((f"a{part[1:]}" if part[:1] == "v" else part, f"{unit}^2") for part, unit in parts)
     for kind, parts in _QVEL.items()
 }
-# Of actuators that are not servos only the transmission is known, not what a control means.
+# The unit of ctrl is known for position servos only.
 _SERVO = {_SLIDE: "m", _HINGE: "rad"}
 
 
 def state_columns(
     model: mujoco.MjModel, layout: Mapping[str, tuple[int, int]]
 ) -> dict[str, list[Column]]:
-    """Name and unit of every column of every component that has any.
+    """Name and unit of every column, by component; without empty components.
 
     Args:
         model: The recorded model.
@@ -163,7 +164,7 @@ def state_columns(
         if stop <= start:
             continue
         named = list(makers[component]()) if component in makers else []
-        if len(named) != stop - start:  # a component whose columns have no names of their own
+        if len(named) != stop - start:  # a component without names for its columns
             named = [Column(str(i), "") for i in range(stop - start)]
         found[component] = named
     return found

@@ -1,4 +1,4 @@
-"""What a log tells beside states and steps: events, writes, and metrics of viewed environments."""
+"""Content of a log besides states and steps: events, writes, metrics of viewed environments."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class LogEvent:
     """A term of the event manager fired.
 
     Attributes:
-        step: Control step: how many were finished before.
+        step: Number of control steps finished before.
         term: The term.
         mode: ``startup``, ``reset``, ``interval``, ``command``.
-        env_ids: (n,) where; None is everywhere.
-        drawn: What it drew: name to (n, ...) array.
+        env_ids: (n,) environments; None is all.
+        drawn: Drawn values: name to (n, ...) array.
     """
 
     step: int
@@ -45,12 +45,12 @@ class LogWrite:
     """A write to the simulation outside physics.
 
     Attributes:
-        step: Control step: how many were finished before.
+        step: Number of control steps finished before.
         op: ``state``, ``model``, ``reset`` or ``set_const``, as in `lab.sim.engine.api.Write`.
         field: Component of the state, or model field; empty for ``set_const``.
         env_ids: (n,) environments; None is all.
         columns: (k,) columns within the field, or a slice of them.
-        values: (n, k) values; of a ``reset`` the rows that it left; None for ``set_const``.
+        values: (n, k) values; for ``reset`` the resulting rows; None for ``set_const``.
     """
 
     step: int
@@ -97,7 +97,7 @@ def _calls(reader: LogReader, kind: str) -> Iterator[tuple[int, CallKind, dict[s
 def read_metrics(
     reader: LogReader, env: int
 ) -> tuple[NDArray[np.int64], dict[str, NDArray[np.float64]]]:
-    """Sampled steps (S,), and name to (S,) values, of an environment; empty if it has none.
+    """(S,) sampled steps of an environment, and name to (S,) values; empty if it has none.
 
     Raises:
         LogError: If a message or the schema is damaged.

@@ -1,4 +1,4 @@
-"""The options of a recorder. Pure data: no file is opened here."""
+"""The options of a recorder."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ COMPRESSIONS = ("zstd", "lz4", "none")
 
 @dataclass(frozen=True, slots=True)
 class RecordOptions:
-    """How much is recorded, and how it is packed."""
+    """What is recorded, and how it is compressed."""
 
     state: str = "all"
-    """``all``: everything that replay needs, of every environment. ``keyframes``: the same with
-    states only every `keyframe_every` steps; what is between is simulated again. ``none``: only
-    what people look at; such a file cannot be verified."""
+    """``all``: everything that replay needs, for every environment. ``keyframes``: the same, but
+    with states only every `keyframe_every` steps; states in between are simulated again. ``none``:
+    only the channels for viewers and the ends of episodes; such a log cannot be verified."""
     view_envs: Sequence[int] = (0,)
-    """Environments whose poses, joints and metrics viewers show."""
+    """Environments that viewers show: poses, joints and metrics."""
     view_hz: float = 10.0
-    """How often they are sampled, in 1/s of simulated time; at most once a control step."""
+    """Sampling rate of `view_envs` in 1/s of simulated time; at most once a control step."""
     compression: str = "zstd"
     """``zstd`` with its fastest strategy, ``lz4`` or ``none``."""
     keyframe_every: int = 100
-    """Control steps from one state to the next with ``keyframes``."""
+    """Number of control steps between states with ``keyframes``."""
     every: int = 1
-    """k records every k-th episode of the first viewed environment (of environment 0 without one),
-    and meanwhile all environments; in between only how episodes end."""
+    """k: record all environments during every k-th episode of the first viewed environment (or of
+    environment 0 if none is viewed); at other times, record only how episodes end."""
     max_mb: float | None = None
-    """Megabytes (10^6 bytes) after which the log goes on in another file; None: never."""
+    """Size in megabytes (10^6 bytes) at which a new file is begun; None: no limit."""
 
 
 def check_options(options: RecordOptions, num_envs: int) -> None:

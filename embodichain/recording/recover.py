@@ -1,6 +1,6 @@
-"""`recover`: what can be read of a broken log, as a clean file with an index.
+"""`recover`: copies the readable part of a broken log to a new file with an index.
 
-The broken file is only read, and nothing that exists is overwritten.
+The broken file is not changed, and no existing file is overwritten.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ __all__ = ["Recovery", "recover"]
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What was saved.
+    """Result of `recover`.
 
     Attributes:
         source: The broken file.
-        path: The new one.
-        messages: Messages in it.
-        steps: Whole control steps in it.
+        path: The new file.
+        messages: Number of messages in the new file.
+        steps: Number of complete control steps in it.
         attachments: Names of its attachments.
         nbytes: Its size.
-        damage: Why the source ends there; empty if it was whole.
-        lost_bytes: Bytes of the source behind the last block that was read.
+        damage: Why the source could not be read further; empty if it was complete.
+        lost_bytes: Bytes of the source after the last block that was read.
     """
 
     source: Path
@@ -51,18 +51,18 @@ class Recovery:
 
 
 def recover(source: str | Path, target: str | Path) -> Recovery:
-    """Copy a log up to where it is good: messages, attachments and metadata, with a new index.
+    """Copy a log up to the first damage: messages, attachments and metadata, with a new index.
 
-    One that consists of several files becomes one file.
+    A log in several files becomes one file.
 
     Args:
-        source: A log that was cut or damaged; a whole one is copied.
-        target: A new file. It appears under this name when it is complete.
+        source: A log that was cut or damaged; a complete one is copied.
+        target: A new file. It gets this name when it is complete.
 
     Raises:
-        ConfigError: If `source` is no log, or `target` exists or cannot be made.
-        LogError: If not even the metadata of `source` can be read.
-        OSError: If the new file cannot be written; nothing is left of it.
+        ConfigError: If `source` is not a log, or `target` exists or cannot be created.
+        LogError: If the metadata of `source` cannot be read.
+        OSError: If the new file cannot be written; the partial file is removed.
     """
     source, target = first_file(source), Path(target)
     with LogReader(source) as reader:
@@ -84,7 +84,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
 
 
 class _Copy:
-    """Writes what a reader finds."""
+    """Copies what a reader finds to a new file."""
 
     def __init__(self, reader: LogReader, writer: Any) -> None:
         self._reader, self._writer = reader, writer
@@ -98,7 +98,7 @@ class _Copy:
         """Copy up to the first damage, and close the file.
 
         Raises:
-            LogError: If there is no metadata, or a channel is not a log's.
+            LogError: If there is no metadata, or a channel does not belong to a log.
         """
         reader, writer = self._reader, self._writer
         header = reader.require_header()
@@ -127,7 +127,7 @@ class _Copy:
         writer.finish()
 
     def _attach(self, name: str) -> bool:
-        """Copy an attachment; whether it is good."""
+        """Copy an attachment; return whether it is undamaged."""
         try:
             found = self._reader.attachment_record(name)
         except LogError:
@@ -141,7 +141,7 @@ class _Copy:
         """The new file's channel of a topic.
 
         Raises:
-            LogError: If it is not one of a log.
+            LogError: If it is not a topic of a log.
         """
         if topic not in self._channels:
             channel = next(c for c in self._reader.channels.values() if c.topic == topic)

@@ -1,4 +1,4 @@
-"""`inspect`: what is in a log, gathered in one pass over it."""
+"""`inspect`: a summary of a log, gathered in one pass over it."""
 
 from __future__ import annotations
 
@@ -32,18 +32,18 @@ class ChannelInfo:
 
 @dataclass(frozen=True, slots=True)
 class LogSummary:
-    """What is in a log.
+    """Summary of a log.
 
     Attributes:
         path: The file.
-        nbytes: Its size, that of all its files.
-        header: What was recorded and how.
-        channels: By topic.
-        steps: Control steps.
+        nbytes: Size of all its files.
+        header: Metadata of the recording.
+        channels: Topic to channel.
+        steps: Number of control steps.
         episodes: Episodes that ended, in order of their ends.
         attachments: Name to size in bytes.
         compressions: Compressions of its chunks.
-        complete: Whether the file has its end and everything that was announced.
+        complete: Whether the file has its end, and the number of messages that it announces.
         warnings: What is missing or damaged, one line each; empty for a complete log.
         files: Names of the files that contain it.
     """
@@ -62,28 +62,28 @@ class LogSummary:
 
     @property
     def messages(self) -> int:
-        """Messages in all channels."""
+        """Number of messages in all channels."""
         return sum(channel.messages for channel in self.channels)
 
     @property
     def duration_s(self) -> float:
-        """Simulated seconds."""
+        """Simulated time in seconds."""
         return self.steps * self.header.control_dt
 
     @property
     def mean_reward(self) -> float | None:
-        """Mean over ended episodes of their summed reward; None without one."""
+        """Mean return of the episodes that ended; None if there is none."""
         if not self.episodes:
             return None
         return float(np.mean([episode.total_reward for episode in self.episodes]))
 
 
 def inspect(path: str | Path) -> LogSummary:
-    """Read a log once and return what is in it; a broken one up to where it is readable.
+    """Read a log once and return its summary; a broken log is read up to the first damage.
 
     Raises:
         ConfigError: If the file is missing, empty or not MCAP.
-        LogError: If it is not a log of embodichain's.
+        LogError: If it is not an embodichain log.
     """
     counts: Counter[str] = Counter()
     steps, last_step = 0, -1
@@ -102,7 +102,7 @@ def inspect(path: str | Path) -> LogSummary:
                     episodes += decode_ends(data)
         except DamageError as error:
             reader.complete, reader.damage = False, f"a message is damaged: {error}"
-        # Of a log that ends early, an episode may be told whose last steps are missing.
+        # A log that ends early may list an episode although its last steps are missing.
         cut = not reader.complete and header.state != "none" and header.every == 1
         attachments, warnings = _attachments(reader)
         channels = []
@@ -126,7 +126,7 @@ def inspect(path: str | Path) -> LogSummary:
 
 
 def _attachments(reader: LogReader) -> tuple[dict[str, int], list[str]]:
-    """Sizes of the attachments, and what is wrong with them."""
+    """Sizes of the attachments, and warnings about damaged ones."""
     sizes, warnings, model = {}, [], b""
     for name in reader.attachments:
         try:
@@ -147,7 +147,7 @@ def _attachments(reader: LogReader) -> tuple[dict[str, int], list[str]]:
 
 
 def _end(reader: LogReader, last_step: int) -> list[str]:
-    """Where a log ends, if that is not as it should be."""
+    """Warnings about where a log ends, if it is incomplete."""
     warnings = []
     if not reader.complete:
         missing = f"what followed step {last_step} is missing"
