@@ -1,4 +1,4 @@
-"""The `embodichain` command: its verbs as a click group, and what verbs are declared with.
+"""The `embodichain` command: a click group of verbs, and the decorators that declare a verb.
 
 A verb is the click command ``command`` of the module `embodichain.cli.NAME`, which is imported
 when the verb is called or its help is printed.
@@ -58,7 +58,7 @@ VERBS = {
     "new": "Write a new task and its test into your folder or package.",
     "doctor": "Check this machine: versions, threads, rendering, disk, optional packages.",
 }
-"""Verb -> what it does, in the order of `--help`."""
+"""Verb -> its description, in the order of `--help`."""
 
 EVERYDAY_KEYS = (
     *("task", "num_envs", "episodes", "max_steps", "total_timesteps", "seed", "policy"),
@@ -94,7 +94,7 @@ class Verb(click.Command):
     """A verb whose help ends with examples.
 
     Attributes:
-        examples: Pairs of arguments and what they do.
+        examples: Pairs of arguments and their description.
         keys: Whether it takes ``key=value`` overrides.
     """
 
@@ -151,7 +151,7 @@ def _version(ctx: click.Context, parameter: click.Parameter, value: bool) -> Non
 
 
 def _completion(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
-    """Print what a shell evaluates to turn completion of this command on or off."""
+    """Print the shell code that turns completion of this command on or off."""
     if value is None or ctx.resilient_parsing:
         return
     action, _, shell = value.partition("=")
@@ -220,7 +220,7 @@ def main(argv: list[str] | None = None) -> int:
         return call(arguments)
     except SystemExit as stop:  # raised by Hydra
         return stop.code if isinstance(stop.code, int) else process.OK
-    except BrokenPipeError:  # the reader of a pipe left; Python's manual asks for this redirection
+    except BrokenPipeError:  # the pipe's reader closed it; redirection as in Python's manual
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return process.FAILED
     except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (reported, with an exit code)
@@ -266,7 +266,7 @@ def call(arguments: list[str]) -> int:
 def _own_modules() -> Iterator[None]:
     """Let a config name functions of modules in the working directory, or in its `src`.
 
-    They come last in `sys.path`, so that they hide no installed module.
+    These folders are added at the end of `sys.path`, so that they hide no installed module.
     """
     added = [folder for folder in (os.getcwd(), os.path.abspath("src")) if folder not in sys.path]
     sys.path += added
@@ -333,16 +333,16 @@ def verb(
     config_dir: bool = False,
     quiet: bool = False,
 ) -> Callable[[Callable[..., int | None]], Verb]:
-    """Make a function the verb of this name; it returns the exit code, or None for 0.
+    """Make a function the verb `name`; the function returns the exit code, or None for 0.
 
-    Every verb has `--json`, which the function gets, and `--traceback`.
+    Every verb has `--json`, which is passed to the function, and `--traceback`.
 
     Args:
         name: One of `VERBS`.
-        *examples: Arguments after ``embodichain``, and what they do.
+        *examples: Arguments after ``embodichain``, and their description.
         keys: Whether it takes ``key=value`` overrides.
-        config_dir: Whether it has `--config-dir`, which is in force while the function runs.
-        quiet: Whether it has `--quiet`, which the function gets.
+        config_dir: Whether it has `--config-dir`, which applies while the function runs.
+        quiet: Whether it has `--quiet`, which is passed to the function.
     """
 
     def make(function: Callable[..., int | None]) -> Verb:
@@ -355,10 +355,10 @@ def verb(
 
 
 def overrides(metavar: str = "[KEY=VALUE]...", *words: str, config: str = "run") -> Decorator:
-    """Add the argument `words`: overrides in Hydra's grammar, and names.
+    """Add the argument `words`, which takes overrides in Hydra's grammar and names.
 
     Args:
-        metavar: How help shows it.
+        metavar: Its name in the help text.
         *words: Names that are completed besides keys.
         config: The root config whose keys are completed, ``run`` or ``train``.
     """
@@ -400,17 +400,17 @@ def job_arguments(config: str) -> Decorator:
 
 
 def log_argument(metavar: str = "FILE", name: str = "file") -> Decorator:
-    """Add an argument that names a log, see `log_of`."""
+    """Add an argument that names a log (see `log_of`)."""
     return click.argument(name, metavar=metavar, shell_complete=complete_last)
 
 
 def complete_last(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
-    """Complete `last`, the newest run."""
+    """Complete the word `last`, which means the newest run."""
     return ["last"] if "last".startswith(incomplete) else []
 
 
 def log_of(name: str) -> Path:
-    """Return the log that a name means: a file, the one in a run's folder, the newest (``last``).
+    """Return the log of a name: a file, a run's folder, or ``last`` for the newest run.
 
     Raises:
         ConfigError: There is no log yet, or the folder has none.
@@ -434,7 +434,7 @@ def command_line() -> list[str]:
 
 
 def split_overrides(words: tuple[str, ...]) -> list[str]:
-    """Return words as overrides: a bare word names the task.
+    """Return words as overrides; a word without ``=`` is the name of the task.
 
     Raises:
         ConfigError: More than one bare word.

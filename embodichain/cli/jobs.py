@@ -44,7 +44,7 @@ __all__ = [
 
 LOG_FILE = "run.log"
 VIDEO = "rollout.mp4"
-"""A run's film, in its folder."""
+"""File name of a run's video in its folder."""
 FRESH: dict[str, Any] = {
     **{"quiet": False, "json": False, "traceback": False, "resume": None, "allow_changed": False},
     **{"max_steps": None, "video": None, "total_timesteps": None, "algo": None},
@@ -56,12 +56,12 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One run.
+    """One run or training.
 
     Attributes:
-        resolved: Its config.
-        folder: Its own folder.
-        stop: Set by a signal; the job then ends after a whole step.
+        resolved: The config.
+        folder: The run folder, not shared with other runs.
+        stop: Set by a signal; the job then ends after the current control step.
     """
 
     resolved: Resolved
@@ -75,11 +75,11 @@ class Job:
 
     @property
     def quiet(self) -> bool:
-        """Whether nothing is shown besides the result."""
+        """Whether only the result is printed."""
         return self.root.quiet or self.root.json
 
     def attach_log(self, env: BaseEnv) -> McapRecorder | None:
-        """Attach the log, unless the config says none; closing the environment finishes it."""
+        """Attach the log unless `record.format` is ``none``; closing the environment closes it."""
         if self.root.record.format == "none":
             return None
         from embodichain.config.resolved import dump_yaml
@@ -103,8 +103,8 @@ class Job:
         """Attach the viewer that the config names; closing the environment closes it.
 
         Args:
-            env: The environment, built.
-            realtime: Whether the run initially keeps to real time while the viewer is watched.
+            env: The environment.
+            realtime: Whether the run starts in real time while a viewer is connected.
             resets: Whether the viewer may end an episode.
         """
         cfg = self.root.viewer
@@ -131,17 +131,17 @@ class Job:
         warn_if_public(cfg.host, url, controls=cfg.name == "web")
 
     def film(self, log: str | Path | None) -> dict[str, str]:
-        """Film what was logged, if the config asks for it; call it when all else is written.
+        """Render the log to a video if `video` is set; call it after everything else is written.
 
         Args:
-            log: The log, finished; None without.
+            log: The closed log, or None.
 
         Returns:
-            ``video``, its path; nothing without a film. A signal ends the film after a picture,
-            which is a warning.
+            ``{"video": PATH}``, or an empty dict without a video. A signal ends the video after
+            the current picture, with a warning.
 
         Raises:
-            RenderError: No picture can be drawn here.
+            RenderError: This machine cannot render.
         """
         if not self.root.video or log is None:
             return {}
@@ -159,21 +159,21 @@ class Job:
 
 
 Body = Callable[[Job], float | None]
-"""What a job does; returns what a sweeper may optimise."""
+"""The work of a job; returns the objective for a sweeper, or None."""
 
 
 def start(verb: Verb, body: Body, options: Any) -> None:
-    """Do one job, or pass the command line to Hydra's `main`.
+    """Run one job, or pass the command line to Hydra's `main`.
 
     The config of every job is checked before the first starts.
 
     Args:
-        verb: Whose jobs they are.
-        body: What a job does.
-        options: Of the command line.
+        verb: The verb, ``run`` or ``train``.
+        body: The work of a job.
+        options: Options of the command line.
 
     Raises:
-        ConfigError: Wrong flags, or mistakes in the config of any job: nothing has started.
+        ConfigError: Wrong flags, or mistakes in the config of any job; no job was started.
     """
     from embodichain.config.composed import compose
 
@@ -203,17 +203,17 @@ def start(verb: Verb, body: Body, options: Any) -> None:
 def job_options(options: Any) -> list[str]:
     """Return `--quiet`, `--json` and `--traceback` as overrides.
 
-    The workers of a sweep get overrides only.
+    The workers of a sweep receive overrides only.
     """
     found = [f"{name}=true" for name in ("quiet", "json") if getattr(options, name)]
     return [*found, *(["traceback=true"] if "--traceback" in command_line() else [])]
 
 
 def resolved_job(composed: Composed, verb: Verb) -> Resolved:
-    """Check a job's config as a whole; for a training, the arguments of its algorithm too.
+    """Check the whole config of a job; for a training, the algorithm's arguments too.
 
     Raises:
-        ConfigError: Every mistake, with its place.
+        ConfigError: Lists every mistake with its file and line.
     """
     from embodichain.config.resolved import resolve
 
@@ -229,18 +229,18 @@ def resolved_job(composed: Composed, verb: Verb) -> Resolved:
 def execute(
     resolved: Resolved, body: Body, command: Sequence[str], folder: Path | None = None
 ) -> float | None:
-    """Do a job: give it its folder, and log what happens.
+    """Run a job in its folder, with a log file.
 
     Args:
-        resolved: Its config.
-        body: What it does.
+        resolved: The config.
+        body: The work of the job.
         command: The command line, as typed.
-        folder: Its folder; None claims a new one.
+        folder: The run folder; None claims a new one.
 
     Raises:
-        ConfigError: No folder can be made.
-        Interrupted: A signal came; what was written is complete up to there.
-        Exception: Whatever `body` raises.
+        ConfigError: The folder cannot be made.
+        Interrupted: A signal came; the files are complete up to that step.
+        Exception: Any exception of `body`.
     """
     from embodichain.config.resolved import write_record
     from embodichain.config.run_folder import claim
@@ -266,7 +266,7 @@ def execute(
 
 
 def _pinned(resolved: Resolved) -> Resolved:
-    """Replace `last` and links by the folder that they mean now: the next run changes that."""
+    """Replace `last` and links by the folder they refer to now, since later runs change it."""
     from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
 
     policy = resolved.tree["policy"]
@@ -280,10 +280,10 @@ def _pinned(resolved: Resolved) -> Resolved:
 
 
 def check_extras(root: RootCfg) -> None:
-    """Refuse a film or a viewer whose package is not installed.
+    """Check that the packages for the video and the viewer are installed.
 
     Raises:
-        ConfigError: Names the extra.
+        ConfigError: A package is missing; names the extra.
     """
     if root.video:
         from embodichain.utils.video import need_encoder
@@ -298,13 +298,13 @@ def check_extras(root: RootCfg) -> None:
 def policy_of(
     root: RootCfg, env: BaseEnv, policy: str | None = None, *, deterministic: bool = True
 ) -> Policy:
-    """Return the policy by name, by import path, or from a training's folder or file.
+    """Return the policy from its name, its import path, or a training's folder or file.
 
     Args:
         root: The config.
-        env: Where it will act.
-        policy: Another one than the config's.
-        deterministic: Whether a trained one takes its mean action.
+        env: The environment that it will act in.
+        policy: Replaces the policy of the config.
+        deterministic: Whether a trained policy returns its mean action.
 
     Raises:
         ConfigError: There is no such policy, its parameters are wrong, or it was trained in
@@ -324,7 +324,7 @@ def policy_of(
 
 
 def film_progress(display: ProgressDisplay) -> Callable[[Filmed], None]:
-    """Return what shows how far a film is."""
+    """Return a callback that shows the progress of a video."""
 
     def show(filmed: Filmed) -> None:
         if display.due:
@@ -334,7 +334,7 @@ def film_progress(display: ProgressDisplay) -> Callable[[Filmed], None]:
 
 
 def ended_early(stop: StopFlag, filmed: Filmed, out: Path) -> str:
-    """Return what a film that a signal ended contains."""
+    """Return a message about a video that a signal ended early."""
     if not filmed.pictures:
         return f"interrupted ({stop.stopped}); {out} was not begun"
     till = f"{filmed.pictures} pictures, up to control step {filmed.step}"

@@ -1,4 +1,4 @@
-"""`embodichain run`: build a task, play a policy in it, write what happened to a run folder."""
+"""`embodichain run`: build a task, run a policy in it, write log and summary to a run folder."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def command(**options: Any) -> None:
 
 
 def run_job(job: Job) -> float | None:
-    """Build, play, close, sum up; a failure is written to `summary.json` too."""
+    """Build, roll out, close and summarize; a failure is written to `summary.json` too."""
     root = job.root
     facts: dict[str, Any] = {
         "task": job.resolved.task_name,
@@ -80,7 +80,7 @@ def run_job(job: Job) -> float | None:
 
 
 def _simulate(job: Job) -> tuple[dict[str, Any], Path | None]:
-    """The rollout from build to close, and where its log is."""
+    """Build, roll out and close; returns the summary and the path of the log."""
     from embodichain.config.factory import make_env
 
     root = job.root
@@ -102,14 +102,14 @@ def _simulate(job: Job) -> tuple[dict[str, Any], Path | None]:
 
 
 def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any]:
-    """Step `env` with `policy` from `obs` until something ends it; no faster than a window shows.
+    """Step `env` with `policy` from `obs` to the end of the run; in real time if a window is open.
 
-    `env` was just reset, and resets its environments itself; `policy` is notified when environments
-    begin a new episode.
+    `env` was just reset and resets its environments automatically; `policy` is reset for
+    environments that begin a new episode.
 
     Returns:
-        What was counted, for `summary.json`. The status is ``finished`` if every environment had
-        its episodes, ``max_steps`` if the limit came first, ``interrupted`` if a signal did.
+        The statistics for `summary.json`. The status is ``finished`` if every environment completed
+        its episodes, ``max_steps`` if the limit was reached, ``interrupted`` after a signal.
     """
     max_steps, stop = job.root.max_steps, job.stop
     counted = EpisodeStatistics(env.num_envs, job.root.episodes or 1)
@@ -156,7 +156,7 @@ def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any
 
 
 def _facts(counted: EpisodeStatistics, max_steps: int | None, seconds: float) -> dict[str, str]:
-    """The facts beside the bar."""
+    """The numbers shown beside the progress bar."""
     steps = f"{counted.steps}/{max_steps}" if max_steps is not None else f"{counted.steps}"
     facts = {"step": steps, "FPS": f"{counted.steps * counted.num_envs / seconds:,.0f}"}
     mean_return, success = counted.mean("return"), counted.mean("success")
@@ -184,7 +184,7 @@ def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
 
 
 def _print_summary(summary: dict[str, Any]) -> None:
-    """Print the closing table."""
+    """Print the summary as a table."""
     ends = {
         "finished": "every environment had its episodes",
         "max_steps": "max_steps reached",
@@ -220,7 +220,7 @@ def _mean_spread(spread: dict[str, float] | None) -> str:
 
 
 class _StartPicture:
-    """The state of environment 0 at the moment of construction, to be drawn when the run ends."""
+    """A copy of environment 0's state at construction, rendered when the run ends."""
 
     def __init__(self, env: BaseEnv) -> None:
         self._model = env.sim.scene.model
@@ -231,7 +231,7 @@ class _StartPicture:
         return self._data
 
     def draw(self, path: Path) -> None:
-        """Write the picture; without OpenGL, or where it cannot be written, warn."""
+        """Write the picture; warn if there is no OpenGL or the file cannot be written."""
         from PIL import Image
 
         from embodichain.lab.sim.rendering import SceneRenderer

@@ -1,7 +1,7 @@
 """From YAML and overrides to one checked, frozen config: compose, validate, derive, freeze.
 
-What a config means (scenes, terms, algorithms) lives below, in `lab`; this package reads its data
-classes and its checks. Names are found on first use, so that importing the package costs nothing.
+Scenes and terms are defined in `lab`; this package uses its data classes and checks. Names are
+imported on first use, so that importing the package is cheap.
 """
 
 from typing import TYPE_CHECKING

@@ -1,7 +1,7 @@
-"""Configs of the algorithms: which keys `algo` may have, without importing torch.
+"""Configs of the algorithms: the keys that `algo` may have. Does not import torch.
 
 A config has every argument of the algorithm's class; null keeps the default of the class. The
-schema is made of one table: what each argument may be, and which arguments an algorithm takes.
+schema is built from one table with the type of each argument and the arguments of each algorithm.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ DEFAULT_ALGORITHM = "ppo"
 _LINEAR = r"^lin_(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$"
 _AUTO = r"^auto(_(\d+\.?\d*|\.\d+))?$"
 PATTERNS = {_LINEAR: "a schedule lin_VALUE", _AUTO: "auto or auto_VALUE"}
-"""What text must look like, in words."""
+"""Pattern of a string -> its description in words."""
 
 _WRAPPER = "wrappers are not used here: observation and reward terms do what they do"
 ALGO_INSTEAD = {
@@ -40,14 +40,14 @@ ALGO_INSTEAD = {
     "tensorboard_log": "event files are in the run folder",
 }
 """Keys that other tools have below the algorithm (rl-zoo3), and what to use instead."""
-# Keys that are no argument of the algorithm's class.
+# Keys that are not arguments of the algorithm's class.
 _NOT_ARGUMENTS = ("name", "normalize", "normalize_kwargs", "noise_type", "noise_std")
 
 Count = Annotated[int, Field(ge=1)]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
-# ``lin_3e-4``: from 3e-4 down to 0 in a straight line over the training (rl-zoo3's spelling).
+# ``lin_3e-4``: decays linearly from 3e-4 to 0 over the training (rl-zoo3's spelling).
 Schedule = Positive | Annotated[str, Field(pattern=_LINEAR)]
 
 
@@ -57,18 +57,18 @@ class AlgoCfg:
 
     name: str = ""
     policy: Literal["MlpPolicy", "MlpLstmPolicy"] = "MlpPolicy"
-    """Observations are one flat vector."""
+    """Class of Stable-Baselines3; observations are one flat vector."""
     learning_rate: Schedule | None = None
     gamma: Share | None = None
     policy_kwargs: dict[str, Any] = {}
     """Arguments of the policy's class: `net_arch`, `log_std_init`..."""
     normalize: Literal["obs", "reward", "both"] | bool | None = None
-    """What `VecNormalize` normalizes; true is both (rl-zoo3's spelling)."""
+    """Whether `VecNormalize` is used, and for what; true is both (rl-zoo3's spelling)."""
     normalize_kwargs: dict[str, Any] = {}
-    """Arguments of `VecNormalize`; its `gamma` is the algorithm's unless given."""
+    """Arguments of `VecNormalize`; `gamma` defaults to the algorithm's."""
 
     def arguments(self) -> dict[str, Any]:
-        """Return what is set, as keyword arguments of the algorithm's class."""
+        """Return the keys that are set, as keyword arguments of the algorithm's class."""
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         return {k: v for k, v in fields.items() if k not in _NOT_ARGUMENTS and v is not None}
 
@@ -85,7 +85,7 @@ _KEYS: dict[str, Any] = {
     "exploration_fraction": Share,
     "exploration_initial_eps": Share,
     "gae_lambda": Share,
-    # Gradient steps an update; -1: as many as environment steps since the last.
+    # Gradient steps per update; -1: as many as environment steps since the last update.
     "gradient_steps": Annotated[int, Field(ge=-1)],
     "learning_starts": Annotated[int, Field(ge=0)],  # environment steps with random actions
     "line_search_max_iter": Count,
@@ -93,7 +93,7 @@ _KEYS: dict[str, Any] = {
     "max_grad_norm": Positive,
     "n_critic_updates": Count,
     "n_epochs": Count,
-    # On-policy: control steps of each environment between updates; off-policy: of n-step returns.
+    # On-policy: control steps per environment between updates; off-policy: n of n-step returns.
     "n_steps": Count,
     "noise_std": NonNegative,  # of actions in [-1, 1]; null is 0.1
     "noise_type": Literal["normal", "ornstein-uhlenbeck"],  # `action_noise`, rl-zoo3's spelling
@@ -117,7 +117,7 @@ _KEYS: dict[str, Any] = {
     "use_sde_at_warmup": bool,
     "vf_coef": NonNegative,
 }
-# On-policy algorithms allow less.
+# On-policy algorithms allow fewer values.
 _ON_POLICY_KEYS = {"batch_size": Annotated[int, Field(ge=2)], "ent_coef": NonNegative}
 
 _ON_POLICY = "n_steps gae_lambda normalize_advantage use_sde sde_sample_freq stats_window_size"
@@ -161,7 +161,7 @@ ALGORITHMS: dict[str, tuple[str, str]] = {
     "crossq": ("sb3_contrib.CrossQ", f"{_ENTROPY} policy_delay"),
     "recurrent_ppo": ("sb3_contrib.RecurrentPPO", _PPO),
 }
-"""Algorithm -> its class, and the keys that its config has besides those of `AlgoCfg`."""
+"""Algorithm -> its class, and the keys of its config besides those of `AlgoCfg`."""
 
 
 def _config(name: str) -> type[AlgoCfg]:
@@ -179,4 +179,4 @@ if TYPE_CHECKING:
 else:
     _members = reduce(or_, map(_config, ALGORITHMS))
     AnyAlgoCfg = Annotated[_members, Field(discriminator="name")]
-"""What `algo` may be; ``name`` chooses."""
+"""The union of the algorithms' configs, chosen by ``name``."""

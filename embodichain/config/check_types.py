@@ -1,7 +1,7 @@
-"""The check of types: keys, types, lengths and ranges, by pydantic over the data classes.
+"""The check of keys, types, lengths and ranges, by pydantic over the data classes.
 
-Pydantic finds all mistakes at once; each becomes a `Problem`, and the tree is pruned of them for
-the other checks. `schema_at` is what a key path may be, for lists of allowed keys.
+Pydantic finds all mistakes at once; each becomes a `Problem` and is removed from the tree for the
+other checks. `schema_at` returns the JSON schema of a key path, for lists of allowed keys.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ _TAGS: dict[str, Any] = {
     "sensor_type": AnySensorCfg,
     "name": AnyAlgoCfg,
 }
-"""Keys that choose between the members of a union, and the union."""
+"""Key that chooses between the members of a union -> the union."""
 
 
 @dataclass(frozen=True)
 class TypeCheck:
-    """What pydantic found.
+    """The result of the check of types.
 
     Attributes:
-        root: The config without what is wrong in it; None if there is no task to look at.
-        tree: What was checked, without what is wrong, whole floats made integers where asked for.
+        root: The config without its wrong keys; None if no task is left to check.
+        tree: The same as plain values; whole floats are integers where an integer is needed.
         problems: One for each wrong key.
         pruned: Paths that were left out of `root`.
     """
@@ -66,7 +66,7 @@ def check_types(tree: Mapping[str, Any]) -> TypeCheck:
             problems[f"task.{name}"] = Problem(f"task.{name}", f"not a key of a task; {instead}")
     if isinstance(data.get("algo"), dict):
         data["algo"].setdefault("name", DEFAULT_ALGORITHM)
-    while True:  # each turn repairs or removes something, so it ends
+    while True:  # ends, because each iteration repairs or removes something
         try:
             root = _adapter().validate_json(json.dumps(data, default=str), strict=True)
             return TypeCheck(root, data, list(problems.values()), tuple(sorted(pruned)))
@@ -89,7 +89,7 @@ def _adapter() -> TypeAdapter[RootCfg]:
 
 
 def _grouped(errors: Iterable[ErrorDetails], data: Any) -> dict[Loc, list[ErrorDetails]]:
-    """Errors by key path; a union's members each report, the deepest knows best."""
+    """Errors by key path; of the errors of a union's members, the deepest are kept."""
     groups: dict[Loc, list[ErrorDetails]] = {}
     for error in errors:
         groups.setdefault(_clean(error, data), []).append(error)
@@ -123,7 +123,7 @@ def _has(data: Any, part: str | int) -> bool:
 
 
 def _repair(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> bool:
-    """Make a whole float the integer that was asked for (``total_timesteps=1e6``)."""
+    """Turn a whole float into an integer where one is needed (``total_timesteps=1e6``)."""
     value = errors[0]["input"]
     if {e["type"] for e in errors} != {"int_type"} or not isinstance(value, float):
         return False
@@ -136,7 +136,7 @@ def _repair(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> bool:
 
 
 def _prune(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> Loc:
-    """Remove what is wrong: the key, the list around it, or the map without it."""
+    """Remove a wrong key, the list that contains it, or the map that lacks a required key."""
     if errors[0]["type"] == "missing" or errors[0]["type"].startswith("union_tag"):
         loc = loc[:-1]
     while loc and isinstance(loc[-1], int):
@@ -149,7 +149,7 @@ def _prune(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> Loc:
 
 
 def _problem(path: str, loc: Loc, errors: Sequence[ErrorDetails], data: Any) -> Problem:
-    """The line that people read."""
+    """The message for the user."""
     error = errors[0]
     kind, value = error["type"], error["input"]
     if kind == "unexpected_keyword_argument":
@@ -195,11 +195,11 @@ def _wrong_tag(path: str, value: Any, key: str) -> Problem:
 
 
 def schema_at(parts: Sequence[str | int], data: Any) -> Mapping[str, Any]:
-    """Return the JSON schema of a key path; empty where nothing is declared.
+    """Return the JSON schema of a key path; empty if none is declared.
 
     Args:
         parts: The path; keys of maps and indices of lists included.
-        data: The tree that is checked: its values choose between the members of unions.
+        data: The tree that is checked; its values choose between the members of unions.
     """
     schema = _chosen(_schema(), data)
     for part in parts:
@@ -213,7 +213,7 @@ def schema_at(parts: Sequence[str | int], data: Any) -> Mapping[str, Any]:
 
 
 def key_names(schema: Mapping[str, Any]) -> list[str]:
-    """Return the keys that a schema declares; empty for anything but a config class."""
+    """Return the keys that a schema declares; empty if it is not that of a config class."""
     return list(schema.get("properties", ()))
 
 
@@ -223,7 +223,7 @@ def _schema() -> dict[str, Any]:
 
 
 def _chosen(schema: Any, value: Any) -> Mapping[str, Any]:
-    """The member of a union that a value is meant for: by its tag, else by its kind, else first."""
+    """The member of a union that fits a value: by its tag, else by its type, else the first."""
     if not isinstance(schema, Mapping):  # additionalProperties: true
         return {}
     if "$ref" in schema:

@@ -1,4 +1,4 @@
-"""What an override that is being typed may become: groups, their options, keys."""
+"""Completion of overrides on the command line: groups, their options and keys."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ def complete_override(
     config_name: str = "run",
     config_dir: str | Path | None = None,
 ) -> list[str]:
-    """Return how an override may go on: ``task=NAME``, ``algo=``, ``task.physics.physics_dt=``.
+    """Return the completions of an override: ``task=NAME``, ``algo=``, ``task.physics.``...
 
     Args:
         typed: The word so far.
         before: The overrides before it.
         config_name: The root config.
-        config_dir: A folder with groups of the user's own.
+        config_dir: A folder with the user's groups.
     """
     prefix = typed[: len(typed) - len(typed.lstrip("+~"))]
     key, has_value, value = typed[len(prefix) :].partition("=")

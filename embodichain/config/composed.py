@@ -1,8 +1,8 @@
-"""Groups, experiments and overrides become one plain tree; Hydra does the merging.
+"""Composes groups, experiments and overrides into one plain tree, merged by Hydra.
 
-Overrides are in Hydra's grammar, without its demand for `+` where the schema knows the key. They
-are parsed one by one: those that choose an option of a group, Hydra's own, and values. Mistakes are
-collected, so that one report has them all.
+Overrides are in Hydra's grammar, but keys of the schema need no `+`. They are parsed one by one and
+sorted into choices of a group's option, overrides of Hydra itself, and values. Mistakes are
+collected, so that one report lists all of them.
 """
 
 from __future__ import annotations
@@ -60,14 +60,14 @@ class Composed:
     Attributes:
         config_name: The root config, ``run`` or ``train``.
         overrides: As typed.
-        tree: Plain dicts and lists, interpolations resolved, without Hydra's own node. Partial when
+        tree: Plain dicts and lists, interpolations resolved, without Hydra's own node. Partial if
             there are problems.
-        choices: The option of each group.
-        locator: Where each key was set.
-        problems: What went wrong so far.
-        usable: Whether `tree` is whole; otherwise it has values of the root at best, and only
+        choices: Group -> the chosen option.
+        locator: Finds where each key was set.
+        problems: The mistakes found so far.
+        usable: Whether `tree` is complete; otherwise it has at most values of the root, and only
             their types can be checked.
-        notes: What of a gym config was left out or is read otherwise.
+        notes: What was left out or changed in converting a gym config.
     """
 
     config_name: str
@@ -80,7 +80,7 @@ class Composed:
     notes: tuple[Problem, ...] = ()
 
     def source(self, path: str) -> str:
-        """Return where a key was set: ``FILE:LINE``, or the command line, as for null root keys."""
+        """Return where a key was set: ``FILE:LINE``, or the command line (also for null keys)."""
         unset = "." not in path and self.tree.get(path) is None
         return COMMAND_LINE if unset else self.locator.source(path)
 
@@ -90,15 +90,15 @@ def compose(
     config_name: str = "run",
     config_dir: str | Path | None = None,
 ) -> Composed:
-    """Compose a root config with overrides in Hydra's grammar; Hydra's global state is kept.
+    """Compose a root config with overrides in Hydra's grammar; Hydra's global state is unchanged.
 
-    ``key=value`` may set any key of the schema, whether or not a file spells it out. With
-    ``gym_config=FILE`` the task is what EmbodiChain's gym config in that file converts to.
+    ``key=value`` may set any key of the schema, whether or not a file has it. With
+    ``gym_config=FILE`` the task is converted from EmbodiChain's gym config in that file.
 
     Args:
         overrides: E.g. ``["task=reach", "num_envs=64", "~task.events.push"]``.
         config_name: ``run`` or ``train``.
-        config_dir: A folder with groups of the user's own, searched first.
+        config_dir: A folder with the user's groups, searched first.
 
     Raises:
         ConfigError: `config_dir` does not exist.
@@ -113,11 +113,11 @@ def compose(
             lines_of_groups = list(parsed.for_hydra)
             config = loader.load_configuration(config_name, lines_of_groups, RunMode.RUN)
             chosen = _algorithm(config, parsed.values, loader.get_group_options("algo"))
-            if chosen is not None:  # the group was left at null: load what it means
+            if chosen is not None:  # the group is null: load its default
                 lines_of_groups.append(f"algo={chosen}")
                 config = loader.load_configuration(config_name, lines_of_groups, RunMode.RUN)
         except COMPOSING as error:
-            # That a group has no option follows from leaving out its wrong one.
+            # A group without an option is a consequence of leaving out its wrong one.
             known = any(f"You must specify '{group}'" in str(error) for group in parsed.broken)
             found = [] if known else explain(error, loader)
             return _without_task(loader, config_name, lines, parsed, found)
@@ -150,13 +150,13 @@ def from_hydra() -> Composed:
 
 
 def list_options(group: str, config_dir: str | Path | None = None) -> list[str]:
-    """Return the options of a group (``task``, ``record``...), sorted; empty for no such group."""
+    """Return the sorted options of a group (``task``, ``record``...); empty if it is unknown."""
     with config_loader(config_dir) as loader:
         return list(loader.get_group_options(group))
 
 
 def _gym_config(parsed: ParsedOverrides) -> tuple[GymConfig | None, ParsedOverrides]:
-    """The gym config that overrides name, if any, and overrides that choose no task beside it."""
+    """The gym config that overrides name, if any, and overrides that choose no other task."""
     paths = [o.value() for o in parsed.values if o.key_or_group == "gym_config"]
     if not paths or paths[-1] is None:
         return None, parsed
@@ -185,7 +185,7 @@ def _files(
     folders: Sequence[Path | None],
     gym: GymConfig | None,
 ) -> list[ConfigFile]:
-    """The files behind a config in the order of merging, without Hydra's own."""
+    """The files of a config in the order of merging, without Hydra's own."""
     files = [] if gym is None else [gym.file]
     for default in loader.compute_defaults_list(config_name, for_hydra, RunMode.RUN).defaults:
         name = default.config_path
@@ -205,7 +205,7 @@ def _without_task(
     parsed: ParsedOverrides,
     found: Sequence[Problem],
 ) -> Composed:
-    """The root's own values with overrides of them, where task and groups cannot be composed."""
+    """The values of the root with their overrides, for when task and groups cannot be composed."""
     values = [o for o in parsed.values if o.key_or_group.split(".")[0] != "task"]
     locator = Locator(list, values)
     tree: dict[str, Any] = {}
@@ -222,9 +222,9 @@ def _without_task(
 def _algorithm(
     config: DictConfig, values: Sequence[Override], options: Sequence[str]
 ) -> str | None:
-    """The option of `algo` that a null choice means: named by a key, suggested, else ppo.
+    """The option for `algo: null`: the one named by a key, else the task's suggestion, else ppo.
 
-    A name that is no option is left for the check of types to report with its place.
+    A name that is not an option is reported, with its place, by the check of types.
     """
     if config.hydra.runtime.choices.get("algo", "") is not None:
         return None
@@ -238,7 +238,7 @@ _INSTANTIATE = ("_target_", "_recursive_", "_convert_", "_partial_", "_args_")
 
 
 def _resolved(node: DictConfig | ListConfig, locator: Locator) -> tuple[Any, list[Problem]]:
-    """A config as plain values, without the keys that do not resolve, and a problem for each."""
+    """A config as plain values without unresolvable keys, and a problem for each such key."""
     problems: list[Problem] = []
 
     def report(path: str, message: str) -> None:
@@ -272,13 +272,13 @@ def _resolved(node: DictConfig | ListConfig, locator: Locator) -> tuple[Any, lis
 
 @dataclass(frozen=True)
 class ParsedOverrides:
-    """Overrides by what they do, in the order given.
+    """Overrides sorted by their kind, each kind in the order given.
 
     Attributes:
-        for_hydra: The lines that choose group options or are about Hydra itself.
-        values: Those that add, change or delete values.
-        broken: Groups whose chosen option does not exist (their overrides are left out).
-        problems: What is wrong with the ones left out.
+        for_hydra: Overrides that choose group options or set keys of Hydra itself.
+        values: Overrides that add, change or delete values.
+        broken: Groups for which an unknown option was chosen (their overrides are left out).
+        problems: The mistakes in the overrides that are left out.
     """
 
     for_hydra: tuple[str, ...]
@@ -292,7 +292,7 @@ def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
 
     Args:
         lines: As typed: ``key=value``, ``+key=value``, ``~key``, ``group=option``.
-        loader: Knows the groups and their options.
+        loader: Provides the groups and their options.
     """
     parser = OverridesParser.create()
     for_hydra: list[str] = []
@@ -328,8 +328,8 @@ def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
 def relax(lines: Iterable[str], loader: ConfigLoader) -> list[str]:
     """Write ``key=value`` as ``++key=value``, for Hydra's own `main`.
 
-    Hydra refuses to set a key that no file spells out; here defaults live in the data classes.
-    Lines it cannot parse are left for Hydra to refuse. Doing it twice changes nothing.
+    Hydra refuses to set a key that no file has; here the defaults are in the data classes. Lines
+    that cannot be parsed are left for Hydra to refuse. The function is idempotent.
     """
     parser = OverridesParser.create()
     relaxed: list[str] = []
@@ -349,7 +349,7 @@ def apply_values(config: DictConfig, overrides: Iterable[Override]) -> list[Prob
     """Apply value overrides in place, in order; dicts merge, lists replace.
 
     Returns:
-        What could not be applied: deleting what is not there, a key below a value.
+        Overrides that could not be applied: deletion of a missing key, a key below a scalar.
     """
     problems: list[Problem] = []
     for override in overrides:

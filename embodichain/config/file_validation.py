@@ -1,4 +1,4 @@
-"""Checking one file: a task, another group's option, a dumped or a gym config."""
+"""Checks of one file: a task, an option of another group, a dumped config, or a gym config."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ _ANY_TASK = "task=random_reach"
 
 
 def validate_file(path: str | Path, verb: Verb = "run") -> list[Problem]:
-    """Return every mistake of a file that can be found without building; empty is good.
+    """Return every mistake of a file that can be found without building; empty if there is none.
 
     Args:
         path: See `resolve_file`.
-        verb: Whose suggested values count.
+        verb: The verb for which the task's suggestions are used.
     """
     try:
         resolve_file(path, verb)
@@ -37,18 +37,18 @@ def validate_file(path: str | Path, verb: Verb = "run") -> list[Problem]:
 
 
 def resolve_file(path: str | Path, verb: Verb = "run") -> Resolved:
-    """Check a file as a whole and fill in what follows.
+    """Check a whole file and fill in defaults and derived values.
 
-    A file with a map ``task`` in it is a whole config, as in run folders; one with a map ``env``
-    is EmbodiChain's gym config; one in a folder named like a group is an option of that group; any
-    other is a task.
+    A file with a map ``task`` is a whole config, as in run folders; one with a map ``env`` is
+    EmbodiChain's gym config; one in a folder with the name of a group is an option of that group;
+    any other is a task.
 
     Args:
         path: The file.
-        verb: Whose suggested values count.
+        verb: The verb for which the task's suggestions are used.
 
     Raises:
-        ConfigError: Holds every mistake with its place.
+        ConfigError: Lists every mistake with its place.
     """
     file = Path(path)
     if not file.is_file():
@@ -71,10 +71,10 @@ def resolve_file(path: str | Path, verb: Verb = "run") -> Resolved:
 
 
 def notes_on_file(path: str | Path) -> tuple[Problem, ...]:
-    """Return what of a file is left out or read otherwise: of a gym config, or else nothing.
+    """Return notes on what was left out or changed in converting a gym config.
 
     Args:
-        path: The file; one with mistakes has no notes.
+        path: The file; there are no notes for other configs, or for a file with mistakes.
     """
     try:
         return load_gym_config(path).notes if is_gym_config(read_gym_config(path)) else ()
@@ -93,10 +93,10 @@ def _composed_option(file: Path, verb: Verb) -> Composed:
         link.parent.mkdir()
         link.symlink_to(file)
         composed = compose([f"task={file.stem}"], verb, folder)
-        _ = composed.locator.files  # read while the folder is there
+        _ = composed.locator.files  # read before the folder is removed
         return composed
 
 
 def _verb_of(file: Path, verb: Verb) -> Verb:
-    """An algorithm is an option of trainings only."""
+    """``train`` for an algorithm, which only trainings have; else `verb`."""
     return "train" if file.parent.name == "algo" else verb

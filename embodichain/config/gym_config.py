@@ -1,4 +1,4 @@
-"""EmbodiChain's gym config as a task: converted, every key with the file and line it came from."""
+"""Converts EmbodiChain's gym config to a task; every key keeps the file and line it came from."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class GymConfig:
     """A converted gym config.
 
     Attributes:
-        name: What the task is called: its `id`, or the file's stem if that is the generic one.
+        name: The task's name: the config's `id`, or the file's stem if the id is generic.
         task: The task, not checked.
-        file: Its keys, each at the line of the gym config that it came from.
-        notes: What was left out or is read otherwise.
-        problems: What is wrong in it.
+        file: The task's keys, each with the line of the gym config that it came from.
+        notes: What was left out or changed in the conversion.
+        problems: The mistakes in the gym config.
     """
 
     name: str
@@ -43,7 +43,7 @@ def load_gym_config(path: str | Path) -> GymConfig:
         path: YAML or JSON.
 
     Raises:
-        ConfigError: It cannot be read; says why and where.
+        ConfigError: The file cannot be read; gives the reason and the line.
     """
     file = Path(path)
     content = read_gym_config(file)
@@ -69,13 +69,13 @@ def load_gym_config(path: str | Path) -> GymConfig:
 
 
 def override_of(path: str) -> str:
-    """Return the override that means ``--gym-config PATH``, quoted for Hydra's grammar."""
+    """Return the override for ``--gym-config PATH``, quoted for Hydra's grammar."""
     quoted = path.replace("\\", "\\\\").replace("'", "\\'")
     return f"gym_config='{quoted}'"
 
 
 def _registered(env_id: Any) -> tuple[str, ...]:
-    """The id, if it is one of EmbodiChain's that a package of the user's brings the class of."""
+    """The id, if it is one of EmbodiChain's and an installed package registers its class."""
     if env_id not in CLASSES:
         return ()
     from embodichain.config.plugins import require_registered  # Gymnasium: only when needed
@@ -84,10 +84,10 @@ def _registered(env_id: Any) -> tuple[str, ...]:
 
 
 def _nodes(file: Path) -> yaml.Node | None:
-    """The file as YAML nodes, which know their lines; None where YAML cannot read the JSON."""
+    """The file as YAML nodes, which have line numbers; None if YAML cannot read the JSON."""
     text = file.read_text(encoding="utf-8")
     if file.suffix == ".json":
-        text = text.replace("\t", " ")  # JSON may be indented by them, YAML may not
+        text = text.replace("\t", " ")  # JSON may be indented with tabs, YAML may not
     try:
         return yaml.compose(text, Loader=yaml.CSafeLoader)
     except yaml.YAMLError as error:
@@ -99,7 +99,7 @@ def _nodes(file: Path) -> yaml.Node | None:
 def _placed(
     value: Any, path: tuple[str, ...], converted: Conversion, source: ConfigFile
 ) -> Iterator[tuple[str, KeyPlace]]:
-    """The keys of a part of the task, each at the line of the gym config that it came from."""
+    """The keys of a part of the task, each with the line of the gym config that it came from."""
     kind = "map" if isinstance(value, dict) else "list" if isinstance(value, list) else "scalar"
     line = source.find(converted.origin(path))[1] or 1
     yield ".".join(("task", *path)), KeyPlace(line, kind)

@@ -2,7 +2,7 @@
 
 Gymnasium has had no plug-ins since 1.0: an id exists once the package that registers it is
 imported, or is named in the id (``embodichain:embodichain/reach-v0``). So `import embodichain`
-registers, before or after `import gymnasium`. `gymnasium_envs` makes the environments.
+registers them, before or after `import gymnasium`. `gymnasium_envs` builds the environments.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ __all__ = [
 ]
 
 CONFIG_MODULE = "embodichain.conf"
-"""The package's own tree of YAML."""
+"""The YAML tree of this package."""
 ENTRY_POINTS = "embodichain.conf"
-"""The entry point group with which packages name theirs."""
+"""The entry point group with which packages name their YAML trees."""
 LOCAL = "conf"
-"""The user's tree, in the working directory."""
+"""The user's YAML tree, in the working directory."""
 _ID = re.compile(r"embodichain/([\w.-]+)-v0")
 _ENVS = "embodichain.config.gymnasium_envs"
 
@@ -42,13 +42,13 @@ def task_id(name: str) -> str:
 
 
 def task_of_id(env_id: str) -> str | None:
-    """Return the name of the YAML task that an id is of, or None if it is no such id."""
+    """Return the name of the YAML task with this id, or None for another kind of id."""
     match = _ID.fullmatch(env_id)
     return match[1] if match else None
 
 
 def task_names() -> list[str]:
-    """Return the names of this package's tasks, of packages' and of those in ``./conf``, sorted.
+    """Return the sorted names of the tasks in this package, in plug-ins and in ``./conf``.
 
     Folders are listed; no YAML is read and no package imported.
     """
@@ -56,11 +56,11 @@ def task_names() -> list[str]:
 
 
 def register_task_ids() -> None:
-    """Register every YAML task that has no id yet: of this package, of plug-ins, of ``./conf``."""
+    """Register every YAML task of this package, plug-ins and ``./conf`` that has no id yet."""
     from gymnasium.envs.registration import register, registry
 
     for name in task_names():
-        # A file whose name Gymnasium's grammar does not allow is a task without an id.
+        # A task has no id if Gymnasium's grammar does not allow the name of its file.
         if task_of_id(task_id(name)) and task_id(name) not in registry:
             register(
                 task_id(name),
@@ -73,7 +73,7 @@ def register_task_ids() -> None:
 def register_with_gymnasium() -> None:
     """Register every YAML task now if Gymnasium is imported, otherwise as soon as it is.
 
-    Gymnasium takes longer to import than the whole command line: it is not imported for this.
+    Gymnasium is not imported for this: that takes longer than the whole command line.
     """
     if "gymnasium" in sys.modules:
         register_task_ids()
@@ -82,7 +82,7 @@ def register_with_gymnasium() -> None:
 
 
 class _OnceImported:
-    """A finder of `sys.meta_path` that finds Gymnasium as the others do, and registers the tasks.
+    """A finder of `sys.meta_path` that registers the tasks after Gymnasium is imported.
 
     It removes itself once Gymnasium is imported.
     """
@@ -93,7 +93,7 @@ class _OnceImported:
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return how Gymnasium is imported; None for every other module."""
+        """Return the spec of Gymnasium; None for every other module."""
         if name != "gymnasium" or self._searching:
             return None
         self._searching = True

@@ -1,8 +1,8 @@
-"""Hydra's loader of the YAML trees, and what Hydra and YAML raise in one line with its place.
+"""Hydra's loader of the YAML trees, and its errors as one-line messages with file and line.
 
-Searched are `--config-dir`, `./conf`, the package's own tree and plug-ins' trees. The first that
-has a file wins, so that a user's `task/reach.yaml` comes before the package's. A Hydra plug-in adds
-the places, only to searches of this package's tree: other Hydra applications in the process are
+The search path is `--config-dir`, `./conf`, this package's tree, plug-ins' trees. The first that
+has a file wins, so that a user's `task/reach.yaml` replaces the package's. A Hydra plug-in adds
+these folders to searches of this package's tree only: other Hydra applications in the process are
 not affected.
 """
 
@@ -44,9 +44,9 @@ __all__ = [
 
 VERSION_BASE = "1.3"
 COMPOSING = (HydraException, yaml.YAMLError, UnicodeDecodeError, OSError)
-"""What composing may raise because of the user's files."""
+"""Exceptions that composing may raise because of the user's files."""
 _SHOWN_BY = {"task": "embodichain list tasks"}
-# Options that the packages of the extra `sweep` bring.
+# Options that the packages of the extra `sweep` provide.
 _PLUGINS = {("hydra/launcher", "joblib"), ("hydra/sweeper", "optuna")}
 _config_dir: ContextVar[Path | None] = ContextVar("config_dir", default=None)
 
@@ -56,7 +56,7 @@ def user_configs(config_dir: str | Path | None) -> Iterator[None]:
     """Search `config_dir` before everything else while the context lasts.
 
     Args:
-        config_dir: A folder with groups (``task/``...) of the user's own; None changes nothing.
+        config_dir: A folder with the user's groups (``task/``...); None changes nothing.
 
     Raises:
         ConfigError: The folder does not exist.
@@ -73,10 +73,9 @@ def user_configs(config_dir: str | Path | None) -> Iterator[None]:
 
 @contextmanager
 def config_loader(config_dir: str | Path | None = None) -> Iterator[ConfigLoader]:
-    """Give a loader of `embodichain.conf`.
+    """Provide a loader of `embodichain.conf`.
 
-    `hydra.initialize` would replace the loader of an application that is running; this one is
-    separate from it.
+    It is separate from that of a running Hydra application, which `hydra.initialize` would replace.
 
     Args:
         config_dir: Searched first; None keeps the enclosing `user_configs`.
@@ -85,13 +84,13 @@ def config_loader(config_dir: str | Path | None = None) -> Iterator[ConfigLoader
         ConfigError: `config_dir` does not exist.
     """
     if not hasattr(version.getbase(), "major"):
-        version.setbase(VERSION_BASE)  # what Hydra leaves unset until an application starts
+        version.setbase(VERSION_BASE)  # unset until a Hydra application starts
     with user_configs(config_dir):
         yield _Loader(create_config_search_path(f"pkg://{CONFIG_MODULE}"))
 
 
 class _Loader(ConfigLoaderImpl):
-    """Asks its sources for the options of a group; Hydra's copies them all each time, 10 ms."""
+    """Gets a group's options from the sources; Hydra's loader copies them each time, in 10 ms."""
 
     def get_group_options(
         self,
@@ -126,7 +125,7 @@ Plugins.instance().register(EmbodichainSearchPath)
 
 
 def folder_of_source(scheme: str, path: str) -> Path | None:
-    """Return the folder of a place in a search path; None for Hydra's own and for no folder."""
+    """Return the folder of an entry of a search path; None for Hydra's own and for non-folders."""
     if scheme == "file":
         return Path(path)
     return _folder_of(path) if scheme == "pkg" and not path.startswith("hydra") else None
@@ -141,7 +140,7 @@ def explain(error: Exception, loader: ConfigLoader) -> list[Problem]:
 
     Args:
         error: One of `COMPOSING`.
-        loader: Knows groups, options and places.
+        loader: Provides groups, options and the search path.
     """
     if isinstance(error, yaml.YAMLError):
         return [explain_yaml(error)]
@@ -168,7 +167,7 @@ def explain(error: Exception, loader: ConfigLoader) -> list[Problem]:
 
 
 def explain_yaml(error: yaml.YAMLError, path: Path | None = None) -> Problem:
-    """Describe malformed YAML with the place that the parser stopped at."""
+    """Describe malformed YAML, with the line where the parser stopped."""
     mark = getattr(error, "problem_mark", None)
     reason = getattr(error, "problem", None) or str(error)
     context = getattr(error, "context", None)
@@ -205,7 +204,7 @@ def _no_such_config(error: MissingConfigException, loader: ConfigLoader) -> Prob
 
 
 def _not_utf8(loader: ConfigLoader) -> list[str]:
-    """The files of the search path that cannot be read as text: the error does not name its own."""
+    """The files of the search path that are not UTF-8: the error does not name the file."""
     folders = [folder_of_source(source.scheme(), source.path) for source in loader.get_sources()]
     paths = [path for folder in folders if folder for path in sorted(folder.rglob("*.yaml"))]
     return [display_path(path) for path in paths if not _is_utf8(path)]

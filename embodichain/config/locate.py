@@ -1,6 +1,6 @@
-"""`Locator`: who set a key, a line of a YAML file or the command line.
+"""`Locator`: finds where a key was set, a line of a YAML file or the command line.
 
-A file's lines are those of the marks that YAML's parser leaves at its keys.
+The lines come from the marks that YAML's parser adds to keys.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from hydra.core.override_parser.types import Override
 __all__ = ["COMMAND_LINE", "ConfigFile", "KeyPlace", "Locator", "display_path"]
 
 COMMAND_LINE = "command line"
-"""The source of what no file says."""
+"""The source of a key that no file sets."""
 _MERGE = "tag:yaml.org,2002:merge"
 
 
 class KeyPlace(NamedTuple):
-    """Where a file has a key, and whether its value is a ``map``, a ``list`` or a ``scalar``."""
+    """The line of a key, and whether its value is a ``map``, a ``list`` or a ``scalar``."""
 
     line: int
     kind: str
@@ -34,8 +34,8 @@ class ConfigFile:
     """A composed file.
 
     Attributes:
-        path: The file, not a link to it.
-        package: The key that its content hangs under; empty for the root.
+        path: The file, with links resolved.
+        package: The key under which its content is placed; empty for the root.
         keys: Dotted key path, from the root of the config -> its place.
     """
 
@@ -48,7 +48,7 @@ class ConfigFile:
         """Read a file.
 
         Raises:
-            yaml.YAMLError: It is malformed, or has a tag (``!!python/...``, ``!!set``).
+            yaml.YAMLError: The file is malformed, or has a tag (``!!python/...``, ``!!set``).
         """
         with path.open(encoding="utf-8") as stream:  # error marks have a stream's name
             if "!" in stream.read():
@@ -71,7 +71,7 @@ class ConfigFile:
     def find(self, parts: Sequence[str]) -> tuple[int, int]:
         """Return how many parts of a path are set here, and the line of the last (0 for none).
 
-        A name may contain dots. A scalar has no keys: what is below one was set elsewhere.
+        A name may contain dots. A key below a scalar was set elsewhere.
         """
         for depth in range(len(parts), -1, -1):
             place = self.keys.get(".".join(parts[:depth]))
@@ -81,7 +81,7 @@ class ConfigFile:
 
 
 def _keys_below(node: yaml.Node, prefix: str) -> Iterator[tuple[str, KeyPlace]]:
-    """The keys of a map and the indices of a list, and all below; its own keys win over merged."""
+    """All keys of maps and indices of lists below a node; a map's own keys win over merged ones."""
     entries: dict[str, tuple[yaml.Node, yaml.Node]] = {}
     if isinstance(node, yaml.SequenceNode):
         entries = {str(i): (item, item) for i, item in enumerate(node.value)}
@@ -106,14 +106,14 @@ def _refuse_tags(stream: TextIO) -> None:
     for event in yaml.parse(stream, Loader=yaml.CSafeLoader):
         tag = getattr(event, "tag", None)
         if tag is not None:
-            mark: Any = event.start_mark  # libyaml's own class, of the same members
+            mark: Any = event.start_mark  # libyaml's class, with the same members
             raise yaml.MarkedYAMLError(
                 problem=f"tags are not used here, found {tag}", problem_mark=mark
             )
 
 
 def display_path(path: Path) -> str:
-    """Return a path as people read it: relative if it is below the working directory."""
+    """Return a path for messages: relative if it is below the working directory."""
     resolved = path.resolve()
     here = Path.cwd().resolve()
     return str(resolved.relative_to(here)) if resolved.is_relative_to(here) else str(resolved)
@@ -123,8 +123,8 @@ class Locator:
     """Finds the source of dotted key paths.
 
     Args:
-        files: Reads the composed files when a place is first asked for; of two that set a key,
-            the later wins.
+        files: Reads the composed files, called at the first query; if two set a key, the later
+            wins.
         overrides: Value overrides, applied after all files.
     """
 
@@ -163,11 +163,11 @@ class Locator:
         return source or COMMAND_LINE
 
     def sets(self, path: str) -> bool:
-        """Whether a file has this very key."""
+        """Whether a file sets exactly this key."""
         return any(path in file.keys for file in self.files)
 
     def chosen(self, path: str, package: str) -> bool:
-        """Whether a file or an override other than the group option at `package` has this key."""
+        """Whether a file or override, other than the group option at `package`, sets this key."""
         parts = path.split(".")
         others = [file for file in self.files if file.package != package]
         return any(path in file.keys for file in others) or any(
@@ -176,7 +176,7 @@ class Locator:
 
 
 def _depth_of_override(override: Override, parts: Sequence[str]) -> float:
-    """How many parts of a path an override sets; half a part less where it sets something below."""
+    """How many parts of a path an override sets; less a half if it sets something below it."""
     key = override.key_or_group.replace("[", ".").replace("]", "").split(".")
     common = len(commonprefix([key, list(parts)]))
     if common < len(key):

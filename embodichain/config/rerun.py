@@ -1,6 +1,6 @@
-"""The config of a run that was made, changed by overrides: for playing what was trained there.
+"""The config of an earlier run, changed by overrides, for playing a policy trained there.
 
-The run's own `config.yaml` counts, not the files it was once composed of: these may have changed.
+It is read from the run's `config.yaml`, as the files that it was composed of may have changed.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _GROUPS = ("record", "viewer", "sim")
 def resolve_again(
     folder: Path, overrides: Sequence[str] = (), values: Mapping[str, Any] | None = None
 ) -> Resolved:
-    """Return a run's config as one of the verb `run`.
+    """Return a run's config as a config of the verb `run`.
 
     Args:
         folder: The run's folder.
         overrides: ``key=value``, and options of the groups record, viewer and sim.
-        values: Keys of the root to set first; overrides win over them.
+        values: Keys of the root to set before the overrides.
 
     Raises:
         ConfigError: The folder has no config, or overrides or the config are wrong.
@@ -75,7 +75,7 @@ def resolve_again(
 
 
 def task_of(folder: Path) -> str:
-    """Return what a run's task is called: by its summary, else by its folder's name."""
+    """Return the name of a run's task, from its summary, else from the name of its folder."""
     try:
         task = json.loads((folder / SUMMARY).read_text(encoding="utf-8")).get("task")
     except (OSError, ValueError, AttributeError):
@@ -90,7 +90,7 @@ def read_config(path: Path) -> dict[str, Any]:
     """Read a run's `config.yaml`.
 
     Raises:
-        ConfigError: It cannot be read, or contains no map.
+        ConfigError: The file cannot be read, or is not a map.
     """
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -102,7 +102,7 @@ def read_config(path: Path) -> dict[str, Any]:
 
 
 def _unfit(parsed: ParsedOverrides) -> list[Problem]:
-    """Overrides that would make another run of it."""
+    """A problem for each override that is not allowed for an earlier run."""
     problems = []
     for line in parsed.for_hydra:
         group = line.lstrip("+~").partition("=")[0]

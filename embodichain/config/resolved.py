@@ -1,4 +1,4 @@
-"""`Resolved`: a config that was composed and checked, with every value filled in, and frozen."""
+"""`Resolved`: a composed, checked and frozen config with every value filled in."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ _SEED_BITS = 31
 
 @dataclass(frozen=True)
 class Resolved:
-    """A config that was checked as a whole and can be built.
+    """A checked config that can be built.
 
     Attributes:
-        tree: Frozen plain mappings and tuples: what is written to files (`dump_yaml`).
+        tree: Frozen plain mappings and tuples, as written to files (`dump_yaml`).
         overrides: As typed.
         task_name: The option of the group `task`.
-        notes: What of a gym config was left out or is read otherwise, and what was derived that
-            changes the physics.
-        source: From a key path to where the key was set, or empty text.
-        prepared: The scene as the check has read and compiled it, for the first environment.
+        notes: What was left out or changed in converting a gym config, and derived values that
+            change the physics.
+        source: Function from a key path to where the key was set, or an empty string.
+        prepared: The scene that the check compiled, reused by the first environment.
     """
 
     tree: Mapping[str, Any]
@@ -61,7 +61,7 @@ class Resolved:
 
     @cached_property
     def root(self) -> RootCfg:
-        """The config as data classes, everything filled in; not to be changed, see `changed`."""
+        """The config as data classes with all values; do not modify it, use `changed`."""
         checked = check_types(thaw(self.tree))
         if checked.root is None or checked.problems:
             raise ConfigError(checked.problems)
@@ -85,15 +85,15 @@ class Resolved:
         return cfg
 
     def changed(self, **values: Any) -> Resolved:
-        """Return the config with other values of keys of the root."""
+        """Return a copy with other values for keys of the root."""
         return replace(self, tree=freeze({**self.tree, **values}))
 
     @contextmanager
     def locating(self, section: str = "") -> Iterator[None]:
-        """Give the mistakes of a `ConfigError` raised inside the places where they were written.
+        """Add file and line to the mistakes of a `ConfigError` raised inside the context.
 
         Args:
-            section: What their key paths are relative to; empty is the root.
+            section: The key that their key paths are relative to; empty is the root.
         """
         try:
             yield
@@ -112,15 +112,15 @@ def resolve(
     verb: Verb = "run",
     config_dir: str | Path | None = None,
 ) -> Resolved:
-    """Check a config as a whole and fill in what follows.
+    """Check a whole config and fill in defaults and derived values.
 
     Args:
-        config: What `compose` returned, or overrides.
-        verb: Whose suggested values count.
-        config_dir: With overrides: searched first.
+        config: The result of `compose`, or overrides.
+        verb: The verb for which the task's suggestions are used.
+        config_dir: With overrides: a folder searched first.
 
     Raises:
-        ConfigError: Holds every mistake with its place.
+        ConfigError: Lists every mistake with its place.
     """
     composed = config if isinstance(config, Composed) else compose(config, verb, config_dir)
     found = check(composed, verb)
@@ -138,17 +138,17 @@ def resolve_tree(
     task_name: str = "task",
     allow_import: bool = False,
 ) -> Resolved:
-    """Check a config that was dumped: a run folder's `config.yaml`, a log's attachment.
+    """Check a dumped config: a run folder's `config.yaml` or a log's attachment.
 
     Args:
         tree: The loaded YAML.
-        source: What messages call it, or from a key path to where the key was set.
-        verb: Whose suggested values count, where keys are still null.
-        task_name: What the task is called; the tree does not say.
+        source: Its name in messages, or a function from a key path to where the key was set.
+        verb: The verb for which the task's suggestions are used, for null keys.
+        task_name: The task's name, which the tree does not contain.
         allow_import: Whether its ``package.module:function`` may be imported.
 
     Raises:
-        ConfigError: Holds every mistake with its place.
+        ConfigError: Lists every mistake with its place.
     """
     located = source if callable(source) else lambda path: source
     found = check_tree(tree, located, verb, allow_import=allow_import)
@@ -156,7 +156,7 @@ def resolve_tree(
 
 
 def _resolved(found: Check, verb: Verb, task_name: str, source: Callable[[str], str]) -> Resolved:
-    """The config that was checked, if it has no mistakes."""
+    """The checked config; raises if it has mistakes."""
     if found.problems:
         raise ConfigError(found.problems)
     tree, notes = _with_armature(_with_defaults(found.types.tree, verb), found.scene)
@@ -164,7 +164,7 @@ def _resolved(found: Check, verb: Verb, task_name: str, source: Callable[[str], 
 
 
 def _with_defaults(tree: Mapping[str, Any], verb: Verb) -> dict[str, Any]:
-    """A copy in which what is still null has its default; a seed is drawn, to be recorded."""
+    """A copy with defaults for null keys; a null seed is drawn, so that it can be recorded."""
     filled = copy.deepcopy(dict(tree))
     for key, default in _DEFAULTS[verb].items():
         if filled.get(key) is None:
@@ -177,10 +177,10 @@ def _with_defaults(tree: Mapping[str, Any], verb: Verb) -> dict[str, Any]:
 def _with_armature(
     tree: Mapping[str, Any], prepared: PreparedScene
 ) -> tuple[dict[str, Any], tuple[Problem, ...]]:
-    """A copy with the armature that its joints lack, and a note for every articulation changed.
+    """A copy with default armature for joints without one; a note for each changed articulation.
 
-    Only joints whose armature the task does not give are changed; the articulations' configs in
-    `prepared` are changed likewise.
+    Only joints for which the task gives no armature are changed; the articulations' configs in
+    `prepared` get the same change.
     """
     changed, notes = copy.deepcopy(dict(tree)), []
     for path, raised in prepared.settle_armature().items():
@@ -202,10 +202,10 @@ def write_record(folder: Path, resolved: Resolved, argv: Sequence[str] | None = 
     Args:
         folder: A claimed folder.
         resolved: The config of the run.
-        argv: The command line; None is this process's own.
+        argv: The command line; None is that of this process.
 
     Raises:
-        ConfigError: Something cannot be written (the disk is full); says what and why.
+        ConfigError: A file cannot be written (the disk is full); gives its name and the reason.
     """
     command = shlex.join(sys.argv if argv is None else argv)
     files = {
@@ -222,7 +222,7 @@ def write_record(folder: Path, resolved: Resolved, argv: Sequence[str] | None = 
 
 
 def freeze(value: Any) -> Any:
-    """Return a deep copy that cannot change: mappings read-only, lists as tuples."""
+    """Return an immutable deep copy: read-only mappings, and tuples for lists."""
     if isinstance(value, Mapping):
         return MappingProxyType({key: freeze(item) for key, item in value.items()})
     if isinstance(value, (list, tuple)):
@@ -231,7 +231,7 @@ def freeze(value: Any) -> Any:
 
 
 def thaw(value: Any) -> Any:
-    """Return a deep, mutable copy of what `freeze` made: dicts and lists."""
+    """Return a mutable deep copy of a result of `freeze`: dicts and lists."""
     if isinstance(value, Mapping):
         return {key: thaw(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -240,7 +240,7 @@ def thaw(value: Any) -> Any:
 
 
 def dump_yaml(value: Any) -> str:
-    """Return a tree as YAML: keys in their order, no aliases, lists of values on one line."""
+    """Return a tree as YAML, with keys in order, no aliases, and lists of scalars on one line."""
     text: str = yaml.dump(
         thaw(value),
         Dumper=_Dumper,
@@ -253,7 +253,7 @@ def dump_yaml(value: Any) -> str:
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes shared parts out twice: anchors would change with how a tree was built."""
+    """Writes shared parts in full: anchors would depend on how the tree was built."""
 
     def ignore_aliases(self, data: Any) -> bool:
         """Never write an alias."""

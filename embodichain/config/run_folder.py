@@ -1,6 +1,6 @@
-"""The folders of runs: claimed once, never shared, found again by name.
+"""Run folders, each used by one run only, and found again by name.
 
-`OUTPUT/DATE/TIME_TASK` is made by an exclusive mkdir; `OUTPUT/latest` is a link to the newest.
+`OUTPUT/DATE/TIME_TASK` is made by an exclusive mkdir; `OUTPUT/latest` links to the newest.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ __all__ = [
 ]
 
 CONFIG = "config.yaml"
-"""A run's config, in its folder."""
+"""File name of a run's config in its folder."""
 LOG = "rollout.mcap"
-"""A run's log."""
+"""File name of a run's log."""
 CHECKPOINT = "checkpoints/final.zip"
-"""A training's policy."""
+"""Path of a training's final policy in its folder."""
 SUMMARY = "summary.json"
-"""What a run found."""
+"""File name of a run's summary."""
 LATEST = "latest"
 _MOST_SUFFIXES = 10_000
 _PACKAGES = (
@@ -45,18 +45,18 @@ _PACKAGES = (
 
 
 def claim(output_root: str | Path, task: str, now: datetime | None = None) -> Path:
-    """Make a new folder for a run, and let ``latest`` point to it.
+    """Make a new folder for a run, and link ``latest`` to it.
 
     Args:
-        output_root: Made when missing.
-        task: Part of the name.
-        now: Its date and time; None is the present, local time.
+        output_root: The folder of runs, created if missing.
+        task: The task's name, part of the folder's name.
+        now: Date and time in the folder's name; None is the current local time.
 
     Returns:
-        ``output_root/YYYY-MM-DD/HH-MM-SS_task``, with ``_2``, ``_3``... where that is taken.
+        ``output_root/YYYY-MM-DD/HH-MM-SS_task``, with ``_2``, ``_3``... if that exists.
 
     Raises:
-        ConfigError: The folder cannot be made; says why.
+        ConfigError: The folder cannot be made; gives the reason.
     """
     root = Path(output_root)
     moment = now or datetime.now()
@@ -72,10 +72,10 @@ def claim(output_root: str | Path, task: str, now: datetime | None = None) -> Pa
 
 
 def adopt(folder: str | Path) -> Path:
-    """Take a folder of a fixed name, as a sweep's jobs have, for one run.
+    """Claim a folder with a given name for one run, as for the jobs of a sweep.
 
     Raises:
-        ConfigError: It has a run already, or cannot be made.
+        ConfigError: The folder already contains a run, or cannot be made.
     """
     path = Path(folder)
     try:
@@ -90,11 +90,11 @@ def adopt(folder: str | Path) -> Path:
 
 
 def find_run(name: str | Path, output_root: str | Path = "outputs") -> Path:
-    """Return the folder of a run that exists.
+    """Return the folder of an existing run.
 
     Args:
-        name: Its path, or ``last`` for what ``latest`` points to.
-        output_root: Where ``latest`` is.
+        name: Its path, or ``last`` for the run that ``latest`` links to.
+        output_root: The folder that contains ``latest``.
 
     Raises:
         ConfigError: There is no such run.
@@ -107,10 +107,10 @@ def find_run(name: str | Path, output_root: str | Path = "outputs") -> Path:
 
 
 def newest_run(output_root: str | Path, holding: str) -> Path | None:
-    """Return the folder of the run that began last of those with a file, or None.
+    """Return the folder of the newest run that contains a file, or None.
 
     Args:
-        output_root: Where runs are; the jobs of sweeps count too.
+        output_root: The folder of runs; the jobs of sweeps are searched too.
         holding: The file's path in a run's folder; may be a pattern (``*.zip``).
     """
     runs = [file.parent for file in Path(output_root).rglob(CONFIG)]
@@ -119,12 +119,12 @@ def newest_run(output_root: str | Path, holding: str) -> Path | None:
 
 
 def named_checkpoint(path: str | Path) -> Path:
-    """Return what exists under a path: itself, or the checkpoint that it names without ``.zip``.
+    """Return the path if it exists, else the checkpoint that it names without ``.zip``.
 
     ``RUN/best`` and ``RUN/checkpoints/best`` are both ``RUN/checkpoints/best.zip``.
 
     Args:
-        path: As typed; is returned as it is where none of these exist.
+        path: As typed; returned unchanged if none of these exist.
     """
     given = Path(path)
     file = f"{given.name}.zip"
@@ -133,7 +133,7 @@ def named_checkpoint(path: str | Path) -> Path:
 
 
 def versions() -> dict[str, str | None]:
-    """Return the versions of everything that can change a result; None for what is not there."""
+    """Return the versions of software that can change a result; None if it is not installed."""
     found: dict[str, str | None] = {"python": platform.python_version()}
     for package in _PACKAGES:
         found[package] = None
@@ -162,5 +162,5 @@ def _point_latest(root: Path, folder: Path) -> None:
 
 
 def _began(run: Path) -> tuple[int, str]:
-    """A run's config is written once, when it begins."""
+    """Sort key by the time when a run began: its config is written once, at the start."""
     return (run / CONFIG).stat().st_mtime_ns, str(run)

@@ -1,7 +1,7 @@
 """All checks of a config in one report: types, values, terms, scene; each mistake with its place.
 
 Types are checked by `check_types`, terms by `lab.gym.envs.managers.check`, the scene by
-`lab.gym.envs.scene_setup`; values of the root and of the task here.
+`lab.gym.envs.scene_setup`; values of the root and of the task are checked here.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ from embodichain.utils.type_errors import show_value, unknown_key
 __all__ = ["Check", "check", "check_training_keys", "check_tree", "validate"]
 
 Chosen = Callable[[str, str], bool]
-"""``chosen(path, package)``: whether a key was set elsewhere than in the option at `package`."""
+"""``chosen(path, package)``: whether a key was set outside the group option at `package`."""
 
 _SAME = {"episode_length_s": "max_episode_steps", "decimation": "sim_steps_per_control"}
-"""Task keys that win over another one when given, see `EnvCfg`."""
+"""Task keys that override another key if set, see `EnvCfg`."""
 _ENTITY = re.compile(r"task(\.(robot|(robots|objects|articulations)(\.[^.]+)?)(\.(uid|fpath))?)?")
-"""Paths whose loss makes references to entities fail that are not wrong."""
+"""If such a key was pruned, references to entities may fail without being wrong."""
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """A config that was checked as a whole.
+    """The result of checking a whole config.
 
     Attributes:
-        problems: Every mistake; empty is good.
+        problems: Every mistake; empty if there is none.
         types: The config with the task's suggestions, as plain values and as data classes.
-        scene: The scene as it was read and compiled for the check.
+        scene: The scene that was compiled for the check.
     """
 
     problems: list[Problem]
@@ -58,17 +58,17 @@ class Check:
 
 
 def validate(composed: Composed, verb: Verb = "run") -> list[Problem]:
-    """Return every mistake of a composed config, with those found while composing; empty is good.
+    """Return every mistake of a composed config, including those found while composing.
 
     Args:
-        composed: What `compose` returned.
-        verb: Whose suggested values count.
+        composed: The result of `compose`.
+        verb: The verb for which the task's suggestions are used.
     """
     return check(composed, verb).problems
 
 
 def check(composed: Composed, verb: Verb) -> Check:
-    """Check a composed config as a whole, with the task's suggestions for a verb."""
+    """Check a whole composed config, with the task's suggestions for a verb."""
     unknown: list[Problem] = []
     if composed.usable:
         unknown = _unknown_entries(composed)
@@ -95,12 +95,12 @@ def check_tree(
     """Check a plain tree.
 
     Args:
-        tree: A composed config, or one that was dumped.
-        source: From a key path to where the key was set.
-        verb: Whose suggested values count.
-        chosen: Tells which keys of `algo` the user set: they win over the task's suggestions. None
-            takes them all for the user's.
-        lost: Paths that are known to be wrong; nothing more is said of them.
+        tree: A composed or dumped config.
+        source: Function from a key path to where the key was set.
+        verb: The verb for which the task's suggestions are used.
+        chosen: Whether the user set a key of `algo`, which then overrides the task's suggestion.
+            None means that the user set all of them.
+        lost: Key paths known to be wrong; they are not reported again.
         allow_import: Whether ``package.module:function`` may be imported.
     """
     rest = copy.deepcopy(dict(tree))
@@ -130,7 +130,7 @@ def _check_meaning(
     allow_import: bool,
     scene: PreparedScene,
 ) -> list[Problem]:
-    """Values, terms and scene, of what has the right types."""
+    """Check values, terms and scene of the keys that have the right types."""
     problems = _check_root(root, allow_import)
     problems += _check_task(root.task, allow_import)
     if verb == "train":
@@ -146,7 +146,7 @@ def _check_meaning(
 
 
 def check_training_keys(root: RootCfg) -> list[Problem]:
-    """Check the keys that only a training needs: its length, and a seed that SB3 takes."""
+    """Check the keys that only a training needs: its length, and a seed that SB3 accepts."""
     problems = []
     if root.total_timesteps is None:
         message = "missing value: set it, or task.suggested.train.total_timesteps"
@@ -158,7 +158,7 @@ def check_training_keys(root: RootCfg) -> list[Problem]:
 
 
 def _said_twice(composed: Composed) -> list[Problem]:
-    """Two names of one thing, both set: the one that would lose is usually the one just typed."""
+    """A problem for each pair of keys that set the same value: one of them would be ignored."""
     task = composed.tree.get("task")
     problems = []
     for name, other in _SAME.items():
@@ -171,7 +171,7 @@ def _said_twice(composed: Composed) -> list[Problem]:
 
 
 def _unknown_entries(composed: Composed) -> list[Problem]:
-    """Overrides that name an entity or term that does not exist; with `+` they would add it."""
+    """Overrides without `+` for an entity or term that does not exist; `+` would add it."""
     problems: dict[str, Problem] = {}
     for override in composed.locator.overrides:
         parts = override.key_or_group.split(".")
@@ -187,7 +187,7 @@ def _unknown_entries(composed: Composed) -> list[Problem]:
 
 @cache
 def _named_maps() -> set[str]:
-    """The keys of a task whose value is a map of entities or of terms, by name."""
+    """The keys of a task that are maps from names to entities or terms."""
     hints = typing.get_type_hints(EnvCfg)
     return {
         key
@@ -238,7 +238,7 @@ def _check_root(root: RootCfg, allow_import: bool) -> list[Problem]:
 
 
 def _check_task(task: EnvCfg, allow_import: bool) -> list[Problem]:
-    """Check values of a task that belong to no term and no entity."""
+    """Check values of a task outside its terms and entities."""
     problems = []
     steps = task.max_episode_steps
     if steps < 1 and steps != -1:
@@ -258,7 +258,7 @@ def _check_task(task: EnvCfg, allow_import: bool) -> list[Problem]:
 
 
 def _check_suggested(tree: Mapping[str, Any]) -> list[Problem]:
-    """Check `task.suggested.run` and `.train` as what they become: values of root keys."""
+    """Check `task.suggested.run` and `.train` as values of root keys."""
     problems: list[Problem] = []
     for verb in VERBS:
         values = _suggested(tree, verb)
@@ -285,7 +285,7 @@ def _check_device(device: str | None) -> list[Problem]:
 
 
 def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
-    """Check that a policy exists and takes its parameters; a trained one, that its path exists."""
+    """Check that a policy exists and accepts its parameters; for a trained one, that it exists."""
     policy = root.policy
     if policy is None:
         return []
@@ -311,7 +311,7 @@ def _existing(root: RootCfg, path: Path) -> Any:
 
 
 def _with_suggestions(tree: Mapping[str, Any], verb: Verb, chosen: Chosen | None) -> dict[str, Any]:
-    """A copy with the task's suggestions where the user left null; see `check_tree`."""
+    """A copy with the task's suggestions for null keys; see `check_tree`."""
     filled = copy.deepcopy(dict(tree))
     suggested = _suggested(filled, verb)
     for key in SUGGESTED_KEYS:
@@ -335,7 +335,7 @@ def _suggested(tree: Mapping[str, Any], verb: Verb) -> dict[str, Any]:
 def _merge_suggested(
     algo: dict[str, Any], suggested: dict[str, Any], path: str, chosen: Chosen
 ) -> Any:
-    """Suggestions over the group option's values, but under what the user set."""
+    """Merge suggestions over the group option's values, except for keys that the user set."""
     merged = dict(algo)
     for key, value in suggested.items():
         where, mine = f"{path}.{key}", merged.get(key)

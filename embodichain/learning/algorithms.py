@@ -1,4 +1,4 @@
-"""`Algorithm`: what a config's `algo` asks Stable-Baselines3 for, checked before anything runs."""
+"""`Algorithm`: a config's `algo` as arguments of Stable-Baselines3, checked before a run."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ _NAMED: dict[str, dict[str, Any]] = {
         "sgd": torch.optim.SGD,
     },
 }
-"""Keys of ``policy_kwargs`` that name a class."""
-# Arguments that are not the user's to give, and what to use instead.
+"""Keys of ``policy_kwargs`` with the name of a class as value."""
+# Arguments that a user cannot set -> what to use instead.
 _POLICY_INSTEAD = {
     "observation_space": "it is the task's",
     "action_space": "it is the task's",
@@ -67,7 +67,7 @@ def algorithm_class(name: str) -> type[BaseAlgorithm]:
     """Return an algorithm by name.
 
     Raises:
-        ConfigError: If there is none (lists them), or its package is not installed (names it).
+        ConfigError: If the name is unknown (lists all), or a package is not installed (names it).
     """
     if name not in ALGORITHMS:
         message = f"unknown algorithm {name!r}; allowed: {', '.join(ALGORITHMS)}"
@@ -91,8 +91,8 @@ class Algorithm:
     Attributes:
         name: As in ``algo.name``.
         arguments: Keyword arguments of its class.
-        normalize: Those of `VecNormalize`; None where nothing is normalized.
-        noise: Kind and standard deviation (None is 0.1) of noise on actions; None without.
+        normalize: Keyword arguments of `VecNormalize`; None if nothing is normalized.
+        noise: Kind and standard deviation (None is 0.1) of action noise; None without noise.
     """
 
     name: str
@@ -102,10 +102,10 @@ class Algorithm:
 
     @classmethod
     def of(cls, cfg: AlgoCfg) -> Algorithm:
-        """Turn schedules and names into what they mean, and check what only signatures tell.
+        """Convert schedules and names to objects, and check arguments against signatures.
 
         Args:
-            cfg: What passed the check of types.
+            cfg: A config that passed the check of types.
 
         Raises:
             ConfigError: Every mistake, with paths below ``algo``.
@@ -136,16 +136,16 @@ class Algorithm:
 
     @property
     def has_replay_buffer(self) -> bool:
-        """Whether it learns from a replay buffer."""
+        """Whether the algorithm learns from a replay buffer."""
         return issubclass(algorithm_class(self.name), OffPolicyAlgorithm)
 
     def build(self, vec_env: VecEnv, seed: int | None) -> BaseAlgorithm:
-        """Construct it on an environment, normalized where that is wanted.
+        """Construct the algorithm for an environment, with `VecNormalize` if configured.
 
         Args:
-            vec_env: The environment it learns in; actions (A,) in [-1, 1].
-            seed: Of the networks, the exploration and the environment's next reset; seeds the
-                global generators of Python, numpy and torch: Stable-Baselines3 draws from them.
+            vec_env: The environment to learn in; actions (A,) in [-1, 1].
+            seed: Seed of the networks, the exploration and the environment's next reset. It seeds
+                the global generators of Python, numpy and torch, which Stable-Baselines3 uses.
 
         Raises:
             ConfigError: If the algorithm refuses its arguments.
@@ -163,13 +163,13 @@ class Algorithm:
 
 
 def action_noise(kind: str, std: float | None, width: int, num_envs: int) -> ActionNoise:
-    """Return noise for actions in [-1, 1], drawn apart for each environment.
+    """Return noise for actions in [-1, 1], drawn separately for each environment.
 
     Args:
         kind: ``normal`` or ``ornstein-uhlenbeck``.
-        std: Its standard deviation; None is 0.1.
-        width: Of an action.
-        num_envs: How many environments.
+        std: Standard deviation; None is 0.1.
+        width: Number of action columns.
+        num_envs: Number of environments.
     """
     noise = NormalActionNoise if kind == "normal" else OrnsteinUhlenbeckActionNoise
     base = noise(np.zeros(width), np.full(width, _DEFAULT_STD if std is None else std))
@@ -177,7 +177,7 @@ def action_noise(kind: str, std: float | None, width: int, num_envs: int) -> Act
 
 
 def _scheduled(value: Any) -> Any:
-    """``lin_VALUE`` as a schedule from VALUE in a straight line to 0 at the end of training."""
+    """``lin_VALUE`` as a schedule that decays linearly from VALUE to 0 at the end of training."""
     if isinstance(value, str) and value.startswith(_LINEAR):
         return LinearSchedule(float(value.removeprefix(_LINEAR)), 0.0, 1.0)
     return value
@@ -205,7 +205,7 @@ def _check_policy_kwargs(
 
 
 def _check_layers(layers: Any, critic: str, path: str) -> list[Problem]:
-    """SB3 ignores unknown parts of a map, and fails late on empty layers."""
+    """Check `net_arch`: SB3 ignores unknown keys of a map, and fails late on empty layers."""
     problems = []
     for key, widths in layers.items() if isinstance(layers, dict) else [("", layers or [])]:
         at = f"{path}.{key}" if key else path
@@ -226,7 +226,7 @@ def _check_call(
     """Check arguments against a signature: names, then types.
 
     Returns:
-        The values in the types of the annotations, and every mistake.
+        The values converted to the annotated types, and every mistake.
     """
     parameters = inspect.signature(function).parameters
     allowed = [name for name in parameters if name not in instead]

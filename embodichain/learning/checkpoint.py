@@ -1,4 +1,4 @@
-"""Checkpoints: zip files of Stable-Baselines3 with a note of what made them, written atomically."""
+"""Checkpoints: zip files of Stable-Baselines3 with metadata (a note), written atomically."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = [
 ]
 
 CHECKPOINTS = "checkpoints"
-"""Folder of checkpoints in a run folder."""
+"""The folder of checkpoints in a run folder."""
 FINAL = "final.zip"
 DIGEST = "trained_in"
 """Key of the note with the JSON of a `TaskDigest`."""
@@ -38,15 +38,15 @@ _MEMBERS = ("data", "policy.pth")
 
 
 def save_checkpoint(model: BaseAlgorithm, path: Path, note: Mapping[str, Any]) -> None:
-    """Write a model, whole or not at all.
+    """Write a model atomically.
 
     Args:
         model: The model; gets the note as an attribute.
-        path: Where to; the folder is made.
-        note: Plain JSON with ``algo``, ``group``, and what the task was (`DIGEST`).
+        path: The file; its folder is created.
+        note: Plain JSON with ``algo``, ``group``, and the task's digest (`DIGEST`).
 
     Raises:
-        OSError: It cannot be written (the disk is full); nothing is left behind.
+        OSError: The file cannot be written (the disk is full); no partial file remains.
     """
     setattr(model, NOTE, dict(note))
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -55,10 +55,10 @@ def save_checkpoint(model: BaseAlgorithm, path: Path, note: Mapping[str, Any]) -
 
 
 def find_checkpoint(path: str | Path) -> Path:
-    """Return the checkpoint that a path means: a file, ``RUN/best``, or a run's final one.
+    """Return the checkpoint of a path: a file, ``RUN/best``, or a run folder's final checkpoint.
 
     Raises:
-        ConfigError: If there is none; says what was looked for.
+        ConfigError: If there is none; lists the paths that were tried.
     """
     given = named_checkpoint(path)
     if given.is_file():
@@ -76,8 +76,8 @@ def read_note(path: Path) -> dict[str, Any]:
     """Read a checkpoint's note without running code of the file.
 
     Returns:
-        The note; for a file that Stable-Baselines3 itself wrote, ``algo`` found from the attributes
-        in it and ``group`` ``policy``.
+        The note; for a file that Stable-Baselines3 itself wrote, ``algo`` is found from the
+        attributes in it and ``group`` is ``policy``.
 
     Raises:
         ConfigError: If the file cannot be read or is no checkpoint of a known algorithm.
@@ -102,10 +102,10 @@ def read_note(path: Path) -> dict[str, Any]:
 
 
 def read_digest(note: Mapping[str, Any], path: Path) -> TaskDigest | None:
-    """Return what a checkpoint's task was in training; None where its note has no digest.
+    """Return the digest of a checkpoint's task in training; None if its note has none.
 
     Raises:
-        ConfigError: If what the note says is damaged.
+        ConfigError: If the digest is damaged.
     """
     text = note.get(DIGEST)
     try:
@@ -134,10 +134,10 @@ _MARKS: tuple[tuple[str, frozenset[str]], ...] = (
 
 
 def made_by(data: Mapping[str, Any]) -> str | None:
-    """Return the algorithm's name, as in ``algo.name``; None if it is none that is known.
+    """Return the algorithm's name, as in ``algo.name``; None for an unknown algorithm.
 
     Args:
-        data: The JSON of a zip of Stable-Baselines3: attributes of the model.
+        data: The JSON in a zip of Stable-Baselines3: attributes of the model.
     """
     policy = data.get("policy_class")
     if isinstance(policy, Mapping) and "recurrent" in str(policy.get("__module__")):

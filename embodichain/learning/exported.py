@@ -1,4 +1,4 @@
-"""Policies from ONNX and TorchScript files, which contain no Python code."""
+"""Policies in ONNX and TorchScript files, which contain no Python code."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 METADATA = "embodichain.json"
-"""Key of the metadata: an extra file of TorchScript, a custom property of ONNX."""
+"""Key of the metadata: an extra file in TorchScript, a custom property in ONNX."""
 INPUT, OUTPUT = "observation", "action"
 """Names of an ONNX file's input (N, K) and output (N, A)."""
 ONNX = (".onnx",)
@@ -49,8 +49,8 @@ F32 = NDArray[np.float32]
 class PolicyMetadata:
     """The metadata of an exported file.
 
-    `columns` names the columns of its input; `action_low` and `action_high` bound those of its
-    output; `embodichain` is the version that wrote it, `trained_in` the JSON of a `TaskDigest`.
+    `columns` names the input columns; `action_low` and `action_high` are the bounds of the output
+    columns; `embodichain` is the version that wrote it, `trained_in` a `TaskDigest` as JSON.
     """
 
     task: str
@@ -68,10 +68,10 @@ class PolicyMetadata:
 
     @classmethod
     def from_json(cls, text: str | bytes, path: Path) -> PolicyMetadata | None:
-        """Read it back; None for nothing, as in files that others wrote.
+        """Parse JSON; None for empty text, as in files of other programs.
 
         Raises:
-            ConfigError: If it is damaged.
+            ConfigError: If the text is damaged.
         """
         if not text:
             return None
@@ -85,12 +85,12 @@ class PolicyMetadata:
 
 
 class ExportedPolicy(TrainedPolicy):
-    """A policy of an exported file.
+    """A policy from an exported file.
 
     Args:
-        network: (N, K) float32 observations to (N, A) float32 actions in the task's units.
-        metadata: Of the file; None for files of other programs.
-        name: What messages call it.
+        network: Maps (N, K) float32 observations to (N, A) float32 actions in the task's units.
+        metadata: The file's metadata; None for files of other programs.
+        name: Its name in messages.
 
     Raises:
         ConfigError: The metadata are damaged.
@@ -106,11 +106,11 @@ class ExportedPolicy(TrainedPolicy):
         self._network = network
 
     def act(self, obs: F32) -> F32:
-        """Return (N, A) actions for (N, K) observations, both as the task has them."""
+        """Return (N, A) actions for (N, K) observations, both in the task's units."""
         return self._network(obs)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Nothing is kept from step to step."""
+        """Do nothing: the policy has no state."""
 
     def _fit(self, env: BaseEnv) -> None:
         """Check the columns, and try the policy once."""
@@ -131,10 +131,10 @@ class ExportedPolicy(TrainedPolicy):
 
 
 def load_exported(path: Path) -> ExportedPolicy:
-    """Read a policy from a file whose suffix is one of `SUFFIXES`; runs no Python of it.
+    """Read a policy from a file with a suffix in `SUFFIXES`; runs no Python code of the file.
 
     Raises:
-        ConfigError: If it cannot be read, is no such file, or onnxruntime is missing.
+        ConfigError: If the file cannot be read, has another format, or onnxruntime is missing.
     """
     if path.suffix in ONNX:
         return _load_onnx(path)
@@ -165,7 +165,7 @@ def _load_onnx(path: Path) -> ExportedPolicy:
         )
     except OSError as error:
         raise ConfigError([Problem("policy", f"cannot read {path}: {error}")]) from error
-    except Exception as error:  # its exceptions share no base class
+    except Exception as error:  # onnxruntime's exceptions have no common base class
         raise _wrong(path, f"it is no ONNX file: {_first_line(error)}") from error
     names = [entry.name for entry in session.get_inputs()]
     if len(names) != 1 or not session.get_outputs():

@@ -1,4 +1,4 @@
-"""`CheckpointKeeper`: which checkpoints of a training are written; `find_resumable` finds one."""
+"""`CheckpointKeeper` writes the checkpoints of a training; `find_resumable` finds the newest."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ _log = logging.getLogger(__name__)
 
 
 class CheckpointKeeper:
-    """Writes checkpoints of one training: every so many steps, the best of these, the final one.
+    """Writes checkpoints of one training: periodic ones, the best of these, and the final one.
 
-    Files of a checkpoint are each written as a whole, the zip last: where it is, the others are.
+    The files of a checkpoint are written atomically, the zip last: if it exists, the others do.
 
     Args:
         session: The training.
         note: Metadata of the zips; gets ``env_steps``.
-        every: Environment steps between two.
-        keep: How many of the newest are kept.
-        replay_buffer: Whether those that a training can go on from have the replay buffer.
+        every: Environment steps between two periodic checkpoints.
+        keep: Number of periodic checkpoints to keep.
+        replay_buffer: Whether resumable checkpoints include the replay buffer.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class CheckpointKeeper:
 
     @property
     def best(self) -> str | None:
-        """The best checkpoint's path, relative to the run's folder; None without."""
+        """Path of the best checkpoint, relative to the run's folder; None if there is none."""
         path = self._folder / BEST
         return f"{CHECKPOINTS}/{BEST}" if path.is_file() else None
 
@@ -94,8 +94,8 @@ class CheckpointKeeper:
         """Write the final checkpoint.
 
         Args:
-            resumable: Whether the model is between two rollouts, where a training can go on.
-            rolling: Whether the next of these has begun.
+            resumable: Whether the model is between two rollouts, so that training can be resumed.
+            rolling: Whether the next rollout has begun.
 
         Returns:
             Its path, relative to the run's folder.
@@ -105,7 +105,7 @@ class CheckpointKeeper:
         return f"{CHECKPOINTS}/{FINAL}"
 
     def _judge(self) -> None:
-        """Write the best checkpoint if this one is it."""
+        """Write the best checkpoint if the current model has the best score."""
         statistics, steps = self._session.statistics, self._session.model.num_timesteps
         score = statistics.score
         if score is not None and (statistics.best is None or score > statistics.best[1]):
@@ -131,13 +131,12 @@ class CheckpointKeeper:
 
 
 def find_resumable(run: Path) -> tuple[Path, dict[str, Any]]:
-    """Return the newest checkpoint of a run that a training can go on from, and its state.
+    """Return the newest checkpoint of a run from which training can be resumed, and its state.
 
-    A zip whose state is missing or of another step (the process was killed in between) is passed
-    over.
+    A zip is skipped if its state is missing or of another step (the process was killed in between).
 
     Raises:
-        ConfigError: If there is none; says what was looked for.
+        ConfigError: If there is none; lists the paths that were tried.
     """
     folder = run / CHECKPOINTS
     paths = [*folder.glob("step_*.zip"), *folder.glob(FINAL)]
@@ -152,7 +151,7 @@ def find_resumable(run: Path) -> tuple[Path, dict[str, Any]]:
 
 
 def state_path(checkpoint: Path) -> Path:
-    """Return where the training's state of ``NAME.zip`` is: ``NAME.state.npz`` beside it."""
+    """Return the file with the training state of ``NAME.zip``: ``NAME.state.npz`` beside it."""
     return checkpoint.with_name(checkpoint.stem + _STATE)
 
 
@@ -163,18 +162,18 @@ def _remove(checkpoint: Path) -> None:
 
 
 class WriteError(EmbodichainError):
-    """A training's folder cannot be written; says what is in it and how to go on."""
+    """A training's folder cannot be written; reports its contents and how to resume."""
 
 
 @contextmanager
 def telling_where(run_dir: Path) -> Iterator[None]:
-    """Turn the system's errors into one that names the folder and its newest checkpoint.
+    """Convert OS errors to an error that names the folder and its newest checkpoint.
 
     Args:
         run_dir: The training's folder.
 
     Raises:
-        WriteError: Something could not be written.
+        WriteError: A file could not be written.
     """
     try:
         yield

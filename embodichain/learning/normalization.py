@@ -1,4 +1,4 @@
-"""What `VecNormalize` has counted: a file without pickle beside a checkpoint."""
+"""Statistics of `VecNormalize`, in a file without pickle beside a checkpoint."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ F64 = NDArray[np.float64]
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class NormalizeStatistics:
-    """What a `VecNormalize` has counted, copied, and its settings of the same names.
+    """A copy of the running statistics and settings of a `VecNormalize`, with the same names.
 
     Mean and variance of observations are (K,), of discounted returns (); `returns` is (N,), the
-    discounted return of each environment's episode so far.
+    discounted return so far of each environment's episode.
     """
 
     obs_mean: F64
@@ -45,7 +45,7 @@ class NormalizeStatistics:
 
     @classmethod
     def of(cls, env: VecNormalize) -> NormalizeStatistics:
-        """Copy them from the wrapper of a training."""
+        """Copy the statistics from the wrapper of a training."""
         # Without norm_obs, VecNormalize has no obs_rms at all.
         width = env.observation_space.shape or ()
         obs = _observed(env) if env.norm_obs else RunningMeanStd(shape=width)
@@ -54,14 +54,14 @@ class NormalizeStatistics:
         return cls(*moments[0], *moments[1], env.returns.copy(), *settings)
 
     def restore(self, env: VecNormalize) -> None:
-        """Let a `VecNormalize` count on from here, to the bit; its own settings stay."""
+        """Set the statistics of a `VecNormalize` to the same bits; its settings are unchanged."""
         if env.norm_obs:
             _put(_observed(env), self.obs_mean, self.obs_var, self.obs_count)
         _put(env.ret_rms, self.ret_mean, self.ret_var, self.ret_count)
         env.returns = self.returns.copy()
 
     def normalize(self, obs: NDArray[Any]) -> NDArray[np.float32]:
-        """Return observations (..., K) as the policy saw them in training, float32.
+        """Return observations (..., K) normalized as in training, float32.
 
         The formula is that of `VecNormalize`: clip((obs - mean) / sqrt(var + epsilon)).
         """
@@ -73,16 +73,16 @@ class NormalizeStatistics:
 
 
 def statistics_path(checkpoint: str | Path) -> Path:
-    """Return where the statistics of ``NAME.zip`` are: ``NAME.normalize.npz`` beside it."""
+    """Return the file with the statistics of ``NAME.zip``: ``NAME.normalize.npz`` beside it."""
     path = Path(checkpoint)
     return path.with_name(path.stem + SUFFIX)
 
 
 def save_statistics(path: str | Path, statistics: VecNormalize | NormalizeStatistics) -> None:
-    """Write statistics, as a whole or not at all.
+    """Write statistics atomically.
 
     Raises:
-        OSError: It cannot be written; nothing is left behind.
+        OSError: The file cannot be written; no partial file remains.
     """
     if isinstance(statistics, VecNormalize):
         statistics = NormalizeStatistics.of(statistics)
@@ -90,10 +90,10 @@ def save_statistics(path: str | Path, statistics: VecNormalize | NormalizeStatis
 
 
 def load_statistics(path: str | Path) -> NormalizeStatistics:
-    """Read what `save_statistics` wrote; runs nothing of the file.
+    """Read a file written by `save_statistics`; runs no code of the file.
 
     Raises:
-        ConfigError: If the file is missing or is no such file.
+        ConfigError: If the file is missing or has another format.
     """
     if not Path(path).is_file():
         message = f"{path} is missing: this policy needs the statistics its training normalized by"

@@ -1,4 +1,4 @@
-"""Trees of plain values and arrays in one npz file, without pickle, to the bit."""
+"""Trees of plain values and arrays in one npz file, without pickle and without loss."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ _KIND = "__kind__"
 
 
 def write_tree(path: Path, tree: Mapping[str, Any]) -> None:
-    """Write a tree, as a whole or not at all.
+    """Write a tree atomically.
 
     Args:
-        path: Where to.
-        tree: Maps with text as keys, lists, tuples, arrays, tensors, numbers, text, None. Numbers
-            come back to the bit: JSON's digits are those of `repr`, integers have any size.
+        path: The file.
+        tree: Maps with strings as keys, lists, tuples, arrays, tensors, numbers, strings, None.
+            Numbers are stored exactly: floats as their `repr`, integers of any size.
 
     Raises:
-        TypeError: Something else is in it; says where.
-        OSError: It cannot be written; nothing is left behind.
+        TypeError: The tree contains another type; names its path.
+        OSError: The file cannot be written; no partial file remains.
     """
     arrays: dict[str, NDArray[Any]] = {}
     text = json.dumps(_pack(tree, "state", arrays))
@@ -41,15 +41,15 @@ def write_tree(path: Path, tree: Mapping[str, Any]) -> None:
 
 
 def read_tree(path: Path, key: str = "resume", what: str = "state of a training") -> dict[str, Any]:
-    """Read what `write_tree` wrote; runs nothing of the file.
+    """Read a file written by `write_tree`; runs no code of the file.
 
     Args:
         path: The file.
-        key: Key path of the mistake that a damaged file is.
-        what: What messages call the content.
+        key: Config key to name in the error about a damaged file.
+        what: Name of the content in messages.
 
     Raises:
-        ConfigError: If the file is missing or is no such file.
+        ConfigError: If the file is missing or has another format.
     """
     try:
         with np.load(path, allow_pickle=False) as archive:

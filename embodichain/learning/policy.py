@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LearnedPolicy", "load_model", "load_policy"]
 
-# What acting does not need; a replay buffer for a million steps above all.
+# Not needed for acting; above all a replay buffer for a million steps.
 _UNUSED = {"seed": None, "buffer_size": 1, "learning_starts": 0, "tensorboard_log": None}
 _OBS_NORMALIZED = ("obs", "both", True)
 F32 = NDArray[np.float32]
@@ -47,27 +47,28 @@ def load_policy(
     deterministic: bool = True,
     allow_changed: bool = False,
 ) -> LearnedPolicy | ExportedPolicy:
-    """Load a policy that `embodichain train` or `export`, or Stable-Baselines3 itself, has saved.
+    """Load a policy saved by `embodichain train` or `export`, or by Stable-Baselines3 itself.
 
     Loading a zip runs code from the file: Stable-Baselines3 stores Python objects in it with
-    cloudpickle. **Load only zips that you trust**, as you would run only programs that you trust;
-    one outside of a run folder is warned about. ONNX and TorchScript files contain no Python.
+    cloudpickle. **Load only zips that you trust**, as you would run only programs that you trust; a
+    zip outside a run folder causes a warning. ONNX and TorchScript files contain no Python.
 
     Args:
-        path: A zip file with, where observations were normalized, ``NAME.normalize.npz`` beside it;
-            an ``.onnx``, ``.pt`` or ``.ts`` file; or a run folder with ``checkpoints/final.zip``.
-        env: Where it will act; given, that it fits is checked now instead of at the first action.
+        path: A zip file, with ``NAME.normalize.npz`` beside it if observations were normalized; an
+            ``.onnx``, ``.pt`` or ``.ts`` file; or a run folder with ``checkpoints/final.zip``.
+        env: The environment that it will act in; if given, the policy is checked against it now
+            instead of at the first action.
         deterministic: The mean action; otherwise actions are drawn from torch's global generator.
-        allow_changed: Whether it also acts in a task that is another than in training, as far as
-            the file's `TaskDigest` tells; what changed is then a warning. A file without a digest
-            (of Stable-Baselines3 itself, of another program) is not compared, which is a warning.
+        allow_changed: Whether to accept, with a warning, a task that differs from that of training
+            by the file's `TaskDigest`. A file without a digest (of Stable-Baselines3 itself or
+            another program) is not compared, with a warning.
 
     Returns:
         The policy: ``policy(obs, env) -> (N, A)``.
 
     Raises:
-        ConfigError: If there is no such file, if it is no policy, if its statistics are missing, or
-            if it does not fit, or was trained in another task; names what differs.
+        ConfigError: If the file does not exist or is not a policy, if its statistics are missing,
+            if it does not fit, or if it was trained in another task; names the differences.
     """
     file = find_checkpoint(path)
     policy: LearnedPolicy | ExportedPolicy
@@ -87,10 +88,10 @@ def load_policy(
 
 
 def load_model(file: Path, *, deterministic: bool = True) -> LearnedPolicy:
-    """Load a zip of Stable-Baselines3 with its statistics; see `load_policy` on trust.
+    """Load a zip of Stable-Baselines3 with its statistics; only one that you trust (`load_policy`).
 
     Raises:
-        ConfigError: If it is no policy, or its statistics are missing.
+        ConfigError: If the file is not a policy, or its statistics are missing.
     """
     note = read_note(file)
     algorithm = algorithm_class(str(note.get("algo")))
@@ -102,7 +103,7 @@ def load_model(file: Path, *, deterministic: bool = True) -> LearnedPolicy:
             file,
         )
     try:
-        # Without its seed, and aside: nothing that runs in this process draws other numbers.
+        # Without its seed and in a fork of the generators, whose state here does not change.
         with torch.random.fork_rng(devices=()):
             model = algorithm.load(file, device="cpu", custom_objects=dict(_UNUSED))
     except Exception as error:  # a damaged pickle may raise anything
@@ -118,9 +119,9 @@ class LearnedPolicy(TrainedPolicy):
     Args:
         model: The model, trained on an `SB3VecEnv`.
         group: The observation group it was trained on.
-        name: What messages call it.
-        deterministic: Whether it takes the mean action.
-        statistics: What normalizes observations for it; None where nothing did in training.
+        name: Its name in messages.
+        deterministic: Whether it returns the mean action.
+        statistics: Statistics to normalize observations; None if training did not normalize.
         note: Metadata of its checkpoint: ``algo``, ``task`` and the digest of the task.
 
     Raises:
@@ -149,7 +150,7 @@ class LearnedPolicy(TrainedPolicy):
         self._check_spaces()
 
     def predict(self, flat: F32) -> F32:
-        """Return (N, A) actions in [-1, 1] for flat observations (N, K) as the task gives them."""
+        """Return (N, A) actions in [-1, 1] for flat, unnormalized observations (N, K)."""
         seen: Any = flat if self.statistics is None else self.statistics.normalize(flat)
         actions, self._state = self.model.predict(
             seen, state=self._state, episode_start=self._starts, deterministic=self.deterministic
@@ -160,17 +161,17 @@ class LearnedPolicy(TrainedPolicy):
         return result
 
     def act(self, obs: F32) -> F32:
-        """Return (N, A) actions for (N, K) observations, in the task it was last checked against.
+        """Return (N, A) actions for (N, K) observations, in units of the task last checked.
 
         Raises:
-            RuntimeError: If it was not.
+            RuntimeError: If the policy was not checked against an environment.
         """
         if self._scale is None:
             raise RuntimeError("the policy was checked against no environment yet")
         return self._scale(self.predict(obs))
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Forget what a recurrent policy remembers of these environments' episodes."""
+        """Reset the state of a recurrent policy for these environments; None is all."""
         if self._starts is not None:
             self._starts[... if env_ids is None else env_ids] = True
 
@@ -206,7 +207,7 @@ class LearnedPolicy(TrainedPolicy):
 
 
 def _statistics(file: Path) -> NormalizeStatistics | None:
-    """The statistics beside a checkpoint; required where its run normalized observations."""
+    """The statistics beside a checkpoint; required if its run normalized observations."""
     path, config = statistics_path(file), _run_config(file)
     algo = config.get("algo") if isinstance(config, dict) else None
     normalized = isinstance(algo, dict) and algo.get("normalize") in _OBS_NORMALIZED
@@ -214,7 +215,7 @@ def _statistics(file: Path) -> NormalizeStatistics | None:
 
 
 def _run_config(file: Path) -> Any:
-    """The config of the run that a checkpoint belongs to; None where it cannot be read."""
+    """The config of the run that a checkpoint belongs to; None if it cannot be read."""
     try:
         return yaml.safe_load(_config_path(file).read_text(encoding="utf-8"))
     except (OSError, ValueError, yaml.YAMLError):

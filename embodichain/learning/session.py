@@ -1,7 +1,7 @@
-"""`Session`: a model that learns in this process, from the first step or from a checkpoint.
+"""`Session`: trains a model in this process, from the first step or from a checkpoint.
 
-A callback counts, logs, writes checkpoints and stops, on rollout boundaries. `TimeSplit` divides
-the wall time into physics, environment, policy and update.
+A callback counts and logs, and on rollout boundaries writes checkpoints and stops. `TimeSplit`
+divides the wall time into physics, environment, policy and update.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from embodichain.utils.errors import ConfigError, Problem
 __all__ = ["PARTS", "Progress", "Session", "TimeSplit"]
 
 Progress = Callable[[TrainStatistics], None]
-"""Is called after every control step. KeyboardInterrupt stops at the next rollout boundary."""
+"""Called after every control step; KeyboardInterrupt stops at the next rollout boundary."""
 PARTS = ("physics", "environment", "policy", "update")
-"""Physics steps; what else `env.step` does (observations, rewards, resets); what else a rollout
-does (actions of the policy, buffers, statistics); the time between two rollouts (the algorithm's
+"""Physics steps; the rest of `env.step` (observations, rewards, resets); the rest of a rollout
+(actions of the policy, buffers, statistics); the time between two rollouts (the algorithm's
 update, logs, checkpoints)."""
 
 
@@ -47,9 +47,9 @@ class Session:
     """One training in this process.
 
     Attributes:
-        model: What learns.
-        vec_env: What it learns in, without wrappers.
-        statistics: How it goes.
+        model: The model to train.
+        vec_env: Its environment, without wrappers.
+        statistics: The progress of the training.
         run_dir: The run's folder.
         writers: Further outputs of the logged numbers.
     """
@@ -62,14 +62,15 @@ class Session:
     _restored: dict[str, Any] | None = None
 
     def resume(self, checkpoint: Path, state: dict[str, Any]) -> None:
-        """Put the new model where a checkpoint was written.
+        """Restore a new model to the state of a checkpoint.
 
         Args:
             checkpoint: The zip.
-            state: From the file beside it, see `find_resumable`.
+            state: The training state from the file beside it, see `find_resumable`.
 
         Raises:
-            ConfigError: The checkpoint is damaged, of another network, or of code that kept less.
+            ConfigError: The checkpoint is damaged, of another network, or of an older version that
+                saved less.
         """
         load_parameters(self.model, checkpoint)
         try:
@@ -94,15 +95,15 @@ class Session:
     def learn(
         self, on_boundary: Callable[[], None], progress: Progress | None
     ) -> tuple[KeyboardInterrupt | None, bool]:
-        """Learn until all steps are taken or it is stopped.
+        """Learn until all steps are taken or the training is stopped.
 
         Args:
-            on_boundary: Called as each rollout begins.
+            on_boundary: Called at the beginning of each rollout.
             progress: See `train`.
 
         Returns:
-            What stopped it, None for its end; and whether the model is between two rollouts:
-            a Ctrl-C that Python itself raised may have come in the middle of an update.
+            The exception that stopped it, or None; and whether the model is between two rollouts,
+            since a Ctrl-C raised by Python may come in the middle of an update.
         """
         model, total = self.model, self.statistics.total_timesteps
 
@@ -129,7 +130,7 @@ class Session:
         return None, True
 
     def _restore_exploration(self) -> None:
-        """Undo, once, what the first rollout of a resumed training drew anew as it began."""
+        """Restore, once, the exploration that the first rollout after a resume drew anew."""
         saved, self._restored = self._restored, None
         if saved is not None:
             restore_exploration(self.model, saved)
@@ -138,7 +139,7 @@ class Session:
 
 
 class _Watch(BaseCallback):
-    """Counts steps and episodes; acts where a rollout begins, after the update of the last one."""
+    """Counts steps and episodes; calls `on_boundary` between an update and the next rollout."""
 
     def __init__(
         self,
@@ -148,7 +149,7 @@ class _Watch(BaseCallback):
         on_boundary: Callable[[], None],
     ) -> None:
         super().__init__()
-        # What `progress` raised to stop the training.
+        # The exception that `progress` raised to stop the training.
         self.stopped: KeyboardInterrupt | None = None
         self._env = env
         self._split = TimeSplit()
@@ -173,7 +174,7 @@ class _Watch(BaseCallback):
             try:
                 self._progress(statistics)
             except KeyboardInterrupt as error:
-                self.stopped = error  # the rollout and its update come first: nothing is lost
+                self.stopped = error  # after the rollout and its update, so that nothing is lost
         return True
 
     def _on_rollout_end(self) -> None:
@@ -185,13 +186,13 @@ class _Watch(BaseCallback):
             self.logger.record(f"Curriculum/{name}", value)
 
     def end(self) -> None:
-        """Learning ended, in whatever way: what came after the last rollout counts."""
+        """Called when learning ended, normally or not: counts the time since the last rollout."""
         self._split.end()
         self._statistics.fractions = self._split.fractions
 
 
 class TimeSplit:
-    """Wall time by part; it is called where rollouts begin and end.
+    """Wall time by part; its methods are called at the beginning and end of rollouts.
 
     Attributes:
         seconds: Seconds of each of `PARTS` so far.
@@ -204,17 +205,17 @@ class TimeSplit:
 
     @property
     def fractions(self) -> dict[str, float]:
-        """Share of each part in all of them, 0 to 1; empty before the end of the first rollout."""
+        """Share of each part in the total, 0 to 1; empty before the end of the first rollout."""
         total = sum(self.seconds.values())
         return {name: value / total for name, value in self.seconds.items()} if total > 0 else {}
 
     def rollout_begins(self, env: SB3VecEnv) -> None:
-        """A rollout begins: what lay between the last one and this is the update's."""
+        """Count the time since the last rollout as the update's."""
         self.end()
         self._before = _spent(env)
 
     def rollout_ends(self, env: SB3VecEnv) -> None:
-        """A rollout ended, and the algorithm's update begins."""
+        """Count the time of a rollout that ended; the algorithm's update begins."""
         whole = self._lap()
         physics, steps = (
             now - before for now, before in zip(_spent(env), self._before, strict=True)
@@ -223,7 +224,7 @@ class TimeSplit:
             self.seconds[part] += seconds
 
     def end(self) -> None:
-        """An update, or what came after the last rollout, has ended."""
+        """Count the time since the last rollout when learning has ended."""
         self.seconds["update"] += self._lap()
 
     def _lap(self) -> float:
