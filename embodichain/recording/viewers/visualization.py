@@ -83,7 +83,7 @@ class VisualizationCfg:
 
 
 def add_viser_args_to_parser(parser: argparse.ArgumentParser) -> None:
-    """Add ``--viser`` and its options to a parser; those without an effect say so."""
+    """Add ``--viser`` and its options to a parser; the help notes options without an effect."""
     cfg, add = VisualizationCfg(), parser.add_argument
     add("--viser", action="store_true", help="show an environment in a browser")
     add("--viser-host", default=cfg.viser_server.host, help="the address to listen on")

@@ -88,7 +88,7 @@ class Mesh(NamedTuple):
 
     Attributes:
         vertices: (V, 3) metres.
-        faces: (F, 3) indices of vertices, counter-clockwise seen from outside.
+        faces: (F, 3) indices of vertices, counter-clockwise as viewed from outside.
     """
 
     vertices: NDArray[np.float32]
