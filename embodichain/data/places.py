@@ -87,7 +87,7 @@ class Place:
         label: Description for messages and listings.
         folder: The folder. It need not exist.
         prefix: Optional first part of a name: ``example-robot-data/robots/x`` and ``x``
-            are the same file of the place whose prefix is ``example-robot-data/robots``.
+            are the same file of a place with the prefix ``example-robot-data/robots``.
     """
 
     label: str

@@ -1,4 +1,4 @@
-"""`TensorMapping`: a nested mapping of tensors whose first dimension is the batch.
+"""`TensorMapping`: a nested mapping of tensors with the batch as first dimension.
 
 It is indexed like a `TensorDict` (``obs["robot"]["qpos"]``, ``obs["robot", "qpos"]``, rows by
 index) but avoids importing tensordict, which takes as long as importing torch; see `to_tensordict`.

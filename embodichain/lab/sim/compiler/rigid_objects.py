@@ -50,7 +50,7 @@ __all__ = [
 ]
 
 VISUAL_GROUP = 2
-"""Group of visual shapes; MuJoCo draws groups 0 to 2 unless told otherwise."""
+"""Group of visual shapes; by default MuJoCo draws groups 0 to 2."""
 COLLISION_GROUP = 3
 """Group of collision shapes of bodies that have visual ones: not drawn."""
 HULL_VERTICES = 64
