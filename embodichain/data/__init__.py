@@ -1,6 +1,6 @@
-"""Where robot and object files come from: lookup, catalogue, and the bundled assets.
+"""Robot and object files: lookup, catalogue, and the bundled assets.
 
-Nothing here reads a model: `embodichain.lab.sim` does. No torch, no mujoco.
+`embodichain.lab.sim` reads the models. Nothing here imports torch or mujoco.
 """
 
 from typing import TYPE_CHECKING

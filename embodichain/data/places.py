@@ -1,9 +1,9 @@
 """The places of robot and object files: the user's data root, bundled assets, installed packages.
 
-Models of MuJoCo Menagerie, by the name of their folder (``menagerie:unitree_go2``), are those of a
-checkout (``$MENAGERIE_PATH``), or what the packages mujoco-menagerie and robot_descriptions have
-downloaded into their caches. Nothing is downloaded here, and neither package is imported. `lookup`
-decides which file a name means, `catalog` lists what there is.
+Models of MuJoCo Menagerie, by folder name (``menagerie:unitree_go2``), come from a checkout
+(``$MENAGERIE_PATH``) or from the caches of the packages mujoco-menagerie and robot_descriptions.
+Nothing is downloaded here, and neither package is imported. `lookup` finds a file by name,
+`catalog` lists all files.
 """
 
 from __future__ import annotations
@@ -46,13 +46,13 @@ _CACHE = "cache of mujoco-menagerie"
 
 
 class DataNotFoundError(EmbodichainError, FileNotFoundError):
-    """A robot or object file is in none of the places that were searched.
+    """A robot or object file was not found in any place.
 
     Args:
-        name: What was asked for.
-        searched: Every path that was tried, in order, each with the place it stands for.
-        closest: Names that exist and look most alike, best first.
-        command: What to type, or do, to have the file.
+        name: The requested name.
+        searched: Every path that was tried, in order, each with its place.
+        closest: The most similar existing names, best first.
+        command: How to get the file.
     """
 
     def __init__(
@@ -75,19 +75,19 @@ class DataNotFoundError(EmbodichainError, FileNotFoundError):
         super().__init__("\n".join(lines))
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Rebuild from the four arguments; an exception's default passes the message alone."""
+        """Pickle with all four arguments, not only the message as by default."""
         return type(self), (self.name, self.searched, self.closest, self.command)
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """One folder that is searched.
+    """A folder that is searched.
 
     Attributes:
-        label: What the folder is, for messages and listings.
+        label: Description for messages and listings.
         folder: The folder. It need not exist.
-        prefix: First part of a name that may be left out: ``example-robot-data/robots/x`` and ``x``
-            are the same file of the place whose prefix is ``example-robot-data/robots``.
+        prefix: Optional first part of a name: ``example-robot-data/robots/x`` and ``x``
+            are the same file of a place with the prefix ``example-robot-data/robots``.
     """
 
     label: str
@@ -95,7 +95,7 @@ class Place:
     prefix: str = ""
 
     def candidates(self, name: str) -> Iterator[Path]:
-        """Yield where `name` would lie in this place, with and without the prefix."""
+        """Yield the possible paths of `name` in this place, with and without the prefix."""
         if self.prefix and name.startswith(self.prefix + "/"):
             yield self.folder / name.removeprefix(self.prefix + "/")
         yield self.folder / name
@@ -111,7 +111,7 @@ def data_root() -> Path:
 
 
 def places() -> list[Place]:
-    """Return every place that is searched for a relative name, in order."""
+    """Return the places searched for a relative name, in order."""
     root = data_root()
     found = [
         Place("EMBODICHAIN_DATA_ROOT", root),
@@ -128,10 +128,10 @@ def places() -> list[Place]:
 
 
 def package_parents() -> list[Place]:
-    """Return the folders that ``package://NAME`` is looked for in, in order; all exist.
+    """Return the existing folders that are searched for ``package://NAME``, in order.
 
-    The data root, the bundled assets, what Python packages (cmeel among them) and ROS packages
-    install as data, and descriptions in the cache of robot_descriptions.
+    The data root, the bundled assets, data folders of Python packages (cmeel among them) and ROS
+    packages, and the cache of robot_descriptions.
     """
     root, shares = data_root(), _share_folders()
     parents = [
@@ -163,7 +163,7 @@ def _share_folders() -> list[Path]:
 
 
 def _ros_folders() -> list[Path]:
-    """Return the folders that hold ROS packages, from the variables that ROS sets."""
+    """Return the folders with ROS packages, from the variables that ROS sets."""
     ament = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     ros = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
     return [Path(prefix, "share") for prefix in ament if prefix] + [Path(p) for p in ros if p]
@@ -179,7 +179,7 @@ def _descriptions_cache() -> Path:
 
 
 def menagerie_models() -> dict[str, Path]:
-    """Return the folder of every model that is here, by name; the first place that has it wins."""
+    """Return the folder of every available model, by name; the first place takes precedence."""
     found: dict[str, Path] = {}
     for name, folder in _menagerie_folders():
         found.setdefault(name, folder)
@@ -187,11 +187,11 @@ def menagerie_models() -> dict[str, Path]:
 
 
 def find_model(text: str) -> Path:
-    """Return the file that ``menagerie:NAME`` or ``menagerie:NAME/FILE.xml`` means.
+    """Return the file of ``menagerie:NAME`` or ``menagerie:NAME/FILE.xml``.
 
     Raises:
-        DataNotFoundError: There is no such model or file, or NAME has several and none is its main
-            one; lists the choices.
+        DataNotFoundError: If there is no such model or file, or NAME has several files and none is
+            the main one; lists the choices.
     """
     name, _, file = text.removeprefix(PREFIX).partition("/")
     models = menagerie_models()
@@ -212,10 +212,10 @@ def find_model(text: str) -> Path:
 
 
 def main_file(name: str, folder: Path) -> Path | None:
-    """Return the XML that is meant by a model's name alone; None if that is not clear.
+    """Return the XML file that a model's name refers to; None if ambiguous.
 
-    It is the file that the folder is named after, less the maker (``go2.xml`` of ``unitree_go2``),
-    or the only robot there is.
+    It is the file named like the folder without the maker (``go2.xml`` of ``unitree_go2``), or the
+    only robot file.
     """
     files = robot_files(folder)
     named = [f for f in files if name == f.stem or name.endswith(f"_{f.stem}")]
@@ -242,7 +242,7 @@ def _menagerie_folders() -> Iterator[tuple[str, Path]]:
 
 
 def _menagerie_places() -> list[tuple[str, Path]]:
-    """Return where models are looked for, in order; the folders need not exist."""
+    """Return the folders searched for models, in order; they need not exist."""
     places = []
     for variable in ("MENAGERIE_PATH", "MENAGERIE_ROOT"):  # ours, and mujoco-menagerie's
         if root := os.environ.get(variable):

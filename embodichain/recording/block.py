@@ -260,7 +260,7 @@ def _read_varint(data: memoryview, at: int) -> tuple[int, int]:
 def _declaration(
     data: bytes, num_envs: int, moved: int, nstate: int
 ) -> tuple[CallKind, tuple[Place, ...], str]:
-    """A serialized `embodichain.Call`: its kind, where its arrays are, and what is wrong."""
+    """Parse a serialized `embodichain.Call`: its kind, the places of its arrays, and the error."""
     try:
         call = message_class("Call").FromString(data)
     except DecodeError as error:
@@ -275,7 +275,7 @@ def _declaration(
 
 
 def _wrong(kind: CallKind, num_envs: int, moved: int, nstate: int) -> str:
-    """What is wrong with a call; empty if nothing is."""
+    """The error in a call; empty if there is none."""
     what = f"{kind.kind} {kind.name}".rstrip()
     if kind.kind not in _KINDS:
         return f"unknown call {kind.kind!r}"

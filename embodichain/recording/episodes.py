@@ -150,7 +150,7 @@ def encode_ends(step: int, ends: Ends, sums: EpisodeSums, episode_ids: NDArray[n
 
 @dataclass(frozen=True, slots=True)
 class LogEpisode:
-    """One episode of one environment, as far as it is in the log.
+    """One episode of one environment, possibly only the part that is in the log.
 
     Attributes:
         env: The environment.

@@ -1,7 +1,7 @@
 """`McapRecorder`: observes an environment and writes its log.
 
 It collects the calls of each control step and groups consecutive steps with the same calls into a
-run. The stepping thread writes the runs when they are large or old enough.
+run. Runs are written when they are large or old enough.
 """
 
 from __future__ import annotations
@@ -439,7 +439,7 @@ class _EpisodeGate:
         self._held.append(event)
 
     def on_reset(self, env_ids: EnvIndex) -> list[EventRecord] | None:
-        """Count episodes of environments that were reset; outside a step, also call `switch`."""
+        """Count an episode if the leading environment was reset; outside a step, call `switch`."""
         if (env_ids == self._lead).any():
             self._episodes += self._steps > 0  # an episode without steps does not count
             self._steps = 0

@@ -8,7 +8,7 @@ __all__ = ["is_loopback"]
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach an address: ``127.0.0.1``, ``localhost``."""
+    """Whether an address is reachable from this machine only, such as ``127.0.0.1``."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

@@ -1,4 +1,4 @@
-"""The exceptions users see, and the `Problem` records that configuration checks collect.
+"""Exceptions for users, and the `Problem` records that configuration checks collect.
 
 `ConfigError.__str__` lists its problems, each in one line.
 """
@@ -16,10 +16,10 @@ class Problem:
     """One mistake in a configuration.
 
     Attributes:
-        path: Dotted key path from the root of what was checked, e.g. ``robot.init_qpos``.
+        path: Dotted key path from the root of the checked config, e.g. ``robot.init_qpos``.
         message: One line: what was found and what is allowed.
         hint: The closest match as a sentence (``Did you mean 'x'?``), or empty.
-        source: Where it was written: ``FILE:LINE``, ``FILE``, ``command line``; or empty.
+        source: Its origin: ``FILE:LINE``, ``FILE``, ``command line``; or empty.
     """
 
     path: str
@@ -28,10 +28,10 @@ class Problem:
     source: str = ""
 
     def at(self, source: str, path: str | None = None) -> Problem:
-        """Return it with its place, and with another key path if one is given."""
+        """Return a copy with this source, and this key path if given."""
         message = self.message.rstrip()
         if self.hint and not message.endswith((".", "?", "!")):
-            message += "."  # the hint is a sentence of its own
+            message += "."  # the hint is a separate sentence
         path = self.path if path is None else path
         return replace(self, path=path, message=message, hint=self.hint.strip(), source=source)
 
@@ -42,16 +42,16 @@ class Problem:
 
 
 def below(path: str, problems: Iterable[Problem]) -> list[Problem]:
-    """Return problems of a part of a configuration with the key path of that part before theirs."""
+    """Return problems with `path` put before their key paths."""
     return [replace(p, path=f"{path}.{p.path}" if path else p.path) for p in problems]
 
 
 class EmbodichainError(Exception):
-    """Base of all errors this package raises on purpose."""
+    """Base of all errors that this package raises deliberately."""
 
 
 class ConfigError(EmbodichainError, ValueError):
-    """The user's configuration is wrong; lists every mistake found, not only the first.
+    """The user's configuration is wrong; lists all mistakes found.
 
     Args:
         problems: The mistakes, or one line that describes a single one.

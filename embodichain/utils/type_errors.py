@@ -1,7 +1,7 @@
-"""What pydantic says of a value, in words; configs from nested plain values (`from_dict`).
+"""Plain messages for pydantic's errors; configs from nested plain values (`from_dict`).
 
-Callers give the place of a value its path, and know which keys are allowed there. YAML is checked
-by `embodichain.config`, which knows files and lines; `from_dict` is for Python.
+Callers supply key paths and allowed keys. `from_dict` is for Python; `embodichain.config` checks
+YAML, with files and lines.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ def what_is_wrong(
     """Return the message and the hint for the errors of one value.
 
     Args:
-        errors: At least one: each member of a union reports its own.
-        patterns: Regular expression -> what matches it, in words.
+        errors: At least one; each member of a union reports its own.
+        patterns: Regular expression -> description of what it matches.
 
     Returns:
         ``must be at least 1, got 0``, ``expected a number or 'auto', got 'x'``; and
@@ -81,12 +81,12 @@ def what_is_wrong(
 
 
 def unknown_key(name: str, allowed: Sequence[str]) -> tuple[str, str]:
-    """Return the message and the hint for a key that is not allowed where it stands."""
+    """Return the message and the hint for a key that is not allowed."""
     return f"unknown key; allowed: {', '.join(allowed)}.", did_you_mean(name, allowed).strip()
 
 
 def show_value(value: Any) -> str:
-    """Return a value as YAML's reader would know it, shortened to one line."""
+    """Return a value as written in YAML, shortened to one line."""
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     text = repr(value)
@@ -112,7 +112,7 @@ def member_from_dict(members: Mapping[str, type[Any]], tag: str, init_dict: dict
     """Return the config of the class that ``init_dict[tag]`` names, as `from_dict` does.
 
     Raises:
-        ConfigError: If no member has that name, or of `from_dict`.
+        ConfigError: If no member has that name, or as `from_dict`.
     """
     kind = str(init_dict.get(tag, ""))
     if kind not in members:

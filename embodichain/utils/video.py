@@ -1,4 +1,4 @@
-"""`VideoFile`: an MP4 written picture by picture; needs the extra `video` (imageio-ffmpeg)."""
+"""`VideoFile`: writes an MP4 frame by frame; needs the extra `video` (imageio-ffmpeg)."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ __all__ = ["VideoFile", "need_encoder"]
 
 
 def need_encoder() -> None:
-    """Refuse if the encoder is not installed.
+    """Check that the encoder is installed.
 
     Raises:
-        ConfigError: Names the extra.
+        ConfigError: If it is not; names the extra.
     """
     if importlib.util.find_spec("imageio_ffmpeg") is None:
         hint = "pip install 'embodichain[video]'"
@@ -28,15 +28,15 @@ def need_encoder() -> None:
 
 
 class VideoFile:
-    """One MP4 (H.264, yuv420p); it gets its name when it is complete.
+    """One MP4 (H.264, yuv420p), renamed to its path when complete.
 
-    As a context manager it is closed at the end, and discarded after an exception.
+    As a context manager it is closed at exit, or discarded after an exception.
 
     Args:
-        path: The file; a number is added to the name if it exists already when it is closed.
+        path: The file; a number is added to the name if it exists at closing.
         size: Width and height in pixels, both even.
-        fps: Pictures a second.
-        options: More for the encoder, as ffmpeg's command takes them.
+        fps: Frames per second.
+        options: Further command-line options of ffmpeg.
     """
 
     def __init__(
@@ -58,11 +58,11 @@ class VideoFile:
         self._writer.send(None)
 
     def write(self, picture: NDArray[np.uint8]) -> None:
-        """Append an RGB picture, (height, width, 3)."""
+        """Append an RGB frame, (height, width, 3)."""
         self._writer.send(np.ascontiguousarray(picture))
 
     def close(self) -> Path:
-        """Finish the file and return where it is."""
+        """Finish the file and return its path."""
         self._writer.close()
         path, number = self._path, 1
         while os.path.lexists(path):
@@ -72,7 +72,7 @@ class VideoFile:
         return path
 
     def discard(self) -> None:
-        """End without a file."""
+        """Stop and remove the file."""
         self._writer.close()
         self._part.unlink(missing_ok=True)
 
@@ -81,7 +81,7 @@ class VideoFile:
         return self
 
     def __exit__(self, kind: object, *error: object) -> None:
-        """Close it, or discard it if something went wrong."""
+        """Close the file, or discard it after an exception."""
         if kind is None:
             self.close()
         else:

@@ -1,4 +1,4 @@
-"""The log's channels for viewers, live, over Foxglove's WebSocket protocol.
+"""The log's channels for viewers over Foxglove's WebSocket protocol.
 
 Foxglove and Lichtblick connect to a `FoxgloveServer`. `FoxgloveView` serves a running environment,
 `stream_log` a recorded log. Needs foxglove-sdk.
@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 
 __all__ = ["FoxgloveServer", "FoxgloveView", "declare_channels", "need_sdk", "stream_log"]
 
-_PORT = 8765  # Foxglove's own
+_PORT = 8765  # Foxglove's default
 _ENV = re.compile(r"/env_(\d+)/")
 _EVERY_STEP = 1e9
-"""Hz of simulated time: a live view is sampled by the wall clock instead."""
+"""Sampling rate in Hz of simulated time; a live view is limited by the wall clock instead."""
 _NAP = 0.02
 
 
@@ -55,8 +55,8 @@ class FoxgloveServer:
         port: None is 8765, 0 a free one.
 
     Attributes:
-        port: The port that is listened on.
-        url: What viewers open: *Open connection*, Foxglove WebSocket.
+        port: The port.
+        url: Address for viewers: *Open connection*, Foxglove WebSocket.
 
     Raises:
         ConfigError: If foxglove-sdk is not installed, or the address cannot be listened on.
@@ -115,7 +115,7 @@ class FoxgloveServer:
         Args:
             topic: Its name.
             schema: ``embodichain.NAME`` or ``foxglove.NAME``.
-            data: The schema's FileDescriptorSet, where it is this run's own.
+            data: The schema's FileDescriptorSet if it is specific to this run.
         """
         if topic in self._channels:
             return
@@ -137,7 +137,7 @@ class FoxgloveServer:
                 channel.log(data, log_time=time_ns)
 
     def restart(self) -> None:
-        """Tell clients that time starts again: they drop what they have and stay subscribed."""
+        """Signal that time starts again: clients drop their data and stay subscribed."""
         self._server.clear_session()
 
     def close(self) -> None:
@@ -151,19 +151,19 @@ class FoxgloveServer:
 class FoxgloveView(StepObserver):
     """Shows environments to every viewer that connects; attach it with `env.add_observer`.
 
-    Without subscriptions no message is made. A scene is sent again with every subscription to it.
-    The server sends on threads of its own and drops what a viewer does not take in time.
+    Without subscriptions no messages are encoded. A scene is sent again with every subscription to
+    it. The server sends on its own threads and drops messages for viewers that are too slow.
 
     Args:
         env: The environment.
         host: The address to listen on; there is no password.
         port: None is 8765, 0 a free one.
         view_envs: Environments to show.
-        fps: Pictures a second of wall-clock time, at most.
-        realtime: Whether steps keep to the wall clock while anything is subscribed to.
+        fps: Maximum sampling rate in 1/s of wall-clock time.
+        realtime: Whether steps run in real time while there are subscriptions.
 
     Attributes:
-        server: Has the address: `url`, `port`.
+        server: The server, with its address: `url`, `port`.
 
     Raises:
         ConfigError: If foxglove-sdk is not installed, the address cannot be listened on, or an
@@ -190,7 +190,7 @@ class FoxgloveView(StepObserver):
         self._shown = self._stepped = 0.0
         self._active = False
         self._views = Views(env, options, self.server, self._now)
-        weakref.finalize(self, self.server.close)  # also when Python ends: it has native threads
+        weakref.finalize(self, self.server.close)  # also when Python exits: it has native threads
 
     def _now(self) -> int:
         return self._start_ns + self._step * self._period_ns
@@ -201,7 +201,7 @@ class FoxgloveView(StepObserver):
             self._views.on_model_write(write)
 
     def on_event(self, env: ObservedEnv, event: EventRecord) -> None:
-        """Send a line of what a term of the event manager drew."""
+        """Send a line with the values that a term of the event manager drew."""
         if self._active:
             self._views.on_event(event)
 
@@ -211,7 +211,7 @@ class FoxgloveView(StepObserver):
             self._views.on_reset(env_ids)
 
     def on_step(self, env: ObservedEnv, step: StepRecord) -> None:
-        """Show the new state if a picture is due; keep to the clock."""
+        """Send the new state if a sample is due; wait for real time."""
         self._views.declare(step)
         self._step += 1
         self._active = self.server.wanted
@@ -219,7 +219,7 @@ class FoxgloveView(StepObserver):
             return
         now = time.monotonic()
         newcomers = self.server.newcomers()
-        if newcomers:  # show their environments' scenes, of which the server keeps nothing
+        if newcomers:  # send their environments' scenes, which the server does not keep
             found = (_ENV.match(topic) for topic in newcomers)
             self._views.show({int(match[1]) for match in found if match} or self._envs)
         if now - self._shown >= self._interval or newcomers:
@@ -241,12 +241,12 @@ def declare_channels(path: Path, server: FoxgloveServer) -> list[str]:
 
     Raises:
         ConfigError: If the file is missing, empty or not MCAP.
-        LogError: If it is not a log of embodichain's.
+        LogError: If it is not an embodichain log.
     """
     topics = []
     with LogReader(path) as reader:
         for _ in reader.messages():
-            pass  # the channels of a damaged log are known by its messages only
+            pass  # the channels of a damaged log are known from its messages only
         for channel in reader.channels.values():
             schema = reader.schemas.get(channel.schema_id)
             if schema is not None and _is_viewed(channel.topic):
@@ -258,19 +258,19 @@ def declare_channels(path: Path, server: FoxgloveServer) -> list[str]:
 def stream_log(
     path: Path, server: FoxgloveServer, stopped: Callable[[], bool], speed: float = 1.0
 ) -> None:
-    """Play a log whose channels are declared, again and again; wait while nothing is subscribed to.
+    """Play a log in a loop; its channels must be declared. Wait while there are no subscriptions.
 
-    A damaged log is played up to where it can be read.
+    A damaged log is played up to the first damage.
 
     Args:
         path: The log.
-        server: Where it is shown.
-        stopped: Asked often; ends it.
+        server: The server that sends it.
+        stopped: Called often; True ends playing.
         speed: Multiple of simulated time.
     """
     while not stopped():
-        scenes: dict[str, tuple[int, bytes]] = {}  # the newest ones: they are rarely sent
-        offset: float | None = None  # of the wall clock to the log's; None: it stands still
+        scenes: dict[str, tuple[int, bytes]] = {}  # the latest ones, since they are rarely sent
+        offset: float | None = None  # wall clock minus log time; None while waiting
         reached = 0.0
         with LogReader(path) as reader:
             for topic, time_ns, payload in reader.messages():

@@ -1,4 +1,4 @@
-"""`play_log`: recorded states on a screen, in real time: MuJoCo's window here, or a `WebPage`."""
+"""`play_log`: plays recorded states in real time, in MuJoCo's window or on a `WebPage`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["NativeScreen", "Screen", "play_log"]
 
 _NAP, _TICK = 0.05, 0.02
 _AT_THE_END = 1.0
-"""Seconds before it starts again."""
+"""Pause in seconds at the end, before playing starts again."""
 _SPACE = 32
 
 
@@ -36,14 +36,14 @@ class Screen(Protocol):
 
     @property
     def is_open(self) -> bool:
-        """Whether it was not closed."""
+        """Whether the screen was not closed."""
 
     @property
     def watched(self) -> bool:
-        """Whether anything displays it now."""
+        """Whether anything displays the screen now."""
 
     def begin(self, engine: CpuEngine) -> None:
-        """Show this engine's environment from now on, as its model looks now."""
+        """Show this engine's environment from now on, with its current model."""
 
     def show(self, row: F64, facts: Facts) -> None:
         """Show the engine's state, (nstate,)."""
@@ -78,7 +78,7 @@ class NativeScreen:
         return self._window is None or self._window.is_running
 
     def begin(self, engine: CpuEngine) -> None:
-        """Open the window; its model stays the first one. RenderError without a display."""
+        """Open the window; its model is not replaced later. RenderError without a display."""
         if self._window is None:
             self._window = NativeViewer(engine, 0, self._on_key)
         self._window.follow(engine)
@@ -89,7 +89,7 @@ class NativeScreen:
             self._window.sync()
 
     def pace(self, seconds: float) -> None:
-        """Wait for the clock, and while it is paused."""
+        """Wait for the next step, and while paused."""
         self._due = max(self._due + seconds, time.monotonic())
         while self.is_open and not self._stopped():
             left = self._due - time.monotonic()
@@ -118,17 +118,17 @@ def play_log(
 ) -> None:
     """Play a log until the screen is closed or `stopped` returns True; start again at the end.
 
-    It waits while the screen is not watched. When another environment is chosen, it continues with
-    that one, at the same step.
+    Playing pauses while the screen is not watched. When another environment is chosen, it
+    continues with that one, at the same step.
 
     Args:
         log: The log.
-        screen: Where to show it; has the environment.
-        episode: One of the environment's episodes; None is all. Of other environments all is shown.
+        screen: The screen, with the environment to show.
+        episode: One of the environment's episodes; None is all. Other environments show all.
         first: First control step; None is the first.
         last: Last control step, included; None is the last.
         speed: Multiple of simulated time.
-        stopped: Asked often.
+        stopped: Called often; True ends playing.
 
     Raises:
         ConfigError: If there is no such environment, episode or step.
@@ -153,7 +153,7 @@ def play_log(
 def _play(
     log: Log, screen: Screen, span: Span, seconds: float, stopped: Callable[[], bool]
 ) -> int | None:
-    """Play the screen's environment; return the step that was reached, None if there was none."""
+    """Play the screen's environment; return the last step shown, None if there was none."""
     env, playback = screen.env_id, Playback(log, screen.env_id)
     facts = _facts_of(log, env)
     seen, reached = -1, None
@@ -171,7 +171,7 @@ def _play(
 
 
 def _facts_of(log: Log, env: int) -> Callable[[int], Facts]:
-    """Return the facts of an environment by step; terms are known where it was viewed."""
+    """Return the facts of an environment by step; terms are known only if it was viewed."""
     data = log.read(["rewards", "episodes"], env=env)
     rows = {step: row for row, step in enumerate(data.steps.tolist())}
     is_viewed = env in log.header.view_envs

@@ -1,4 +1,4 @@
-"""EmbodiChain's `embodichain.lab.visualization`: its Viser page is our page in the browser.
+"""EmbodiChain's `embodichain.lab.visualization`; `web.WebView` replaces its Viser page.
 
 `SimulationManagerCfg.visualization` takes the config, and the environment calls `attach`.
 `embodichain run viewer=web` serves the same page without a script.
@@ -48,7 +48,7 @@ class VisualizationCfg:
     """
 
     backend: Literal["none", "viser"] = "none"
-    """``viser`` serves our own page; Viser is not needed."""
+    """``viser`` serves MuJoCo Studio's page; Viser is not needed."""
     scene_fps: float = 15.0
     env_ids: list[int] | None = [0]
     """The first one is shown first; the page can show the others."""
@@ -64,7 +64,7 @@ class VisualizationCfg:
         """Serve the page of an environment, which closes it; do nothing if `backend` is ``none``.
 
         Raises:
-            ConfigError: The address cannot be listened on.
+            ConfigError: If the address cannot be listened on.
             ValueError: If the backend is unknown.
         """
         if self.backend not in ("none", "viser"):
@@ -83,7 +83,7 @@ class VisualizationCfg:
 
 
 def add_viser_args_to_parser(parser: argparse.ArgumentParser) -> None:
-    """Add ``--viser`` and its options to a parser; those without an effect say so."""
+    """Add ``--viser`` and its options to a parser; the help notes options without an effect."""
     cfg, add = VisualizationCfg(), parser.add_argument
     add("--viser", action="store_true", help="show an environment in a browser")
     add("--viser-host", default=cfg.viser_server.host, help="the address to listen on")
@@ -101,7 +101,7 @@ def visualization_cfg_from_args(args: argparse.Namespace) -> VisualizationCfg:
     """Return the config of the arguments of `add_viser_args_to_parser`, which may be absent.
 
     Raises:
-        ValueError: If ``--viser-env-ids`` are no numbers.
+        ValueError: If ``--viser-env-ids`` are not numbers.
     """
     cfg = VisualizationCfg()
     shown = bool(getattr(args, "viser", False))

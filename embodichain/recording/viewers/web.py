@@ -1,6 +1,6 @@
-"""`WebView`: a running environment on MuJoCo Studio's page, as an observer of its steps.
+"""`WebView`: shows a running environment on MuJoCo Studio's page.
 
-Without a browser, a step costs the test of a flag.
+Without a browser, the cost per step is the test of a flag.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ class WebView(StepObserver):
 
     Args:
         env: The environment.
-        options: Where the page is, and its initial state.
+        options: Address of the page, and its initial state.
         stopped: Whether the run was stopped, which ends a pause.
 
     Attributes:
-        url: Where the page is.
+        url: Address of the page.
 
     Raises:
-        ConfigError: The address cannot be listened on.
+        ConfigError: If the address cannot be listened on.
     """
 
     def __init__(
@@ -63,7 +63,7 @@ class WebView(StepObserver):
         return self._page.watched
 
     def on_write(self, env: ObservedEnv, write: Write) -> None:
-        """Note whether the appearance of the shown environment changes."""
+        """Note if the appearance of the shown environment changes."""
         if write.op == "model" and write.field in LOOKS:
             self._restyled |= write.env_ids is None or self._env_id in write.env_ids
 
@@ -105,7 +105,7 @@ class WebView(StepObserver):
 
 
 def _facts(env: ObservedEnv, step: StepRecord, i: int) -> Facts:
-    """What the page writes beside the picture."""
+    """The text that the page shows next to the picture."""
     info, weights = step.info, env.reward_manager.weights
     rewards = {n: v * weights.get(n, 1.0) for n, v in _row(info["rewards"], i).items()}
     sums = _row(info["episode_sums"], i)
@@ -119,5 +119,5 @@ def _facts(env: ObservedEnv, step: StepRecord, i: int) -> Facts:
 
 
 def _row(values: Mapping[str, Any], i: int) -> dict[str, float]:
-    """One environment's numbers of tensors (N,)."""
+    """One environment's values from (N,) tensors."""
     return {name: tensor.numpy(force=True).item(i) for name, tensor in values.items()}

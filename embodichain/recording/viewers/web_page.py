@@ -1,7 +1,7 @@
-"""`WebPage`: shows rows of state of one model on MuJoCo Studio's page.
+"""`WebPage`: shows states of a model on MuJoCo Studio's page.
 
-`web.py` shows a running environment with it, `replay --view` a log. Another process, of
-`web_process.py`, serves the page: models, states and `Facts` go there, `Controls` come back.
+`web.py` uses it for a running environment, `replay --view` for a log. Another process
+(`web_process.py`) serves the page: it receives models, states and `Facts`, and sends `Controls`.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ _NAP = 0.02
 _LATE = 0.1
 
 SPEEDS: tuple[float | None, ...] = (None, 2.0, 1.0, 0.5, 0.25, 0.1)
-"""Multiples of real time; None is without limit."""
+"""Multiples of real time; None is unlimited."""
 LOOKS = (
     *("body_pos", "body_quat", "body_ipos", "jnt_pos", "jnt_axis"),
     *("geom_pos", "geom_quat", "geom_size", "geom_rgba", "site_pos", "site_quat", "site_size"),
     *("site_rgba", "mat_rgba", "light_pos", "light_dir", "light_diffuse", "light_ambient"),
     *("light_specular", "cam_pos", "cam_quat", "cam_fovy"),
 )
-"""Fields of a model that decide how it looks; they may differ between environments."""
+"""Fields of a model that affect its appearance; they may differ between environments."""
 
 
 class Facts(NamedTuple):
@@ -55,10 +55,10 @@ class Facts(NamedTuple):
 
     Attributes:
         step: Number of the control step, from 0.
-        seconds: Simulated time since the episode began.
+        seconds: Simulated time since the start of the episode.
         lines: Further lines, as name and text.
-        rewards: Each term's share of this step's reward: its value times its weight.
-        sums: Each term's sum of these over the episode.
+        rewards: Term to its part of this step's reward: value times weight.
+        sums: Term to the sum of these over the episode.
     """
 
     step: int
@@ -75,10 +75,10 @@ class Controls:
     Attributes:
         env_id: The environment to show.
         speed: One of `SPEEDS`.
-        paused: Whether the run waits.
+        paused: Whether the run is paused.
         watched: Whether a browser has the page open.
-        steps: How often a single step was requested.
-        resets: How often a reset was requested.
+        steps: Number of requests for a single step.
+        resets: Number of requests for a reset.
         reset_env: The environment of the last reset.
     """
 
@@ -93,13 +93,13 @@ class Controls:
 
 @dataclass(frozen=True, slots=True)
 class PageOptions:
-    """Where a page is served, and its initial state.
+    """Address and initial state of a page.
 
     Attributes:
         host: The address to listen on.
         port: The port; None is the first free one from 8080.
         env_id: The environment that is shown first.
-        realtime: Whether the run initially keeps to real time while the page is open.
+        realtime: Whether the speed is initially real time while the page is open.
         resets: Whether the page may end episodes, as truncated.
         title: Title of the page and its panel.
     """
@@ -113,19 +113,19 @@ class PageOptions:
 
 
 class WebPage:
-    """A page that shows one of several environments; without a browser nothing waits for it.
+    """A page that shows one of several environments; it never waits without a browser.
 
     Args:
         model: The model of the environment that is shown first.
-        options: Where the page is, and its initial state.
-        num_envs: How many environments can be chosen from.
+        options: Address of the page, and its initial state.
+        num_envs: Number of environments to choose from.
         stopped: Whether to end all waiting.
 
     Attributes:
-        url: Where the page is.
+        url: Address of the page.
 
     Raises:
-        ConfigError: The address cannot be listened on.
+        ConfigError: If the address cannot be listened on.
     """
 
     is_open = True
@@ -144,7 +144,7 @@ class WebPage:
         self._looks = _looks_of(model)
         self._taken_steps = self._taken_resets = 0
         self._due: float | None = None
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the page
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - open as long as the page
         self._page, self._process = _start(self._errors)
         self._writable = select.poll()
         self._writable.register(self._page.fileno(), select.POLLOUT)
@@ -174,7 +174,7 @@ class WebPage:
 
     @property
     def fast(self) -> bool:
-        """Whether the speed is not limited: not every step is worth showing."""
+        """Whether the speed is unlimited, so that not every step needs to be shown."""
         return self._controls.speed is None
 
     def begin(self, engine: CpuEngine) -> None:
@@ -185,7 +185,7 @@ class WebPage:
         """Show states of another model from now on, if it looks different.
 
         Args:
-            model: Another environment's, or the same one's after a change.
+            model: The model of another environment, or the changed model of the same one.
         """
         looks = _looks_of(model)
         if looks != self._looks:
@@ -193,23 +193,23 @@ class WebPage:
             self._send("model", model)
 
     def show(self, row: F64, facts: Facts | None = None) -> None:
-        """Show a state; it is left out if the other process is behind.
+        """Show a state; it is skipped if the other process is behind.
 
         Args:
             row: (nstate,) integration state; copied.
-            facts: What to write beside it; None leaves what was there.
+            facts: Text to show next to it; None keeps the previous one.
         """
-        if self._writable.poll(0):  # plain values: pickling them takes a fifth of the time
+        if self._writable.poll(0):  # plain values: pickling them is faster by a factor of 5
             told = None if facts is None else tuple(facts)
             self._send("state", (np.asarray(row, np.float64).tobytes(), told))
 
     def pace(self, seconds: float, changed: Callable[[], None] = lambda: None) -> None:
-        """Wait for real time, and while paused, until the next step; not without a browser.
+        """Wait for real time, and while paused, until the next step; return at once if no browser.
 
         Args:
             seconds: Simulated time between two steps.
-            changed: Shows the state; called as a pause begins, and when another environment is
-                chosen in it.
+            changed: Shows the state; called when a pause begins, and when another environment is
+                chosen during the pause.
         """
         shown = -1
         while self._controls.paused and self._waits() and not self._take_step():
@@ -285,7 +285,7 @@ class WebPage:
 
 
 def _start(errors: Any) -> tuple[Connection, subprocess.Popen[bytes]]:
-    """Start the other process; it receives no Ctrl-C, and ends with our end of the socket."""
+    """Start the other process; it gets no Ctrl-C, and ends when our end of the socket closes."""
     ours, theirs = socket.socketpair()
     with theirs:
         process = subprocess.Popen(

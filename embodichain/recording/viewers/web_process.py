@@ -1,12 +1,12 @@
 """The process that serves a page of `viewer=web`: ``python -m ...web_process FD``.
 
-MuJoCo Studio is native code with one user interface in a process; a failure there must not end a
+MuJoCo Studio is native code with one user interface per process; a failure there must not end a
 training. The run's process (`web_page.py`) sends models, states and facts through a socket; this
-one sends back the controls. It ends when the socket closes.
+process sends back the controls. It ends when the socket closes.
 
-MuJoCo 4.0's web viewer listens on every interface, takes files that are dropped on its page, and
-answers pages of other sites. `_Viewer` gives it the address, `_guard_serving` checks every request
-first. Where a MuJoCo lacks these two seams, nothing is served.
+MuJoCo 4.0's web viewer listens on every interface, accepts files dropped on its page, and answers
+pages of other sites. `_Viewer` sets the address, and `_guard_serving` checks every request first.
+If a version of MuJoCo does not allow these two changes, nothing is served.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ _LOOPBACK = ("localhost", "127.0.0.1", "::1")
 _WIDTH, _HEIGHT, _MARGIN = 330.0, 640.0, 8.0
 _BUTTON = imgui.Vec2(70.0, 0.0)
 _HISTORY = 400
-"""Steps whose rewards are plotted."""
+"""Number of steps with plotted rewards."""
 
 
 def main(descriptor: int) -> None:
-    """Serve until the run closes the socket or says so.
+    """Serve until the run closes the socket or sends an end.
 
     Args:
-        descriptor: Of a socket; the first message is options, number of environments, controls
-            and model.
+        descriptor: Descriptor of a socket; the first message is options, number of environments,
+            controls and model.
     """
     with Connection(descriptor) as run:
         options, num_envs, controls, model = run.recv()
@@ -74,10 +74,10 @@ def main(descriptor: int) -> None:
 
 
 def _serve(run: Connection, studio: Studio, panel: Panel) -> str:
-    """Pass messages on until there are no more; return why it ended."""
+    """Forward messages until there are no more; return why it ended."""
     sent = panel.controls
     while True:
-        # Asleep, not waiting for the socket: a step does not pay for waking this process.
+        # Poll instead of waiting on the socket, so that a step does not have to wake this process.
         time.sleep(_POLL_SECONDS)
         state = None
         while run.poll():
@@ -105,19 +105,19 @@ def _serve(run: Connection, studio: Studio, panel: Panel) -> str:
 
 
 class Studio:
-    """Serves a model's page from threads of its own until it is closed; once in a process.
+    """Serves a model's page on its own threads until it is closed; at most once in a process.
 
     Args:
-        model: Shown first; copied.
+        model: The first model to show; copied.
         options: Address, port and title.
         plugins: Studio's viewer plugins.
 
     Attributes:
-        url: Where the page is.
+        url: Address of the page.
 
     Raises:
-        ConfigError: The address cannot be listened on, or this MuJoCo's viewer cannot be
-            confined to it.
+        ConfigError: If the address cannot be listened on, or this version of MuJoCo's viewer
+            cannot be restricted to it.
     """
 
     def __init__(self, model: mujoco.MjModel, options: PageOptions, *plugins: Any) -> None:
@@ -140,7 +140,7 @@ class Studio:
         ready.wait(_START_SECONDS)
         if not made:
             try:
-                self._handle.close()  # raises what its thread raised
+                self._handle.close()  # raises the error of its thread
                 raise RuntimeError("MuJoCo's viewer does not start")
             except Exception as error:
                 why = f"cannot listen on {options.host}: {error}"
@@ -154,7 +154,7 @@ class Studio:
 
     @property
     def controlled(self) -> bool:
-        """Whether one of them has the panel; the others only show the scene."""
+        """Whether a browser has the panel; further browsers only show the scene."""
         return "/ui" in self._guard.connections
 
     def send(self, message: Any) -> None:
@@ -167,7 +167,7 @@ class Studio:
 
 
 class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
-    """Studio's web viewer, which listens on `_host`: here that is the address it is given."""
+    """Studio's web viewer, which listens on `_host`; here that is the configured address."""
 
     def __init__(self, host: str, *args: Any, **kwargs: Any) -> None:
         self._address = host
@@ -183,7 +183,7 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
 
     @property
     def url(self) -> str:
-        """Where the page is, for a browser on this machine."""
+        """Address of the page, for a browser on this machine."""
         host = "127.0.0.1" if self._address in ("0.0.0.0", "::") else self._address
         name = f"[{host}]" if ":" in host else host
         return f"http://{name}:{self._http_sock.getsockname()[1]}/"
@@ -193,7 +193,7 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
         bound = self._http_sock.getsockname()[0]
         if bound not in {found[4][0] for found in socket.getaddrinfo(self._address, None)}:
             raise RuntimeError(f"MuJoCo {mujoco.__version__} listens on {bound}")
-        self._http_sock.listen()  # a port that is taken fails here, not in the server's thread
+        self._http_sock.listen()  # fails here, not in the server's thread, if the port is in use
         self.guard = _GUARDS[self._http_sock] = _Guard(self._address)
         super()._start_server()
         if not self.guard.serving.wait(_START_SECONDS):
@@ -201,7 +201,7 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
             raise RuntimeError(f"requests to MuJoCo {mujoco.__version__}'s viewer are not checked")
 
     def prepare_next_frame(self) -> bool:
-        """Draw only for an open page."""
+        """Draw only if a page is open."""
         if not self.guard.connections:
             time.sleep(_IDLE_SECONDS)
             return False
@@ -209,7 +209,7 @@ class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
         return ready
 
     def get_drop_file(self) -> str:
-        """Take no dropped files."""
+        """Ignore dropped files."""
         return ""
 
 
@@ -221,7 +221,7 @@ class _Guard:
 
     Attributes:
         serving: Set once requests are checked.
-        connections: Paths of WebSockets that are open.
+        connections: Paths of open WebSockets.
     """
 
     def __init__(self, host: str) -> None:
@@ -230,7 +230,7 @@ class _Guard:
         self.connections: list[str] = []
 
     async def count(self, handler: Callable[[Any], Any], websocket: Any) -> None:
-        """Handle a connection, which is in `connections` meanwhile."""
+        """Handle a connection; it is in `connections` while it is open."""
         path = websocket.request.path.partition("?")[0]
         self.connections.append(path)
         try:
@@ -239,11 +239,11 @@ class _Guard:
             self.connections.remove(path)
 
     def refusal(self, request: Any) -> Any:
-        """The answer to a request that is refused, or None.
+        """The response if a request is refused, else None.
 
-        Browsers let any page open a WebSocket anywhere, and name the page's site in ``Origin``: no
-        page of another site may use the viewer. Another name in ``Host`` than ours is that of a
-        site whose name was pointed at this machine.
+        Browsers let any page open a WebSocket to any address, with the page's site in ``Origin``;
+        pages of other sites are refused. Another name in ``Host`` than ours is refused too: it may
+        be a site's name that was made to resolve to this machine (DNS rebinding).
         """
         if request.path.partition("?")[0].endswith("/drop"):
             return _forbidden("this viewer takes no files")
@@ -262,7 +262,7 @@ _GUARDS: WeakKeyDictionary[socket.socket, _Guard] = WeakKeyDictionary()
 
 
 def _guard_serving() -> None:
-    """Check requests to guarded sockets first."""
+    """Make MuJoCo's server check requests to guarded sockets first."""
     plain: Callable[..., Any] = web_server.serve
 
     def serve(handler: Callable[[Any], Any], *args: Any, **kwargs: Any) -> Any:
@@ -290,15 +290,15 @@ def _forbidden(why: str) -> Any:
 
 
 class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
-    """Choose the environment, pause, step, reset, speed; rewards per term; what is drawn.
+    """Controls for environment, pause, step, reset and speed; rewards per term; view options.
 
     Args:
         options: Title, and whether resets are offered.
-        num_envs: How many environments can be chosen from.
+        num_envs: Number of environments to choose from.
         controls: The initial controls.
 
     Attributes:
-        controls: Replaced as a whole, in the viewer's thread and by `resume`.
+        controls: Current controls; the object is replaced in the viewer's thread and by `resume`.
     """
 
     def __init__(self, options: PageOptions, num_envs: int, controls: Controls) -> None:
@@ -309,7 +309,7 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
         self._open = True
 
     def add(self, facts: Facts) -> None:
-        """Show a step."""
+        """Show the facts of a step."""
         self._facts = facts
         self._history.append(facts)
 
@@ -396,7 +396,7 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
             self._change(speed=SPEEDS[chosen])
 
     def _draw_view(self) -> None:
-        """Studio's own widgets: cameras, and what is drawn."""
+        """Draw Studio's widgets for cameras and view options."""
         viewer = self.viewer
         ux.camera_selection_gui(viewer.model, viewer.data, viewer.camera, self._camera)
         if imgui.TreeNodeEx("Rendering"):
@@ -411,7 +411,7 @@ class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
 
 
 def _draw_facts(facts: Facts, history: list[Facts]) -> None:
-    """Lines, a table of reward terms, and a plot of their latest values."""
+    """Draw lines, a table of reward terms, and a plot of their latest values."""
     imgui.TextUnformatted(f"step {facts.step}   {facts.seconds:.2f} s of the episode")
     for name, text in facts.lines:
         imgui.TextUnformatted(f"{name} {text}")

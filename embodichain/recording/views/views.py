@@ -1,7 +1,7 @@
-"""`Views`: samples viewed environments and writes what viewers show of them.
+"""`Views`: samples viewed environments and writes the messages for viewers.
 
-It reads the engine's rows and model fields and computes kinematics on a model of its own, so
-viewing changes nothing in the simulation.
+It reads the engine's rows and model fields and computes kinematics on a separate model, so viewing
+changes nothing in the simulation.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ _SEEN = (
     *LOOKS,
     *("geom_sameframe", "body_pos", "body_quat", "body_sameframe", "jnt_pos", "jnt_axis", "qpos0"),
 )
-"""Prefixes of the model fields that move or colour anything."""
+"""Prefixes of the model fields that affect poses or colours."""
 
 
 class Sink(Protocol):
-    """Where messages go: a file, or connected viewers."""
+    """The receiver of messages: a file, or connected viewers."""
 
     def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
         """Declare a channel; `data` is the schema's FileDescriptorSet if `schema` has none."""
@@ -52,8 +52,8 @@ class Sink(Protocol):
     def send(self, time_ns: int, messages: Iterable[tuple[str, bytes]]) -> None:
         """Write or send serialized messages of one time, each with its topic.
 
-        Iterating encodes them: a file does so for many samples at a time, which is several times
-        as fast as among the steps of a simulation.
+        Messages are encoded during iteration: a file encodes many samples at a time, which is
+        several times faster than encoding between steps.
         """
 
 
@@ -62,8 +62,9 @@ class Views:
 
     Args:
         env: The environment.
-        options: Which environments, and how often they are sampled.
-        sink: Where messages go; channels are declared at once, those of metrics in the first step.
+        options: Viewed environments, and their sampling rate.
+        sink: Receives the messages; channels are declared at once, those of metrics in the first
+            step.
         now: Returns the log time in ns.
     """
 
@@ -77,9 +78,9 @@ class Views:
         self._every = max(1, math.ceil(1.0 / (options.view_hz * float(env.step_dt)) - 1e-9))
         self._period_ns = self._every * round(float(env.step_dt) * 1e9)
         self._due: dict[int, bool] = dict.fromkeys(self._ids.tolist(), True)
-        """Environments whose scene is due; True: even if it is unchanged."""
+        """Environments with a scene to write; True: even if it is unchanged."""
         self._sampled = -1
-        self._next_line: dict[str, int] = {}  # interval term: when it may have a line again
+        self._next_line: dict[str, int] = {}  # interval term to time of its next line
         self._rewards = getattr(env, "reward_manager", None)  # other classes may have no manager
         self._commands = Commands(env)
         self._scalars: Scalars | None = None
@@ -111,7 +112,7 @@ class Views:
         self._sink.send(time_ns, (("/log", log_line(time_ns, text, level)) for text in texts))
 
     def show(self, env_ids: Iterable[int]) -> None:
-        """Write the scenes of these environments with the next sample, changed or not."""
+        """Write the scenes of these environments with the next sample, even if unchanged."""
         self._due.update(dict.fromkeys(self._viewed.keys() & set(env_ids), True))
 
     def on_model_write(self, write: Write) -> None:
@@ -130,9 +131,9 @@ class Views:
         """Sample the viewed rows if they are due, or after a reset.
 
         Args:
-            step: Control step whose physics follows.
+            step: The control step before its physics.
             rows: (N, nstate) rows.
-            last: Nothing follows: sample in any case.
+            last: Whether this is the last state, which is always sampled.
         """
         if not self._viewed or step == self._sampled:
             return
@@ -158,9 +159,9 @@ class Views:
         """Encode a sample of the n viewed environments.
 
         Args:
-            time_ns: Its time.
+            time_ns: Time of the sample.
             rows: (n, nstate) states.
-            models: n of them.
+            models: The n models.
             commands: (n, columns) values of each command that is drawn.
         """
         data = self._data
@@ -177,7 +178,7 @@ class Views:
         yield "/tf", self._frames.encode(time_ns)
 
     def on_reset(self, env_ids: EnvIndex) -> None:
-        """Sample viewed environments that were reset, with their scene if it has changed."""
+        """Sample viewed environments that were reset, and their scene if it changed."""
         seen = self._viewed_of(env_ids)
         if seen:
             for env_id in seen:
@@ -185,10 +186,9 @@ class Views:
             self.say(f"environments {ids_text(np.array(seen))} reset")
 
     def on_event(self, event: EventRecord) -> None:
-        """Write a line for each viewed environment in which a term fired, with what it drew.
+        """Write a line with the drawn values for each viewed environment in which a term fired.
 
-        Terms that fire at intervals have lines at most as often as environments are sampled; the
-        log's events have all of them.
+        Interval terms have lines at most at the sampling rate; the log's events are complete.
         """
         ids = event.env_ids
         if event.mode == "interval":
@@ -205,11 +205,11 @@ class Views:
             self._send_lines(texts)
 
     def on_step(self, step: int, record: StepRecord, ended: bool = True) -> None:
-        """Write the numbers of viewed environments if they are due, and lines for what ended.
+        """Write the scalars of viewed environments if they are due, and a line for each end.
 
         Args:
             step: Control step.
-            record: What it returned.
+            record: The results of the step.
             ended: Whether an episode may have ended in any environment.
         """
         if ended:
@@ -231,7 +231,7 @@ class Views:
             self.say(ending_text(record, env_id))
 
     def declare(self, record: StepRecord) -> Scalars:
-        """Return the run's scalars; the first call finds them and declares their channels."""
+        """Return the run's scalars; the first call declares their channels."""
         if self._scalars is None:
             self._scalars = Scalars(record, list(self._viewed), self._commands.scalars())
             schema = self._scalars.descriptor_set
@@ -240,7 +240,7 @@ class Views:
         return self._scalars
 
     def close(self, step: int, rows: F64) -> None:
-        """Write the last state, and that recording ends."""
+        """Write the last state, and a line that recording ends."""
         self.on_rows(step, rows, last=True)
         self.say(f"recording ends after {step} steps")
 
@@ -249,14 +249,14 @@ class _Viewed:
     """The topics and the model of one environment.
 
     Args:
-        engine: Its engine.
+        engine: The engine.
         env_id: The environment.
-        scenes: Encodes its scene.
-        changed: Model fields that differ between environments already.
+        scenes: Encoder of scenes.
+        changed: Model fields that already differ between environments.
 
     Attributes:
         changed: Model fields that have changed since they were read.
-        owns_model: Whether the environment's model is a copy of its own.
+        owns_model: Whether the environment's model is a separate copy.
         scene, joints, markers, metrics: Its topics.
     """
 
@@ -269,7 +269,7 @@ class _Viewed:
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The environment's model as it is now, as far as `_SEEN` goes."""
+        """The environment's model with the current values of the fields in `_SEEN`."""
         if self.changed:
             if not self.owns_model:
                 self._model, self.owns_model = copy.copy(self._model), True
@@ -281,7 +281,7 @@ class _Viewed:
         return self._model
 
     def look(self, time_ns: int, anyway: bool) -> bytes | None:
-        """Return its `SceneUpdate`; None if the scene is unchanged, unless `anyway`."""
+        """Return the `SceneUpdate`; None if the scene is unchanged, unless `anyway`."""
         model = self.model
         if not self._stale and not anyway:
             return None

@@ -199,7 +199,7 @@ class EnvHooks:
     def evaluate(self, **kwargs: Any) -> Mapping[str, Any]:
         """Return entries of ``info``; ``success`` and ``fail``, (N,) bool, end the episode.
 
-        They go over those of `compute_task_state`.
+        They override those of `compute_task_state`.
         """
         return {}
 

@@ -50,7 +50,7 @@ def _leaf_space(value: Any) -> spaces.Box:
 
 
 def flat_space(space: gym.Space[Any], num_envs: int) -> spaces.Box:
-    """Return the (N, W) Box of a batched observation space, each row one vector."""
+    """Return the (N, W) Box of a batched observation space, one vector per row."""
     width = spaces.utils.flatdim(space) // num_envs
     return spaces.Box(-np.inf, np.inf, (num_envs, width), np.float32)
 
@@ -72,18 +72,18 @@ def entry_spaces(space: gym.Space[Any], names: Iterable[str]) -> spaces.Dict:
 
 
 def named_obs(obs: Any, space: spaces.Dict) -> dict[str, NDArray[Any]]:
-    """Return an observation's entries (N, ...) by name, in memory of their own.
+    """Return an observation's entries (N, ...) by name, as new arrays.
 
     Args:
         obs: An observation of N environments.
-        space: What `entry_spaces` returned.
+        space: The result of `entry_spaces`.
     """
     parts = {name: obs[tuple(name.split("/"))].numpy(force=True) for name in space}
     return {name: np.array(part, space[name].dtype) for name, part in parts.items()}
 
 
 def numpy_obs(obs: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an observation as nested dicts of numpy arrays (N, ...) over the same memory."""
+    """Return an observation as nested dicts of numpy arrays (N, ...) that share its memory."""
     return {
         key: numpy_obs(value) if isinstance(value, Mapping) else value.cpu().numpy()
         for key, value in obs.items()

@@ -1,4 +1,4 @@
-"""Actuators and drives as `show` prints them: kinds in words, top speeds, time constants."""
+"""Descriptions of actuators and drives for `show`: kinds, top speeds, time constants."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ class ActuatorDescription:
     """One actuator, in words and numbers.
 
     Attributes:
-        name: In the model.
+        name: Its name in the model.
         kind: ``position``, ``velocity``, ``motor``, ``damper``, ``muscle``, ``general``...; with
-            ``filter`` or the like before it where the control passes an activation state.
-        target: What it acts on: ``joint arm/elbow``, ``tendon hand/split``...
+            a prefix such as ``filter`` if it has an activation state.
+        target: The object it acts on: ``joint arm/elbow``, ``tendon hand/split``...
         gear: First number of its gear.
         gain: Force per unit of control (or of activation).
         stiffness: kp, its force per unit of length.
         damping: kv, its force per unit of velocity.
-        ctrlrange: Of every control; None where it is not limited.
-        forcerange: None where it is not limited.
+        ctrlrange: Range of every control; None where not limited.
+        forcerange: Range of its force; None if not limited.
     """
 
     name: str
@@ -51,7 +51,7 @@ class ActuatorDescription:
 
 
 def describe_actuators(model: mujoco.MjModel) -> tuple[ActuatorDescription, ...]:
-    """Put every actuator of a model into words and numbers."""
+    """Describe every actuator of a model."""
     return tuple(_describe(model, i) for i in range(model.nactuator))
 
 
@@ -121,7 +121,7 @@ def _target(model: mujoco.MjModel, i: int) -> str:
 
 
 _HINGE_RANGE, _SLIDE_RANGE = 2 * math.pi, 1.0
-"""Distance that counts for a joint without limits, rad and m."""
+"""Assumed range of a joint without limits, rad and m."""
 
 
 def joint_inertia(parsed: ParsedArticulation) -> F64:
@@ -135,11 +135,11 @@ def joint_inertia(parsed: ParsedArticulation) -> F64:
 
 
 def top_speeds(parsed: ParsedArticulation) -> F64:
-    """(D,) largest speed in a move through the joint's range, rad/s or m/s; NaN without a drive.
+    """(D,) top speed in a move through the joint's range, rad/s or m/s; NaN without a drive.
 
     The smallest of three bounds: accelerating over half the range at effort / inertia, so that
     v^2 = effort x range / inertia; effort / passive damping; and stiffness x range / damping, where
-    spring and damper balance. Other joints, gravity and dry friction are left out.
+    spring and damper balance. Other joints, gravity and dry friction are ignored.
     """
     hinges = np.array([int(parsed.model.joint(n).type[0]) for n in parsed.joint_names])
     endless = np.where(hinges == int(mujoco.mjtJoint.mjJNT_HINGE), _HINGE_RANGE, _SLIDE_RANGE)
@@ -156,10 +156,10 @@ def top_speeds(parsed: ParsedArticulation) -> F64:
 
 
 def time_constants(parsed: ParsedArticulation) -> F64:
-    """(D,) seconds, within the effort limit; NaN without a drive.
+    """(D,) time constants in seconds, within the effort limit; NaN without a drive.
 
-    That of the slowest root of I x'' + damping x' + stiffness x = 0; damping is the drive's and the
-    joint's.
+    They belong to the slowest root of I x'' + damping x' + stiffness x = 0, where damping is the
+    sum of the drive's and the joint's.
     """
     inertia, stiffness = joint_inertia(parsed), parsed.stiffness
     damping = parsed.damping + parsed.joint_damping

@@ -1,4 +1,4 @@
-"""`parse_articulation`: a robot file and its config into one checked `ParsedArticulation`."""
+"""`parse_articulation`: makes a checked `ParsedArticulation` from a robot file and its config."""
 
 from __future__ import annotations
 
@@ -70,38 +70,38 @@ class ParsedArticulation:
         path: The file.
         spec: The edited model, names without prefix. Copied when a scene is compiled.
         model: `spec` compiled alone.
-        joint_names: Hinges and slides. Ball joints and the free joint of a floating base are not in
-            it: they are simulated, but have no column in any joint array.
+        joint_names: Hinges and slides. Ball joints and the free joint of a floating base are not
+            included: they are simulated, but have no columns in joint arrays.
         link_names: Bodies, parents before children.
-        root_link_name: The body that is placed.
+        root_link_name: The body with the articulation's pose.
         root_pose: (7,) pose of the root in the file's own world: x, y, z, qw, qx, qy, qz.
         fixed_base: Whether the root is fixed (a mocap body) or floats on a free joint.
         qpos_limits: (D, 2) rad or m; infinite where there is none.
-        qvel_limits: From the file; inf where it has none. So `qf_limits`.
+        qvel_limits, qf_limits: From the file; inf where it has none.
         init_qpos: Initial positions.
         init_qvel: Initial velocities: the keyframe's, else 0.
         stiffness: Gains of drives and of the file's servos; 0 without either.
-        damping: Likewise; a joint without either has its own damping here.
+        damping: As `stiffness`; the passive damping of a joint without either.
         joint_damping: Passive damping of the joints themselves, from the file.
-        max_effort: Drive limits; inf is none.
-        max_velocity: Of position targets and velocity actions; 1e10 is none.
+        max_effort: Effort limits of drives; inf is no limit.
+        max_velocity: Limits of position targets and velocity actions; 1e10 is no limit.
         friction: Dry friction.
         armature: Reflected inertia, `added_armature` included.
-        added_armature: What was added so that limited drives do not chatter.
+        added_armature: Armature added so that limited drives do not chatter.
         mimic_ids: Joints that follow another: ``q = multiplier * q[parent] + offset``.
         control_parts: Part -> joint indices.
         tools: Part (``default`` is the whole robot) -> the link that is its tool point.
-        own_actuators: Whether actuators of the file are among its actuators.
+        own_actuators: Whether actuators of the file are kept.
         driven: (D,) joints with a drive of `drive_pros`, not a servo of the file.
-        drives: (D,) names of the actuators that take the joints' targets, drives and the file's
-            servos; an empty string where there is none.
-        servos: Both, as numbers.
-        control_names: (M,) its controls: the file's actuators in their order, then the drives.
-        ctrl_limits: (M, 2) what clamps the controls: the file's ranges, a drive's joint limits;
-            infinite where there is nothing.
+        drives: (D,) names of the actuators that take the joints' targets (drives and the file's
+            servos); an empty string where there is none.
+        servos: Parameters of these actuators.
+        control_names: (M,) names of controls: the file's actuators in their order, then the drives.
+        ctrl_limits: (M, 2) limits of controls: the file's ranges, joint limits for drives; infinite
+            where there is none.
         init_ctrl: (M,) initial controls.
         init_act: (K,) initial activations, in the order of its actuators.
-        keyframe: Where the file's keyframe puts the root and ball joints, or None.
+        keyframe: The file's keyframe, for the root and ball joints, or None.
         notes: Messages for the user about the file, one line each.
     """
 
@@ -146,7 +146,7 @@ class ParsedArticulation:
     notes: tuple[str, ...]
 
     def with_given_armature(self, armature: Mapping[str, float]) -> ParsedArticulation:
-        """The same as if the config gave the armature that was added: joint -> kg m^2 or kg."""
+        """Return it as if the config gave the added armature: joint -> kg m^2 or kg."""
         drives = self.cfg.drive_pros
         given = drives.armature if isinstance(drives.armature, Mapping) else {}
         names = {exact_pattern(name): value for name, value in armature.items()}
@@ -158,7 +158,7 @@ class ParsedArticulation:
         )
 
     def without_model(self) -> ParsedArticulation:
-        """The same with an empty `spec` and `model`, which are large."""
+        """Return it with an empty `spec` and `model`, which are large."""
         empty = mujoco.MjSpec()
         return replace(self, spec=empty, model=empty.compile())
 
@@ -169,14 +169,14 @@ def parse_articulation(
     step: PhysicsStep | None = None,
     changes: Sequence[DriveChange] = (),
 ) -> ParsedArticulation:
-    """Read an articulation's file and apply its config; reads anew at every call.
+    """Read an articulation's file and apply its config; every call reads the file again.
 
     Args:
         uid: Its name in the scene.
         cfg: Its config.
         step: Time step and integrator of the scene, for the armature that limited drives need; None
-            leaves the armature as it is.
-        changes: What events may draw for its drives and links.
+            adds no armature.
+        changes: Values that events may draw for its drives and links.
 
     Raises:
         ConfigError: If the file is missing or malformed, or the config does not fit it; every
@@ -194,10 +194,10 @@ def parse_with_problems(
     step: PhysicsStep | None = None,
     changes: Sequence[DriveChange] = (),
 ) -> tuple[ParsedArticulation | None, list[Problem]]:
-    """As `parse_articulation`, but return the mistakes, with paths below the config.
+    """As `parse_articulation`, but return the mistakes, with paths relative to the config.
 
-    Mistakes in the config leave an articulation that can still be asked for names; one in the file
-    leaves None.
+    With mistakes in the config the articulation is returned, for its names; with one in the file,
+    None.
     """
     try:
         file = read_robot(cfg)
@@ -244,7 +244,7 @@ def parse_with_problems(
         text = str(error) if isinstance(error, ConfigError) else as_line(error)[0]
         return None, [*problems, Problem("fpath", f"{file.path}: {text}")]
     servos = read_servos(model, movable_joints(model))
-    # A damping ratio is a gain only now: inertias may have changed.
+    # Convert damping ratios to gains here: inertias may have changed.
     kept = ~gains.driven & (servos.drive >= 0)
     init_ctrl, init_act = initial_controls(model, servos, gains.driven, qpos, keyframe)
     return (
@@ -306,10 +306,10 @@ def _quieten(
     step: PhysicsStep,
     changes: Sequence[DriveChange],
 ) -> tuple[F64, list[str]]:
-    """Raise the armature that the config does not give, in a spec and in the model made of it.
+    """Raise armature that the config does not give, in a spec and its model.
 
     Returns:
-        (D,) what was added, and messages for the user.
+        (D,) added armature, and messages for the user.
     """
     lacking = quiet_armature(model, names, gains, home, parts, step, changes)
     given = gains.armature_given | drawn_joints("armature", names, parts, changes)
@@ -329,7 +329,7 @@ def _quieten(
 
 
 def _rounded(values: F64) -> F64:
-    """12 digits after the point: what a config that gives the armature says."""
+    """Round to 12 decimals, as a config that gives the armature has."""
     return np.array([round(float(value), 12) for value in values])
 
 
@@ -407,7 +407,7 @@ def _ctrl_limits(model: mujoco.MjModel, drives: Sequence[str], qpos_limits: F64)
 
 
 def _unused(spec: mujoco.MjSpec, keyframe: Keyframe | None) -> list[str]:
-    """Say which keyframes are left out, and which mocap bodies stand still."""
+    """Return messages about unused keyframes and about mocap bodies, which do not move."""
     said: list[str] = []
     others = [repr(key.name) for key in spec.keys if keyframe is None or key.name != keyframe.name]
     if others:

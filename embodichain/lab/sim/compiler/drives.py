@@ -1,18 +1,18 @@
-"""PD drives: the gains of each joint, the actuators that carry them, and how they chatter.
+"""PD drives: the gains of each joint, their actuators, and chatter.
 
 Spring and damper are both in the actuator, so that the effort limit bounds the whole drive, as in
-PhysX, Isaac Lab and mjlab. Damping and friction that a file gives a joint stay in the joint.
+PhysX, Isaac Lab and mjlab. Joints keep the damping and friction of their file.
 
 A drive's force is ``clip(kp (target - q) - kd v, -limit, limit)``. MuJoCo integrates its damper
 implicitly, but not where the force is clipped: there a step changes the velocity by
-``h M^-1 force``, whatever the velocity is. A clipped force that reverses the velocity within one
-step is clipped again in the next one, and the joint jumps back and forth for ever: it chatters.
+``h M^-1 force``, independent of the velocity. If a clipped force reverses the velocity within one
+step, it is clipped again in the next step, and the joint oscillates permanently: it chatters.
 
 For one joint the condition follows from the cycle of two steps, q = target -+ h v / 2 at +-v with
-v = h limit / 2 M: its force is clipped, so that it can go on, exactly if M < h kd / 2 + h^2 kp / 4.
-Several joints chatter together where the matrix M(q) - diag(h kd / 2 + h^2 kp / 4) is not positive
-semidefinite; single joints of an arm pass the test that their arm fails. Passive damping and dry
-friction, which only help, are left out.
+v = h limit / 2 M: its force is clipped, so that the cycle persists, exactly if
+M < h kd / 2 + h^2 kp / 4. Several joints chatter together where the matrix
+M(q) - diag(h kd / 2 + h^2 kp / 4) is not positive semidefinite, even if each joint alone does not.
+Passive damping and dry friction, which only reduce chatter, are left out.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ Parts = Mapping[str, Sequence[int]]  # control part -> joint indices
 
 @dataclass(frozen=True, eq=False)
 class DriveGains:
-    """Resolved drives of D joints, each (D,): what the model gets. Effort inf: no limit.
+    """Drive parameters of D joints for the model, each (D,). An effort of inf is no limit.
 
-    Where `driven` is False there is no drive of ours: gains are those of the file's servo, if there
-    is one, and its effort limit is `max_effort` where `relimited`. `armature_given` are the joints
-    whose armature the config gives.
+    Where `driven` is False, `drive_pros` adds no drive: gains are those of the file's servo, if
+    there is one, with the effort limit `max_effort` where `relimited`. `armature_given` marks the
+    joints for which the config gives the armature.
     """
 
     stiffness: F64
@@ -75,14 +75,14 @@ def resolve_drives(
 ) -> tuple[DriveGains, list[Problem]]:
     """Return one value of each property per joint, and every mistake in the config.
 
-    A map's keys are joint regexes or control-part names; parts are applied last. Joints that mimic
-    another one have no drive of their own. A `friction` of 0 (the default) keeps the file's; a map
+    A map's keys are joint regexes or control-part names; parts are applied last. Mimic joints have
+    no drive. A `friction` of 0 (the default) keeps the file's; a map
     with 0 clears it. ``acceleration`` multiplies both gains by the joint's inertia at qpos0.
 
     In a URDF every other joint has a drive, with the fields' defaults where no key names it. In an
-    MJCF those have one that `stiffness` or `damping` names (a number names what the file's
-    actuators act on, or all joints if it has none); what is not given is the file's own servo's,
-    else the fields' default.
+    MJCF, joints that `stiffness` or `damping` names have one (a number names the joints that the
+    file's actuators act on, or all if it has none); values that are not given are those of the
+    file's servo, else the fields' defaults.
     Without a drive (`drive_type: none` included) joints keep the file's damping and actuators.
     """
     problems: list[Problem] = []
@@ -90,7 +90,7 @@ def resolve_drives(
     no_joint = np.zeros(count, np.bool_)
 
     def value(name: str, default: F64) -> tuple[F64, Mask]:
-        """The values, and which joints were given one."""
+        """Values, and a mask of the joints that were given one."""
         wanted = getattr(cfg, name)
         if wanted == "file" or (servos is not None and isinstance(wanted, FileFirst)):
             return default.copy(), no_joint
@@ -99,7 +99,7 @@ def resolve_drives(
         return np.where(given, found, default), given
 
     def servo(name: str, default: float) -> F64:
-        """What the file's position servos say, where there are any."""
+        """Values of the file's position servos, or a default."""
         if servos is None:
             return np.full(count, default)
         return np.where(servos.stiffness > 0, getattr(servos, name), default)
@@ -126,7 +126,7 @@ def resolve_drives(
         problems.append(Problem("max_effort", message))
     effort = np.where((effort > 0) & (effort < NO_LIMIT), effort, np.inf)
     driven, relimited = np.ones(count, np.bool_), no_joint.copy()
-    # Without a drive: the file's servo, or the joint itself.
+    # Without a drive: values of the file's servo or the joint.
     own = np.zeros(count), joints.damping, joints.qf_limits
     if servos is None:
         problems += [
@@ -192,7 +192,7 @@ def _named(
 def _per_joint(
     key: str, value: Any, names: Sequence[str], parts: Parts, problems: list[Problem]
 ) -> F64:
-    """Spread a number or a map over the joints, NaN where none is given; appends to `problems`."""
+    """Return (D,) values of a number or a map, NaN if not given; appends to `problems`."""
     if not isinstance(value, Mapping):
         return np.full(len(names), _number(value, key, problems))
     out = np.full(len(names), np.nan)
@@ -214,7 +214,7 @@ def _per_joint(
 
 
 def _number(value: Any, path: str, problems: list[Problem]) -> float:
-    """A number that is not negative, or NaN and a problem."""
+    """Return a non-negative number; else NaN, and append a problem."""
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -229,9 +229,9 @@ def _number(value: Any, path: str, problems: list[Problem]) -> float:
 def apply_drives(
     spec: mujoco.MjSpec, gains: DriveGains, joints: FileJoints
 ) -> tuple[tuple[str, ...], list[str]]:
-    """Write gains into a spec: joints, and one actuator for every drive, named like its joint.
+    """Write gains into a spec: joint fields, and an actuator per drive, named like its joint.
 
-    Actuators of the file on joints that get a drive go, with the sensors that read them.
+    The file's actuators on these joints are removed, with the sensors that read them.
 
     Returns:
         The name of each joint's drive, empty where it has none, and messages for the user.
@@ -259,7 +259,7 @@ def apply_drives(
     for i in np.flatnonzero(gains.driven).tolist():
         name = names[i]
         joint = spec.joint(name)
-        # Efforts are limited in the drive, where set_joint_drive can change them per environment.
+        # The drive limits efforts, so that set_joint_drive can change limits per environment.
         joint.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
         joint.actfrcrange = [0.0, 0.0]
         drives[i] = name if name not in taken else f"{name}_drive"
@@ -284,7 +284,7 @@ def _limit(actuator: mujoco.MjsActuator, effort: float) -> None:
 
 
 def _remove_actuators(spec: mujoco.MjSpec, joints: Sequence[str]) -> list[str]:
-    """Take out the actuators on joints, and the sensors that read them; say so."""
+    """Remove actuators on joints and the sensors that read them; return messages."""
     gone = {
         actuator.name: actuator
         for actuator in spec.actuators
@@ -310,13 +310,13 @@ def _remove_actuators(spec: mujoco.MjSpec, joints: Sequence[str]) -> list[str]:
 # ----------------------------------------------------------------------------------------- chatter
 
 _POSTURES = 256
-_TOLERANCE = 1e-3  # of what is needed: less is not worth a number
+_TOLERANCE = 1e-3  # relative; smaller needs are ignored
 _ROUNDS = 64  # arms take three to five, a humanoid of 32 limited joints nine
 
 
 @dataclass(frozen=True)
 class PhysicsStep:
-    """What chatter depends on besides the robot: time step in seconds and integrator."""
+    """Time step in seconds and integrator, on which chatter depends."""
 
     dt: float = 0.01
     integrator: str = "implicitfast"
@@ -329,12 +329,12 @@ def physics_step(cfg: SimulationManagerCfg) -> PhysicsStep:
 
 @dataclass(frozen=True)
 class DriveChange:
-    """What an event may draw for the drives or links of one articulation.
+    """Values that an event may draw for the drives or links of one articulation.
 
     Attributes:
-        quantity: What is drawn; ``strength`` multiplies gains and limit.
-        names: Regexes or control parts that pick joints (links of ``mass``); None picks all.
-        ranges: (low, high) for all that are picked, or by regex.
+        quantity: The drawn quantity; ``strength`` multiplies gains and limit.
+        names: Regexes or control parts that pick joints (links for ``mass``); None picks all.
+        ranges: (low, high) for all picked ones, or by regex.
         operation: ``abs`` replaces the compiled value, ``scale`` and ``add`` change it.
     """
 
@@ -346,7 +346,7 @@ class DriveChange:
     def bounds(
         self, quantity: str, names: Sequence[str], parts: Parts
     ) -> dict[int, tuple[float, float]]:
-        """Index among `names` of what is picked -> (low, high); none of another quantity."""
+        """Picked index in `names` -> (low, high); empty for another quantity."""
         if quantity != self.quantity:
             return {}
         picked: list[int] = list(range(len(names))) if self.names is None else []
@@ -363,7 +363,7 @@ class DriveChange:
         }
 
     def apply(self, default: float, value: float) -> float:
-        """Return what becomes of a compiled value where `value` is drawn."""
+        """Return the result of drawing `value` for a compiled value."""
         changed = {"abs": value, "scale": default * value, "add": default + value}
         return changed[self.operation]
 
@@ -377,26 +377,26 @@ def quiet_armature(
     step: PhysicsStep,
     changes: Sequence[DriveChange] = (),
 ) -> F64:
-    """Return the armature (D,) that each joint lacks to be quiet, rounded up to two digits.
+    """Return the armature (D,) that each joint lacks to avoid chatter, rounded up to two digits.
 
-    The joint-space inertia is that at `home`, at qpos0 and at 256 postures within the limits (of
-    [-pi, pi] without one), always the same; its floating base and undriven joints move freely.
+    The joint-space inertia is computed at `home`, at qpos0 and at 256 fixed postures within the
+    limits (within [-pi, pi] without limits). The floating base and undriven joints move freely.
 
     Args:
-        model: The articulation alone, with the armature that it has.
+        model: The articulation alone, with its current armature.
         names: Its D hinges and slides.
         gains: Their drives.
         home: (D,) initial positions.
         parts: See `DriveChange.names`.
         step: Time step and integrator. With Euler and RK4, which take the damper explicitly, drives
             without a limit count too.
-        changes: What events may draw; the largest gains and the smallest mass count.
+        changes: Values that events may draw; the largest gains and the smallest mass count.
     """
     dofs = np.array([model.joint(name).dofadr[0] for name in names], np.int64)
     links = [model.body(i).name for i in range(1, model.nbody)]
 
     def extreme(quantity: str, default: F64, pick: Callable[..., float]) -> F64:
-        """The largest or smallest values that events may draw; the default counts too."""
+        """The largest or smallest of the values that events may draw and the default."""
         found, of = default.copy(), (links, {}) if quantity == "mass" else (names, parts)
         for change in changes:
             for i, bounds in change.bounds(quantity, *of).items():
@@ -417,13 +417,13 @@ def quiet_armature(
     armature = model.dof_armature
     least = armature.copy()
     least[dofs] = extreme("armature", armature[dofs], min)
-    # The matrix is a sum over links: scaled by the smallest factor of a mass it is a lower bound.
+    # The matrix is a sum over links: scaling it by the smallest mass factor gives a lower bound.
     mass = model.body_mass[1:]
     heavy = mass > 0
     factors = extreme("mass", mass, min)[heavy] / mass[heavy]
     inertia = _inertias(model, dofs, home) - np.diag(armature)
     inertia = inertia * float(np.clip(factors, 0.0, 1.0).min(initial=1.0)) + np.diag(least)
-    # What the driven joints feel while the others are free to move: the Schur complement.
+    # Effective inertia of driven joints while the others move freely: the Schur complement.
     picked = np.ix_(np.arange(len(inertia)), dofs[joints], dofs[joints])
     felt = np.linalg.inv(np.linalg.inv(inertia)[picked])
     added = _added(felt, need[joints])
@@ -435,7 +435,7 @@ def quiet_armature(
 def drawn_joints(
     quantity: str, names: Sequence[str], parts: Parts, changes: Sequence[DriveChange]
 ) -> Mask:
-    """(D,) which joints have a quantity that events draw."""
+    """(D,) mask of joints for which events draw a quantity."""
     found = np.zeros(len(names), np.bool_)
     for change in changes:
         found[list(change.bounds(quantity, names, parts))] = True
@@ -445,8 +445,8 @@ def drawn_joints(
 def _added(inertia: F64, need: F64) -> F64:
     """Return a >= 0 (D,) with inertia (P, D, D) + diag(a - need) positive semidefinite everywhere.
 
-    A joint's own inertia must suffice; what the coupling of joints takes from it is added along the
-    worst eigenvector, in shares that cancel the negative eigenvalue, until none is left (to a
+    Each diagonal element is raised first. Then the coupling of joints is compensated along the
+    worst eigenvector, in shares that cancel the negative eigenvalue, until none is left (within a
     thousandth of `need`).
     """
     own = inertia[:, range(len(need)), range(len(need))].min(axis=0)
@@ -459,7 +459,7 @@ def _added(inertia: F64, need: F64) -> F64:
         if values[worst, 0] >= -tolerance:
             if wrong is inertia:
                 return added
-            wrong = inertia  # what was right need not be looked at in every round
+            wrong = inertia  # check the postures that passed again
             continue
         share = np.abs(vectors[worst, :, 0])
         added += -values[worst, 0] * share * share.sum()
@@ -495,6 +495,6 @@ def inertia_matrix(model: mujoco.MjModel, data: mujoco.MjData) -> F64:
 
 
 def _round_up(value: float) -> float:
-    """The next number with two significant digits; of positive numbers."""
+    """Round a positive number up to two significant digits."""
     digit = 10.0 ** (math.floor(math.log10(value)) - 1)
     return float(f"{math.ceil(value / digit - 1e-9) * digit:.2g}")

@@ -1,4 +1,4 @@
-"""Names in configs: regexes against the names in models, uids, and references to entities."""
+"""Names in configs: regexes over names in models, uids, and references to entities."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def match(
 
     Args:
         pattern: The regex.
-        names: What there is.
-        what: What the names are, for messages: "joint".
+        names: The existing names.
+        what: The kind of names, for messages: "joint".
         path: Key path of the pattern.
     """
     try:
@@ -48,7 +48,7 @@ def match(
 
 
 def no_such(what: str, name: str, names: Sequence[str], path: str) -> Problem:
-    """Return the problem that nothing has a name."""
+    """Return the problem that a name does not exist."""
     message = f"no {what} is called {name!r}; there are: {', '.join(names)}"
     return Problem(path, message, did_you_mean(name, names).strip())
 
@@ -63,7 +63,7 @@ def exact_pattern(name: str) -> str:
 
 
 def check_uid(uid: str, path: str, taken: Mapping[str, str]) -> list[Problem]:
-    """Return what is wrong with an entity's name; `taken` are names in use, each with where."""
+    """Return what is wrong with an entity's uid; `taken` maps used uids to their locations."""
     if not uid.strip():
         return [Problem(path, "an entity needs a name (uid)")]
     if "/" in uid:
@@ -75,7 +75,7 @@ def check_uid(uid: str, path: str, taken: Mapping[str, str]) -> list[Problem]:
 
 
 class Jointed(Protocol):
-    """What references need of an articulation; see `ParsedArticulation`."""
+    """The part of `ParsedArticulation` that references need."""
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -87,7 +87,7 @@ class Jointed(Protocol):
 
     @property
     def root_link_name(self) -> str:
-        """The link that is placed."""
+        """The root link."""
 
     @property
     def mimic_ids(self) -> tuple[int, ...]:
@@ -99,17 +99,17 @@ class Jointed(Protocol):
 
 
 Known = Mapping[str, Jointed | str | None]
-"""Uid -> the articulation (None: unreadable), or what else it is: "rigid object", "light"."""
+"""Uid -> the articulation (None if unreadable), or another kind: "rigid object", "light"."""
 
 
 @dataclass(frozen=True)
 class Picked:
-    """What a reference picks of an entity, as indices in the entity's order.
+    """Joints, links and parts that a reference picks, as indices in the entity's order.
 
     Attributes:
-        joints: Without a choice all active joints (no mimic joints); none of what is no
+        joints: By default all active joints (no mimic joints); empty if the entity is not an
             articulation.
-        links: Without a choice none.
+        links: By default empty.
         parts: Control parts, by name.
     """
 
@@ -121,16 +121,16 @@ class Picked:
 def pick(
     path: str, fields: Mapping[str, Any], known: Known, open_scene: bool = False
 ) -> tuple[Picked, list[Problem]]:
-    """Look up what a reference to an entity means.
+    """Resolve a reference to an entity.
 
     Args:
-        path: Its key path; empty is none.
-        fields: Its keys: ``uid`` and any of those that pick joints or links.
+        path: Its key path; may be empty.
+        fields: Its keys: ``uid`` and keys that pick joints or links.
         known: The declared entities.
-        open_scene: Whether Python code may add entities: an unknown one is then no mistake.
+        open_scene: Whether Python code may add entities, so that unknown ones are allowed.
 
     Returns:
-        What it picks, nothing where something is wrong or unknown, and every mistake.
+        The picked joints and links (empty where wrong or unknown), and every mistake.
     """
     uid = str(fields.get("uid") or "")
     entity = known.get(uid)
@@ -217,7 +217,7 @@ def _matching(
 def _numbered(
     key: str, fields: Mapping[str, Any], count: int, what: str, uid: str
 ) -> tuple[list[int] | None, list[Problem]]:
-    """Indices that are given as such."""
+    """Check indices that are given directly."""
     ids = fields.get(key)
     wrong = [i for i in ids or () if not 0 <= i < count]
     if wrong:

@@ -1,4 +1,4 @@
-"""Rigid objects: initial pose, one body with its shape or mesh, and how the body moves."""
+"""Rigid objects: initial pose, body, shape or mesh, contact and damping."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ __all__ = [
 ]
 
 VISUAL_GROUP = 2
-"""Group of visual shapes; MuJoCo draws groups 0 to 2 unless told otherwise."""
+"""Group of visual shapes; by default MuJoCo draws groups 0 to 2."""
 COLLISION_GROUP = 3
 """Group of collision shapes of bodies that have visual ones: not drawn."""
 HULL_VERTICES = 64
-"""Most vertices of a mesh's convex hull."""
+"""Maximum number of vertices of a mesh's convex hull."""
 _PALETTE = (
     (0.86, 0.36, 0.26),
     (0.25, 0.55, 0.75),
@@ -68,10 +68,10 @@ _GEOM, _INERTIA = mujoco.mjtGeom, mujoco.mjtMeshInertia
 def initial_pose(cfg: ObjectBaseCfg) -> tuple[F64, F64]:
     """Return position (3,) in metres and unit wxyz quaternion (4,).
 
-    `init_local_pose` wins over `init_quat`, that over `init_rot` (degrees, intrinsic XYZ).
+    `init_local_pose` overrides `init_quat`, which overrides `init_rot` (degrees, intrinsic XYZ).
 
     Raises:
-        ConfigError: If a value has the wrong shape, is not finite, or is no rotation.
+        ConfigError: If a value has the wrong shape, is not finite, or is not a rotation.
     """
     if cfg.init_local_pose is not None:
         matrix = _vector(cfg.init_local_pose, 16, "init_local_pose").reshape(4, 4)
@@ -142,7 +142,7 @@ def check_object(cfg: RigidObjectCfg) -> list[Problem]:
 
 
 def _convex_parts(cfg: RigidObjectCfg) -> int | None:
-    """Most convex parts of a mesh: 1, its hull; None: as many as it takes."""
+    """Maximum number of convex parts of a mesh; 1 is its hull, None as many as needed."""
     if cfg.max_convex_hull_num > 1:
         return int(cfg.max_convex_hull_num)
     return None if cfg.collision == "decompose" else 1
@@ -152,9 +152,9 @@ def check_shape(shape: AnyShapeCfg, scale: F64, max_parts: int | None = 1) -> li
     """Return every mistake in a shape; paths begin with ``shape`` or ``body_scale``.
 
     Args:
-        shape: The shape; the file of a mesh is read, which `add_shape` needs anyway.
+        shape: The shape; a mesh file is read (`add_shape` needs it as well).
         scale: (3,) factors.
-        max_parts: Convex parts that a mesh collides by: 1, its hull; None: as many as it takes.
+        max_parts: Maximum number of convex collision parts; 1 is the hull, None as many as needed.
     """
     problems = []
     for name in ("size", "radius", "height"):
@@ -190,15 +190,15 @@ def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) 
         spec: The scene.
         uid: The object's name.
         cfg: Its config, checked.
-        number: Its place among the objects: chooses a colour where the config has none.
+        number: Its index among the objects: selects a colour if the config has none.
     """
     pos, quat = initial_pose(cfg)
     body = spec.worldbody.add_body(name=uid, pos=pos, quat=quat)
     body.mocap = cfg.body_type == "kinematic"
     if cfg.body_type == "dynamic":
         body.add_freejoint(name=f"{uid}/free")
-        # A body compiled as "simple" has a diagonal mass matrix, and could never get another
-        # centre of mass per environment.
+        # A body compiled as "simple" has a diagonal mass matrix and cannot have a different centre
+        # of mass per environment.
         body.simple = 0
     scale = np.asarray(cfg.body_scale, np.float64)
     geom = add_shape(spec, body, uid, cfg.shape, scale, number, _convex_parts(cfg))
@@ -223,11 +223,11 @@ def add_shape(
 
     Args:
         spec: The scene.
-        body: What gets it; a mesh of several colours or convex parts adds more geoms.
+        body: Its body; a mesh of several colours or convex parts adds more geoms.
         uid: Prefix of the names.
         shape: The shape, checked.
         scale: (3,) factors.
-        number: Chooses a colour where there is none.
+        number: Selects a colour if there is none.
         max_parts: See `check_shape`.
     """
     geom = body.add_geom(name=f"{uid}/geom")
@@ -253,7 +253,7 @@ def add_shape(
 
 
 def _surface(spec: mujoco.MjSpec, uid: str, cfg: VisualMaterialCfg | None, number: int) -> str:
-    """Add an object's material and return its name; without a config, a colour of its own."""
+    """Add an object's material and return its name; without a config, `number` sets the colour."""
     name = f"{uid}/material"
     if cfg is None:
         rgba = [*_PALETTE[number % len(_PALETTE)], 1.0]
@@ -280,10 +280,10 @@ def _add_mesh(
     number: int,
     max_parts: int | None,
 ) -> None:
-    """Make a geom the mesh, and add geoms to its body where one cannot be all of it.
+    """Turn a geom into the mesh, and add geoms to its body where one is not enough.
 
-    The geom weighs, and collides by its hull. Parts of several colours are drawn by geoms of their
-    own, without mass and contacts; so are convex parts added, which collide in its place.
+    The geom has the mass and its hull collides. For several colours, geoms without mass and
+    contacts are added that are drawn; for convex parts, geoms that collide in its place.
     """
     path, body = Path(get_data_path(shape.fpath)), geom.parent
 
@@ -326,7 +326,7 @@ def _shape_file(path: Path) -> Path:
 
 
 def _look(path: Path) -> MadeVisual | None:
-    """Return the file's parts if it has colours; None if MuJoCo draws all that there is of it."""
+    """Return the file's parts if it has colours; None if MuJoCo draws the file as it is."""
     if reads(path) and not has_materials(path):
         return None
     made = convert_visual(path)
@@ -356,8 +356,8 @@ def damping_of(model: mujoco.MjModel, body: int, cfg: RigidObjectCfg) -> F64:
     """Return the free joint's damping (6,) that makes velocities decay at the config's rates.
 
     Force = -linear_damping x mass x v, torque = -angular_damping x inertia x w, so that velocities
-    fall by ``exp(-damping t)`` whatever the body's size. MuJoCo's joint damping is one number an
-    axis: of an inertia tensor that is not diagonal in the body's axes its diagonal is taken.
+    decay as ``exp(-damping t)`` for any size of body. MuJoCo's joint damping is one number per
+    axis: only the diagonal of the inertia tensor in the body's axes is used.
     """
     inertia = inertia_about_axes(model.body_iquat[body], model.body_inertia[body])
     linear = np.full(3, cfg.attrs.linear_damping * model.body_mass[body])
@@ -367,7 +367,7 @@ def damping_of(model: mujoco.MjModel, body: int, cfg: RigidObjectCfg) -> F64:
 def inertia_about_axes(iquat: F64, moments: F64) -> F64:
     """Diagonal of the inertia tensor in the body's axes.
 
-    Terms are added in a fixed order: another number of environments changes no bit.
+    Terms are added in a fixed order, so results do not depend on the number of environments.
 
     Args:
         iquat: (4,) orientation of the principal axes in the body, wxyz.

@@ -17,7 +17,7 @@ from embodichain.utils.suggest import did_you_mean
 __all__ = ["assemble", "attach"]
 
 _ON_FIRST = ("chassis", "head", "left_hand", "right_hand", "hand")
-"""Components that carry others on their first link; the rest on the last one of the file."""
+"""Components with children on their first link; the others have them on the file's last link."""
 _CARRIERS = {
     "legs": ("chassis",),
     "torso": ("legs", "chassis"),
@@ -29,7 +29,7 @@ _CARRIERS = {
     "right_hand": ("right_arm",),
     "hand": ("arm",),
 }
-"""Component -> what carries it: the first of these that is there, else the base."""
+"""Component -> its parent: the first of these that exists, else the base."""
 _SEPARATOR = ":"  # between a component and its names while it is attached
 
 
@@ -39,12 +39,12 @@ def attach(
     """Fix a model's world on a link.
 
     Args:
-        parent: Grows by the child's bodies, joints, shapes, assets, equalities and actuators.
-        child: A copy of it is used; it stays as it is.
+        parent: Receives the child's bodies, joints, shapes, assets, equalities and actuators.
+        child: Is copied; it does not change.
         link: A body of the parent.
         pos: (3,) metres, the child's world in the link's frame.
-        quat: (4,) wxyz, likewise.
-        prefix: Before every name of the child; no name of the parent may begin with it.
+        quat: (4,) wxyz, in the link's frame.
+        prefix: Prefix of the child's names; no name of the parent may begin with it.
 
     Raises:
         ValueError: If the parent has no such link.
@@ -56,7 +56,7 @@ def attach(
 
 
 def assemble(cfg: URDFCfg, convex_parts: bool) -> ModelFile:
-    """Read the files of a robot and put them together.
+    """Read the files of a robot and assemble them.
 
     Raises:
         ConfigError: If a file is missing or malformed, or a component is wrong; paths begin with
@@ -92,7 +92,7 @@ def assemble(cfg: URDFCfg, convex_parts: bool) -> ModelFile:
         velocity |= {new_joints[old]: v for old, v in file.velocity_limits.items()}
         last = own_links[0] if kind in _ON_FIRST else file.last_link
         carrying[kind] = f"{kind}{_SEPARATOR}{last}"
-    # A URDF has no other references than those of mimics, which are equalities.
+    # The only references in a URDF are mimics, which are equalities.
     for body in spec.bodies[1:]:
         body.name = links[body.name]
     for joint in spec.joints:
@@ -107,7 +107,7 @@ def assemble(cfg: URDFCfg, convex_parts: bool) -> ModelFile:
 def _read(
     cfg: URDFCfg, convex_parts: bool
 ) -> tuple[dict[str, ModelFile], dict[str, tuple[F64, F64]]]:
-    """The files by component, and the position and wxyz quaternion of each in its carrier."""
+    """Files by component, and position and wxyz quaternion of each in its parent's frame."""
     files: dict[str, ModelFile] = {}
     transforms: dict[str, tuple[F64, F64]] = {}
     problems: list[Problem] = []
@@ -146,7 +146,7 @@ def _read(
 def _renamed(
     names: Iterable[str], prefix: str, kind: str, case: str | None, taken: set[str]
 ) -> dict[str, str]:
-    """Old -> new. A name that is taken gets `kind` before it, if that is given, or a number."""
+    """Map old to new names. A taken name gets the prefix `kind` if given, else a number."""
 
     def spelled(name: str) -> str:
         return name.upper() if case == "upper" else name.lower() if case == "lower" else name

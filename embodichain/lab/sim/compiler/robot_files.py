@@ -1,4 +1,4 @@
-"""Robot files into `MjSpec`: formats, meshes, errors in one line, inertias that need repair."""
+"""Reads robot files into `MjSpec`: formats, meshes, one-line errors, repair of inertias."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from embodichain.utils.math import quat_multiply
 __all__ = ["MUJOCO_ERRORS", "ModelFile", "as_line", "compile_quietly", "locate", "read_model"]
 
 MUJOCO_ERRORS = (ValueError, RuntimeError, mujoco.FatalError)
-"""What MuJoCo's bindings raise for a model it cannot parse or compile."""
+"""Exceptions of MuJoCo's bindings for a model it cannot parse or compile."""
 
 _LINE = re.compile(r",? *\bline(?: number)? *[=:]? *(\d+)", re.IGNORECASE)
 _ELEMENT = re.compile(r"\s*Element (?:name )?'(?P<name>[^']*)'(?:, id \d+)?")
@@ -45,7 +45,7 @@ _PREFIXES = ("Error: ", "XML Error: ", "Schema violation: ")
 
 
 def as_line(error: Exception) -> tuple[str, int | None]:
-    """Return a MuJoCo error as one line of text, and the line of the XML it names, if any."""
+    """Return a MuJoCo error as one line of text, and the XML line number it names, if any."""
     text = str(error).strip()
     found = _LINE.search(text)
     text = _LINE.sub("", text)
@@ -58,15 +58,15 @@ def as_line(error: Exception) -> tuple[str, int | None]:
 
 @dataclass
 class ModelFile:
-    """A robot file as MuJoCo sees it.
+    """A robot file, parsed and compiled by MuJoCo.
 
     Attributes:
         path: Its path.
-        is_urdf: URDF, else MJCF.
-        spec: Parsed, not edited; it compiles.
-        model: Compiled as it is in the file.
+        is_urdf: Whether it is a URDF; else MJCF.
+        spec: The parsed file, unedited; it compiles.
+        model: The file's model.
         velocity_limits: Joint name -> limit; URDF only.
-        last_link: The last link in the order of a URDF, which is not that of the tree.
+        last_link: The last link in the order of the URDF text, not of the tree.
         notes: Messages for the user, one line each.
     """
 
@@ -101,7 +101,7 @@ def read_model(path: Path, convex_parts: bool = False) -> ModelFile:
 
     Args:
         path: The file.
-        convex_parts: Split collision meshes of a URDF into convex parts.
+        convex_parts: Whether to split collision meshes of a URDF into convex parts.
 
     Raises:
         ConfigError: If it is malformed; names the file and, where known, the line.
@@ -128,7 +128,7 @@ def read_model(path: Path, convex_parts: bool = False) -> ModelFile:
 def parse_xml(source: bytes) -> tuple[ET.Element, dict[ET.Element, int]]:
     """Return the root of an XML text, and the line of every element, in document order.
 
-    Prefixes of namespaces stay in tags and attributes.
+    Tags and attributes keep their namespace prefixes.
 
     Raises:
         xml.parsers.expat.ExpatError: If it is not well-formed.
@@ -147,14 +147,14 @@ def parse_xml(source: bytes) -> tuple[ET.Element, dict[ET.Element, int]]:
 
 
 def compile_quietly(spec: mujoco.MjSpec) -> mujoco.MjModel:
-    """Compile without MuJoCo's Python warnings, which repeat what we report ourselves."""
+    """Compile without MuJoCo's Python warnings, which this package reports itself."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return spec.compile()
 
 
 def _name_elements(spec: mujoco.MjSpec) -> None:
-    """Name bodies, joints, geoms, actuators and cameras that the file leaves without a name."""
+    """Name bodies, joints, geoms, actuators and cameras that have no name in the file."""
     for what, elements in (
         ("body", spec.bodies),
         ("joint", spec.joints),
@@ -189,21 +189,21 @@ def _read_mjcf(path: Path) -> ModelFile:
 
 
 def _make_absolute(spec: mujoco.MjSpec, folder: Path) -> None:
-    """Make file names of assets absolute, so that two files with a ``part.stl`` stay apart."""
+    """Make file names of assets absolute, so that equal names of two robots do not clash."""
     for directory, assets in (
         (spec.meshdir, spec.meshes),
         (spec.texturedir, spec.textures),
         (spec.meshdir, spec.hfields),
     ):
         for asset in assets:
-            # What an <include> in another folder names is left to MuJoCo.
+            # MuJoCo resolves names from an <include> in another folder.
             path = folder / directory / asset.file
             if asset.file and path.is_file():
                 asset.file = str(path.resolve())
 
 
 def _convert_meshes(spec: mujoco.MjSpec) -> Iterator[str]:
-    """Convert the meshes that MuJoCo does not read, such as ASCII STL; their shapes alone."""
+    """Convert meshes that MuJoCo does not read, such as ASCII STL, without colours."""
     for mesh in spec.meshes:
         file = Path(mesh.file)
         if mesh.file and file.is_file() and not reads(file):
@@ -213,14 +213,14 @@ def _convert_meshes(spec: mujoco.MjSpec) -> Iterator[str]:
 
 # -------------------------------------------------------------------------------------------- URDF
 
-# Fixed links keep their bodies, visual shapes stay, and file names are used as resolved here.
+# Keep bodies of fixed links and visual shapes, and use the file names resolved here.
 _FLAGS = {"fusestatic": "false", "discardvisual": "false", "strippath": "false", "meshdir": ""}
 
 
 def _read_urdf(
     path: Path, root: ET.Element, line_of: Mapping[ET.Element, int], convex_parts: bool
 ) -> ModelFile:
-    """Compile a URDF, whose tree is changed in place until MuJoCo reads it as it is meant."""
+    """Compile a URDF, after editing its tree in place so that MuJoCo reads it correctly."""
     if any("xacro" in element.tag for element in line_of):
         raise ConfigError(f"{path}: xacro has to be expanded to URDF first: `xacro {path.name}`")
     links = root.findall("link")
@@ -239,7 +239,7 @@ def _read_urdf(
         model = _compile_repaired(path, spec, notes)
     except MUJOCO_ERRORS as error:
         message, line = as_line(error)
-        if line is not None:  # of `text`: its elements are those of `root`, in order
+        if line is not None:  # of `text`, which has the elements of `root` in order
             _, lines = parse_xml(text.encode())
             pairs = zip(lines.values(), root.iter(), strict=True)
             line = next((line_of.get(e) for written, e in pairs if written >= line), None)
@@ -253,7 +253,7 @@ def _read_urdf(
 
 
 def _set_flags(root: ET.Element) -> None:
-    """Write our import flags into the file's ``<mujoco><compiler>`` extension, which may exist."""
+    """Write our import flags into the file's ``<mujoco><compiler>`` extension."""
     extension = root.find("mujoco")
     if extension is None:
         extension = ET.Element("mujoco")
@@ -265,7 +265,7 @@ def _set_flags(root: ET.Element) -> None:
 
 
 def _drop_repeated_names(root: ET.Element) -> None:
-    """Take the name off shapes whose name another shape has: MuJoCo would only complain of it."""
+    """Remove names that several shapes share; MuJoCo would only warn about them."""
     seen: set[str] = set()
     for shape in (*root.iter("visual"), *root.iter("collision")):
         name = shape.get("name", "")
@@ -275,9 +275,9 @@ def _drop_repeated_names(root: ET.Element) -> None:
 
 
 def _set_masses(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:
-    """Give links without an inertial the mass they have by URDF's rule; say which are estimated.
+    """Set masses of links without an inertial by URDF's rule; return messages about estimates.
 
-    Where no joint moves them (fixed joint, or root) it is none, else that of their shapes.
+    The mass is zero if no joint moves the link (fixed joint or root), else that of its shapes.
     """
     moved = {
         child.get("link", "")
@@ -300,7 +300,7 @@ _FLAT = re.compile(r"mesh volume is too small: (\S+)")
 
 
 def _compile_repaired(path: Path, spec: mujoco.MjSpec, notes: list[str]) -> mujoco.MjModel:
-    """Compile; meshes without volume and inertias that cannot be are repaired, which notes say."""
+    """Compile; repair meshes without volume and invalid inertias, and add notes about it."""
     repaired = False
     while True:
         try:
@@ -324,11 +324,11 @@ _LEAST_INERTIA = 1e-9  # kg m^2
 
 
 def _repair_inertias(spec: mujoco.MjSpec) -> str:
-    """Let MuJoCo's compiler repair inertias, and principal moments below zero here.
+    """Repair inertias by options of MuJoCo's compiler, and negative principal moments here.
 
     MuJoCo raises masses to 1e-6 kg and moments to 1e-9 kg m^2 and, where the largest moment is more
-    than the sum of the others, makes all three their mean (``boundmass``, ``boundinertia``,
-    ``balanceinertia``). It refuses a tensor with a negative eigenvalue: that is raised to 1e-9.
+    than the sum of the others, sets all three to their mean (``boundmass``, ``boundinertia``,
+    ``balanceinertia``). It refuses negative eigenvalues, which are raised to 1e-9 here.
 
     Returns:
         One line that names the links, without the file.
@@ -336,18 +336,18 @@ def _repair_inertias(spec: mujoco.MjSpec) -> str:
     spec.compiler.balanceinertia = True
     spec.compiler.boundmass = _LEAST_MASS
     spec.compiler.boundinertia = _LEAST_INERTIA
-    # By way of the spec: `body.joints` raises the error of a compilation that failed before.
+    # Use the spec: `body.joints` raises the error of an earlier failed compilation.
     moving = {joint.parent.name for joint in spec.joints}
     shaped = {geom.parent.name for geom in spec.geoms if collides(geom)}
     names = []
     for body in spec.bodies[1:]:  # the first is the world
         if not body.explicitinertial:
             if body.name in moving - shaped:
-                names.append(body.name)  # it moves, and weighs nothing
+                names.append(body.name)  # a moving body without mass
             continue
         moments, axes = _principal(body)
         if not (body.name in moving or body.mass or moments.any()):
-            continue  # a frame without mass, which is fixed
+            continue  # a fixed frame without mass
         low = moments.min() < _LEAST_INERTIA
         if low or body.mass < _LEAST_MASS or 2.0 * moments.max() > moments.sum():
             names.append(body.name)
@@ -381,18 +381,18 @@ _INERTIA = mujoco.mjtMeshInertia
 
 @dataclass
 class _UrdfMeshes:
-    """What becomes of the meshes of a URDF; `convex_parts` splits collision meshes."""
+    """Conversion of a URDF's meshes; `convex_parts` splits collision meshes."""
 
     path: Path
     convex_parts: bool
     looks: dict[str, MadePart] = field(default_factory=dict)
-    """OBJ file made of a visual mesh -> its colour and texture."""
+    """OBJ file made from a visual mesh -> its colour and texture."""
     shapes: set[str] = field(default_factory=set)
-    """OBJ files made of collision meshes."""
+    """OBJ files made from collision meshes."""
     notes: list[str] = field(default_factory=list)
 
     def prepare(self, root: ET.Element) -> None:
-        """Give every mesh the path of a file that MuJoCo reads; a mesh may become several.
+        """Replace every mesh by files that MuJoCo reads; a mesh may become several.
 
         Raises:
             ConfigError: If meshes do not exist, or collision meshes cannot be read.
@@ -429,10 +429,10 @@ class _UrdfMeshes:
             raise ConfigError([Problem("", f"{self.path}: {line}") for line in wrong])
 
     def finish(self, spec: mujoco.MjSpec) -> None:
-        """Colour what was made of visual meshes; say how volumes are to be taken of the others."""
+        """Set colours of visual meshes, and how MuJoCo computes inertias of meshes."""
         for mesh in spec.meshes:
             if mesh.file in self.looks:
-                mesh.inertia = _INERTIA.mjMESH_INERTIA_SHELL  # weighs nothing; it may be open
+                mesh.inertia = _INERTIA.mjMESH_INERTIA_SHELL  # has no mass; it may be open
             elif mesh.file in self.shapes:
                 mesh.inertia = _INERTIA.mjMESH_INERTIA_CONVEX
         files = {mesh.name: mesh.file for mesh in spec.meshes}
@@ -462,26 +462,26 @@ class _UrdfMeshes:
         return files
 
     def _tell_of_stl(self, path: Path) -> None:
-        """Say which STL files are not what MuJoCo takes their name for."""
+        """Add a note that an STL file was converted, once."""
         note = f"{path}: not a binary STL file of at most {MAX_STL_FACES:,} faces: converted"
         if path.suffix.lower() == ".stl" and note not in self.notes:
             self.notes.append(note)
 
 
 def _replace(link: ET.Element, shape: ET.Element, files: list[Path]) -> None:
-    """Put one copy of a shape for each file where the shape stands."""
+    """Replace a shape by one copy per file, in its position."""
     at = list(link).index(shape)
     copies = [copy.deepcopy(shape) for _ in files[1:]]
     for number, (file, element) in enumerate(zip(files, [shape, *copies], strict=True)):
         mesh = element.find("geometry/mesh")
         if mesh is not None:
             mesh.set("filename", str(file))
-        if number:  # the first is the file's own: messages know its line
+        if number:  # the first is the original element, with a known line
             link.insert(at + number, element)
 
 
 def _color_geom(spec: mujoco.MjSpec, geom: mujoco.MjsGeom, look: MadePart) -> None:
-    """Give a shape the colour and the texture of its mesh; those win over a URDF's, as in RViz."""
+    """Set the colour and texture of a shape's mesh, which override the URDF's, as in RViz."""
     if look.rgba is not None:
         geom.rgba, geom.material = look.rgba, ""
     if look.texture is None:

@@ -1,7 +1,7 @@
-"""What a compiled robot file says of its joints: limits, mimics, servos, and the initial state.
+"""Joint data of a compiled robot file: limits, mimics, servos, and the initial state.
 
 An actuator's force is ``gain * ctrl + b0 + b1 * length + b2 * velocity`` (MuJoCo's affine force
-generation); on a joint, length is ``gear * q`` and the joint feels ``gear * force``.
+generation); on a joint, length is ``gear * q`` and the joint's force is ``gear * force``.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ JOINT_TRANSMISSIONS = (int(_TRN.mjTRN_JOINT), int(_TRN.mjTRN_JOINTINPARENT))
 _MOVABLE = (int(_JOINT.mjJNT_HINGE), int(_JOINT.mjJNT_SLIDE))
 _FILTERS = (int(_DYN.mjDYN_FILTER), int(_DYN.mjDYN_FILTEREXACT))
 _TOLERANCE = 1e-4
-"""rad or m by which an initial position may pass a limit: rounding in files and float32."""
+"""rad or m by which initial positions may exceed limits, for rounding in files and float32."""
 
 
 # ------------------------------------------------------------------------------------------ servos
@@ -48,25 +48,25 @@ _TOLERANCE = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Servos:
-    """Which actuators take position and velocity targets of D joints; arrays are (D,).
+    """Actuators that take position and velocity targets of D joints; arrays are (D,).
 
-    A joint has a position servo where exactly one actuator without activation state acts on it with
+    A joint has a position servo if exactly one actuator without activation state acts on it with
     the force ``gain * ctrl - kp * length - kv * velocity``; a velocity servo is one with kp = 0.
-    `drive` is the position servo, else the velocity servo: its control is ``scale * target``, and
-    the other numbers are its too, as the joint feels them (``gear**2 * kp``).
+    `drive` is the position servo, else the velocity servo, with the control ``scale * target``. The
+    other numbers are those of `drive`, in joint units (``gear**2 * kp``).
 
     Attributes:
         drive: Actuator id, or -1.
         velocity: Actuator id of a velocity servo beside a position servo, or -1.
         gear: 1 without a drive.
-        scale: Control a unit of target; 1 without a drive.
-        velocity_scale: The same of `velocity`.
+        scale: Control per unit of target; 1 without a drive.
+        velocity_scale: As `scale`, for `velocity`.
         stiffness: 0 without a position servo.
         damping: 0 without a drive.
         max_effort: inf where there is no limit.
-        shares: (D, 2) shares of it that the force range grants downwards and upwards.
+        shares: (D, 2) fractions of `max_effort` that the force range allows down and up.
         actuated: Whether any actuator acts on the joint itself (not through a tendon).
-        count: How many actuators the model has.
+        count: Number of actuators in the model.
     """
 
     drive: Ids
@@ -134,7 +134,7 @@ def gear_of(model: mujoco.MjModel, actuator: int) -> float:
 
 
 def _scale(model: mujoco.MjModel, actuator: int, bias: int) -> float:
-    """Control a unit of target; `bias` is the column of the actuator's feedback gain."""
+    """Control per unit of target; `bias` is the column of the actuator's feedback gain."""
     gain = float(model.actuator_gainprm[actuator, 0])
     return -gear_of(model, actuator) * float(model.actuator_biasprm[actuator, bias]) / gain
 
@@ -173,7 +173,7 @@ def control_names(model: mujoco.MjModel) -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class FileJoints:
-    """What a file says of its D joints. Arrays are (D,), `qpos_limits` (D, 2); inf: no limit."""
+    """Data of a file's D joints. Arrays are (D,), `qpos_limits` (D, 2); inf is no limit."""
 
     names: tuple[str, ...]
     qpos_limits: F64
@@ -185,7 +185,7 @@ class FileJoints:
     inertia: F64
     """Joint-space inertia at qpos0 (`dof_M0`), kg m^2 or kg."""
     servos: Servos | None = None
-    """What actuators of the file do; None where a file can have none (URDF)."""
+    """Servos of the file; None for a URDF, which has no actuators."""
 
 
 @dataclass(frozen=True)
@@ -206,12 +206,12 @@ def movable_joints(model: mujoco.MjModel) -> Ids:
 def read_joints(
     model: mujoco.MjModel, velocity_limits: Mapping[str, float], *, is_urdf: bool
 ) -> FileJoints:
-    """Return what a file says of its movable joints.
+    """Return a file's data of its movable joints.
 
     Args:
-        model: The file, compiled as it is.
-        velocity_limits: Joint name -> limit, where the file has one (MuJoCo keeps none).
-        is_urdf: Whether it is a URDF, which holds no actuators.
+        model: The file's model.
+        velocity_limits: Joint name -> limit, where the file has one (an `MjModel` has none).
+        is_urdf: Whether it is a URDF, which has no actuators.
     """
     ids = movable_joints(model)
     names = tuple(model.joint(i).name for i in ids)
@@ -260,7 +260,7 @@ def _actuator_limit(model: mujoco.MjModel, actuator: int) -> float:
 
 
 def read_mimics(model: mujoco.MjModel) -> Mimics:
-    """Return linear joint equalities as mimics (URDF's ``mimic`` becomes one).
+    """Return linear joint equalities as mimics (MuJoCo converts URDF's ``mimic`` to one).
 
     MuJoCo's equality is ``y - y0 = a0 + a1 (x - x0)`` about the joints' reference positions.
     """
@@ -285,14 +285,14 @@ def read_mimics(model: mujoco.MjModel) -> Mimics:
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """What a file's keyframe says.
+    """Values of a file's keyframe.
 
     Attributes:
         name: Its name; may be empty.
-        qpos: (D,) of the movable joints.
-        qvel: (D,) of the movable joints.
+        qpos: (D,) positions of the movable joints.
+        qvel: (D,) velocities of the movable joints.
         root: (7,) pose of the body with the free joint in the file's world, or None.
-        root_qvel: (6,) its velocities: linear in world axes, angular in its own; zeros without it.
+        root_qvel: (6,) its velocity: linear in world axes, angular in body axes; zeros without it.
         balls: Ball joint -> (4,) position wxyz and (3,) velocity.
         ctrl: Actuator -> its controls; empty if the keyframe gives none.
         act: Actuator -> its activations; empty if the keyframe gives none.
@@ -312,8 +312,8 @@ def read_keyframe(spec: mujoco.MjSpec, model: mujoco.MjModel) -> Keyframe | None
     """Return the keyframe called ``home``, else the first, else None.
 
     Args:
-        spec: The file; says what the keyframe gives.
-        model: The same, compiled.
+        spec: The parsed file, with the values that the keyframe gives.
+        model: The file's model.
     """
     if not model.nkey:
         return None
@@ -356,14 +356,15 @@ def _activations(model: mujoco.MjModel, actuator: int) -> slice:
 def initial_controls(
     model: mujoco.MjModel, servos: Servos, driven: Mask, qpos: F64, keyframe: Keyframe | None
 ) -> tuple[F64, F64]:
-    """Return the controls (nu,) and activations (na,) an articulation starts with.
+    """Return the initial controls (nu,) and activations (na,) of an articulation.
 
-    The keyframe's, where it gives any and the config leaves the joint there. Else position servos
-    and drives hold their joint, filters have settled, and the rest is MuJoCo's neutral value.
+    They are the keyframe's if it gives any and the config does not move the joint. Else position
+    servos and drives hold their joint, filters are in steady state, and the rest is MuJoCo's
+    neutral value.
 
     Args:
         model: The articulation, compiled alone.
-        servos: What acts on its joints.
+        servos: Servos of its joints.
         driven: (D,) which joints have a drive in place of the file's actuators.
         qpos: (D,) initial positions.
         keyframe: The file's, if it has one.
@@ -399,7 +400,7 @@ def initial_controls(
 
 
 def _integrated(model: mujoco.MjModel, i: int, qpos: F64) -> float:
-    """Return the setpoint at which an integrating servo of a joint pulls nowhere; 0 for others."""
+    """Return the setpoint at which a joint's integrating servo has no force; 0 for others."""
     row = np.flatnonzero(movable_joints(model) == model.actuator_trnid[i, 0])
     gain = float(model.actuator_gainprm[i, 0])
     if model.actuator_trntype[i] not in JOINT_TRANSMISSIONS or not len(row) or gain == 0:
@@ -442,12 +443,12 @@ def resolve_qpos(
         )
         for i in np.flatnonzero(named & ~within)
     ]
-    # Only what was given is held to the limits; rounding beyond them is taken back.
+    # Only given values are checked against limits; rounding beyond limits is clamped.
     return np.where(named, np.clip(qpos, low, high), qpos), problems
 
 
 def _take_qpos(value: Any, names: tuple[str, ...], qpos: F64) -> tuple[Mask, list[Problem]]:
-    """Write what a config gives into `qpos`; return which joints it names, and its mistakes."""
+    """Write a config's values into `qpos`; return a mask of the joints, and mistakes."""
     named = np.zeros(len(names), np.bool_)
     problems: list[Problem] = []
     if isinstance(value, Mapping):
@@ -471,6 +472,6 @@ def _take_qpos(value: Any, names: tuple[str, ...], qpos: F64) -> tuple[Mask, lis
             each = f"one for each joint ({listing(names)})"
             message = f"must be {len(names)} values, {each}, got {len(array)}"
         except (TypeError, ValueError):
-            pass  # it is no array of numbers, which the message says
+            pass  # not an array of numbers: reported below
         problems.append(Problem("init_qpos", message))
     return named, problems

@@ -1,4 +1,4 @@
-"""Links of an articulation: its root, which shapes collide and are drawn, and links that are added.
+"""Links of an articulation: its root, visual and collision shapes, and added links.
 
 A config adds shapes fixed on links (`attachments`) and tool points of control parts (`solver_cfg`).
 """
@@ -50,10 +50,10 @@ __all__ = [
 ]
 
 MAX_MASKED = 30
-"""Articulations without self-collision in one scene: a contype bit each; bit 0 is all others'."""
+"""Maximum number of articulations without self-collision: one contype bit each, except bit 0."""
 _ALL_BITS = 0x7FFFFFFF
 ROOT_NAME = "root"
-"""Name of the body added where a file's world holds several bodies, or one that moves on joints."""
+"""Name of the body added if a file's world has several bodies, or one with joints."""
 
 
 def collides(geom: mujoco.MjsGeom) -> bool:
@@ -62,10 +62,10 @@ def collides(geom: mujoco.MjsGeom) -> bool:
 
 
 def prepare_shapes(spec: mujoco.MjSpec, cfg: ArticulationCfg, is_urdf: bool) -> None:
-    """Group a file's shapes into drawn and colliding ones, and apply the config's attributes.
+    """Set groups of visual and collision shapes, and apply the config's attributes.
 
-    URDF has no friction: `attrs.dynamic_friction` is it. An MJCF keeps its own unless the config's
-    differs from the default.
+    A URDF has no friction: `attrs.dynamic_friction` is used. An MJCF keeps its own unless the
+    config's differs from the default.
     """
     friction = float(cfg.attrs.dynamic_friction)
     own_friction = not is_urdf and friction == RigidBodyAttributesCfg().dynamic_friction
@@ -78,8 +78,8 @@ def prepare_shapes(spec: mujoco.MjSpec, cfg: ArticulationCfg, is_urdf: bool) -> 
         if mesh.maxhullvert < 0:
             mesh.maxhullvert = HULL_VERTICES
     for body in spec.bodies if is_urdf else ():
-        # MuJoCo's URDF reader gives visual shapes no contact bits and group 1; a URDF collision
-        # shape whose collision the config switched off is told apart by its group 0.
+        # MuJoCo's URDF reader gives visual shapes no contact bits and group 1; collision shapes
+        # that the config has switched off are recognized by group 0.
         geoms = list(body.geoms)
         drawn = any(geom.group == 1 for geom in geoms)
         for geom in geoms:
@@ -90,14 +90,14 @@ def prepare_shapes(spec: mujoco.MjSpec, cfg: ArticulationCfg, is_urdf: bool) -> 
 
 
 def separate(spec: mujoco.MjSpec, number: int) -> None:
-    """Keep the shapes of a spec from colliding with each other, and with nothing else changed.
+    """Disable collisions among the shapes of a spec; other collisions do not change.
 
-    Two geoms collide if one's contype meets the other's conaffinity: each articulation has its own
+    Two geoms collide if one's contype matches the other's conaffinity: each articulation has one
     contype bit and accepts all bits but that one.
 
     Args:
         spec: The articulation.
-        number: 1 to `MAX_MASKED`, another one for each articulation.
+        number: 1 to `MAX_MASKED`, different for each articulation.
     """
     bit = 1 << number
     for geom in spec.geoms:
@@ -106,12 +106,12 @@ def separate(spec: mujoco.MjSpec, number: int) -> None:
 
 
 def strip_world(spec: mujoco.MjSpec) -> list[str]:
-    """Take out of a robot file what belongs to a scene: lights, and planes in its world.
+    """Remove lights, and planes in the world, from a robot file.
 
-    The scene has its own lights and ground. Other shapes of the file's world stay.
+    The scene has its own lights and ground. Other shapes of the file's world are kept.
 
     Returns:
-        One line about planes that were taken out, or nothing.
+        One line about removed planes, if any.
     """
     planes = [g for g in spec.worldbody.geoms if g.type == mujoco.mjtGeom.mjGEOM_PLANE]
     names = ", ".join(repr(plane.name) for plane in planes)
@@ -121,15 +121,15 @@ def strip_world(spec: mujoco.MjSpec) -> list[str]:
 
 
 def set_root(spec: mujoco.MjSpec, fixed: bool) -> tuple[mujoco.MjSpec, str]:
-    """Make the root a mocap body or a free one; return the spec to use from now on and its name.
+    """Make the root a mocap or free body; return the spec to use from now on and the root's name.
 
-    A fixed base is a mocap body: its pose is then plain state, different in every environment. It
-    has no degrees of freedom, so physics is that of a body fixed to the world, but for one thing:
-    MuJoCo lets the children of a fixed body collide with it, and not those of a mocap body. Shapes
-    that overlap at the first joint therefore do no harm here.
+    A fixed base is a mocap body, so its pose is state and can differ between environments. It has
+    no degrees of freedom and behaves as if fixed to the world, with one exception: MuJoCo lets the
+    children of a fixed body collide with it, but not those of a mocap body. Shapes that overlap at
+    the first joint are therefore harmless.
 
     Raises:
-        ConfigError: If the file holds nothing, or several bodies of which one floats.
+        ConfigError: If the file is empty, or has several bodies of which one floats.
     """
     tops = list(spec.worldbody.bodies)
     if not tops:
@@ -150,7 +150,7 @@ def set_root(spec: mujoco.MjSpec, fixed: bool) -> tuple[mujoco.MjSpec, str]:
 
 
 def _wrapped(spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, mujoco.MjsBody]:
-    """Hang the whole world of a spec on a new body of a new spec."""
+    """Attach the whole world of a spec to a new body in a new spec."""
     for body in spec.worldbody.bodies:
         body.mocap = False
     outer = mujoco.MjSpec()
@@ -167,14 +167,14 @@ def _wrapped(spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, mujoco.MjsBody]:
 # ---------------------------------------------------------------------------------------- additions
 
 WHOLE = "default"
-"""EmbodiChain's name of the part that is the whole robot."""
+"""EmbodiChain's name for the whole robot as a part."""
 _UNSCALED = np.ones(3)
 
 
 def check_attachments(
     links: Sequence[str], attachments: Mapping[str, AttachmentCfg]
 ) -> list[Problem]:
-    """Return every mistake, with paths below the articulation's config; `links` are the file's."""
+    """Return every mistake, with paths in the articulation's config; `links` are the file's."""
     problems: list[Problem] = []
     for name, cfg in attachments.items():
         path = f"attachments.{name}"
@@ -189,7 +189,7 @@ def check_attachments(
 
 
 def add_attachments(spec: mujoco.MjSpec, attachments: Mapping[str, AttachmentCfg]) -> None:
-    """Add a body with one geom for each, as a child of its link; they are checked already."""
+    """Add a body with one geom per checked attachment, as a child of its link."""
     for number, (name, cfg) in enumerate(attachments.items()):
         pos, quat = initial_pose(cfg)
         body = spec.body(cfg.link).add_body(name=name, pos=pos, quat=quat)
@@ -203,7 +203,7 @@ class Tool:
     """The tool point of a part.
 
     Attributes:
-        end_link: The link that carries it.
+        end_link: Its parent link.
         link: The link that is the tool point.
         pose: Its position (3,) in metres and wxyz orientation in the frame of `end_link`; None is
             that link's own frame.
@@ -256,7 +256,7 @@ def resolve_tools(
 
 
 def add_tools(spec: mujoco.MjSpec, tools: Mapping[str, Tool]) -> None:
-    """Add a massless body for each tool point that is not a link's own frame."""
+    """Add a massless body for each tool point that differs from a link's frame."""
     for tool in tools.values():
         if tool.pose is not None:
             pos, quat = tool.pose

@@ -1,4 +1,4 @@
-"""`compile_scene`: parsed articulations, objects, lights and sensors into one model."""
+"""`compile_scene`: builds one model from parsed articulations, objects, lights and sensors."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ _FLAGS: dict[str, type[Any]] = {
 def _apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
     """Set a scene's physics options.
 
-    Auto-reset is off: it would put a diverged simulation back to qpos0 in the middle of a step.
+    Auto-reset is off: it would reset a diverged simulation to qpos0 within a step.
 
     Raises:
         ConfigError: If the timestep is not positive.
@@ -82,11 +82,11 @@ def _apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
 
 
 def _replace_options(child: mujoco.MjSpec, scene: mujoco.MjSpec) -> list[str]:
-    """Give a child the scene's options.
+    """Replace a child's options by the scene's.
 
     Returns:
-        ``name: value in the file -> value of the scene`` for each option that the file sets to
-        something other than MuJoCo's default and the scene does not share.
+        ``name: value in the file -> value of the scene`` for each option of the file that differs
+        from MuJoCo's default and from the scene.
     """
     default = mujoco.MjSpec().option
     replaced: list[str] = []
@@ -120,19 +120,19 @@ _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 @dataclass(frozen=True, eq=False)
 class CompiledScene:
-    """One model of everything declared.
+    """One model of all declared entities.
 
     Attributes:
-        model: The compiled model. A free object's damping and the camera's place are set in it
-            after compiling; MJCF cannot say the former (one number for all six axes).
-        spec: What it was compiled from, for export as XML or archive.
-        entities: Where each entity is in the model.
-        initial_row: (nstate,) `mjSTATE_INTEGRATION` of the start: MuJoCo's reset state with every
-            entity at its configured place, targets of drives at the configured joint positions,
-            and what else a file's keyframe says.
-        sensors: Where each sensor is.
-        notes: Messages for the user, one line each: options of the robots' files that the
-            scene's replace, sensors that can report nothing.
+        model: The compiled model. Damping of free objects and the camera's pose are set after
+            compiling; MJCF has only one damping for all six axes of a free joint.
+        spec: The spec it was compiled from, for export as XML or archive.
+        entities: Indices of each entity in the model.
+        initial_row: (nstate,) initial `mjSTATE_INTEGRATION`: MuJoCo's reset state with entities at
+            their configured poses, drive targets at the configured joint positions, and other
+            values of the files' keyframes.
+        sensors: Columns of each sensor.
+        notes: Messages for the user, one line each: options of the robots' files that the scene
+            replaces, sensors that can never report anything.
     """
 
     model: mujoco.MjModel
@@ -160,7 +160,7 @@ def compile_scene(
     lights: Mapping[str, LightCfg],
     sensors: Mapping[str, SensorPlan] | None = None,
 ) -> CompiledScene:
-    """Compile one model; everything of an entity is named ``uid/NAME`` in it.
+    """Compile one model, in which elements of an entity are named ``uid/NAME``.
 
     Args:
         sim_cfg: Timestep, physics options, ground plane.
@@ -281,7 +281,7 @@ def _index_articulation(model: mujoco.MjModel, parsed: ParsedArticulation) -> En
 
 
 def _first_controls(model: mujoco.MjModel, actuators: Ids) -> Ids:
-    """Return the first control of each actuator; -1 stays."""
+    """Return the first control of each actuator; -1 for -1."""
     columns: Ids = np.full(len(actuators), -1, np.int64)
     known = actuators >= 0
     columns[known] = model.actuator_ctrladr[actuators[known]]
@@ -346,7 +346,7 @@ def _start(
     return data
 
 
-# ------------------------------------------------------------------------------------- how it looks
+# --------------------------------------------------------------------------------------- appearance
 
 CAMERA = "default"
 SUN = "default"
@@ -354,7 +354,7 @@ SUN = "default"
 _FULL_INTENSITY = 30.0
 _FOVY = 40.0
 _VIEW = np.array([1.0, -0.8, 0.32])
-"""From the scene towards the camera: front, right, above."""
+"""Direction from the scene to the camera: front, right, above."""
 _LIGHTS = {
     "point": mujoco.mjtLightType.mjLIGHT_POINT,
     "sun": mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
@@ -364,7 +364,7 @@ _LIGHTS = {
 
 
 def set_look(spec: mujoco.MjSpec) -> None:
-    """Set sky, haze, ambient light and sizes; add the camera, which `aim_camera` places."""
+    """Set sky, haze, ambient light and sizes; add the camera (placed by `aim_camera`)."""
     visual = spec.visual
     visual.global_.offwidth, visual.global_.offheight = 1920, 1440
     visual.global_.fovy = _FOVY
@@ -451,12 +451,12 @@ def add_lights(spec: mujoco.MjSpec, lights: Mapping[str, LightCfg]) -> None:
 
 
 def aim_camera(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Place camera ``default`` so that everything but endless planes is in its picture.
+    """Place camera ``default`` so that it shows everything but infinite planes.
 
     Args:
-        spec: The scene; its camera is set too, for what is saved of it.
+        spec: The scene; its camera is set too, for saved files.
         model: The compiled scene; its camera is changed.
-        data: The scene as it starts, positions computed.
+        data: The initial state, with positions computed.
     """
     center, radius = _bounds(model, data)
     back = _VIEW / np.linalg.norm(_VIEW)
@@ -478,7 +478,7 @@ def aim_camera(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData) 
 
 
 def _aim_sun(spec: mujoco.MjSpec, model: mujoco.MjModel, center: F64, radius: float) -> None:
-    """Move the default light close: its shadow map covers the surroundings of its position."""
+    """Move the default light near the scene: its shadow map covers only its surroundings."""
     sun = spec.light(SUN)
     if sun is not None:
         light = model.light(SUN)
@@ -487,7 +487,7 @@ def _aim_sun(spec: mujoco.MjSpec, model: mujoco.MjModel, center: F64, radius: fl
 
 
 def _bounds(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[F64, float]:
-    """Return centre and radius of a ball around all geoms that end somewhere."""
+    """Return centre and radius of a sphere around all finite geoms."""
     finite = np.flatnonzero(model.geom_rbound > 0)
     if not len(finite):
         return np.array([0.0, 0.0, 0.3]), 1.0

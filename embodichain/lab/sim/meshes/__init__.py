@@ -1,1 +1,1 @@
-"""Mesh files that MuJoCo cannot read, or draws without their colours, made into OBJ and PNG."""
+"""Conversion to OBJ and PNG of meshes that MuJoCo cannot read or draws without colours."""

@@ -1,4 +1,4 @@
-"""Mesh files into parts of one material each, with their colours and images.
+"""Reads mesh files into parts of one material each, with colours and textures.
 
 pycollada reads COLLADA (units, up axis), trimesh the other formats.
 """
@@ -29,8 +29,8 @@ Rgba = tuple[float, float, float, float]
 
 _SUFFIXES = (".dae", ".glb", ".gltf", ".obj", ".off", ".ply", ".stl")
 _MAX_PIXELS = 512
-"""Longest side: an image is kept uncompressed in the model, and in every log of it."""
-_MAX_COLORS = 16  # colours of faces that become parts; above, one part in their mean colour
+"""Longest side: models and logs contain uncompressed images."""
+_MAX_COLORS = 16  # face colours that become parts; with more, one part in their mean colour
 _TO_Z_UP: dict[str, F64] = {  # COLLADA 1.4.1, section "up_axis": which axes are right, up, inward
     "X_UP": np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
     "Y_UP": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
@@ -43,13 +43,13 @@ class MeshError(Exception):
 
 @dataclass
 class MeshPart:
-    """Triangles of one material. MuJoCo makes their normals, with sharp edges kept.
+    """Triangles of one material. MuJoCo computes their normals and keeps sharp edges.
 
     Attributes:
         vertices: (V, 3) metres.
         faces: (F, 3) indices of vertices, counter-clockwise seen from outside.
         uv: (V, 2) texture coordinates, origin at the lower left, or None.
-        rgba: The material's colour, or None where the file has none.
+        rgba: The material's colour, or None if the file has none.
         texture: Its colour image, or None.
     """
 
@@ -65,7 +65,7 @@ class MeshPart:
         corners: NDArray[np.floating],
         uv: NDArray[np.floating] | None = None,
     ) -> MeshPart:
-        """Make a part of triangle corners, with equal ones merged.
+        """Make a part from triangle corners, with equal corners merged.
 
         Args:
             corners: (F, 3, 3) metres.
@@ -87,7 +87,7 @@ class MeshData:
 
     Attributes:
         parts: At least one, each with at least one triangle.
-        notes: What of the file was lost, one line each, without the file's name.
+        notes: Data of the file that was lost, one line each, without the file's name.
     """
 
     parts: list[MeshPart]
@@ -99,7 +99,7 @@ def joined(parts: list[MeshPart], textured: bool = False) -> MeshPart:
 
     Args:
         parts: At least one.
-        textured: Keep texture coordinates, which each part then has.
+        textured: Whether to keep texture coordinates; each part must then have them.
     """
     corners = np.concatenate([p.vertices[p.faces] for p in parts])
     uvs = [p.uv[p.faces] for p in parts if textured and p.uv is not None]
@@ -109,11 +109,11 @@ def joined(parts: list[MeshPart], textured: bool = False) -> MeshPart:
 def read_mesh(path: Path) -> MeshData:
     """Read a mesh file: metres, z up.
 
-    Units and up axis of COLLADA are followed. Other formats hold numbers without units, taken as
-    metres; glTF calls y up, but its coordinates are not turned, as EmbodiChain does not either.
+    Units and up axis of COLLADA are applied. Other formats have no units: metres are assumed. In
+    glTF y is up, but coordinates are not rotated, as in EmbodiChain.
 
     Raises:
-        MeshError: If the format is not known, a library is missing, or the file is broken.
+        MeshError: If the format is unknown, a library is missing, or the file is broken.
     """
     if path.suffix.lower() not in _SUFFIXES:
         message = f"{path}: format {path.suffix or 'none'} is none of {', '.join(_SUFFIXES)}"
@@ -132,7 +132,7 @@ def read_mesh(path: Path) -> MeshData:
 
 
 def _by_material(parts: list[MeshPart]) -> Iterator[MeshPart]:
-    """Yield one part for each material; coordinates of a texture that is not there are left out."""
+    """Yield one part per material; texture coordinates without a texture are dropped."""
     groups: dict[tuple[Rgba | None, int], list[MeshPart]] = {}
     for part in parts:
         groups.setdefault((part.rgba, id(part.texture)), []).append(part)
@@ -151,7 +151,7 @@ def _read_collada(path: Path) -> MeshData:
 
     Raises:
         ImportError: If pycollada is missing.
-        MeshError: If it is malformed or holds no triangles.
+        MeshError: If it is malformed or has no triangles.
     """
     from collada.common import DaeError
 
@@ -159,7 +159,7 @@ def _read_collada(path: Path) -> MeshData:
         source = path.read_bytes()
         document = _load(source)
         notes = []
-        if document.errors:  # a shape whose material is broken would be left out: it stays
+        if document.errors:  # else shapes with broken materials would be left out
             reasons = "; ".join(str(error).partition(": ")[2] for error in document.errors)
             notes.append(f"broken references ({reasons}): what they colour is drawn grey")
             document = _load(_without_broken_materials(source, document))
@@ -206,10 +206,9 @@ def _without_broken_materials(source: bytes, document: Any) -> bytes:
 
 
 def _to_z_up(info: Any) -> F64:
-    """Return the rotation (3, 3) that turns a file's up axis to z, the up axis of URDF and MuJoCo.
+    """Return the rotation (3, 3) from a file's up axis to z, the up axis of URDF and MuJoCo.
 
-    MeshLab writes ``Y_UP`` into every file and turns no vertex, neither when it reads nor when it
-    writes: what it says is not followed.
+    MeshLab writes ``Y_UP`` to every file without rotating vertices, so its value is ignored.
     """
     tools = [str(contributor.authoring_tool) for contributor in info.contributors]
     if any("MeshLab" in tool for tool in tools):
@@ -218,7 +217,7 @@ def _to_z_up(info: Any) -> F64:
 
 
 def _part(primitive: Any, turn: F64) -> MeshPart | None:
-    """Return a primitive's triangles, turned; None for lines and empty lists."""
+    """Return a primitive's rotated triangles; None for lines and empty lists."""
     if hasattr(primitive, "triangleset"):  # a list of polygons
         primitive = primitive.triangleset()
     if type(primitive).__name__ != "BoundTriangleSet" or len(primitive) == 0:
@@ -231,16 +230,16 @@ def _part(primitive: Any, turn: F64) -> MeshPart | None:
 
 
 def _image(value: Any) -> str | None:
-    """The image file of a property that is a texture."""
+    """The image file of a property, if that is a texture."""
     sampler = getattr(value, "sampler", None)
     return str(sampler.surface.image.path) if sampler is not None else None
 
 
 def _color(effect: Any) -> Rgba | None:
-    """Diffuse colour and opacity; colours that lights do not change (emission) where it is black.
+    """Diffuse colour, or emission where that is black, and opacity.
 
     Opacity is that of COLLADA 1.4.1, section "Determining Transparency". An opacity of zero is read
-    as one: many exporters write ``transparency`` 0 for "not transparent at all".
+    as one, because many exporters write ``transparency`` 0 for opaque materials.
     """
     colors = [c for c in _tuples(effect.diffuse, effect.emission) if max(c[:3]) > 0]
     color = colors[0] if colors else next(_tuples(effect.diffuse), None)
@@ -263,9 +262,9 @@ def _tuples(*values: Any) -> Iterator[tuple[float, ...]]:
 
 
 def _open_texture(mesh: Path, name: str, notes: list[str]) -> Image | None:
-    """Return the image that a mesh file names, RGB; None, with a note, if it cannot be read.
+    """Return the RGB image that a mesh file refers to; None, with a note, if unreadable.
 
-    The name is that of a file, relative to the folder of the mesh, or a ``file://`` URI.
+    The name is a path relative to the folder of the mesh, or a ``file://`` URI.
     """
     from PIL import Image, UnidentifiedImageError
 
@@ -281,7 +280,7 @@ def _open_texture(mesh: Path, name: str, notes: list[str]) -> Image | None:
 
 
 def _as_rgb(image: Image) -> Image:
-    """Return an image as RGB, scaled down to at most `_MAX_PIXELS` a side."""
+    """Return an image as RGB, scaled down to at most `_MAX_PIXELS` per side."""
     rgb = image.convert("RGB")
     rgb.thumbnail((_MAX_PIXELS, _MAX_PIXELS))
     return rgb
@@ -303,7 +302,7 @@ def _read_other(path: Path) -> MeshData:
         scene = trimesh.load_scene(path, process=False)
         meshes = [m for m in scene.dump() if isinstance(m, trimesh.Trimesh) and len(m.faces)]
     except (ValueError, KeyError, IndexError, TypeError, OSError, AttributeError) as error:
-        # trimesh raises whatever a broken file makes its parser do
+        # trimesh may raise any exception for a broken file
         raise MeshError(f"{path}: cannot be read: {error}") from error
     data = MeshData([])
     for mesh in meshes:
@@ -330,7 +329,7 @@ def _parts(mesh: Any, notes: list[str]) -> list[MeshPart]:
 
 
 def _rgba(material: Any) -> Rgba | None:
-    """The base colour of either kind of trimesh material; white where it has none, as in glTF."""
+    """The base colour of a trimesh material of either kind; by default white, as in glTF."""
     color = getattr(material, "baseColorFactor", None)
     color = color if color is not None else getattr(material, "diffuse", None)
     if color is None:
@@ -341,7 +340,7 @@ def _rgba(material: Any) -> Rgba | None:
 
 
 def _by_color(corners: Any, colors: Any, notes: list[str]) -> list[MeshPart]:
-    """Split triangles by colour: MuJoCo's vertices have none."""
+    """Split triangles by colour: MuJoCo has no vertex colours."""
     found, which = np.unique(colors, axis=0, return_inverse=True)
     if len(found) > _MAX_COLORS:
         notes.append(f"{len(found)} colours of faces or vertices: drawn in their mean colour")

@@ -41,7 +41,7 @@ class Articulation(BatchEntity):
     Ball joints are simulated, but have no columns in joint arrays.
 
     Args:
-        cfg: Its config (kept as given).
+        cfg: Its config (not modified).
         parsed: Its file and config, parsed.
         host: The simulation.
 

@@ -119,7 +119,7 @@ class BatchEntity(Handle["EntityIndex"]):
     """One entity in N environments.
 
     Args:
-        cfg: Its config (kept as given).
+        cfg: Its config (not modified).
         uid: Its name in the scene.
         host: The simulation.
     """

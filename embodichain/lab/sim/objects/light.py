@@ -29,7 +29,7 @@ class Light(Handle[int]):
     Its index in the compiled model is MuJoCo's light id.
 
     Args:
-        cfg: Its config (kept as given).
+        cfg: Its config (not modified).
         uid: Its name in the scene.
         host: The simulation.
     """

@@ -62,7 +62,7 @@ class RigidObject(BatchEntity):
     Setters keep mass, inertia and damping of the body consistent.
 
     Args:
-        cfg: Its config (kept as given).
+        cfg: Its config (not modified).
         uid: Its name in the scene.
         host: The simulation.
     """

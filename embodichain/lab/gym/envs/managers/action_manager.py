@@ -1,4 +1,4 @@
-"""From the action given to `step` to the robot: `ActionCheck`, `ActionManager` and its terms.
+"""Checking and applying the action given to `step`: `ActionCheck`, `ActionManager`.
 
 Each action term receives its slice; `drive_robot` moves a robot without action terms. Noise and
 delay are in `pipeline.py`.
@@ -42,7 +42,7 @@ def action_space(
 ) -> gym.spaces.Box:
     """Return the action space of one environment: that of action terms, or joint positions.
 
-    The latter are finite for joints without limits too.
+    Bounds are finite, for joints without limits too.
     """
     if len(manager):
         return gym.spaces.Box(manager.low, manager.high, dtype=np.float32)
@@ -58,7 +58,7 @@ class ActionCheck:
     Args:
         space: Action space of one environment; shapes are checked if it is a Box.
         num_envs: N.
-        device: Where actions must be.
+        device: The device that actions must be on.
     """
 
     def __init__(self, space: gym.Space[Any], num_envs: int, device: torch.device) -> None:
@@ -79,7 +79,7 @@ class ActionCheck:
             The action, and its numbers as (N, A) float64 that share no memory with it.
 
         Raises:
-            TypeError: If it is no floating tensor, array or mapping.
+            TypeError: If it is not a floating tensor, array or mapping.
             ValueError: If its shape or device is wrong or a number is not finite.
         """
         if isinstance(action, np.ndarray):
@@ -137,10 +137,10 @@ def drive_robot(
 
     Args:
         robot: The robot; None does nothing.
-        joint_ids: The A joints that are acted on.
-        action: (N, A) position targets, clamped to the joints' limits and to what `max_velocity`
-            of the drives allows, or a mapping with any of
-            ``qpos``, ``qvel`` (velocity targets) and ``qf`` (efforts), each (N, A).
+        joint_ids: The A joints to move.
+        action: (N, A) position targets, clamped to the joints' limits and to the change that
+            `max_velocity` of the drives allows, or a mapping with any of ``qpos``, ``qvel``
+            (velocity targets) and ``qf`` (efforts), each (N, A).
         seconds: The period of a control step.
 
     Raises:
@@ -212,7 +212,7 @@ class ActionManager(Manager[ActionTermCfg]):
         self._calls = [(self._receiver(n, t), self.slices[n]) for n, t in self.terms.items()]
 
     def _receiver(self, name: str, term: BuiltTerm[ActionTermCfg]) -> Callable[..., Any]:
-        """What takes a term's slice: without delay and noise, the term itself."""
+        """The function that receives a term's slice: the term, or its delay and noise."""
         call, cfg = term.call, term.cfg
         if cfg.delay == 0 and cfg.noise is None:
             return call
@@ -224,13 +224,13 @@ class ActionManager(Manager[ActionTermCfg]):
         return lambda action: call(pipeline(action))
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Reset terms, and what delays their actions; (n,) environments, or None for all."""
+        """Reset terms and delays of these environments; (n,), or None for all."""
         super().reset(env_ids)
         for pipeline in self._pipelines.values():
             pipeline.reset(env_ids)
 
     def state_dict(self) -> dict[str, Any]:
-        """State of terms and of actions under way (copies)."""
+        """State of terms, and delayed actions (copies)."""
         under_way = {name: p.state_dict() for name, p in self._pipelines.items()}
         return {**super().state_dict(), "pipelines": under_way}
 
@@ -242,7 +242,7 @@ class ActionManager(Manager[ActionTermCfg]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each column of the action moves: ``TERM/JOINT``."""
+        """Name of each column of the action: ``TERM/JOINT``."""
         found: list[str] = []
         for name, term in self.terms.items():
             width = self.slices[name].stop - self.slices[name].start
@@ -251,10 +251,10 @@ class ActionManager(Manager[ActionTermCfg]):
         return tuple(found)
 
     def apply(self, action: torch.Tensor) -> None:
-        """Hand every term its slice of the action.
+        """Apply every term to its slice of the action.
 
         Args:
-            action: (N, A) float32, finite: the environment has checked it.
+            action: (N, A) float32, finite (checked by the environment).
         """
         if len(self._calls) == 1:
             self._calls[0][0](action)
@@ -267,7 +267,7 @@ class ActionManager(Manager[ActionTermCfg]):
         return np.concatenate([np.zeros(0), *(t.instance.home() for t in self.terms.values())])
 
     def hold(self) -> NDArray[np.float64]:
-        """(N, A) the action that changes nothing now."""
+        """(N, A) the action that keeps the present targets."""
         held = np.empty((self.num_envs, self.action_dim))
         for name, term in self.terms.items():
             held[:, self.slices[name]] = term.instance.hold()

@@ -37,10 +37,10 @@ class P:
     """A parameter of an alias.
 
     Attributes:
-        name: What the alias calls it; ``*`` is all parameters of a shape.
-        default: Its value where a config gives none; the target's default if absent.
+        name: Its name in the alias; ``*`` is all parameters of a shape.
+        default: Its default value; absent is the target's default.
         hint: Its type, if it is narrower than the target's.
-        needed: Whether a config must give it although the target has a default.
+        needed: Whether a config must set it although the target has a default.
         text: Its description, if it differs from the target's.
     """
 
@@ -53,7 +53,7 @@ class P:
 
 @dataclass(frozen=True)
 class Alias:
-    """The meaning of a name; see `alias`."""
+    """The target, shapes and parameters of an alias; see `alias`."""
 
     target: str
     shapes: tuple[tuple[str, Any], ...]
@@ -116,12 +116,12 @@ class AliasSpec(TermSpec):
 
     @property
     def place(self) -> str:
-        """Where the target is defined, and the name, which tells aliases apart."""
+        """The module and name of the target, and the alias's name, which makes it unique."""
         return f"{self.target.place} as {self.name}"
 
     @property
     def parts(self) -> tuple[TermSpec, ...]:
-        """What takes the parameters: the target, the shapes, and the functions in `makers`."""
+        """The owners of the parameters: the target, the shapes, and the functions in `makers`."""
         return (self.target, *self.steps, *self.makers.values())
 
     @property
@@ -130,14 +130,14 @@ class AliasSpec(TermSpec):
         return {key: name for name, (_, key) in self.exposed.items()}
 
     def hints(self) -> dict[str, Any]:
-        """Types of the parameters: those of the target's, or of a shape's."""
+        """Types of the parameters, from the target or a shape."""
         hints = {n: self.parts[i].hints()[key] for n, (i, key) in self.exposed.items()}
         return {**hints, **self.narrower}
 
     def meaning(
         self, values: Mapping[str, Any], env: TermContext | None = None
     ) -> list[tuple[TermSpec, dict[str, Any]]]:
-        """The target and its parameters, then each shape and its own.
+        """The target and its parameters, then each shape and its parameters.
 
         Args:
             values: Parameters of the alias.
@@ -161,8 +161,8 @@ def register_aliases(table: Mapping[str, Alias], *kinds: Kind) -> None:
 
     Args:
         table: Name -> its meaning.
-        *kinds: The managers that may use it; none are those that the last shape allows: reward
-            and metric, and termination if it is a truth.
+        *kinds: The managers that may use it; by default those that the last shape allows: reward
+            and metric, and termination if it returns bool.
     """
     TERMS["reward"]  # targets are registered first
     for name, meant in table.items():
@@ -227,7 +227,7 @@ def _spec(name: str, kind: Kind, meant: Alias) -> AliasSpec:
 
 
 def _of_shape(shape: TermSpec, given: Any) -> dict[str, Any]:
-    """Parameters of a shape as an alias gives them."""
+    """Parameters of a shape, as given in an alias."""
     if given is None:
         return {}
     if isinstance(given, P) and given.name == "*":

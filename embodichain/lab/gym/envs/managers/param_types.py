@@ -121,7 +121,7 @@ Box2 = Annotated[list[Vec2], Field(min_length=2, max_length=2), AfterValidator(_
 Box3 = Annotated[list[Vec3], Field(min_length=2, max_length=2), AfterValidator(_ordered)]
 """[[x, y, z] low, [x, y, z] high]."""
 FORMS = ("for all", "for all axes", "by name", "by axis")
-"""Tags of the forms that a range takes: they tell pydantic which form is meant, users nothing."""
+"""Tags of the forms of a range, with which pydantic picks a form; not shown to users."""
 
 
 def _named_form(value: Any) -> str:
@@ -173,7 +173,7 @@ Axes6 = dict[Literal["x", "y", "z", "roll", "pitch", "yaw"], Range]
 
 @dataclass
 class NamedEntity:
-    """Points at something of the scene that has no joints or links, such as a light."""
+    """Refers to an entity without joints or links, such as a light."""
 
     __pydantic_config__ = {"extra": "forbid"}
 
@@ -181,17 +181,17 @@ class NamedEntity:
 
 
 class Reference:
-    """Mark of an annotation ``Annotated[..., mark]``: what a value means, and whether it exists."""
+    """Mark in ``Annotated[..., mark]``: checks and resolves a value that refers to something."""
 
     def check(self, task: EnvCfg, value: Any) -> list[Problem]:
-        """Return what is wrong with a value as far as the task alone shows, paths left empty."""
+        """Return the mistakes in a value that the task alone shows; their paths are empty."""
         return []
 
     def resolve(self, env: TermContext, value: Any) -> Any:
-        """Return what the term receives.
+        """Return the object that the term receives for a value.
 
         Raises:
-            ConfigError: If there is no such thing; paths are empty, or the entity's own.
+            ConfigError: If it does not exist; paths are empty, or the entity's.
         """
         return value
 
@@ -220,7 +220,7 @@ class _Body(Reference):
 
 @dataclass(frozen=True)
 class _Sensor(Reference):
-    """A sensor of one kind, told by a method that subclasses of an environment may provide too."""
+    """A sensor of one kind, recognized by a method; sensors added in Python may have it too."""
 
     kind: str
     method: str
@@ -249,7 +249,7 @@ class _Sensor(Reference):
 
 @dataclass(frozen=True)
 class _Command(Reference):
-    """A command with at least so many columns; arrives as a function that reads it, (N, K)."""
+    """A command with a minimum number of columns; resolves to a function that reads it, (N, K)."""
 
     columns: int = 0
 

@@ -1,4 +1,4 @@
-"""Bases of terms that are classes: `Term`, `ActionTerm`, `CommandTerm`; and what they draw from."""
+"""Base classes of terms: `Term`, `ActionTerm`, `CommandTerm`; and `Uniform` for their draws."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ __all__ = ["ActionTerm", "CommandMarker", "CommandTerm", "Term", "Uniform", "fin
 
 
 class Term:
-    """Base of terms that keep something between calls.
+    """Base of terms with a state between calls.
 
-    A term class takes ``(env, **params)`` and is called with what its manager passes to functions
-    of that kind, without the parameters. Subclassing this is optional: any class with `__call__`
-    will do, and its `reset`, `state_dict` and `load_state_dict` are used where it has them.
+    A term class takes ``(env, **params)`` and is called with the arguments that its manager passes
+    to functions of that kind, without the parameters. Subclassing is optional: any class with
+    `__call__` works; `reset`, `state_dict` and `load_state_dict` are called if it has them.
     """
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Forget what belongs to the episode of these environments.
+        """Clear the state of the episode of these environments.
 
         Args:
             env_ids: (n,) sorted unique int64, or None for all.
         """
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that must be restored to continue to the bit (copies)."""
+        """The state from which the term continues bit for bit (copies)."""
         return {}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -44,7 +44,7 @@ class Term:
 
 
 _UNLIMITED = 2.0 * np.pi
-"""Bound of an action for a joint without a limit, rad (or m): a turn either way.
+"""Bound of an action for a joint without a limit, rad (or m): one turn in each direction.
 
 Action spaces must be finite, for learners and for random actions.
 """
@@ -70,7 +70,7 @@ class ActionTerm(Term):
     Attributes:
         low: (A,) float32 lower bounds of its slice, finite.
         high: (A,) float32 upper bounds, finite.
-        names: What each column moves, for tables and logs.
+        names: Name of each column, for tables and logs.
     """
 
     low: NDArray[np.float32]
@@ -83,7 +83,7 @@ class ActionTerm(Term):
         return len(self.low)
 
     def apply(self, action: torch.Tensor) -> None:
-        """Act on the scene; called once a control step, before physics.
+        """Apply the action; called once per control step, before physics.
 
         Args:
             action: (N, A) float32, finite.
@@ -95,7 +95,7 @@ class ActionTerm(Term):
         return np.clip(np.zeros(len(self.low)), self.low, self.high)
 
     def hold(self) -> NDArray[np.float64]:
-        """(N, A) or (A,) the action that changes nothing now."""
+        """(N, A) or (A,) the action that keeps the present targets."""
         return self.home()
 
 
@@ -104,8 +104,8 @@ class CommandMarker:
     """How viewers draw a command.
 
     Attributes:
-        kind: What the columns are. ``pose``: x, y, z, qw, qx, qy, qz in the frame of the body.
-            ``velocity``: forward, to the left (m/s) and counter-clockwise (rad/s), in its heading.
+        kind: Meaning of the columns. ``pose``: x, y, z, qw, qx, qy, qz in the frame of the body.
+            ``velocity``: forward, left (m/s) and counter-clockwise (rad/s), in its heading frame.
         body: Id of the body.
     """
 
@@ -117,9 +117,9 @@ class CommandTerm(Term):
     """Base of commands; subclasses take ``(env, **params)`` and set `names` and `values`.
 
     Attributes:
-        names: What each column is, for tables and logs.
-        values: (N, K) float64, the commands in force. Terms read it live: write into it, never
-            replace it.
+        names: Name of each column, for tables and logs.
+        values: (N, K) float64, the commands in force. Other terms have views of it: write into it,
+            never replace it.
         marker: How viewers draw it, if they can.
     """
 
@@ -128,7 +128,7 @@ class CommandTerm(Term):
     marker: CommandMarker | None = None
 
     def resample(self, env_ids: EnvIndex | None) -> None:
-        """Draw new commands, by `CommandManager.draw`; touch no other environment.
+        """Draw new commands by `CommandManager.draw`; do not change other environments.
 
         Args:
             env_ids: (n,) sorted unique int64, or None for all.
@@ -143,11 +143,11 @@ class CommandTerm(Term):
         """
 
     def metrics(self) -> Mapping[str, F64]:
-        """How well the commands are followed now: name -> (N,). The default is nothing."""
+        """Tracking errors of the commands now: name -> (N,). The default is empty."""
         return {}
 
     def state_dict(self) -> dict[str, Any]:
-        """The commands in force (copies); terms that keep more add it."""
+        """The commands in force (copies); terms with more state add it."""
         return {"values": self.values.copy()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -164,7 +164,7 @@ class Uniform:
         high: Likewise; exclusive.
 
     Attributes:
-        low, high: Those, read-only float64.
+        low, high: The bounds, read-only float64.
     """
 
     def __init__(self, name: str, low: Any, high: Any) -> None:

@@ -32,14 +32,14 @@ __all__ = [
 ]
 
 _STAGES = 100
-"""A value that changes gradually does so in this many stages: each builds its term anew."""
+"""Number of stages of a gradual change: each stage rebuilds the term."""
 
 
 def get_at(tree: Any, path: Sequence[str]) -> Any:
     """Return the value at a path of keys and indices.
 
     Raises:
-        ConfigError: If nothing does; lists what is there.
+        ConfigError: If the path does not exist; lists the keys that do.
     """
     for depth, part in enumerate(path):
         keys = _keys(tree)
@@ -60,7 +60,7 @@ def _keys(tree: Any) -> list[str]:
 
 
 def with_value(tree: Any, path: Sequence[str], value: Any) -> Any:
-    """Return a copy of nested lists and maps with another value at a path that exists."""
+    """Return a copy of nested lists and maps with another value at an existing path."""
     if not path:
         return value
     part, rest = path[0], path[1:]
@@ -70,7 +70,7 @@ def with_value(tree: Any, path: Sequence[str], value: Any) -> Any:
 
 
 def between(start: Any, end: Any, fraction: float) -> Any:
-    """Return the value at a fraction of the way, number by number in lists and maps.
+    """Return the linear interpolation of two values, number by number in lists and maps.
 
     Raises:
         ConfigError: If the two are not numbers, or lists or maps of the same form.
@@ -87,13 +87,13 @@ def between(start: Any, end: Any, fraction: float) -> Any:
 
 
 def progress(step: int, start: int, end: int, gradual: bool) -> float:
-    """Return how much of a change is done at a control step: 0 to 1, in `_STAGES` stages.
+    """Return the progress of a change at a control step: 0 to 1, in `_STAGES` stages.
 
     Args:
-        step: Now.
-        start: When it begins, if it is gradual.
-        end: When it is complete.
-        gradual: Otherwise it is all or nothing.
+        step: The current control step.
+        start: The step at which a gradual change begins.
+        end: The step at which the change is complete.
+        gradual: Whether the change is gradual; otherwise progress is 0 or 1.
     """
     if step >= end:
         return 1.0
@@ -138,11 +138,11 @@ class ModifyRewardWeight(Term):
 
     @classmethod
     def check_task(cls, task: EnvCfg, params: Mapping[str, Any], allow_import: bool) -> Any:
-        """Mistakes that only the whole task shows."""
+        """Return mistakes that depend on the whole task."""
         return _check_name("rewards", task, params) + _check_times(params)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> float:
-        """Set the weight that is due."""
+        """Set the weight for the current control step."""
         share = progress(env.control_step, *self._when)
         if share > 0.0:
             env.reward_manager.set_weight(self._name, between(self._first, self._weight, share))
@@ -153,8 +153,8 @@ class ModifyRewardWeight(Term):
 class ModifyTermParam(Term):
     """Changes a parameter of a term, at once or gradually.
 
-    What Isaac Lab's ``modify_term_cfg`` does, without code. Its value is the parameter, if that is
-    a number, else the share of the change that is done.
+    Isaac Lab's ``modify_term_cfg``, without code. Its value is the parameter if that is a number,
+    else the progress of the change.
 
     Example:
         ``{func: modify_term_param, params: {section: commands, term_name: velocity, param: ranges.lin_vel_x, value: [-2, 2], num_steps: 9000}}``
@@ -162,8 +162,8 @@ class ModifyTermParam(Term):
     Args:
         section: The section of the task with the term.
         term_name: The term.
-        param: The parameter; with dots it is a part of one: ``position_range.1.2``. ``shape.tanh``
-            is a parameter of a shape, of several ``shape.0.tanh``.
+        param: The parameter; dots pick a part of it, as in ``position_range.1.2``. ``shape.tanh``
+            is a parameter of a shape, ``shape.0.tanh`` of one in a list.
         value: The new value.
         num_steps: Control steps until the change is complete; a reset after them applies it.
         interpolate: Whether the value changes linearly, number by number.
@@ -191,7 +191,7 @@ class ModifyTermParam(Term):
 
     @classmethod
     def check_task(cls, task: EnvCfg, params: Mapping[str, Any], allow_import: bool) -> Any:
-        """Mistakes that only the whole task shows: the term, its parameter, the value's type."""
+        """Return mistakes that depend on the whole task: term, parameter, type of the value."""
         section = params["section"]
         problems = _check_name(section, task, params)
         if problems:
@@ -200,7 +200,7 @@ class ModifyTermParam(Term):
         try:
             spec = resolve_term(SECTIONS[section], term.func, allow_import=allow_import)
         except ConfigError:
-            return []  # found where the term stands
+            return []  # reported at the term
         path = params["param"].split(".")
         now = _values(spec, term)
         try:
@@ -223,7 +223,7 @@ class ModifyTermParam(Term):
         return problems + _check_times(params)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> float:
-        """Set the value that is due."""
+        """Set the value for the current control step."""
         share = progress(env.control_step, *self._when)
         value = between(self._first, self._value, share) if 0.0 < share < 1.0 else self._value
         if share != self._share:
@@ -238,7 +238,7 @@ class ModifyTermParam(Term):
         return float(value if share > 0.0 else self._first)
 
     def state_dict(self) -> dict[str, Any]:
-        """How much of the change is done; the manager has the values."""
+        """The progress of the change; the manager has the values."""
         return {"share": self._share}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -255,7 +255,7 @@ def _values(spec: TermSpec, cfg: TermCfg) -> dict[str, Any]:
 
 
 def _divided(spec: TermSpec, values: Mapping[str, Any]) -> tuple[dict[str, Any], Any]:
-    """The parameters and the shape in what `_values` returned."""
+    """Split the result of `_values` into parameters and shape."""
     params = dict(values)
     return params, params.pop("shape", None) if "shape" not in spec.params else None
 

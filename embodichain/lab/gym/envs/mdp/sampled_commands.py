@@ -58,13 +58,13 @@ class UniformVelocityCommand(CommandTerm):
         ``{func: uniform_velocity, params: {of: {uid: go}, ranges: {lin_vel_x: [-1, 1]}}}``
 
     Args:
-        entity_cfg: The robot; its root, or the picked link, is what should move.
+        entity_cfg: The robot; its root, or the picked link, should follow the command.
         ranges: [low, high] of ``lin_vel_x``, ``lin_vel_y`` (m/s), ``ang_vel_z`` (rad/s) and, if
             environments should turn to a heading, ``heading`` (rad).
-        heading_control_stiffness: Turning rate a radian of heading error, 1/s: wz is this times
+        heading_control_stiffness: Turning rate per radian of heading error, 1/s: wz is this times
             the error, clipped to the range of ``ang_vel_z``, recomputed in every step.
-        rel_standing_envs: Share of draws that command zero.
-        rel_heading_envs: Share of draws that turn to a heading; without the range ``heading`` none.
+        rel_standing_envs: Fraction of draws with command zero.
+        rel_heading_envs: Fraction of draws with a heading; 0 without the range ``heading``.
     """
 
     names = ("lin_vel_x", "lin_vel_y", "ang_vel_z")
@@ -96,7 +96,7 @@ class UniformVelocityCommand(CommandTerm):
         self.is_standing: NDArray[np.bool_] = np.zeros(count, np.bool_)
 
     def resample(self, env_ids: EnvIndex | None) -> None:
-        """Draw velocities, headings, and who stands or turns to a heading."""
+        """Draw velocities, headings, and which environments stand or turn to a heading."""
         drawn = self._drawn(self._env.command_manager, env_ids)
         where: Any = slice(None) if env_ids is None else env_ids
         standing = drawn[:, 4] < self._stands
@@ -106,7 +106,7 @@ class UniformVelocityCommand(CommandTerm):
         self.values[where] = np.where(standing[:, None], 0.0, drawn[:, :3])
 
     def update(self, env_ids: EnvIndex | None) -> None:
-        """Turn towards the heading, where one is commanded."""
+        """Compute wz of the environments that turn to a heading."""
         if not self._turns:
             return
         where: Any = slice(None) if env_ids is None else env_ids
@@ -116,7 +116,7 @@ class UniformVelocityCommand(CommandTerm):
         self.values[where, 2] = np.where(turning, rate[where], self.values[where, 2])
 
     def metrics(self) -> Mapping[str, F64]:
-        """Distance of the velocity from the command: in the plane, and of turning."""
+        """Distance of the velocity from the command: in the plane, and about z."""
         difference = self._entity.linear_velocity("yaw")[:, :2] - self.values[:, :2]
         turning = self._entity.angular_velocity()[:, 2]
         return {
@@ -125,7 +125,7 @@ class UniformVelocityCommand(CommandTerm):
         }
 
     def state_dict(self) -> dict[str, Any]:
-        """Commands, headings, and who stands or turns."""
+        """Commands, headings, and which environments stand or turn to a heading."""
         return {
             **super().state_dict(),
             "heading_target": self.heading_target.copy(),
@@ -223,7 +223,7 @@ class UniformJointPositionCommand(CommandTerm):
         entity_cfg: The robot; its joint names or control parts pick joints.
         position_range: [low, high] for all picked joints, or a map from joint name or regex to it;
             joints that no key matches stay at home. None draws between the joints' limits.
-        relative: True adds the draw to the initial positions; without ranges it has no meaning.
+        relative: True adds the draw to the initial positions; unused without ranges.
     """
 
     def __init__(
@@ -267,7 +267,7 @@ class UniformJointPositionCommand(CommandTerm):
 
 
 def _rows(given: Range | dict[str, Range], names: tuple[str, ...], rest: F64) -> F64:
-    """(K, 2) ranges of the joints; those that no pattern matches get their number in ``rest``."""
+    """(K, 2) ranges of the joints; those that no pattern matches have their value in ``rest``."""
     rows = np.stack([rest, rest], axis=1)
     if not isinstance(given, dict):
         rows[:] = given

@@ -1,8 +1,7 @@
-"""Shapes: what makes one number of each row of a quantity.
+"""Shapes: functions that reduce each row of a quantity to one number.
 
-``{func: distance, shape: {tanh: 0.1}}``; several, in a list, are applied one after the other. Each
-takes (N,) or (N, K) float64 or bool. A number that a config gives instead of a map is the first
-parameter.
+``{func: distance, shape: {tanh: 0.1}}``; the shapes of a list are applied in order. Each takes (N,)
+or (N, K) float64 or bool. A number in a config instead of a map is the first parameter.
 """
 
 from __future__ import annotations
@@ -68,7 +67,7 @@ Sigmoid = Literal[
     "reciprocal",
 ]
 
-# Each takes x and the value wanted at x = 1. Formulas: dm_control's `rewards` module
+# Each takes x and the value at x = 1. Formulas: dm_control's `rewards` module
 # (Tassa et al., "dm_control: Software and tasks for continuous control", 2020, arXiv:2006.12983).
 
 
@@ -82,7 +81,7 @@ def _linear(x: F64, value: float) -> F64:
 
 
 def _hyperbolic(x: F64, value: float) -> F64:
-    # cosh overflows to infinity for large errors: the value is then 0, as it should be.
+    # cosh overflows to infinity for large errors: the value is then 0, which is correct.
     with np.errstate(over="ignore"):
         return 1.0 / np.cosh(x * math.acosh(1.0 / value))
 
@@ -93,7 +92,7 @@ def _long_tail(x: F64, value: float) -> F64:
 
 
 def _cosine(x: F64, value: float) -> F64:
-    # NaN must stay visible, so the far side is cut before the cosine, not chosen after it.
+    # x is clipped before the cosine, instead of replacing the result, so that NaN stays NaN.
     scaled = np.minimum(x * (math.acos(2.0 * value - 1.0) / math.pi), 1.0)
     return 0.5 * (1.0 + np.cos(math.pi * scaled))
 
@@ -122,7 +121,7 @@ SIGMOIDS: dict[str, Callable[[F64, float], F64]] = {
     "quadratic": _quadratic,
     "reciprocal": _reciprocal,
 }
-"""Name -> f(x >= 0, value at 1); each is 1 at 0 and falls."""
+"""Name -> f(x >= 0, value at 1); each is 1 at 0 and decreases."""
 _MAY_END = ("linear", "cosine", "quadratic")
 
 
@@ -132,10 +131,10 @@ class Tolerance:
     dm_control's `rewards.tolerance`.
 
     Args:
-        bounds: [low, high], in the unit of what is measured; either may be infinite.
-        margin: How far outside the value has fallen to ``value_at_margin``; 0 gives 0 everywhere
-            outside.
-        sigmoid: The shape of the fall.
+        bounds: [low, high], in the unit of the quantity; either may be infinite.
+        margin: Distance from the bounds at which the value is ``value_at_margin``; 0 gives 0
+            everywhere outside.
+        sigmoid: The function outside the bounds.
         value_at_margin: In (0, 1); 0 is allowed for linear, cosine and quadratic.
 
     Raises:
@@ -228,7 +227,7 @@ def tanh(env: TermContext, std: Positive) -> Values:
     The kernel of Isaac Lab's reaching rewards.
 
     Args:
-        std: Where the value has fallen to 0.24, in the quantity's unit.
+        std: The error at which the value is 0.24, in the quantity's unit.
 
     Example:
         ``{func: distance, shape: {tanh: 0.1}, weight: 1.0, params: {from: {uid: ur10, link_names:
@@ -244,7 +243,7 @@ def gaussian(env: TermContext, std: Positive) -> Values:
     The kernel of Isaac Lab's tracking rewards.
 
     Args:
-        std: Where the value has fallen to 1/e, in the quantity's unit.
+        std: The error at which the value is 1/e, in the quantity's unit.
 
     Example:
         ``{func: linear_velocity_error, shape: {gaussian: 0.5}, weight: 1.0, params: {of: {uid:
@@ -267,8 +266,8 @@ def tolerance(
 
     Args:
         bounds: [low, high] where the value is 1, in the quantity's unit; either may be infinite.
-        margin: Distance from the bounds at which it has fallen to `value_at_margin`; 0 is a step.
-        sigmoid: The shape of the fall: gaussian, linear, hyperbolic, long_tail, cosine,
+        margin: Distance from the bounds at which the value is `value_at_margin`; 0 is a step.
+        sigmoid: The function outside the bounds: gaussian, linear, hyperbolic, long_tail, cosine,
             tanh_squared, quadratic or reciprocal.
         value_at_margin: In (0, 1); linear, cosine and quadratic may take 0.
 
@@ -365,7 +364,7 @@ def excess(env: TermContext, threshold: Finite = 0.0) -> Values:
 
 @register_shape
 def clip(env: TermContext, bounds: Bounds) -> Values:
-    """The value within bounds, column by column.
+    """The value clipped to bounds, column by column.
 
     Args:
         bounds: [low, high] in the quantity's unit; either may be infinite.
@@ -404,7 +403,7 @@ def negative(env: TermContext) -> Values:
 
 @register_shape
 class Rate(Term):
-    """Change since the last control step, column by column; 0 before there is one in the episode.
+    """Change since the last control step, column by column; 0 in the first step of an episode.
 
     Args:
         per: ``second`` divides by the control step's duration; ``step`` does not.
@@ -440,12 +439,12 @@ class Rate(Term):
         return change
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Forget the steps of these environments."""
+        """Clear the stored steps of these environments."""
         self._left[slice(None) if env_ids is None else env_ids] = self._order
         self._all_known = False
 
     def state_dict(self) -> dict[str, Any]:
-        """The steps that are missing, and the values of the last ones (copies)."""
+        """The number of missing steps, and the values of the last ones (copies)."""
         return {"left": self._left.copy(), "past": [rows.copy() for rows in self._past]}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

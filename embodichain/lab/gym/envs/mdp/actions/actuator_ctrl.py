@@ -32,10 +32,10 @@ __all__ = ["ActuatorCtrl"]
 class ActuatorCtrl(ActionTerm):
     """Controls of actuators (MuJoCo's ``ctrl``): ctrl = offset + scale x clamp(action, clip).
 
-    One column a control, in the model's order: the actuators of an MJCF file in the file's order,
+    One column per control, in the model's order: the actuators of an MJCF file in the file's order,
     then the drives that ``drive_pros`` adds, in joint order; an actuator with several inputs has
-    several columns (``NAME.INPUT``). Targets of drives and servos keep to ``max_velocity``. It is
-    the action of an MJCF robot whose task declares none.
+    several columns (``NAME.INPUT``). Targets of drives and servos respect ``max_velocity``. It is
+    the default action of an MJCF robot in a task without action terms.
 
     Example:
         ``{func: actuator_ctrl, params: {of: {uid: ur10}, actuator_names: "Joint[1-3]"}}``
@@ -43,12 +43,12 @@ class ActuatorCtrl(ActionTerm):
     Args:
         entity_cfg: The robot.
         actuator_names: Regexes over the names of controls; null is all of them.
-        scale: Units of ctrl per unit of action: a number, one a control, or {regex: number}.
+        scale: Units of ctrl per unit of action: a number, a list per control, or {regex: number}.
         offset: Units of ctrl, likewise.
-        clip: Bounds of the action: [low, high], pairs one a control, or {regex: [low, high]}.
-            Without it they are the controls' ranges, seen through scale and offset: the file's
-            ctrlrange, and for position servos and drives without one the joint's limits (+-2 pi
-            where it has none).
+        clip: Bounds of the action: [low, high], a list of pairs, or {regex: [low, high]}. By
+            default (range - offset) / scale with the range of each control: the file's ctrlrange,
+            and for position servos and drives without one the joint's limits (+-2 pi where it has
+            none).
 
     Raises:
         ConfigError: If a regex matches no control, joints are picked, or a control has no range and
@@ -107,7 +107,7 @@ class ActuatorCtrl(ActionTerm):
         self._asset.write_ctrl(self._value(action), self._which, seconds=self._period)
 
     def home(self) -> F64:
-        """(A,) the action that gives the initial controls, within the bounds."""
+        """(A,) the action for the initial controls, within the bounds."""
         return self._action_for(self._initial)
 
     def hold(self) -> F64:

@@ -1,4 +1,4 @@
-"""The action that opens and closes a parallel gripper by one number."""
+"""The action that opens and closes a parallel gripper with one number."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ class ParallelGripper(JointTerm):
         command_mode: ``continuous`` or ``binary``.
         use_joint_limits: Whether lower and upper are the joints' limits; false (or null where
             commands are given) takes the commands.
-        lower_command: rad or m at action -1: a number, one a joint, or {joint regex: number}.
+        lower_command: rad or m at action -1: a number, a list per joint, or {joint regex: number}.
         upper_command: At action +1, likewise.
         open_command: rad or m, likewise; binary mode needs it.
         close_command: Likewise.
 
     Raises:
-        ConfigError: If commands that the mode needs are missing, others are given, or both ends are
-            the same.
+        ConfigError: If commands of the mode are missing, commands of the other mode are given, or
+            both ends are the same.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""The event that puts joints at a random state about their initial one; drive targets follow."""
+"""The event that sets joints to a random state about their initial one, and drive targets."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ __all__ = ["ResetJoints"]
 
 @register_term("event", name="reset_joints")
 class ResetJoints(Term):
-    """Puts joints at random positions about their initial ones, at random velocities.
+    """Sets joints to random positions about their initial ones, with random velocities.
 
-    qpos = clip(qpos0 + U(position_range), limits), qvel = U(velocity_range), one draw a joint.
-    Drive targets become the positions.
+    qpos = clip(qpos0 + U(position_range), limits), qvel = U(velocity_range), one draw per joint.
+    Drive targets are set to the positions.
 
     Args:
         entity_cfg: The robot; its joint names or control parts pick joints.
         position_range: [low, high] in rad or m for all picked joints, or [[low, ...], [high, ...]]
-            with one value a joint.
+            with one value per joint.
         velocity_range: [low, high] in rad/s or m/s; [0, 0] draws nothing.
-        operation: What a drawn position does to the initial one: ``add``, ``scale`` or ``abs``,
-            which replaces it.
+        operation: Whether a drawn position is added to the initial one (``add``), multiplies it
+            (``scale``) or replaces it (``abs``).
 
     Example:
         ``{func: reset_joints, mode: reset, params: {of: {uid: ur10}, position_range: [-0.1, 0.1], velocity_range: [-0.2, 0.2]}}``

@@ -44,7 +44,7 @@ AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 def six_axes(name: str, ranges: Mapping[Any, Sequence[float]] | None) -> Uniform | None:
     """A draw of shape (6,) from a map from axes to [low, high]; absent axes are 0.
 
-    None if no axis is named: there is nothing to draw.
+    None if the map is empty.
     """
     if not ranges:
         return None
@@ -58,7 +58,7 @@ def rpy_to_quat(angles: F64) -> F64:
 
 
 def need_free_root(entity: ResolvedEntity, path: str = "entity_cfg.uid") -> None:
-    """Refuse an entity whose root has no velocity.
+    """Check that the root of an entity has a velocity.
 
     Raises:
         ConfigError: If its base is fixed, or it is an object that is not dynamic.
@@ -96,9 +96,9 @@ def write_root_velocity(asset: Any, velocity: F64, env_ids: EnvIndex | None) -> 
 
 @register_term("event")
 def reset_scene_to_default(env: TermContext, env_ids: EnvIndex | None) -> None:
-    """Puts every entity into its configured state: poses, joints, drive targets, no velocity.
+    """Resets every entity to its configured state: poses, joints, drive targets, velocity 0.
 
-    Isaac Lab's event. A reset here does so before any event runs; as an `interval` event it resets
+    Isaac Lab's event. A reset already does this before events run; as an `interval` event it resets
     the scene within an episode. Entities that are excluded from resets are reset too.
 
     Args:
@@ -113,10 +113,10 @@ def reset_scene_to_default(env: TermContext, env_ids: EnvIndex | None) -> None:
 
 @register_term("event", name="reset_root_state_uniform")
 class ResetRootStateUniform(Term):
-    """Moves and turns an entity's root away from its configured pose, and gives it a velocity.
+    """Offsets an entity's root from its configured pose at random, and sets a random velocity.
 
-    pos = pos0 + U(x, y, z); quat = quat0 * q(roll, pitch, yaw) with q = Rz Ry Rx, so that the turn
-    is in the entity's own frame; velocity = U. Isaac Lab's event of the same name.
+    pos = pos0 + U(x, y, z); quat = quat0 * q(roll, pitch, yaw) with q = Rz Ry Rx: the rotation is
+    in the entity's frame; velocity = U. Isaac Lab's event of the same name.
 
     Args:
         entity_cfg: A rigid object or a robot.
@@ -167,7 +167,7 @@ class ResetRootStateUniform(Term):
 class RandomizePose(Term):
     """Places an object, or the root of a robot or articulation, at random, with velocity 0.
 
-    The pose is the declared initial pose, moved by uniform draws. Joint positions stay.
+    The pose is the declared initial pose plus uniform draws. Joint positions do not change.
 
     Args:
         entity_cfg: The object, robot or articulation.
@@ -175,13 +175,13 @@ class RandomizePose(Term):
         rotation_range: The same for Euler angles in **degrees**, intrinsic XYZ (R = Rx Ry Rz);
             None keeps the initial orientation.
         relative_position: True adds the draw to the initial position (or to `relative_to`), False
-            takes it as the position in the environment's frame.
-        relative_rotation: True turns the initial orientation by the draw, in the entity's own
-            frame; False takes it as the orientation.
-        relative_to: An entity, or a link of one, to whose present position the draw is added
-            instead; its orientation does not matter.
-        physics_update_step: Physics steps that these environments take afterwards, so that the
-            entity can settle; -1 or 0 takes none.
+            uses it as the position in the environment's frame.
+        relative_rotation: True rotates the initial orientation by the draw, in the entity's frame;
+            False uses it as the orientation.
+        relative_to: An entity, or a link of one; the draw is added to its present position instead
+            of the initial one. Its orientation is not used.
+        physics_update_step: Physics steps of these environments afterwards, so that the entity
+            can settle; -1 or 0 is none.
 
     Example:
         ``{func: randomize_pose, mode: reset, params: {of: {uid: cube}, position_range: [[-0.1, -0.1, 0], [0.1, 0.1, 0]], rotation_range: [[0, 0, -180], [0, 0, 180]]}}``
@@ -241,7 +241,7 @@ class RandomizePose(Term):
             self._asset.engine.step(self._steps, env_ids)
 
     def _is_turned_so(self, wanted: F64, env_ids: EnvIndex | None) -> bool:
-        """Whether orientations need no write, which a log would contain."""
+        """Whether the orientations are already set: a write would only enlarge the log."""
         if self._stop is not None or not self._asset.engine.listeners:
             return False
         now = self._asset.read_pose()[1]
@@ -260,7 +260,7 @@ class RandomizeObjectPositionInShell(Term):
 
     Args:
         entity_cfg: The object.
-        relative_to: The entity, or link of one, at the centre, at its position at that time.
+        relative_to: The entity, or link of one, at the centre; its present position is used.
         radius_range: [low, high] in metres.
         azimuth_range: [low, high] in rad about z, from +x towards +y.
         elevation_range: [low, high] in rad above the horizontal, within +-pi/2.
@@ -318,11 +318,11 @@ class RandomizeObjectPositionInShell(Term):
 
 @register_term("event", name="randomize_robot_eef_pose")
 class RandomizeRobotEefPose(Term):
-    """Moves a robot's tool away from where it is, by inverse kinematics; its velocity is 0.
+    """Offsets the pose of a robot's tool at random, by inverse kinematics; velocities become 0.
 
-    The tool's pose is moved by U(position_range) in the environment's axes and turned by
-    U(rotation_range) in its own; joints are solved for from where they are (damped least squares),
-    and drive targets follow. An environment in which the pose is out of reach keeps its joints.
+    The tool's pose is moved by U(position_range) in the environment's axes and rotated by
+    U(rotation_range) in its own; damped least squares solves for joints, from their positions, and
+    drive targets are set to them. Where the pose is out of reach, joints do not change.
     EmbodiChain's event of the same name.
 
     Args:

@@ -1,4 +1,4 @@
-"""Events that change how a scene looks: materials and colours, lights, cameras."""
+"""Events that change the look of a scene: materials and colours, lights, cameras."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ _HIDDEN_GROUP = 3
 
 
 class _Surface:
-    """The colours of an entity's visible shapes, and of an object its materials.
+    """The colours of an entity's visible shapes, and the materials of an object.
 
-    An object has materials of its own. Links may share theirs, so of a robot the shapes' own
-    colours are written, which MuJoCo prefers over a material's.
+    An object has its own materials. Links may share materials, so for a robot the colours of shapes
+    are written, which override a material's in MuJoCo.
     """
 
     def __init__(self, entity: ResolvedEntity) -> None:
@@ -61,7 +61,7 @@ class _Surface:
         self._columns: NDArray[np.int64] = np.concatenate([4 * i + np.arange(3) for i in ids])
 
     def paint(self, rgb: F64, env_ids: EnvIndex | None) -> None:
-        """Give every shape the colours (n, 3); opacity stays."""
+        """Set the colours (n, 3) of all shapes; opacity does not change."""
         count = len(self._columns) // 3
         self._engine.write_model(self._field, np.tile(rgb, (1, count)), env_ids, self._columns)
 
@@ -75,7 +75,7 @@ class _Surface:
         """Set an object's metallic value and roughness, (n, 1) or one for all.
 
         MuJoCo's rasterizer draws highlights instead: specular = (1 - roughness) / 2, shininess =
-        1 - roughness, as the compiler has it.
+        1 - roughness, as in the scene compiler.
         """
         if metallic is not None:
             self._write("mat_metallic", metallic, env_ids)
@@ -85,13 +85,13 @@ class _Surface:
             self._write("mat_shininess", 1.0 - roughness, env_ids)
 
     def emit(self, strength: float, env_ids: EnvIndex | None) -> None:
-        """Let an object shine by itself."""
+        """Set an object's emission."""
         self._write("mat_emission", strength, env_ids)
 
     def _write(
         self, field: str, values: Any, env_ids: EnvIndex | None, width: int = 1, column: int = 0
     ) -> None:
-        """Write one column of a field, which has `width` of them a material."""
+        """Write one column of a field with `width` columns per material."""
         for material in self._materials:
             at = width * material + column
             self._engine.write_model(field, values, env_ids, slice(at, at + 1))
@@ -105,20 +105,20 @@ def _within_one(name: str, values: Any) -> None:
 
 @register_term("event", name="randomize_visual_material")
 class RandomizeVisualMaterial(Term):
-    """Gives an entity a random colour, roughness and metallic value in each environment.
+    """Sets a random colour, roughness and metallic value of an entity in each environment.
 
     Visible in images and viewers. EmbodiChain's event of the same name without textures
     and refraction: MuJoCo compiles textures into the model, and its rasterizer does not refract.
 
     Args:
         entity_cfg: A rigid object or a robot; link names pick links.
-        base_color_range: [[r, g, b] low, [r, g, b] high] in [0, 1]; uniform a channel.
+        base_color_range: [[r, g, b] low, [r, g, b] high] in [0, 1]; uniform per channel.
         metallic_range: [low, high] in [0, 1]; rigid objects only. Kept in the model, but MuJoCo's
             rasterizer does not show it.
         roughness_range: [low, high] in [0, 1]; rigid objects only.
-        random_texture_prob: Accepted; it concerns textures.
-        texture_path: Not available: an error that says so.
-        ior_range: Not available: an error that says so.
+        random_texture_prob: Accepted without effect: there are no textures.
+        texture_path: Not available: an error.
+        ior_range: Not available: an error.
 
     Example:
         ``{func: randomize_visual_material, mode: reset, params: {of: {uid: cube}, base_color_range: [[0.2, 0, 0], [1, 0.6, 0.6]], roughness_range: [0.2, 0.9]}}``
@@ -161,7 +161,7 @@ class RandomizeVisualMaterial(Term):
             self._finish.append(Uniform(name, [bounds[0]], [bounds[1]]))
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
-        """Draw and write how the entity looks in these environments."""
+        """Draw and write the look of the entity in these environments."""
         if self._color is not None:
             self._surface.paint(self._color(env.event_manager, env_ids), env_ids)
         drawn = {value.name: value(env.event_manager, env_ids) for value in self._finish}
@@ -170,12 +170,12 @@ class RandomizeVisualMaterial(Term):
 
 @register_term("event", name="set_rigid_object_visual_material")
 class SetRigidObjectVisualMaterial(Term):
-    """Gives a rigid object a material: EmbodiChain's event of the same name.
+    """Sets the material of a rigid object: EmbodiChain's event of the same name.
 
     Args:
         entity_cfg: The object.
         mat_cfg: Keys of `VisualMaterialCfg`: `base_color` (RGBA in [0, 1]), `metallic`,
-            `roughness`, `emissive`, `emissive_intensity`; what is absent takes its default there.
+            `roughness`, `emissive`, `emissive_intensity`; absent keys have their defaults.
 
     Example:
         ``{func: set_rigid_object_visual_material, mode: startup, params: {of: {uid: cube}, mat_cfg: {base_color: [0.1, 0.5, 0.2, 1.0], roughness: 0.3}}}``
@@ -207,7 +207,7 @@ class SetRigidObjectVisualMaterial(Term):
 
 @register_term("event", name="randomize_light")
 class RandomizeLight(Term):
-    """Moves, tints and dims a declared light in each environment by itself.
+    """Changes position, colour and intensity of a declared light, separately per environment.
 
     EmbodiChain's event of the same name (where all environments share a light).
 
@@ -282,10 +282,9 @@ def _camera(env: TermContext, name: str) -> int:
 
 @register_term("event", name="randomize_camera_pose")
 class RandomizeCameraPose(Term):
-    """Moves and turns a camera of the scene in each environment by itself.
+    """Moves and rotates a camera of the scene, separately in each environment.
 
-    As EmbodiChain's `randomize_camera_extrinsics` for cameras that are mounted somewhere, which
-    takes a sensor.
+    Like EmbodiChain's `randomize_camera_extrinsics` for mounted cameras, which takes a sensor.
 
     Args:
         position_range: [[x, y, z] low, [x, y, z] high] in metres, added to the compiled position.
@@ -325,7 +324,7 @@ class RandomizeCameraPose(Term):
 
 @register_term("event", name="randomize_camera_fovy")
 class RandomizeCameraFovy(Term):
-    """Sets a camera's vertical field of view at random in each environment by itself.
+    """Sets a random vertical field of view of a camera, separately in each environment.
 
     Args:
         fovy_range: [low, high] in **degrees**, within (0, 180).

@@ -1,4 +1,4 @@
-"""Quantities of one entity, or of one link of it: where it is, how it is turned, how it moves.
+"""Quantities of one entity, or of one link of it: position, orientation and velocity.
 
 Robots' bases above all. Axes are the environment's unless `frame` says otherwise.
 """
@@ -53,7 +53,7 @@ Heading = Literal["yaw", "sin_cos"]
 
 
 def unique_quat(quat: F64) -> F64:
-    """The one of q and -q, which are the same rotation, that has w >= 0, (..., 4)."""
+    """The one of q and -q (the same rotation) with w >= 0, (..., 4)."""
     return np.where(quat[..., :1] < 0.0, -quat, quat)
 
 
@@ -112,7 +112,7 @@ Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
 
 
 def _of_axes(vectors: F64, axes: Axes) -> F64:
-    """Columns of (N, 3) by their letters."""
+    """Columns of (N, 3) vectors, picked by their letters."""
     if axes == "xyz":
         return vectors
     if axes == "xy":
@@ -182,7 +182,7 @@ def root_quat_w(env: TermContext, of: Body, make_quat_unique: bool = False) -> F
 
 @quantity()
 def yaw(env: TermContext, of: Body, representation: Heading = "yaw") -> F64:
-    """Heading of an entity: where its x axis points in the horizontal plane.
+    """Heading of an entity: the direction of its x axis in the horizontal plane.
 
     Args:
         of: The entity, or one link of it.
@@ -222,16 +222,16 @@ def tilt(env: TermContext, of: Body) -> F64:
         ``{func: tilt, params: {of: {uid: go}}}``
     """
     up = of.axes()[:, 2]
-    # Exact at both ends, where an arc cosine is not. The copy rounds alike for any N.
+    # Exact at both ends, unlike an arc cosine. With the copy, rounding does not depend on N.
     found: F64 = np.arctan2(norm(up[:, :2]), np.ascontiguousarray(up[:, 2]))
     return found
 
 
 @quantity()
 def upright(env: TermContext, of: Body, std: Positive | None = None) -> F64:
-    """(N,) how far a body's z axis points up: (1 + cos(tilt)) / 2, or exp(-sin^2(tilt) / std^2).
+    """(N,) uprightness of a body's z axis: (1 + cos(tilt)) / 2, or exp(-sin^2(tilt) / std^2).
 
-    The second is mjlab's of the same name; it does not tell upright from upside down.
+    The second is mjlab's of the same name; it is the same upright and upside down.
 
     Args:
         of: The entity, or a link of one.
@@ -250,7 +250,7 @@ def upright(env: TermContext, of: Body, std: Positive | None = None) -> F64:
 def linear_velocity(env: TermContext, of: Body, frame: Frame = "world", axes: Axes = "xyz") -> F64:
     """(N, 3) linear velocity of an entity's origin, m/s.
 
-    Isaac Lab's is of the centre of mass of the root link, mjlab's ``link`` velocities are these.
+    Isaac Lab's is that of the root link's centre of mass; mjlab's ``link`` velocities are the same.
 
     Args:
         of: The entity, or a link of one.
@@ -266,7 +266,7 @@ def linear_velocity(env: TermContext, of: Body, frame: Frame = "world", axes: Ax
 
 @quantity()
 def angular_velocity(env: TermContext, of: Body, frame: Frame = "world", axes: Axes = "xyz") -> F64:
-    """(N, 3) angular velocity of an entity, rad/s; with ``frame: body`` what a gyroscope reads.
+    """(N, 3) angular velocity of an entity, rad/s; with ``frame: body`` that of a gyroscope.
 
     Args:
         of: The entity, or a link of one.
@@ -299,11 +299,11 @@ def speed(
     direction: Vec3 | None = None,
     frame: Literal["world", "body"] = "world",
 ) -> F64:
-    """(N,) length of an entity's linear velocity, or its part along a direction, m/s.
+    """(N,) length of an entity's linear velocity, or its component along a direction, m/s.
 
     Args:
-        of: The entity, or a link of one; its origin's velocity.
-        direction: Along which the velocity counts, of any length; None takes its length.
+        of: The entity, or a link of one; the velocity is that of its origin.
+        direction: A vector of any length; None gives the length of the velocity.
         frame: The axes of `direction`.
 
     Example:
@@ -331,12 +331,12 @@ def at_rest(
     linear_threshold: Positive | None = None,
     angular_threshold: Positive | None = None,
 ) -> NDArray[np.bool_]:
-    """True where an entity moves and turns slower than two thresholds.
+    """True where the linear and angular speed of an entity are below thresholds.
 
     Args:
         of: The entity, or a link of one.
-        linear_threshold: m/s; None is any.
-        angular_threshold: rad/s; None is any.
+        linear_threshold: m/s; None is no condition.
+        angular_threshold: rad/s; None is no condition.
 
     Example:
         ``{func: at_rest, params: {of: {uid: cube}, linear_threshold: 0.01, angular_threshold:
@@ -390,8 +390,8 @@ def link_velocity(env: TermContext, of: ResolvedEntity, in_root_frame: bool = Fa
 
     Args:
         of: The robot and links of it; without links its root.
-        in_root_frame: Whether velocities are those minus the root's, in the root's axes, instead of
-            in world axes.
+        in_root_frame: Whether the root's velocity is subtracted and the axes are the root's,
+            instead of the world's.
 
     Example:
         ``{func: link_velocity, params: {of: {uid: ur10, link_names: [ee_link]}}}``
