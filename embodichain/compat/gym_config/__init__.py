@@ -1,4 +1,4 @@
-"""EmbodiChain's gym configs become tasks, data to data, without torch or MuJoCo.
+"""Conversion of EmbodiChain's gym configs to tasks, as plain data, without torch or MuJoCo.
 
 `conversion.convert` converts one; `vocabulary` and `functors` are the tables of keys and names.
 """

@@ -1,4 +1,4 @@
-"""`convert`: a gym config becomes a task, with a list of what is left out."""
+"""`convert`: converts a gym config to a task, with a list of what is left out."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from embodichain.utils.errors import Problem
 
 __all__ = ["CLASSES", "Conversion", "convert"]
 
-_DEFAULT_DT = 0.01  # seconds a physics step, EmbodiChain's and ours
+_DEFAULT_DT = 0.01  # seconds per physics step, here and in EmbodiChain
 _GENERIC = ("EmbodiedEnv-v1",)
 CLASSES = (
     *("SimpleTask-v1", "PushCubeRL", "CartPoleRL", "PointMassRL", "StackBlocksTwo-v1"),
@@ -24,7 +24,7 @@ CLASSES = (
     *("UnitreeGo2FlatRL-v1", "ANYmalCFlatRL-v1", "UnitreeG1FlatRL-v1", "UnitreeH1_2FlatRL-v1"),
     *("MicroDuckFlatRL-v1", "FrankaReachApg-v0"),
 )
-"""Ids that are classes of EmbodiChain's own: their Python is not here."""
+"""Ids of EmbodiChain's environment classes, which are not in this package."""
 _COMPONENTS = ("environment", "embodiment", "scene")
 _SIMULATED = ("robot", "objects", "articulations")
 _ORDER = (
@@ -42,7 +42,7 @@ class Conversion:
         name: The task's name, from `id`; empty for the generic environment.
         task: The task; plain values, not checked.
         origins: Path in the task -> path in the gym config, for whole subtrees.
-        notes: What was left out or is read otherwise; paths are the gym config's.
+        notes: What was left out or changed; paths are the gym config's.
         problems: Mistakes: unknown keys, values that cannot be converted.
     """
 
@@ -68,9 +68,9 @@ def convert(
 
     Args:
         config: Its content, plain values; it is not changed.
-        registered: Those of `CLASSES` that the user has registered a class for.
-        ours: Whether it may contain keys of our own, and functions instead of their names, as a
-            task declared in Python does.
+        registered: Ids in `CLASSES` for which the user has registered a class.
+        ours: Whether it may contain keys of this package, and functions instead of their names,
+            as in a task declared in Python.
     """
     draft = Draft(ours)
     draft.carry(config, (), (), TOP)
@@ -117,7 +117,7 @@ def _identity(draft: Draft, name: Any, registered: Collection[str]) -> None:
 
 
 def _note_lost_success(draft: Draft, name: str) -> None:
-    """Note rewards for a success that is not computed."""
+    """Add a note if rewards depend on a success that is not computed."""
     for key, term in draft.task.get("rewards", {}).items():
         if term["func"] == "success_reward":
             message = (
@@ -147,7 +147,7 @@ def _physics(draft: Draft, config: Mapping[str, Any]) -> None:
 
 
 def _control_period(draft: Draft, env: Mapping[str, Any]) -> None:
-    """`target_control_frequency` must be a whole number of physics steps, as there."""
+    """A control step must be a whole number of physics steps, as in EmbodiChain."""
     frequency, where = env.get("target_control_frequency"), ("env", "target_control_frequency")
     if frequency is None:
         return
@@ -163,7 +163,7 @@ def _control_period(draft: Draft, env: Mapping[str, Any]) -> None:
 
 
 def _suggest(draft: Draft, config: Mapping[str, Any]) -> None:
-    """Root keys of a run: suggestions, so that the command line wins."""
+    """Write root keys of a run as suggestions, so that the command line overrides them."""
     for key, name, verbs in (
         ("num_envs", "num_envs", ("run", "train")),
         ("seed", "seed", ("run", "train")),

@@ -22,17 +22,17 @@ __all__ = [
 _LIGHT_TYPES = ("point", "sun", "direction", "spot")
 _OTHER_LIGHT_TYPES = ("rect", "mesh")
 _PRESETS = {"URRobot": ("UniversalRobots/UR10/UR10.urdf", 6, {"arm": ["Joint[1-6]"]})}
-"""EmbodiChain's robot classes that are one file: the file, its joints, their control parts."""
+"""EmbodiChain's robot classes with one file -> the file, its joints, their control parts."""
 _PLAIN = ("Robot", "RobotCfg")
-"""The class that adds nothing."""
+"""The robot class that adds nothing to its config."""
 
 
 def convert_objects(draft: Draft, section: str, data: Any) -> None:
-    """Convert `rigid_object`, or `background`, whose bodies are static unless they say otherwise.
+    """Convert `rigid_object`, or `background`, whose bodies are static by default.
 
     Args:
-        draft: Grows by the objects.
-        section: Which of the two.
+        draft: The draft; the objects are added to it.
+        section: ``rigid_object`` or ``background``.
         data: The list.
     """
     for source, item in draft.items(data, (section,)):
@@ -75,7 +75,7 @@ def convert_lights(draft: Draft, data: Any) -> None:
 
 
 def convert_sensors(draft: Draft, data: Any) -> None:
-    """Note why each sensor is left out."""
+    """Add a note for each sensor, with the reason why it is left out."""
     for source, item in draft.items(data, ("sensor",)):
         kind = str(item.get("sensor_type")) if isinstance(item, Mapping) else repr(item)
         reason = known.SENSORS.get(kind)
@@ -144,7 +144,7 @@ def convert_articulations(draft: Draft, data: Any) -> None:
 
 
 def _file(draft: Draft, data: Mapping[str, Any]) -> int | None:
-    """Put the robot's file; return how many joints it has if a preset says so."""
+    """Set the robot's file; return its number of joints if a preset has it."""
     kind_key = "class_type" if "class_type" in data else "robot_type"
     kind, urdf, own = data.get(kind_key), data.get("urdf_cfg"), bool(data.get("fpath"))
     joints = None
@@ -157,7 +157,7 @@ def _file(draft: Draft, data: Mapping[str, Any]) -> int | None:
         if urdf is None:
             draft.put(("robot", "fpath"), fpath, ("robot", kind_key))
         else:
-            joints = None  # components bring their own
+            joints = None  # components add joints
     elif kind is not None and preset is None and kind not in _PLAIN:
         _unknown_kind(draft, kind, kind_key, own or urdf is not None)
     if urdf is not None and own:
@@ -177,7 +177,7 @@ def _unknown_kind(draft: Draft, kind: Any, key: str, own: bool) -> None:
 
 
 def _urdf(draft: Draft, urdf: Any, preset: str) -> None:
-    """A robot assembled of files; a preset's file is its arm unless it names one."""
+    """Convert a robot assembled from files; the arm is the preset's file by default."""
     source: Path = ("robot", "urdf_cfg")
     if not draft.carry(urdf, source, source, known.URDF):
         return
@@ -202,7 +202,7 @@ def _urdf(draft: Draft, urdf: Any, preset: str) -> None:
 
 
 def _solvers(draft: Draft, data: Any) -> None:
-    """Tool points by control part; a solver that names no part is the whole robot's."""
+    """Tool points by control part; a solver without a part applies to the whole robot."""
     source: Path = ("robot", "solver_cfg")
     if isinstance(data, Mapping) and any(key in known.SOLVER for key in data):
         draft.carry(data, source, (*source, "default"), known.SOLVER)
@@ -212,7 +212,7 @@ def _solvers(draft: Draft, data: Any) -> None:
 
 
 def _init_qpos(draft: Draft, values: Any, joints: int | None) -> None:
-    """Values of joints that an assembly would have added are left out with it."""
+    """Convert initial joint positions, without those of joints that only an assembly adds."""
     if values is None:
         return
     where = ("robot", "init_qpos")
@@ -225,7 +225,7 @@ def _init_qpos(draft: Draft, values: Any, joints: int | None) -> None:
 def _parts_of_articulation(
     draft: Draft, data: Mapping[str, Any], source: Path, target: Path
 ) -> None:
-    """Drives, attributes and properties of the root, by the names of 0.2 and of 0.3."""
+    """Drives, attributes and properties of the root, by the names of releases 0.2 and 0.3."""
     for key in ("drive_pros", "joint_drive_props"):
         if data.get(key) is not None:
             draft.carry(data[key], (*source, key), (*target, "drive_pros"), known.DRIVE)

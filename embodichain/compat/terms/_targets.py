@@ -1,4 +1,4 @@
-"""What EmbodiChain's terms refer to: entities, joints, tools, and attributes of the environment."""
+"""References of EmbodiChain's terms: entities, joints, tools and attributes of the environment."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ __all__ = [
 
 T = TypeVar("T")
 _SHARED = ("affordance_datas",)
-"""Attributes of the environment that are made for terms to write into."""
+"""Attributes of the environment that exist for terms to write into."""
 
 
 class _Has(Reference):
-    """An entity whose handle has an attribute, which tells the kinds of handles apart."""
+    """A reference to an entity of one kind, recognized by an attribute of its handle."""
 
     def __init__(self, attribute: str, kind: str) -> None:
         self._attribute, self._kind = attribute, kind
@@ -52,7 +52,7 @@ else:
 
 @contextmanager
 def as_parameters(names: Mapping[str, str]) -> Iterator[None]:
-    """Name the keys of a reference as the term's parameters in errors.
+    """Rename the keys of a reference to the term's parameters in errors.
 
     Args:
         names: Key -> parameter.
@@ -72,7 +72,7 @@ def joints_of(
     part_name: str | None = None,
     entity_cfg: ResolvedEntity | None = None,
 ) -> ResolvedEntity:
-    """Joints given by a reference, or as EmbodiChain does.
+    """Joints given by a reference, or by EmbodiChain's parameters.
 
     Args:
         robot_uid: The robot; None is the task's own.
@@ -81,7 +81,7 @@ def joints_of(
         entity_cfg: Robot and joints by name, instead of all three (ours).
 
     Raises:
-        ConfigError: If there is no such robot, joint or part, or both ways are mixed.
+        ConfigError: If there is no such robot, joint or part, or both forms are given.
     """
     given = {"robot_uid": robot_uid, "joint_ids": joint_ids, "part_name": part_name}
     mixed = [name for name, value in given.items() if value is not None]
@@ -105,9 +105,9 @@ def joints_of(
 
 
 def target_position(env: TermContext, key: str) -> F64:
-    """(N, 3) metres: positions, or those of poses (N, 4, 4), that are kept as ``env.<key>``.
+    """(N, 3) positions in metres stored as ``env.<key>``, as positions or as poses (N, 4, 4).
 
-    The world's origin before the first reset, when nothing can have written the poses.
+    Before the first reset, when no event can have written them, it is the world's origin.
 
     Raises:
         ConfigError: If the environment has no such poses.
@@ -135,7 +135,7 @@ def target_position(env: TermContext, key: str) -> F64:
 def tool_of(
     env: TermContext, end_effector_cfg: ResolvedEntity | None, part_name: str | None
 ) -> ResolvedEntity:
-    """The link that acts: the one given, else a part's tool point, else its farthest link.
+    """The tool's link: the given one, else that of a part's tool point, else its farthest link.
 
     Args:
         env: The environment.
@@ -143,7 +143,7 @@ def tool_of(
         part_name: A control part of the task's robot; None is the whole robot.
 
     Raises:
-        ConfigError: If both are given, there is no such part or robot, or not one such link.
+        ConfigError: If both are given, there is no such part or robot, or not exactly one link.
     """
     if end_effector_cfg is not None:
         if part_name is not None:
@@ -164,16 +164,16 @@ def tool_of(
 
 
 def stored(env: TermContext, name: str, first: Callable[[], T], path: str) -> T:
-    """The value of ``env.<name>``; made by `first` where there is none.
+    """The value of ``env.<name>``, created by `first` if there is none.
 
     Args:
         env: The environment.
         name: The attribute. Terms may share it; ``extensions`` or a user's class may declare it.
-        first: Makes the first value.
+        first: Creates the first value.
         path: The parameter that names it, for messages.
 
     Raises:
-        ConfigError: If the name is no identifier, or belongs to the environment.
+        ConfigError: If the name is not an identifier, or is an attribute of the environment class.
     """
     bases = [base for base in type(env).__mro__ if base.__module__.startswith("embodichain.lab.")]
     own = {n for base in bases for n in (*vars(base), *vars(base).get("__annotations__", {}))}

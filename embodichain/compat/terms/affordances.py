@@ -48,7 +48,7 @@ class ExtraAttr:
     """One attribute of some entities.
 
     Attributes:
-        name: What it is called.
+        name: Its name.
         mode: `static` takes `value`; `callable` calls `func_name`.
         value: Anything.
         entity_cfg: The entity; or
@@ -82,7 +82,7 @@ class PoseParams:
 
 @dataclass
 class Registry:
-    """What `register_info_to_env` registers of one entity."""
+    """The values that `register_info_to_env` registers for one entity."""
 
     __pydantic_config__ = {"extra": "forbid"}
 
@@ -93,7 +93,7 @@ class Registry:
 
 
 def _uids_of(env: TermContext, wanted: Relative, path: str) -> list[str]:
-    """Uids that `all_objects` (rigid objects and articulations), `all_robots` or names mean.
+    """Uids for `all_objects` (rigid objects and articulations), `all_robots`, or a list of names.
 
     Raises:
         ConfigError: If an entity does not exist; lists those that do.
@@ -152,7 +152,7 @@ def _uids_with(env: TermContext, attr: ExtraAttr, path: str) -> list[str]:
 def _value_of(
     env: TermContext, attr: ExtraAttr, uid: str, path: str
 ) -> Callable[[EnvIndex | None], Any]:
-    """What returns the value of an entity's attribute."""
+    """Return a function that returns the value of an entity's attribute."""
     name, handle = attr.func_name, env.sim.get_asset(uid)
     if attr.mode == "static":
         if attr.value is None or name is not None:
@@ -218,7 +218,7 @@ class RegisterInfoToEnv(Term):
                 self._put_pose(entity, entry.pose_register_params, env_ids)
 
     def _put(self, key: str, value: Any, env_ids: EnvIndex | None) -> None:
-        """Set an entry; of a tensor (N, ...) only the rows of these environments."""
+        """Set an entry; for a tensor (N, ...) only the rows of these environments."""
         table: dict[str, Any] = getattr(self._env, self._table)
         self._keys[key] = None
         old: Any = table.get(key)
@@ -236,7 +236,7 @@ class RegisterInfoToEnv(Term):
         return {key: copy.deepcopy(table[key]) for key in self._keys if key in table}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue where `state_dict` was taken."""
+        """Restore the state of a `state_dict`."""
         self._keys = dict.fromkeys(state)
         getattr(self._env, self._table).update(copy.deepcopy(state))
 

@@ -1,4 +1,4 @@
-"""EmbodiChain's events that place objects, tables and targets, and a push at its own times."""
+"""EmbodiChain's events that place objects, tables and targets, and a push at random times."""
 
 from __future__ import annotations
 
@@ -237,11 +237,11 @@ class RandomizeAnchorHeight(Term):
             stored(env, store_key, lambda: torch.zeros(count), "store_key")
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """A reset has put everything back to its configured height."""
+        """Clear the draws, as a reset restores the configured heights."""
         self._delta[slice(None) if env_ids is None else env_ids] = 0.0
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
-        """Draw heights and move the anchor and what it carries in these environments."""
+        """Draw heights and move the anchor and the objects on it in these environments."""
         where: Any = slice(None) if env_ids is None else env_ids
         height = self._height(env.event_manager, env_ids)[:, 0]
         if self._candidates is not None:
@@ -367,11 +367,11 @@ class PushArticulation(PushBySettingVelocity):
         self._timer = EpisodeTimer(env)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Draw a new time where an episode begins."""
+        """Draw a new time for environments that begin an episode."""
         self._timer.reset(env_ids)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
-        """Push the environments whose time has come."""
+        """Push the environments for which a push is due."""
         self._timer.start(self._interval, self._timer.stopped(env_ids))
         due = self._timer.advance(env_ids)
         if len(due):
@@ -379,7 +379,7 @@ class PushArticulation(PushBySettingVelocity):
             self._timer.start(self._interval, due)
 
     def state_dict(self) -> dict[str, Any]:
-        """When the next pushes come."""
+        """The times of the next pushes."""
         return self._timer.state_dict()
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

@@ -45,7 +45,7 @@ Attributes = Annotated[Sequence[Attribute], Field(min_length=1)]
 Gains = Annotated[Sequence[Gain], Field(min_length=1)]
 _ALL_GAINS: tuple[Gain, ...] = get_args(Gain)
 _NO_LIMIT = 1e10
-"""What EmbodiChain's configs write for an effort or velocity without a limit."""
+"""Value in EmbodiChain's configs for an effort or velocity without a limit."""
 
 
 @register_term("observation")
@@ -238,7 +238,7 @@ class NormalizeRobotJointData(Term):
         self._ids = np.asarray(joints.joint_ids, np.int64)
         self._drives = joints.asset.drives if limit == "qpos_limits" else None
         limits: F64 = np.asarray(getattr(joints.asset.parsed, limit), np.float64)[self._ids]
-        if self._drives is None:  # a file that gives no velocity or effort says 0
+        if self._drives is None:  # 0 in a file means that no velocity or effort limit is given
             limits = np.stack([-limits, np.where(limits > 0, limits, np.inf)], axis=1)
         limited = np.isfinite(limits)
         self._turning = ~limited.any(axis=1) & joints.hinges() & (self._drives is not None)

@@ -1,6 +1,6 @@
 """Terms under the names of EmbodiChain, Isaac Lab, mjlab, dm_control and earlier tasks.
 
-Each has the parameters it has there; `from`, `to` and `of` are called `source_entity_cfg`,
+Each has its original parameters; `from`, `to` and `of` are called `source_entity_cfg`,
 `target_entity_cfg` and `entity_cfg`.
 """
 
@@ -106,7 +106,7 @@ VALUES: Final[Mapping[str, Alias]] = {
     ),
     "illegal_contact": alias("contact_found", {"above": 0.5}, threshold=_TOUCH),
 }
-"""Rewards and metrics, and terminations where they are truths."""
+"""Rewards and metrics; terminations too, if they are booleans."""
 OBSERVATIONS: Final[Mapping[str, Alias]] = {
     "joint_position_relative": alias("joint_position", relative=True, periodic=False),
     "root_pos_w": alias("position", axes="xyz"),

@@ -1,7 +1,7 @@
 """Rewards of EmbodiChain under their own names and with its parameters.
 
-They are rewards and metrics. Most are a quantity with a fixed shape, whose general form is said in
-docs/compatibility.md.
+They are rewards and metrics. Most are a quantity with a fixed shape; docs/compatibility.md gives
+the general form.
 """
 
 from __future__ import annotations
