@@ -1,8 +1,8 @@
-"""`embodichain bench`: control steps/s of a task beside the bare batch of the same model.
+"""`embodichain bench`: control steps/s of a task compared with the bare batch of the same model.
 
 The bare arm is `mujoco.batch.Batch.step` with nothing bound: C threads over the same simulations,
-under the same controls, and without MuJoCo's own timers. Both arms run in one process, in turns:
-when the speed of the machine varies, their ratio does not.
+with the same ctrl and without MuJoCo's timers. Both arms run alternately in one process, so that
+their ratio does not depend on variations of the machine's speed.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["command"]
 
-_ACTIONS = 16  # drawn before the clock starts: the policy's cost is not the environment's
+_ACTIONS = 16  # drawn before timing, to exclude the cost of a policy
 _ROUND_SECONDS = 0.3
 
 
@@ -38,7 +38,7 @@ _ROUND_SECONDS = 0.3
 @overrides("task=NAME [num_envs=1,64,1024] [KEY=VALUE]...")
 @click.option("--rounds", type=click.IntRange(1), default=7, help="Rounds of each arm. Default: 7.")
 def command(words: tuple[str, ...], rounds: int, json: bool) -> None:
-    """Measure every size that was asked for."""
+    """Measure every requested number of environments."""
     from embodichain.config.resolved import resolve
 
     sizes, lines = _sizes(split_overrides(words))
@@ -52,7 +52,7 @@ def command(words: tuple[str, ...], rounds: int, json: bool) -> None:
 
 
 def _sizes(overrides: list[str]) -> tuple[list[list[str]], list[str]]:
-    """Split ``num_envs=1,64`` from the other overrides, into the overrides of each size."""
+    """Split ``num_envs=1,64`` into one override per size; returns these and the other overrides."""
     given = [o for o in overrides if o.startswith("num_envs=")]
     if not given:
         return [[]], overrides
@@ -64,7 +64,7 @@ def _sizes(overrides: list[str]) -> tuple[list[list[str]], list[str]]:
 
 
 def _measure(config: Resolved, rounds: int) -> dict[str, float]:
-    """Build both arms, then let them take turns.
+    """Build both arms and measure them alternately.
 
     Returns:
         ``num_envs``; speeds in control steps/s summed over environments, medians over rounds
@@ -91,7 +91,7 @@ def _measure(config: Resolved, rounds: int) -> dict[str, float]:
 
 
 def _arms(env: BaseEnv, config: Resolved) -> tuple[Callable[[int], None], Callable[[int], None]]:
-    """The environment under actions drawn beforehand, and the bare batch under their controls."""
+    """The environment with actions drawn beforehand, and the bare batch with the same ctrl."""
     from mujoco import batch as mjbatch
 
     from embodichain.cli.jobs import policy_of
@@ -122,13 +122,13 @@ def _arms(env: BaseEnv, config: Resolved) -> tuple[Callable[[int], None], Callab
 
 
 def _steps_per_round(arm: Callable[[int], None]) -> int:
-    """How many steps take about a third of a second; the first ones warm up."""
+    """Number of steps that take about a third of a second, after a warm-up."""
     _speed(arm, 4)
     return max(8, int(_speed(arm, 8) * _ROUND_SECONDS))
 
 
 def _speed(arm: Callable[[int], None], steps: int) -> float:
-    """Calls a second."""
+    """Calls per second."""
     start = time.perf_counter()
     for step in range(steps):
         arm(step)

@@ -1,4 +1,4 @@
-"""`embodichain compare`: trainings side by side, as a table and as curves."""
+"""`embodichain compare`: a table and learning curves of several trainings."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _COLUMNS = {
 @click.argument("runs", nargs=-1, required=True, metavar="RUN...", shell_complete=complete_last)
 @click.option("--output", "-o", metavar="OUT", help="A new picture: .png, .svg, .pdf.")
 def command(runs: tuple[str, ...], output: str | None, json: bool) -> None:
-    """Print a table of trainings, runs that differ by their seed in one line; draw their curves.
+    """Print a table of trainings, one line for runs that differ only in the seed; draw curves.
 
     RUN is a folder of a training or of a sweep, or `last`.
     """
@@ -80,16 +80,16 @@ def command(runs: tuple[str, ...], output: str | None, json: bool) -> None:
 
 
 def _trainings(names: Sequence[str]) -> list[Path]:
-    """The folders of what was named; the trainings of a sweep's folder.
+    """The folders of the named trainings and of the trainings in a sweep's folder.
 
-    A pattern matches evaluations and files too: these are left out, with a note.
+    Evaluations and files, which a shell pattern may match, are left out with a note.
     """
     from embodichain.learning.comparison import trainings_in
 
     paths = dict.fromkeys(map(_path, names))
     inside = {path: trainings_in(path) if path.is_dir() else [] for path in paths}
     if not any(inside.values()):
-        return list(paths)  # reading one of them reports what is wrong with it
+        return list(paths)  # reading them reports the mistake
     for path in paths:
         if not inside[path]:
             sys.stderr.write(f"left out: {path} is no training\n")

@@ -1,6 +1,6 @@
-"""`embodichain convert`: EmbodiChain's gym config becomes a task file of ours.
+"""`embodichain convert`: converts EmbodiChain's gym config to a task file.
 
-The gym config is only read, and no file is ever replaced.
+The gym config is not changed, and no file is overwritten.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ __all__ = ["command"]
 @click.argument("file", metavar="FILE")
 @click.option("--output", "-o", metavar="OUT", help="A new file. Default: print it.")
 def command(file: str, output: str | None, json: bool) -> None:
-    """Print the task, or write it to a new file; say on stderr what could not come along."""
+    """Print the task, or write it to a new file; list on stderr what could not be converted."""
     from embodichain.config.composed import compose
     from embodichain.config.gym_config import load_gym_config, override_of
     from embodichain.config.validation import validate
@@ -58,7 +58,7 @@ def command(file: str, output: str | None, json: bool) -> None:
 
 
 def _task_file(gym: GymConfig, source: str) -> str:
-    """The task as YAML; its head lists what could not come along."""
+    """The task as YAML; comments at the top list what could not be converted."""
     from embodichain.config.resolved import dump_yaml
 
     head = [f"# Converted from {Path(source).name} by `embodichain convert`."]
@@ -69,7 +69,7 @@ def _task_file(gym: GymConfig, source: str) -> str:
 
 
 def _write_new(path: Path, text: str) -> None:
-    """Write a file that was not there, whole or not at all."""
+    """Write a new file atomically."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, text, new=True)

@@ -1,4 +1,4 @@
-"""`Dashboard`: the state of a training, live on a terminal; a line every ten seconds elsewhere."""
+"""`Dashboard`: a training's progress, live on a terminal, else as a line every ten seconds."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ _COLOURS = {"physics": "cyan", "environment": "blue", "policy": "green", "update
 
 
 class Dashboard(ProgressDisplay):
-    """Shows a training; a context manager.
+    """Shows the progress of a training; a context manager.
 
-    On a terminal: progress and time left, speed and where the time goes, return, success and length
+    On a terminal: progress and time left, speed and shares of the time, return, success and length
     of the last episodes with their curves so far, and the best checkpoint; drawn every second
-    from the training's own thread, in a few milliseconds.
+    in the training's thread, in a few milliseconds.
 
     Args:
-        label: What is learned.
-        algo: By which algorithm.
-        total: Environment steps wanted.
+        label: Name of the task.
+        algo: Name of the algorithm.
+        total: Length of the training in environment steps.
         quiet: Show nothing.
     """
 
@@ -89,7 +89,7 @@ class Dashboard(ProgressDisplay):
     def _curve(
         self, name: str, value: float, where: float, bounds: tuple[float, float] | None
     ) -> str:
-        """The values so far over the whole training, one character a column."""
+        """A curve of the values so far over the length of the training, one character a column."""
         seen = self._curves.setdefault(name, {})
         seen[min(int(where * _CURVE), _CURVE - 1)] = value
         low, high = bounds or (min(seen.values()), max(seen.values()))
@@ -109,7 +109,7 @@ def _clock(seconds: float) -> str:
 
 
 def _best(statistics: TrainStatistics) -> tuple[str, str]:
-    """Score of the best checkpoint, and when it was."""
+    """Score of the best checkpoint, and its environment step."""
     if statistics.best is None:
         return "-", ""
     steps, (success, mean) = statistics.best

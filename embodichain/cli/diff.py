@@ -1,4 +1,4 @@
-"""`embodichain diff A B`: the first step and field where two logs differ."""
+"""`embodichain diff A B`: the first step and field in which two logs differ."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["command"]
 @log_argument("A", "a")
 @log_argument("B", "b")
 def command(a: str, b: str, json: bool) -> int:
-    """Compare two logs; 1 if they differ."""
+    """Compare two logs; returns 1 if they differ."""
     from embodichain.recording.log_diff import diff
 
     report = diff(log_of(a), log_of(b))

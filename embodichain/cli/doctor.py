@@ -1,7 +1,6 @@
-"""`embodichain doctor`: what this machine has, and what to do about what is missing.
+"""`embodichain doctor`: checks of this machine, with advice on what is missing.
 
-A check never raises: what it finds is its result. The exit code is 1 if something that every run
-needs is missing.
+A check never raises. The exit code is 1 if something that every run needs is missing.
 """
 
 from __future__ import annotations
@@ -42,12 +41,12 @@ EXTRAS = {
     "rerun": ("logs as recordings for Rerun", "rerun-sdk"),
     "lerobot": ("logs as LeRobot data sets", "pandas", "pyarrow", "imageio-ffmpeg"),
 }
-"""Extra of the package -> its purpose, and its packages; `pyproject.toml` has the versions."""
+"""Extra of this package -> its purpose and its packages (versions are in `pyproject.toml`)."""
 OTHERS = {
     "tensorboard": "event files of trainings",
     "sb3-contrib": "algorithms TRPO, TQC, CrossQ, RecurrentPPO",
 }
-"""Optional package that no extra has -> its purpose."""
+"""Optional package that is in no extra -> its purpose."""
 _CORE = (
     *("mujoco", "numpy", "torch", "tensordict", "gymnasium", "stable-baselines3", "hydra-core"),
     *("omegaconf", "pydantic", "mcap", "protobuf", "rich"),
@@ -63,9 +62,9 @@ class Check:
     """One line of the report.
 
     Attributes:
-        part: What was checked.
-        state: ``ok``; ``warn``: works, but; ``missing``: optional and not there; ``fail``.
-        found: What was found.
+        part: Name of the check.
+        state: ``ok``; ``warn``: works with limits; ``missing``: optional, not installed; ``fail``.
+        found: The result.
         advice: What to do, or empty.
     """
 
@@ -81,7 +80,7 @@ class Check:
     ("doctor --json", ""),
 )
 def command(json: bool) -> int:
-    """Check everything and print it."""
+    """Run all checks and print their results."""
     sections = _versions, _threads, _rendering, _display, _disk, _optional, _randomness
     checks = [check for section in sections for check in section()]
     if json:
@@ -121,7 +120,7 @@ def _threads() -> Iterator[Check]:
 
 
 def _rendering() -> Iterator[Check]:
-    """A small picture, in a process of its own: a broken driver may end it."""
+    """Render a small picture, in a separate process that a broken driver may crash."""
     command = [sys.executable, "-c", _RENDER]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
@@ -136,7 +135,7 @@ def _rendering() -> Iterator[Check]:
 
 
 def render_once() -> None:
-    """Draw one small picture and print with what; raise if no picture can be made."""
+    """Render one small picture and print the OpenGL backend; raise if rendering fails."""
     import mujoco
     from mujoco.rendering.classic import gl_context
 
@@ -193,7 +192,7 @@ def _optional() -> Iterator[Check]:
 
 
 def _randomness() -> Iterator[Check]:
-    """Classes and terms whose results depend on num_envs: they draw from a global generator."""
+    """Classes and terms that draw from a global generator, so that results depend on num_envs."""
     from embodichain.cli.global_random import global_draws, registered_code
 
     advice = "use env.rand or env.randn: the same numbers whatever num_envs is"

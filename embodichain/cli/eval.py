@@ -1,6 +1,6 @@
 """`embodichain eval`: exactly N episodes of a policy, with confidence intervals.
 
-The end of `train` evaluates with the same functions.
+The evaluation at the end of `train` uses the same functions.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ _WORDS = {"true": True, "false": False}
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Asked:
-    """What is evaluated.
+    """The options of an evaluation.
 
     Attributes:
-        episodes: How many, over all environments.
-        seed: As typed; that of the environments is `EVAL_SEED_OFFSET` higher.
-        deterministic: Whether a trained policy takes its mean action.
+        episodes: Number of episodes over all environments.
+        seed: As typed; the environments use this plus `EVAL_SEED_OFFSET`.
+        deterministic: Whether a trained policy returns its mean action.
     """
 
     episodes: int
@@ -91,7 +91,7 @@ def _integer(key: str, word: str, *, least: int) -> int:
 
 
 def _evaluate(job: Job, asked: Asked) -> float | None:
-    """Play, write `eval.json`, show it."""
+    """Evaluate, write `eval.json` and print the results."""
     result = evaluate_job(job, asked)
     result |= job.film(result["log"])
     if job.root.json:
@@ -105,13 +105,12 @@ def evaluation_config(resolved: Resolved, asked: Asked, *, trim: bool = True) ->
     """Return the config of an evaluation's environment.
 
     Args:
-        resolved: Of what is evaluated.
-        asked: What is evaluated.
-        trim: Whether there are at most as many environments as episodes: more would play for
-            nothing.
+        resolved: The config of the run to evaluate.
+        asked: The options of the evaluation.
+        trim: Whether to reduce the number of environments to the number of episodes.
 
     Raises:
-        ConfigError: The log would show environments that the evaluation does not have.
+        ConfigError: The log is configured to show environments that the evaluation does not have.
     """
     from embodichain.learning.evaluation import EVAL_SEED_OFFSET
 
@@ -128,15 +127,15 @@ def evaluation_config(resolved: Resolved, asked: Asked, *, trim: bool = True) ->
 
 
 def evaluate_job(job: Job, asked: Asked) -> dict[str, Any]:
-    """Build, play, log, and write `eval.json` into the run's folder.
+    """Build, roll out, log, and write `eval.json` into the run's folder.
 
     Args:
-        job: Its config is one of `evaluation_config`, with the policy to play. If a signal stops
-            it, the steps until then count.
-        asked: What is evaluated.
+        job: A job with a config of `evaluation_config` that names the policy. If a signal stops
+            it, the episodes until then count.
+        asked: The options of the evaluation.
 
     Returns:
-        What `eval.json` contains.
+        The content of `eval.json`.
     """
     from embodichain.config.factory import make_env
     from embodichain.learning.evaluation import evaluate
@@ -180,7 +179,7 @@ def _facts(counted: EpisodeStatistics) -> dict[str, str]:
 
 
 def _print(result: Mapping[str, Any]) -> None:
-    """Print the closing table of what `eval.json` contains."""
+    """Print the content of `eval.json` as a table."""
     mode = "deterministic" if result["deterministic"] else "actions drawn"
     rows: list[tuple[str, Any]] = [
         ("policy", f"{result['policy']} ({mode})"),
@@ -199,7 +198,7 @@ def _print(result: Mapping[str, Any]) -> None:
 
 
 def brief_rows(result: Mapping[str, Any]) -> list[tuple[str, Any]]:
-    """Return the rows about the evaluation in the closing table of a training."""
+    """Return the rows about the evaluation for the final table of a training."""
     episodes = f"{result['episodes']:,} episodes  ([low, high]: {result['confidence']:.0%})"
     returns = _estimate_rows("return", result["returns"])[:2]
     rows = [("episodes", episodes), *_success_row(result), *returns]
@@ -207,7 +206,7 @@ def brief_rows(result: Mapping[str, Any]) -> list[tuple[str, Any]]:
 
 
 def objective_of(result: Mapping[str, Any]) -> float | None:
-    """Return what a sweeper optimises: the success rate, or else the mean return."""
+    """Return the objective for a sweeper: the success rate, else the mean return."""
     if result["success"] is not None:
         return float(result["success"]["rate"])
     return None if result["returns"] is None else float(result["returns"]["mean"])

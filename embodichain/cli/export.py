@@ -141,7 +141,7 @@ def _export_log(options: SimpleNamespace) -> None:
 
 
 def _write(log: Log, options: SimpleNamespace, part: Part) -> tuple[Path, str]:
-    """Every format but a film: a signal leaves no file."""
+    """Write any format but a video; a signal leaves no file."""
     from embodichain.recording.export.formats import export
 
     try:
@@ -153,7 +153,7 @@ def _write(log: Log, options: SimpleNamespace, part: Part) -> tuple[Path, str]:
 
 
 def _film(log: Log, options: SimpleNamespace, part: Part) -> tuple[Path, str]:
-    """A film, and what to report if a signal ended it early."""
+    """Write a video; also returns a message if a signal ended it early."""
     from embodichain.recording.export.formats import export
     from embodichain.recording.film import Filmed
 

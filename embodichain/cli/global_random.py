@@ -1,7 +1,7 @@
-"""Finds code that draws from a global random generator, by reading its source.
+"""Finds code that draws from a global random generator, by parsing its source.
 
-What such code computes depends on num_envs: torch's, numpy's and Python's global generators are
-shared by all environments.
+The results of such code depend on num_envs, because all environments share the global generators
+of torch, numpy and Python.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ def global_draws(thing: Callable[..., object]) -> list[str]:
     """Return ``NAME (line N of FILE)`` for each draw from a global generator.
 
     Args:
-        thing: A class or function; of a class the body is read, not its bases.
+        thing: A class or function; the bases of a class are not searched.
 
     Returns:
-        Empty also when there is no source to read (built in the interpreter).
+        The draws; empty also if there is no source (built into the interpreter).
     """
     try:
         lines, first = inspect.getsourcelines(thing)
@@ -47,7 +47,7 @@ def global_draws(thing: Callable[..., object]) -> list[str]:
 
 
 def _is_global(call: ast.Call) -> bool:
-    """Whether a call draws from a generator that is not passed to it."""
+    """Whether a call draws from a global generator instead of one passed to it."""
     owner, _, name = ast.unparse(call.func).rpartition(".")
     if any(keyword.arg == "generator" for keyword in call.keywords):
         return False
@@ -59,7 +59,7 @@ def _is_global(call: ast.Call) -> bool:
 
 
 def registered_code() -> Iterator[tuple[str, Callable[..., object]]]:
-    """Yield environment classes of ours and of plug-ins, with their bases, and every term."""
+    """Yield the environment classes of this package and of plug-ins, their bases, and all terms."""
     from embodichain.config.plugins import load_task_packages
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.envs.managers.registry import KINDS, TERMS

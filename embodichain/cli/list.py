@@ -1,4 +1,4 @@
-"""`embodichain list`: which tasks, robots and terms there are. Imports no simulator, no torch."""
+"""`embodichain list`: lists tasks, robots or terms. Imports neither MuJoCo nor torch."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def _robots() -> Rows:
 
 
 def _absent_robots(rows: Rows) -> list[str]:
-    """Sources of robots that provide none here, and how to get them."""
+    """Sources of robots that are not installed, and how to get them."""
     from embodichain.data import data_root
     from embodichain.data.places import HOW
 

@@ -1,6 +1,6 @@
-"""`embodichain new task NAME`: writes a task and its test, where the user's own files are.
+"""`embodichain new task NAME`: writes a task and its test into the user's folder or package.
 
-The files are made from `templates/`. Nothing that exists is changed.
+The files are made from `templates/`. Existing files are not changed.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ __all__ = ["command"]
 
 @dataclass(frozen=True, slots=True)
 class _Names:
-    """What the files of a task are called.
+    """The names of a task's files.
 
     Attributes:
-        task: Its name.
-        package: The user's package that the files go into; empty in a folder without one.
-        source: The folder that Python must search for them, relative to the working directory.
+        task: The task's name.
+        package: The user's package for the files; empty in a folder without one.
+        source: The folder to add to Python's path for them, relative to the working directory.
     """
 
     task: str
@@ -42,17 +42,17 @@ class _Names:
 
     @property
     def module(self) -> str:
-        """The module of the class."""
+        """The module of the class of the task."""
         return f"{self.package}.tasks.{self.task}" if self.package else self.task
 
     @property
     def cls(self) -> str:
-        """The class: ``push_cube`` gives ``PushCubeEnv``."""
+        """The name of the class: ``push_cube`` gives ``PushCubeEnv``."""
         return "".join(part[:1].upper() + part[1:] for part in self.task.split("_")) + "Env"
 
     @property
     def conf(self) -> Path:
-        """The folder whose `task` folder gets the YAML."""
+        """The folder of the YAML tree; the file is written into its `task` folder."""
         return self._inside("conf") if self.package else Path("conf")
 
     @property
@@ -68,7 +68,7 @@ class _Names:
         return (tests if tests.is_dir() else tests.parent) / f"test_{self.task}.py"
 
     def _inside(self, name: str) -> Path:
-        """A folder of the package; if it is a link, what it points to."""
+        """A folder of the package, with links resolved."""
         folder = self.source / self.package / name
         return Path(os.path.relpath(folder.resolve())) if folder.is_symlink() else folder
 
@@ -90,7 +90,7 @@ def command(what: str, name: str, python: bool, robot: str | None, json: bool) -
     """Write the files and print what to do next.
 
     Raises:
-        ConfigError: If the name cannot be used, or a file exists; nothing is written.
+        ConfigError: If the name is not allowed, or a file exists; nothing is written.
     """
     _check_name(name)
     project = _pyproject()
@@ -115,7 +115,7 @@ def command(what: str, name: str, python: bool, robot: str | None, json: bool) -
 
 
 def _check_name(name: str) -> None:
-    """Refuse a name that Python or YAML does not allow, or that a task has."""
+    """Refuse a name that Python or YAML does not allow, or that another task has."""
     if not (name.isidentifier() and name.isascii()) or keyword.iskeyword(name):
         raise ConfigError(f"'{name}' is no name for a task: letters, digits and _, as in push_cube")
     from embodichain.config.composed import list_options
@@ -148,8 +148,8 @@ def _files(names: _Names, robot: dict[str, str], *, python: bool) -> dict[Path, 
     """Path -> text of the files of a task.
 
     Args:
-        names: What they are called.
-        robot: Words about the robot, see `describe_robot`.
+        names: The names of the files.
+        robot: Template variables of the robot, see `describe_robot`.
         python: Whether the task is a class that a short YAML names.
     """
     search = f"    monkeypatch.syspath_prepend({_path('ROOT', names.source)})\n"
@@ -193,7 +193,7 @@ def _write(files: dict[Path, str]) -> None:
     """Write new files and their folders.
 
     Raises:
-        ConfigError: If one exists (nothing is written then), or cannot be written.
+        ConfigError: If a file exists (then nothing is written), or cannot be written.
     """
     there = [path.as_posix() for path in files if os.path.lexists(path)]
     if there:
@@ -208,9 +208,9 @@ def _write(files: dict[Path, str]) -> None:
 
 
 def _needed(project: dict[str, Any], names: _Names, *, python: bool) -> str:
-    """What `pyproject.toml` lacks, as TOML: entry points, and the YAML in the package's wheel."""
+    """TOML to add to `pyproject.toml`: entry points, and the YAML in the package's wheel."""
     package = names.package
-    if package in ("", "embodichain"):  # its own tree is searched anyway
+    if package in ("", "embodichain"):  # its tree is always searched
         return ""
     groups = project.get("project", {}).get("entry-points", {})
     wanted = [("embodichain.conf", package, f"{package}.conf")]
@@ -228,7 +228,7 @@ def _needed(project: dict[str, Any], names: _Names, *, python: bool) -> str:
         for folder, key in (("", package), ("conf", f"{package}.conf"), ("conf", "*"))
         for pattern in (data or {}).get(key, [])
     }
-    # setuptools puts only Python files into wheels, unless it is told of others
+    # by default setuptools puts only Python files into wheels
     if backend.startswith("setuptools") and not any(p.startswith("conf/**/*.y") for p in patterns):
         line = f'{package} = ["conf/**/*.yaml"]'
         blocks.append(_block("tool.setuptools.package-data", line, there=data is not None))
@@ -236,12 +236,12 @@ def _needed(project: dict[str, Any], names: _Names, *, python: bool) -> str:
 
 
 def _block(table: str, line: str, *, there: bool) -> str:
-    """A line of a TOML table; a table cannot be written twice."""
+    """A line of a TOML table, with its header unless the file has the table already."""
     return f"# in [{table}], which is there:\n{line}" if there else f"[{table}]\n{line}"
 
 
 def _next(names: _Names) -> list[str]:
-    """What to type now."""
+    """The commands to type next."""
     searched = names.conf == Path("conf") or names.package == "embodichain"
     where = "" if searched else f" --config-dir {names.conf.as_posix()}"
     return [

@@ -1,4 +1,4 @@
-"""The robot of a new task: `describe_robot` reads its file and returns the words of templates."""
+"""The robot of a new task: `describe_robot` reads its file and returns template variables."""
 
 from __future__ import annotations
 
@@ -71,20 +71,20 @@ def _words(
     limited: bool = True,
     bare: bool = False,
 ) -> dict[str, str]:
-    """The words of templates.
+    """The template variables.
 
     Args:
-        uid: Its name in the scene.
-        fpath: Its file, as it is looked up.
-        height: Of its root above the ground, m.
+        uid: The robot's name in the scene.
+        fpath: The robot's file, as `get_data_path` takes it.
+        height: Height of its root above the ground, m.
         home: Initial joint positions, rad or m.
-        tool: The link that reaches.
+        tool: The link that has to reach the marker.
         marker: (x, y, z) of the tool at the start, m.
-        radius: How far the marker may be from the tool, m.
-        scale: What an action of 1 means, rad or m: one number, or joint -> number.
-        floating: Whether it is not fixed to the world.
-        limited: Whether its file has an effort limit for every driven joint.
-        bare: Whether its file has no drives: an MJCF without actuators.
+        radius: Largest distance of the marker from the tool, m.
+        scale: Displacement for an action of 1, rad or m: one number, or joint -> number.
+        floating: Whether the base is not fixed to the world.
+        limited: Whether the file has an effort limit for every driven joint.
+        bare: Whether the file has no drives: an MJCF without actuators.
     """
     effort = ", max_effort: file" if limited else ""
     pedestal = ""
@@ -117,15 +117,15 @@ def _words(
 
 
 def describe_robot(fpath: str, *, python: bool) -> dict[str, str]:
-    """Read a robot's file; returns the words of templates.
+    """Read a robot's file; returns the template variables.
 
     Args:
         fpath: A URDF or MJCF, as `get_data_path` takes it.
-        python: Whether a class is written, which sets joint targets.
+        python: Whether the task is a class, which sets joint targets.
 
     Raises:
-        ConfigError: If there is no such file, it cannot be read, none of its joints moves, or a
-            class is wanted and joints take no targets.
+        ConfigError: If the file does not exist or cannot be read, if no joint can move, or if the
+            task is a class and joints have no position targets.
     """
     import mujoco
     import numpy as np
@@ -184,7 +184,7 @@ def describe_robot(fpath: str, *, python: bool) -> dict[str, str]:
 
 
 def _home(parsed: ParsedArticulation) -> list[float]:
-    """The file's keyframe, else zero; in the middle where that is at a limit or beyond."""
+    """The file's keyframe, else zero; the middle of the range if that is not inside the limits."""
     home = [float(value) for value in parsed.init_qpos]
     for i, (low, high) in enumerate(parsed.qpos_limits):
         margin = 0.05 * (high - low) if math.isfinite(high - low) else 0.0
@@ -198,13 +198,13 @@ def _home(parsed: ParsedArticulation) -> list[float]:
 
 
 def _lowest(model: Any, data: Any) -> float:
-    """Height of the lowest point that moves, m: a mesh's vertex, a corner of a shape's box."""
+    """Height of the lowest moving point, m: a mesh's vertex, or a corner of a shape's box."""
     import mujoco
     import numpy as np
 
     heights = []
     for i, kind in enumerate(model.geom_type):
-        fixed = model.body_treeid[model.geom_bodyid[i]] < 0  # to the world: touches nothing
+        fixed = model.body_treeid[model.geom_bodyid[i]] < 0  # to the world
         if fixed or kind == mujoco.mjtGeom.mjGEOM_PLANE:
             continue
         upwards = data.geom_xmat[i].reshape(3, 3)[2]
@@ -221,7 +221,7 @@ def _lowest(model: Any, data: Any) -> float:
 
 
 def _tool(parsed: ParsedArticulation) -> str:
-    """The link at the end of the longest chain of hinges, before fingers that slide."""
+    """The link at the end of the longest chain of hinges, before sliding fingers."""
     import mujoco
 
     model = parsed.model
@@ -253,7 +253,7 @@ def _scale(parsed: ParsedArticulation, active: list[int]) -> float | dict[str, f
 
 
 def _number(value: float) -> str:
-    """A number without a needless fraction."""
+    """A number without trailing zeros."""
     return f"{round(value, 4):g}"
 
 
@@ -262,7 +262,7 @@ def _list(values: Sequence[float]) -> str:
 
 
 def _map(values: Mapping[str, float]) -> str:
-    """Joint -> number; the joints of one number under one regex."""
+    """Joint -> number as YAML; one regex for all joints with the same number."""
     groups: dict[float, list[str]] = {}
     for name, value in values.items():
         groups.setdefault(value, []).append(name)
@@ -271,7 +271,7 @@ def _map(values: Mapping[str, float]) -> str:
 
 
 def _regex(names: Sequence[str], all_names: Iterable[str]) -> str:
-    """A regex of these names and no others: their common beginning where that is enough."""
+    """A regex that matches only these names: their common prefix if that is enough."""
     start = os.path.commonprefix(list(names))
     if start and len(names) > 1 and sum(n.startswith(start) for n in all_names) == len(names):
         return f"{re.escape(start)}.*"
@@ -288,4 +288,4 @@ UR10 = _words(
     radius=0.2,
     scale=0.6,
 )
-"""The robot of a task for which none is named: the one that is bundled, at a table's height."""
+"""The robot of a new task by default: the bundled one, at a table's height."""

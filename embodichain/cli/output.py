@@ -1,4 +1,4 @@
-"""What verbs print on stdout: tables, names and values, JSON."""
+"""Output of verbs on stdout: tables, names and values, JSON."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ __all__ = [
 ]
 
 _TEXT = 16
-"""Columns that folded text gets at least."""
+"""Smallest width of a column of folded text."""
 _SHORT = 24
-"""Columns of cells that are not folded where there is room: names, numbers with intervals."""
+"""Cells up to this width are not folded if there is room: names, numbers with intervals."""
 _PIPE_WIDTH = 100
-"""Columns of a line where there is no terminal."""
+"""Width of a line without a terminal."""
 
 
 def print_json(value: Mapping[str, Any]) -> None:
-    """Write one JSON object to stdout, on one line: the jobs of a sweep give JSON lines."""
+    """Write one JSON object to stdout, on one line, so that jobs of a sweep give JSON lines."""
     sys.stdout.write(to_json(value) + "\n")
     sys.stdout.flush()
 
 
 def to_json(value: Mapping[str, Any], indent: int | None = None) -> str:
-    """Return JSON; nan and inf become null, arrays lists, anything else that it lacks text."""
+    """Return JSON; nan and inf become null, arrays become lists, other objects strings."""
     return json.dumps(_finite(value), indent=indent, default=_plain, allow_nan=False)
 
 
@@ -65,22 +65,22 @@ def say_warnings(path: object, warnings: Iterable[object]) -> None:
 
 
 def _is_bounded() -> bool:
-    """Whether the width of lines is known: on a terminal, or by `COLUMNS`."""
+    """Whether the width of lines is known, from a terminal or from `COLUMNS`."""
     return sys.stdout.isatty() or os.environ.get("COLUMNS", "").isdigit()
 
 
 def _width() -> int:
-    """Columns of a line on stdout; elsewhere a table may be wider."""
+    """Width of a line on stdout; without a terminal a table may be wider."""
     return shutil.get_terminal_size().columns if _is_bounded() else _PIPE_WIDTH
 
 
 def wrapped(text: str, first: str = "", rest: str = "  ") -> str:
-    """Fold text to the width of a line; words stay whole.
+    """Fold text to the width of a line, between words.
 
     Args:
-        text: Lines that fit stay as they are.
-        first: Indents a line.
-        rest: Indents what is folded.
+        text: The text; lines that fit are not changed.
+        first: Indentation of a line.
+        rest: Indentation of the continuation of a folded line.
     """
     fold = partial(
         textwrap.fill,
@@ -103,11 +103,11 @@ def console(*, stderr: bool = False) -> Console:
 
 
 def print_table(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
-    """Print one line a row under the keys of the first; an empty table is a line.
+    """Print one line per row, with the keys of the first row as header.
 
     Args:
-        title: Stands above.
-        rows: A key that is absent is a dash.
+        title: Printed above the table.
+        rows: Key -> cell; a missing key is printed as a dash.
     """
     if rows:
         names = list(rows[0])
@@ -117,7 +117,7 @@ def print_table(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def print_facts(title: str, facts: Iterable[tuple[str, Any]]) -> None:
-    """Print names and values side by side; outside of a terminal no word is cut."""
+    """Print names and values in two columns; without a terminal no word is cut."""
     rows = [[name, number(value)] for name, value in facts]
     words = [len(word) for _, value in rows for word in value.split()]
     _print(title, ["", ""], rows, max(words, default=0))
@@ -126,10 +126,10 @@ def print_facts(title: str, facts: Iterable[tuple[str, Any]]) -> None:
 def _print(
     title: str, names: Sequence[str], rows: Sequence[Sequence[str]], folded: int = _TEXT
 ) -> None:
-    """Print a table without trailing blanks; outside of a terminal as wide as it has to be.
+    """Print a table without trailing blanks; without a terminal as wide as necessary.
 
-    Cells that are short or one word stay whole, if the width allows it; others get at least
-    `folded` columns.
+    Cells that are short or one word are not folded if the width allows it; others are at least
+    `folded` wide.
     """
     from rich import box
     from rich.table import Table
@@ -158,7 +158,7 @@ def _print(
 
 
 def number(value: Any) -> str:
-    """Return a cell: floats with four digits or more, sequences with commas, None as a dash."""
+    """Format a cell: floats with four digits or more, sequences with commas, None as a dash."""
     if value is None:
         return "-"
     if isinstance(value, bool):

@@ -1,4 +1,4 @@
-"""`embodichain play`: a trained policy in a window. It is `run` with the viewer, and no log."""
+"""`embodichain play`: shows a trained policy in a window; `run` with a viewer and without a log."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def command(**kwargs: Any) -> None:
 
 
 def _need_display(name: str, lines: list[str]) -> None:
-    """Say before anything is built what can be done without a display."""
+    """Report before building that there is no display, with alternatives."""
     from embodichain.lab.sim.viewer import has_display
 
     if "viewer=native" in lines and not has_display():

@@ -1,12 +1,11 @@
 """The process of a command: garbage collection, signals, exit codes, the report of an error.
 
-Imports and builds make a million objects and next to no garbage; looking through them again and
-again costs a fifth of the time to the first step. Python's `gc` manual describes this use of
-`gc.freeze`.
+Imports and builds make a million objects and almost no garbage; repeated collections take a fifth
+of the time to the first step. Python's `gc` manual describes this use of `gc.freeze`.
 
-Ctrl-C, SIGTERM and SIGUSR2 (which batch systems send some time before they kill, as with
-`sbatch --signal=USR2@120`) end a run after its current step, a film after its current picture, and
-anything else at once; everything is closed before the process ends.
+Ctrl-C, SIGTERM and SIGUSR2 (which batch systems can send before they kill a job, as with
+`sbatch --signal=USR2@120`) end a run after the current step, a video after the current picture, and
+anything else at once; all files are closed before the process ends.
 """
 
 from __future__ import annotations
@@ -39,11 +38,11 @@ __all__ = [
 
 OK = 0
 FAILED = 1
-"""The run, or the check that was asked for, failed."""
+"""The run or the check failed."""
 WRONG_INPUT = 2
-"""The user's input is wrong; nothing was started."""
+"""The input is wrong; nothing was started."""
 INTERRUPTED = 130
-"""Ctrl-C, SIGTERM or SIGUSR2; what was written is complete up to there."""
+"""Ctrl-C, SIGTERM or SIGUSR2; the files are complete up to that step."""
 _SIGNALS = [
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR2") if hasattr(signal, name)
 ]
@@ -53,13 +52,13 @@ _TWICE = "interrupted twice: left without closing everything"
 class Interrupted(KeyboardInterrupt):
     """A signal ended the run after everything was closed.
 
-    A KeyboardInterrupt, so that a sweep ends with its job.
+    It is a KeyboardInterrupt, so that a sweep ends with the job.
     """
 
 
 @contextmanager
 def starting() -> Iterator[None]:
-    """Collect no cyclic garbage inside, until `started` is called."""
+    """Disable the collection of cyclic garbage inside the context, until `started` is called."""
     gc.disable()
     try:
         yield
@@ -68,7 +67,7 @@ def starting() -> Iterator[None]:
 
 
 def started() -> None:
-    """Collect again, except for the objects that exist already, most of them modules."""
+    """Enable collection again, except for existing objects, most of which are modules."""
     if not gc.isenabled():
         _freeze()
         gc.enable()
@@ -76,19 +75,19 @@ def started() -> None:
 
 @cache
 def _freeze() -> None:
-    """Once a process: later runs in it import nothing new, and leave garbage that counts."""
+    """Freeze once per process: later runs import nothing new, and their garbage is collected."""
     gc.freeze()
 
 
 @contextmanager
 def signals_raise() -> Iterator[None]:
-    """Within it a signal raises `Interrupted`: files that are being written are removed.
+    """Raise `Interrupted` at a signal inside the context, so that partial files are removed.
 
-    The same signals again are ignored meanwhile, but for Ctrl-C, which leaves at once. Within a
-    `StopFlag`, signals set the flag instead.
+    Further signals are ignored, except Ctrl-C, which exits at once. Within a `StopFlag`, signals
+    set the flag instead.
 
-    Python ignores what is raised in a finalizer or a callback of a weak reference, where a signal
-    may arrive as anywhere else. The signal is then delivered again, shortly after.
+    Python ignores exceptions in finalizers and weak reference callbacks. If a signal arrives there,
+    it is delivered again shortly after.
     """
     came: list[str] = []
     hook = sys.unraisablehook
@@ -119,7 +118,7 @@ def signals_raise() -> Iterator[None]:
 
 @contextmanager
 def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Handle our signals; outside the main thread Python cannot, and nothing changes."""
+    """Install a handler for the signals; does nothing outside the main thread."""
     before: dict[signal.Signals, Any] = {}
     if threading.current_thread() is threading.main_thread():
         before = {number: signal.signal(number, handler) for number in _SIGNALS}
@@ -162,10 +161,10 @@ class StopFlag:
 
 
 def report(error: BaseException, *, full: bool = False) -> int:
-    """Print on stderr what went wrong and return the exit code.
+    """Print an error on stderr and return the exit code.
 
     Args:
-        error: What was raised.
+        error: The exception.
         full: Whether to print the whole traceback (`--traceback`).
 
     Returns:
@@ -180,7 +179,7 @@ def report(error: BaseException, *, full: bool = False) -> int:
         code, text = FAILED, f"error: {_line(error)}{hint}"
     elif len(error.problems) < 2:
         code, text = WRONG_INPUT, f"error: {error}"
-    else:  # one paragraph each; what a mistake lists is indented below it
+    else:  # one paragraph for each mistake, its lists indented below
         mistakes = (str(problem).replace("\n", "\n    ") for problem in error.problems)
         lines = [f"{len(error.problems)} mistakes:", *(f"  {text}" for text in mistakes)]
         code, text = WRONG_INPUT, "\n".join(lines)
@@ -190,7 +189,7 @@ def report(error: BaseException, *, full: bool = False) -> int:
 
 
 def _line(error: BaseException) -> str:
-    """The exception in one line: its type, unless it is our own and says enough."""
+    """The exception in one line, with its type unless it is one of this package's."""
     text = " ".join(str(error).split())
     name = type(error).__name__
     if type(error).__module__.startswith("embodichain."):

@@ -1,4 +1,4 @@
-"""`embodichain recover`: a clean log from a broken one, which stays as it is."""
+"""`embodichain recover`: writes a clean log from a broken one, which is not changed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = ["command"]
 @log_argument("IN")
 @click.argument("target", metavar="OUT")
 def command(file: str, target: str, quiet: bool, json: bool) -> None:
-    """Write what can be read of IN to OUT, and say where it ends."""
+    """Write the readable part of IN to OUT, and report where it ends."""
     from embodichain.recording.recover import recover
 
     saved = recover(log_of(file), Path(target))

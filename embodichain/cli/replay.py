@@ -1,4 +1,4 @@
-"""`embodichain replay`: what a log contains; verified, filmed, viewed, or played with a policy."""
+"""`embodichain replay`: prints, verifies, films or views a log, or replays it with a policy."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["command"]
 
 _COLUMNS = ("env", "episode", "steps", "total_reward", "terminated", "last_step", "success")
-"""Of the table of episodes."""
+"""Columns of the table of episodes."""
 _MOST_EPISODES = 20
 _ACTIONS = ("verify", "video", "policy", "view")
 _ONLY_WITH = {
@@ -87,7 +87,7 @@ _ONLY_WITH = {
 @click.option("--camera", metavar="NAME", help="Film with this camera of the scene.")
 @click.option("--size", metavar="WxH", help="Pixels of the film. Default: 640x480.")
 def command(**kwargs: Any) -> int:
-    """Print what is in a log, or verify, film, view or replay it."""
+    """Print the contents of a log, or verify, film, view or replay it."""
     options = SimpleNamespace(**kwargs)
     given = {name for name, value in kwargs.items() if value not in (None, False)}
     actions = [name for name in _ACTIONS if name in given]
@@ -134,7 +134,7 @@ def _inspect(path: Path, options: SimpleNamespace) -> int:
 
 
 def _is_wanted(episode: LogEpisode, options: SimpleNamespace) -> bool:
-    """Whether it is the environment's, the episode, and has a step in [--from, --to)."""
+    """Whether an episode matches --env and --episode and has a step in [--from, --to)."""
     return (
         options.env in (None, episode.env)
         and options.episode in (None, episode.episode)
@@ -200,7 +200,7 @@ def _verify(path: Path, options: SimpleNamespace) -> int:
 
 
 def _film(path: Path, options: SimpleNamespace) -> int:
-    """Write the film, and print where it is."""
+    """Write the video and print its path."""
     from embodichain.recording.api import Log
     from embodichain.recording.film import film_log
 

@@ -1,7 +1,7 @@
-"""`embodichain replay FILE --policy P`: the recorded episodes once more, with another policy.
+"""`embodichain replay FILE --policy P`: repeats the recorded episodes with another policy.
 
-The config is the log's own, and nothing that it names is imported; seeds and environments are the
-same, so every episode begins as the recorded one did.
+The config is read from the log, and no module that it names is imported. Seeds and environments are
+the same, so every episode begins in the recorded state.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _STATE = ("qpos", "qvel", "mocap_pos", "mocap_quat")
 
 @dataclass(frozen=True, slots=True)
 class _Pair:
-    """One episode: as it was recorded, and with the policy."""
+    """One episode as recorded, and with the policy."""
 
     env: int
     episode: int
@@ -47,11 +47,11 @@ class _Pair:
     recorded_return: float
     total_return: float
     difference: float
-    cut: bool  # the log ends before the episode: both are over its first steps
+    cut: bool  # the log ends before the episode: both cover its first steps only
 
 
 def rerun(path: Path, options: SimpleNamespace) -> int:
-    """Play what was recorded with another policy, and put returns side by side."""
+    """Repeat recorded episodes with another policy, and compare returns."""
     from embodichain.config.factory import make_env
     from embodichain.recording.api import Log
 
@@ -89,7 +89,7 @@ def rerun(path: Path, options: SimpleNamespace) -> int:
 
 
 def _wanted(log: Log, options: SimpleNamespace) -> dict[tuple[int, int], LogEpisode]:
-    """The log's episodes, as far as they are asked for."""
+    """The log's episodes that the options select."""
     if any(e.episode for e in log.episodes if e.first_step == log.header.first_step):
         raise ConfigError(f"{log.path} does not begin with first episodes: seeds lead elsewhere")
     found = {
@@ -103,7 +103,7 @@ def _wanted(log: Log, options: SimpleNamespace) -> dict[tuple[int, int], LogEpis
 
 
 def _resolved(log: Log) -> Resolved:
-    """The log's config without a log or a window; nothing that it names is imported."""
+    """The log's config without recording and viewer; no module that it names is imported."""
     from embodichain.config.resolved import resolve_tree
 
     tree = log.config
@@ -123,7 +123,7 @@ def _play(
     starts: dict[str, NDArray[np.float64]],
     options: SimpleNamespace,
 ) -> tuple[list[_Pair], bool]:
-    """The episodes, and whether all environments began as recorded."""
+    """The episodes, and whether all environments began in the recorded state."""
     allowed = resolved.changed(allow_changed=bool(options.allow_changed))
     policy = policy_of(allowed.root, env, policy_name)
     obs, _ = env.reset()
@@ -132,7 +132,7 @@ def _play(
     returns, steps = np.zeros(env.num_envs), np.zeros(env.num_envs, np.int64)
     pairs: dict[tuple[int, int], _Pair] = {}
     cut = {key for key, e in wanted.items() if not (e.terminated or e.truncated)}
-    # Where the task has no limit, another policy might never come to an end.
+    # Without a time limit in the task, episodes of another policy might never end.
     longest = max(e.steps for e in wanted.values())
     limit = _LONGER * longest if env.max_episode_steps == _NEVER else _NEVER
     quiet = options.quiet or options.json

@@ -1,4 +1,4 @@
-"""What a job writes while it runs: progress and warnings on stderr, and its log file.
+"""Output of a job while it runs: progress and warnings on stderr, and a log file.
 
 stdout is for results only.
 """
@@ -32,9 +32,9 @@ class ProgressDisplay:
     """Shows progress: a live bar on a terminal, a line every ten seconds elsewhere.
 
     Args:
-        label: What runs.
-        total: How much there is to do, None if that is unknown.
-        unit: Of what.
+        label: Name of the job.
+        total: Total number of units, None if unknown.
+        unit: Name of the unit.
         quiet: Show nothing.
         period: Seconds between two drawings on a terminal.
     """
@@ -69,7 +69,7 @@ class ProgressDisplay:
 
     @property
     def due(self) -> bool:
-        """Whether it is time to `show` again; cheap enough to ask in every step."""
+        """Whether it is time to `show` again; cheap enough for every step."""
         return not self._quiet and time.perf_counter() >= self._due
 
     def show(
@@ -78,12 +78,12 @@ class ProgressDisplay:
         facts: dict[str, str],
         picture: Callable[[], RenderableType] | None = None,
     ) -> None:
-        """Show that `done` of `total` are done, and a few facts by name.
+        """Show that `done` of `total` units are done, with a few named values.
 
         Args:
-            done: How many.
-            facts: Stand beside the bar, or in the line.
-            picture: Makes what is drawn on a terminal instead of the bar.
+            done: Number of units.
+            facts: Name -> value, shown beside the bar or in the line.
+            picture: Returns what to draw on a terminal instead of the bar.
         """
         if self._quiet:
             return
@@ -102,7 +102,7 @@ class ProgressDisplay:
 
 
 def progress_row(label: str, done: int, total: int | None, *texts: str) -> RenderableType:
-    """Return a bar between a label and texts; it takes the width that these leave."""
+    """Return a bar between a label and texts, which fills the remaining width."""
     from rich.progress_bar import ProgressBar
     from rich.table import Table
 
@@ -117,9 +117,9 @@ def progress_row(label: str, done: int, total: int | None, *texts: str) -> Rende
 
 @contextmanager
 def log_to(path: Path) -> Iterator[logging.Logger]:
-    """Write Python's logging and warnings to a file; show our warnings on stderr.
+    """Write Python's logging and warnings to a file; show this package's warnings on stderr.
 
-    An exception that leaves the context is written with its traceback, and raised again.
+    An exception that leaves the context is logged with its traceback, and raised again.
 
     Args:
         path: A new file, or one to append to.
@@ -136,7 +136,7 @@ def log_to(path: Path) -> Iterator[logging.Logger]:
         with warnings_on_stderr():
             yield logging.getLogger("embodichain.run")
     except BaseException as error:
-        # The screen handler is gone: the report on the terminal is one line and comes later.
+        # Without the handler for the terminal: that gets a report of one line, later.
         logging.getLogger("run").error("ended by %s", type(error).__name__, exc_info=error)
         raise
     finally:
@@ -149,7 +149,7 @@ def log_to(path: Path) -> Iterator[logging.Logger]:
 
 @contextmanager
 def warnings_on_stderr() -> Iterator[None]:
-    """Show warnings of our own loggers on stderr, a line each."""
+    """Show warnings of this package's loggers on stderr, a line each."""
     screen = logging.StreamHandler()
     screen.setLevel(logging.WARNING)
     screen.addFilter(_is_ours)
@@ -166,7 +166,7 @@ def warn_if_public(host: str, url: str, *, controls: bool) -> None:
 
     Args:
         host: The address it listens on.
-        url: Where it is; has the port.
+        url: Its URL, with the port.
         controls: Whether a viewer can control the run.
     """
     from embodichain.utils.addresses import is_loopback
@@ -180,12 +180,12 @@ def warn_if_public(host: str, url: str, *, controls: bool) -> None:
 
 
 class _File(logging.FileHandler):
-    """A log file whose failure to write is reported once; the run goes on."""
+    """A log file; a failure to write is reported once, and the run continues."""
 
     _failed = False
 
     def handleError(self, record: logging.LogRecord) -> None:
-        """Say what happened, the first time."""
+        """Report the first failure."""
         if not self._failed:
             self._failed = True
             sys.stderr.write(
@@ -193,13 +193,13 @@ class _File(logging.FileHandler):
             )
 
     def close(self) -> None:
-        """Close the file; what could not be written is lost."""
+        """Close the file; data that could not be written are lost."""
         with suppress(OSError):
             super().close()
 
 
 def _is_ours(record: logging.LogRecord) -> bool:
-    """Whether it comes from us or from the user's own code, not from an installed package."""
+    """Whether a record comes from this package or the user's code, not an installed package."""
     if record.name == "py.warnings":
         return "site-packages" not in record.getMessage().split(": ", 1)[0]
     return record.name.startswith("embodichain")

@@ -1,6 +1,6 @@
-"""`embodichain run-env`: EmbodiChain's command, as `embodichain run --gym-config` with its flags.
+"""`embodichain run-env`: EmbodiChain's command; `embodichain run --gym-config` with its flags.
 
-Flags without an effect are accepted, with a note; everything else is `run`'s.
+Flags without an effect are accepted, with a note; everything else is as in `run`.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def command(**options: Any) -> None:
     """Translate the flags, then run.
 
     Raises:
-        ConfigError: No gym config is named, a flag is unknown, or what `run` finds wrong.
+        ConfigError: No gym config is named, a flag is unknown, or `run` finds a mistake.
     """
     flags = SimpleNamespace(**options, cfg=None, info=None, multirun=False)
     if not flags.gym_config:
@@ -107,7 +107,7 @@ def _overrides(flags: Any) -> Iterator[str]:
 
 
 def _visual_events(path: str) -> list[str]:
-    """The events of a gym config that only change how things look."""
+    """The events of a gym config that only change visuals."""
     from embodichain.compat.gym_config.conversion import convert
     from embodichain.compat.gym_config.file import read_gym_config
     from embodichain.compat.gym_config.functors import VISUAL

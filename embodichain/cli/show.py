@@ -1,6 +1,6 @@
-"""`embodichain show`: a task as it would be run, or one term.
+"""`embodichain show`: prints a task as it would be run, or one term.
 
-The environment is built once and what was built is printed, so that nothing can differ.
+The environment is built and its contents are printed, so that they cannot differ from a run.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ __all__ = ["command"]
 @overrides("task=NAME [KEY=VALUE]... | term NAME", "term")
 @click.option("--config", is_flag=True, help="Only the resolved config, as YAML.")
 def command(words: tuple[str, ...], config: bool, json: bool) -> None:
-    """Print everything of a task, only its resolved config, or one term.
+    """Print all tables of a task, only its resolved config, or one term.
 
     Raises:
-        ConfigError: If there is no such task or term, or the task is wrong.
+        ConfigError: If there is no such task or term, or the task has mistakes.
     """
     if words[:1] == ("term",):
         if len(words) != 2 or config:
@@ -64,7 +64,7 @@ def command(words: tuple[str, ...], config: bool, json: bool) -> None:
 
 
 def _show_term(name: str, *, json: bool) -> None:
-    """Print what is registered under a name."""
+    """Print the terms registered under a name."""
     from embodichain.cli.terms import find_entries
 
     entries = find_entries(name)

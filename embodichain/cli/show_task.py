@@ -1,4 +1,4 @@
-"""What `show` prints of a built environment: timing, model, spaces, terms, flat vectors."""
+"""Tables of `show` about a built environment: timing, model, spaces, terms, flat vectors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ALWAYS = ("term", "func", "shape", "weight", "kind", "reduce", "group", "params
 
 
 def task_tables(resolved: Resolved) -> dict[str, Any]:
-    """Return every table of a task's environment, by title; it is built and closed."""
+    """Build and close a task's environment; return title -> table."""
     from embodichain.config.factory import make_env
 
     env = make_env(resolved.changed(num_envs=1))
@@ -51,7 +51,7 @@ def task_tables(resolved: Resolved) -> dict[str, Any]:
 
 
 def without_defaults(section: str, rows: Rows) -> Rows:
-    """Return the rows without the columns of terms in which every value is the default.
+    """Return rows of terms without the columns in which every value is the default.
 
     Args:
         section: The table's title.
@@ -71,7 +71,7 @@ def without_defaults(section: str, rows: Rows) -> Rows:
         or (section, name) == ("events", "mode")
         or any(row.get(name) != defaults.get(name) for row in rows)
     ]
-    shown.sort(key=lambda name: name == "params")  # the longest is the last
+    shown.sort(key=lambda name: name == "params")  # the longest last
     return [{name: row.get(name) for name in shown} for row in rows]
 
 
@@ -162,7 +162,7 @@ def _articulations(env: BaseEnv) -> dict[str, Any]:
 
 
 def _drives(env: BaseEnv) -> Iterator[dict[str, Any]]:
-    """Gains of the drives, and how fast they are; `max_velocity` bounds targets, not the joint."""
+    """Gains and time constants of the drives; `max_velocity` bounds targets, not the joint."""
     from embodichain.lab.sim.compiler.actuator_summary import (
         joint_inertia,
         time_constants,
@@ -190,7 +190,7 @@ def _limit(value: float) -> float | str:
 
 
 def _cameras(model: Any) -> Rows:
-    """The cameras for pictures and films; an entity's are called ``uid/NAME``."""
+    """The cameras for pictures and videos; those of an entity are named ``uid/NAME``."""
     return [
         {
             "camera": camera.name,
@@ -202,7 +202,7 @@ def _cameras(model: Any) -> Rows:
 
 
 def _notes(env: BaseEnv) -> Rows:
-    """What the compiler changed or left out of robots' files."""
+    """Changes to robots' files in compilation, and what was left out of them."""
     parsed = _articulations(env).items()
     return [{"entity": uid, "note": note} for uid, file in parsed for note in file.notes]
 
@@ -246,7 +246,7 @@ def _spaces(env: BaseEnv) -> Rows:
 
 
 def _bound(values: Any) -> Any:
-    """One number where all are the same, else all."""
+    """One number if all are the same, else all."""
     if values is None or not np.size(values):
         return None
     first = float(np.ravel(values)[0])
@@ -276,7 +276,7 @@ def _sensors(env: BaseEnv) -> Rows:
 
 
 def _terms(env: BaseEnv, section: str) -> Rows:
-    """The declared terms of one manager, in their order, with their fields that are set."""
+    """The declared terms of one manager in order, with the fields that are set."""
     shapes = _shapes(env, section)
     rows = []
     for name, cfg in getattr(env.cfg, section).items():
@@ -319,7 +319,7 @@ def _set_fields(cfg: Any) -> dict[str, Any]:
 
 
 def _flow(value: Any) -> str:
-    """A value as YAML would write it, on one line."""
+    """A value as YAML on one line."""
     if dataclasses.is_dataclass(value):
         return _flow(_set_fields(value))
     if isinstance(value, dict):
@@ -330,7 +330,7 @@ def _flow(value: Any) -> str:
 
 
 def _action_vector(env: BaseEnv) -> Rows:
-    """What each column of the action moves."""
+    """The joints or other targets of each action column."""
     manager = env.action_manager
     columns = zip(manager.names, manager.low, manager.high, strict=True)
     return [

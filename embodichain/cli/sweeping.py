@@ -1,8 +1,8 @@
 """Hydra's own `main`: sweeps, `--cfg` and `--info`.
 
-Points, workers and searches are Hydra's: its basic sweeper and launcher, and the plug-ins of the
-extra `sweep`, which bring `hydra/launcher=joblib` and `hydra/sweeper=optuna`. The configs of all
-jobs are checked before a sweep starts.
+Sweeps are run by Hydra's basic sweeper and launcher, or by the plug-ins of the extra `sweep`:
+`hydra/launcher=joblib` and `hydra/sweeper=optuna`. The configs of all jobs are checked before a
+sweep starts.
 """
 
 from __future__ import annotations
@@ -46,17 +46,17 @@ def call_hydra(
     options: Any,
     overrides: Sequence[str],
 ) -> None:
-    """Call Hydra's `main` for a verb; its exceptions come out as they are.
+    """Call Hydra's `main` for a verb; its exceptions are raised unchanged.
 
     Args:
-        verb: Whose jobs they are.
+        verb: The verb, ``run`` or ``train``.
         check: Checks the config of one job.
-        do: Does a job, in a folder or in a new one.
+        do: Runs a job, in the given folder or a new one.
         options: `cfg`, `info`, `multirun`, `package`, `resolve`.
         overrides: As typed.
 
     Raises:
-        ConfigError: Mistakes in the config of any job: nothing has started.
+        ConfigError: Mistakes in the config of any job; no job was started.
     """
     keys: list[str] = []
     gym = any(line.lstrip("+").startswith("gym_config=") for line in overrides)
@@ -74,7 +74,7 @@ def call_hydra(
     else:
         check(overrides)
 
-    # Pickled by value for the workers of a sweep, with what it refers to.
+    # Pickled by value for the workers of a sweep, with its closure.
     @hydra.main(version_base=VERSION_BASE, config_path="pkg://embodichain.conf", config_name=verb)
     def job(composed: DictConfig) -> float | None:
         resolved, folder = resolve(from_hydra(), verb), None
@@ -90,13 +90,13 @@ def call_hydra(
 
 
 def points(overrides: Sequence[str], most: int) -> Iterator[list[str]]:
-    """Give the overrides of each job of a sweep, as far as they are known before it starts.
+    """Yield the overrides of each job of a sweep, as far as they are known before it starts.
 
-    A search chooses its points as it goes: of one, there is the point with every key's first value.
+    A search chooses its points while it runs; for it, only the first value of each key is used.
 
     Args:
         overrides: As typed, with sweeps.
-        most: How many are given at most.
+        most: Largest number of jobs to yield.
 
     Raises:
         HydraException: An override is malformed.
@@ -112,7 +112,7 @@ def points(overrides: Sequence[str], most: int) -> Iterator[list[str]]:
 
 
 def towards_scores(overrides: Sequence[str]) -> list[str]:
-    """Let a search look for the highest objective, unless a direction is typed: Optuna minimizes.
+    """Make a search maximize the objective unless a direction is typed; Optuna minimizes.
 
     Args:
         overrides: As typed.
@@ -123,10 +123,10 @@ def towards_scores(overrides: Sequence[str]) -> list[str]:
 
 
 class BestPoint(Callback):
-    """Says which point a search found best; Hydra calls it, see `conf/common.yaml`."""
+    """Reports the best point of a search; called by Hydra, see `conf/common.yaml`."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Read what the search has left in the sweep's folder; other sweeps leave nothing there."""
+        """Read the results of a search from the sweep's folder; other sweeps write none."""
         path = Path(config.hydra.sweep.dir) / RESULTS_FILE
         if config.quiet or config.json or not path.is_file():
             return
@@ -137,7 +137,7 @@ class BestPoint(Callback):
 
 
 def _swept(overrides: Sequence[str]) -> list[str]:
-    """The keys that a sweep gives several values."""
+    """The keys with several values in a sweep."""
     parsed = OverridesParser.create().parse_overrides(list(overrides))
     return [override.key_or_group for override in parsed if override.is_sweep_override()]
 
@@ -147,7 +147,7 @@ def _searches(overrides: Sequence[str]) -> bool:
 
 
 def _first(override: Override) -> str:
-    """The override with one value in place of a sweep."""
+    """The override with the first value of its sweep."""
     line = override.input_line or ""
     if not override.is_sweep_override():
         return line
@@ -174,11 +174,11 @@ def _label(keys: Sequence[str]) -> str | None:
 
 @contextmanager
 def _labelled_lines(label: str | None, *, json: bool) -> Iterator[None]:
-    """Begin each line that is printed within with a label.
+    """Prefix each line printed inside the context with a label.
 
     Args:
         label: The label and a blank; None changes nothing.
-        json: Whether stdout is for programs: its lines then stay as they are.
+        json: Whether stdout is JSON; its lines are then not changed.
     """
     before = sys.stdout, sys.stderr
     if label is not None:
@@ -193,9 +193,9 @@ def _labelled_lines(label: str | None, *, json: bool) -> Iterator[None]:
 
 
 class _Labelled:
-    """A text stream whose lines begin with a label; each is written as a whole.
+    """A text stream that prefixes each line with a label and writes it at once.
 
-    It is no terminal, whatever is below: bars of several jobs would overwrite each other.
+    It is not a terminal even if `stream` is: bars of several jobs would overwrite each other.
     """
 
     def __init__(self, stream: TextIO, label: str) -> None:
@@ -211,7 +211,7 @@ class _Labelled:
         return len(text)
 
     def flush(self) -> None:
-        """Write what is left, as a line."""
+        """Write the remaining text as a line."""
         if self._rest:
             self.write("\n")
 
@@ -223,7 +223,7 @@ class _Labelled:
 
 
 def _flags(options: Any) -> list[str]:
-    """Hydra's flags; its parser takes them before the overrides only."""
+    """Hydra's flags, which its parser accepts only before the overrides."""
     flags = ["--multirun"] if options.multirun else []
     flags += ["--resolve"] if options.resolve else []
     for name in ("cfg", "package", "info"):
@@ -235,9 +235,9 @@ def _flags(options: Any) -> list[str]:
 
 @contextmanager
 def _process(program: str, arguments: list[str]) -> Iterator[None]:
-    """Put arguments where Hydra reads them, in `sys.argv`, and let its exceptions through.
+    """Put arguments into `sys.argv`, where Hydra reads them, and let its exceptions through.
 
-    What Hydra changes in `logging` is undone afterwards.
+    Hydra's changes to `logging` are undone afterwards.
     """
     argv, full = sys.argv, os.environ.get("HYDRA_FULL_ERROR")
     root = logging.getLogger()

@@ -1,4 +1,4 @@
-"""What `list terms`, `show term` and the page docs/terms.md print about registered terms."""
+"""Descriptions of registered terms for `list terms`, `show term` and the page docs/terms.md."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class TermDoc:
     Attributes:
         summary: Its first paragraph, on one line.
         text: The paragraphs before the first section, the summary among them.
-        params: What each argument is, on one line.
+        params: Argument -> its description on one line.
         example: YAML on one line that declares the term; empty if there is none.
     """
 
@@ -64,13 +64,13 @@ class TermDoc:
 
 @dataclass(frozen=True, slots=True)
 class TermEntry:
-    """One function or class under one name.
+    """One function or class registered under one name.
 
     Attributes:
-        name: How configs call it.
+        name: Its name in configs.
         kinds: The managers that run it; none for a shape.
-        spec: As it is registered under the first of them.
-        doc: Its docstring; of an alias its meaning.
+        spec: Its registration under the first of these.
+        doc: Its docstring; for an alias, its meaning.
     """
 
     name: str
@@ -80,16 +80,16 @@ class TermEntry:
 
     @property
     def sections(self) -> str:
-        """The sections of a task that it serves; empty for a shape."""
+        """The sections of a task in which it may be used; empty for a shape."""
         return ", ".join(SECTION_OF[kind] for kind in self.kinds)
 
     @property
     def signature(self) -> str:
-        """``name(a, b=1)``, as configs see it."""
+        """``name(a, b=1)``, with the parameters that configs may set."""
         return f"{self.name}({', '.join(_short(*item) for item in self.spec.params.items())})"
 
     def parameters(self) -> list[dict[str, str]]:
-        """One row a parameter: name, type with its range, default, what it is."""
+        """One row per parameter: name, type with its range, default, description."""
         hints = self.spec.hints()
         return [
             {
@@ -102,7 +102,7 @@ class TermEntry:
         ]
 
     def facts(self) -> dict[str, Any]:
-        """Return everything about it, for JSON."""
+        """Return all its properties, for JSON."""
         facts: dict[str, Any] = {
             "name": self.name,
             "kinds": list(self.kinds),
@@ -125,7 +125,7 @@ def all_entries() -> list[TermEntry]:
 
 
 def shape_entries() -> list[TermEntry]:
-    """Every shape that a quantity may be given, in the order of their module."""
+    """Every shape (function of a quantity), in the order of its module."""
     TERMS["reward"]  # shapes are registered with the terms
     return [TermEntry(name, (), spec, parse_doc(spec.doc)) for name, spec in SHAPES.items()]
 
@@ -135,7 +135,7 @@ def _doc_of(spec: TermSpec) -> TermDoc:
 
 
 def _doc_of_alias(spec: AliasSpec) -> TermDoc:
-    """An alias described by the docstrings of its target and its shapes."""
+    """Describe an alias by the docstrings of its target and shapes."""
     docs = [parse_doc(part.doc) for part in spec.parts]
     first: dict[str, Any] = yaml.safe_load(docs[0].example)
     params: dict[str, Any] = yaml.safe_load(spec.example) if spec.example else {}
@@ -174,10 +174,10 @@ def _parameters_of(written: Any, shape: TermSpec) -> dict[str, Any]:
 
 
 def find_entries(name: str) -> list[TermEntry]:
-    """Return the terms and shapes of a name: several where kinds have one each.
+    """Return the terms and shapes with a name; several if more than one kind has it.
 
     Raises:
-        ConfigError: If nothing is; names the closest.
+        ConfigError: If there is none; names the closest.
     """
     entries = [*all_entries(), *shape_entries()]
     found = [entry for entry in entries if entry.name == name]
@@ -188,13 +188,13 @@ def find_entries(name: str) -> list[TermEntry]:
 
 
 def _short(name: str, parameter: inspect.Parameter) -> str:
-    """``name`` where a value must be given, else ``name=default``."""
+    """``name`` if the parameter is required, else ``name=default``."""
     required = parameter.default is inspect.Parameter.empty
     return name if required else f"{name}={parameter.default}"
 
 
 def _default(parameter: inspect.Parameter) -> str:
-    """A default as YAML; empty where a value must be given."""
+    """A default as YAML; empty if the parameter is required."""
     value = parameter.default
     if value is inspect.Parameter.empty:
         return ""
@@ -233,7 +233,7 @@ def parse_doc(doc: str) -> TermDoc:
 
 
 def _entries(lines: list[str]) -> dict[str, str]:
-    """``name: text`` entries; deeper indented lines go on with the one before."""
+    """``name: text`` entries; deeper indented lines continue the one before."""
     found: dict[str, str] = {}
     name = ""
     for line in textwrap.dedent("\n".join(lines)).splitlines():
@@ -269,7 +269,7 @@ _LIMITS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 
 
 def type_words(hint: Any) -> str:
-    """Return what a value of this type looks like in YAML.
+    """Return a description of a type's values in YAML.
 
     Args:
         hint: An evaluated annotation: ``Annotated[float, Field(gt=0)]`` gives ``number > 0``.
@@ -296,7 +296,7 @@ def type_words(hint: Any) -> str:
 
 
 def _container(origin: Any, arguments: tuple[Any, ...], metadata: list[Any]) -> str:
-    """A list or a map; pairs that are checked beyond their length are bounds."""
+    """Describe a list or a map; pairs with a further check are bounds."""
     item = type_words(arguments[0]) if arguments else "anything"
     if issubclass(origin, Mapping):
         return f"map of {type_words(arguments[-1])}" if arguments else "map"

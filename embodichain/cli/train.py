@@ -1,7 +1,7 @@
 """`embodichain train`: learn a policy with Stable-Baselines3, or resume a training.
 
-``resume=RUN`` takes its config from the run's own `config.yaml`. It is the same experiment, so only
-few keys may change. It continues in a folder of its own: what was written before is not changed.
+``resume=RUN`` reads the config from the run's `config.yaml`. It is the same experiment, so only few
+keys may change. It continues in a new folder; the files of the earlier run are not changed.
 """
 
 from __future__ import annotations
@@ -64,10 +64,10 @@ def command(**kwargs: Any) -> None:
 
 
 def train_job(job: Job) -> float | None:
-    """Learn, evaluate what was learned, show both."""
+    """Train, evaluate the policy and print the results of both."""
     episodes, seed = job.root.eval.episodes, job.root.seed
     asked = evaluated = None
-    if episodes and seed is not None:  # as `embodichain eval RUN`; its mistakes come first
+    if episodes and seed is not None:  # as `embodichain eval RUN`; checked before training
         asked = Asked(episodes, seed)
         evaluated = evaluation_config(job.resolved, asked)
     summary = _learn(job)
@@ -82,7 +82,7 @@ def train_job(job: Job) -> float | None:
 
 
 def _learn(job: Job) -> dict[str, Any]:
-    """Learn until it ends or a signal stops it; returns what `summary.json` contains."""
+    """Train to the end or until a signal; returns the content of `summary.json`."""
     from embodichain.cli.dashboard import Dashboard
     from embodichain.config.algorithms import DEFAULT_ALGORITHM
     from embodichain.config.run_folder import SUMMARY
@@ -100,7 +100,7 @@ def _learn(job: Job) -> dict[str, Any]:
             if display.due:
                 display.update(statistics)
 
-        # Interrupted: checkpoint and summary are written by then; the job ends with code 130.
+        # Interrupted: checkpoint and summary have been written; the job ends with code 130.
         with suppress(Interrupted):
             train(
                 *(job.resolved, job.folder, progress),
@@ -111,7 +111,7 @@ def _learn(job: Job) -> dict[str, Any]:
 
 
 def _evaluate(job: Job, evaluated: Resolved, asked: Asked) -> dict[str, Any]:
-    """Play the final checkpoint; returns the summary with what was found."""
+    """Evaluate the final checkpoint; returns the summary with the results."""
     from embodichain.config.run_folder import CHECKPOINT
     from embodichain.learning.train import add_evaluation
 
@@ -121,7 +121,7 @@ def _evaluate(job: Job, evaluated: Resolved, asked: Asked) -> dict[str, Any]:
 
 
 def _print(summary: dict[str, Any]) -> None:
-    """Print the closing table."""
+    """Print the summary as a table."""
     shares = [f"{name} {share:.0%}" for name, share in summary["time_fractions"].items()]
     rows = [
         (key.replace("_", " "), shares if key == "time_fractions" else value)
@@ -137,11 +137,11 @@ def _resumed(overrides: Sequence[str]) -> Resolved:
     """The config of a training that is resumed.
 
     Args:
-        overrides: As typed: ``resume=RUN`` (or ``last``) and what may change.
+        overrides: As typed: ``resume=RUN`` (or ``last``) and keys that may change.
 
     Raises:
-        ConfigError: There is no such run, none of its checkpoints can be resumed, or something
-            else is asked to change.
+        ConfigError: There is no such run, none of its checkpoints can be resumed, or an override
+            sets a key that may not change.
     """
     from embodichain.config.rerun import read_config
     from embodichain.config.resolved import resolve_tree
@@ -165,7 +165,7 @@ def _resumed(overrides: Sequence[str]) -> Resolved:
     fresh |= {"allow_changed": False, "resume": str(folder)}
     tree = {**read_config(folder / CONFIG), **fresh}
     for key, value in changes.items():
-        # An option of the group `record` is its format: the rest of the run's own stays.
+        # An option of the group `record` sets the format only; other keys keep the run's values.
         path = "record.format" if key == "record" and isinstance(value, str) else key
         *parents, last = path.split(".")
         node = tree

@@ -1,4 +1,4 @@
-"""The policy that `eval`, `play` and `export` are given: a training, a file, or a name."""
+"""Finds the policy for `eval`, `play` and `export`: of a training, in a file, or by its name."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Target:
 
     Attributes:
         policy: A file's path, or the policy's name.
-        file: The file, where it is one.
-        run: The folder of the run that it belongs to, where there is one.
+        file: The file, or None.
+        run: The folder of the run that the file belongs to, or None.
     """
 
     policy: str
@@ -31,14 +31,14 @@ class Target:
     run: Path | None
 
     def resolve(self, overrides: Sequence[str], values: Mapping[str, Any]) -> Resolved:
-        """Return the config to play it in: ``task=`` in the overrides, else its run's own.
+        """Return the config for the policy: from ``task=`` in the overrides, else from its run.
 
         Args:
             overrides: As typed.
-            values: Keys of the root to set where the run's own config is used.
+            values: Keys of the root to set if the run's config is used.
 
         Raises:
-            ConfigError: There is neither, or the config is wrong.
+            ConfigError: There is neither, or the config has mistakes.
         """
         if any(line.startswith(("task=", "gym_config=")) for line in overrides):
             from embodichain.config.resolved import resolve
@@ -77,16 +77,16 @@ def find_target(name: str, output_root: str = "outputs") -> Target:
 
 
 def one_target(action: str, words: Sequence[str]) -> tuple[Target, list[str]]:
-    """Return the one policy that words name, and the overrides among them.
+    """Return the policy named by a verb's arguments, and the overrides among them.
 
-    Overrides are ``key=value`` and ``~key``; a file that exists is a name.
+    Overrides are ``key=value`` and ``~key``; the path of an existing file is a name.
 
     Args:
         action: What the verb does with it, for messages.
-        words: As typed.
+        words: The arguments as typed.
 
     Raises:
-        ConfigError: They name none or several, or it is not there.
+        ConfigError: No policy or several are named, or the policy does not exist.
     """
     marked = [word for word in words if "=" in word or word.startswith("~")]
     lines = [word for word in marked if not Path(word).exists()]
@@ -107,6 +107,6 @@ def take(overrides: list[str], key: str, default: str) -> str:
 
 
 def _run_of(file: Path) -> Path | None:
-    """The run that a file belongs to: a checkpoint is one folder below, an export in it."""
+    """The run of a file, if any: an export is in the run folder, a checkpoint one folder below."""
     folders = (file.parent.parent, file.parent)
     return next((folder for folder in folders if (folder / "config.yaml").is_file()), None)

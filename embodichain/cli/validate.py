@@ -1,4 +1,4 @@
-"""`embodichain validate`: every mistake in a task or a file that `run` would refuse.
+"""`embodichain validate`: prints every mistake in a task or a file that `run` would refuse.
 
 All mistakes of the config are found first; then one environment is built as a run builds it, which
 needs torch.
@@ -40,10 +40,10 @@ __all__ = ["command"]
 @overrides("FILE | [task=NAME] [KEY=VALUE]...")
 @click.option("--train", is_flag=True, help="As `train` would read it.")
 def command(words: tuple[str, ...], train: bool, json: bool) -> int:
-    """Print every mistake on stderr and exit 2, or say that there is none."""
+    """Print every mistake on stderr and exit with 2, or report that there is none."""
     verb: Verb = "train" if train else "run"
     name = " ".join(words)
-    # By the ending, so that a file that is missing is reported as such.
+    # By the suffix, so that a missing file is reported as missing.
     endings = (".yaml", ".yml", ".json")
     files = [word for word in words if "=" not in word and word.endswith(endings)]
     notes: tuple[Problem, ...] = ()
@@ -85,16 +85,16 @@ def command(words: tuple[str, ...], train: bool, json: bool) -> int:
 def _try_out(resolved: Resolved, verb: Verb) -> None:
     """Build what the job builds, reset it and take one step.
 
-    Files that terms write go to a temporary folder, which is removed; no viewer is opened and no
-    log is written.
+    Terms write files into a temporary folder, which is removed; no viewer is opened and no log is
+    written.
 
     Args:
-        resolved: A config that was checked.
-        verb: Whose job it is: a training builds its algorithm, a run its policy.
+        resolved: A checked config.
+        verb: ``train`` also builds the algorithm, ``run`` the policy.
 
     Raises:
-        ConfigError: What the job would refuse, with its place.
-        Exception: What else would end the job here.
+        ConfigError: A mistake that the job would refuse, with its place.
+        Exception: Any other error that would end the job.
     """
     from embodichain.cli.jobs import check_extras, policy_of
     from embodichain.config.factory import make_env

@@ -1,4 +1,4 @@
-"""`embodichain view`: how to open a log in a viewer; open it there, or play it to one."""
+"""`embodichain view`: prints how to open a log in a viewer, opens it, or plays it to a viewer."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ _MAGIC = b"\x89MCAP0\r\n"
 def command(
     file: str, opens: bool, serve: bool, host: str, port: int | None, speed: float, json: bool
 ) -> None:
-    """Print how to open a log; open it, or play it."""
+    """Print how to open a log, open it, or play it."""
     from embodichain.recording import inspect
 
     log = inspect(log_of(file))
@@ -87,7 +87,7 @@ def _layout(log: LogSummary) -> Path:
 
 
 def _open(log: LogSummary) -> None:
-    """Hand the file to the desktop."""
+    """Open the file with the desktop's default program."""
     for name in ("xdg-open", "open"):
         program = shutil.which(name)
         if program is not None:

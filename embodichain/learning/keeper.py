@@ -76,9 +76,9 @@ class CheckpointKeeper:
         return f"{CHECKPOINTS}/{BEST}" if path.is_file() else None
 
     def boundary(self) -> None:
-        """Write a checkpoint where a rollout begins, if one is due; the oldest goes."""
+        """Write a checkpoint if one is due, and delete the oldest; call it before each rollout."""
         steps = self._session.model.num_timesteps
-        if self._next is None:  # where the training begins, or goes on
+        if self._next is None:  # the first rollout, or the first after a resume
             self._next = steps + self._every
         if steps < self._next:
             return

@@ -224,7 +224,7 @@ class TimeSplit:
             self.seconds[part] += seconds
 
     def end(self) -> None:
-        """Count the time since the last rollout when learning has ended."""
+        """Count the time since the last call of any method as the update's."""
         self.seconds["update"] += self._lap()
 
     def _lap(self) -> float:

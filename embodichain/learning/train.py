@@ -1,4 +1,4 @@
-"""`train`: from one config to a checkpoint and a summary; a training from top to bottom."""
+"""`train`: runs a training from its config to the final checkpoint and the summary."""
 
 from __future__ import annotations
 
@@ -43,25 +43,25 @@ __all__ = [
 GROUP = "policy"
 _EVAL_KEYS = {field.name for field in dataclasses.fields(Evaluation)} - {"per_episode"}
 TORCH_THREADS = 1
-"""Threads of torch while learning: networks are small, and the cores belong to physics."""
+"""Threads of torch while learning: one, as networks are small and physics needs the cores."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class TrainSummary:
-    """What a training was; `summary.json` has the same keys.
+    """The results of a training; `summary.json` has the same keys.
 
     Attributes:
-        env_steps: Environment steps taken, summed over environments, with those before a resume.
+        env_steps: Environment steps, summed over environments, including those before a resume.
         train_seconds: Wall time of learning, without start-up.
         time_fractions: Shares of the wall time since the start or the resume, see `session.PARTS`.
-        success_rate: Share of the last 200 episodes that were a success; None without any.
-        mean_return: Mean return of the last 200 episodes; None without any.
+        success_rate: Success rate of the last 200 episodes; None without episodes.
+        mean_return: Mean return of the last 200 episodes; None without episodes.
         checkpoint: Path of the final checkpoint, relative to the run folder.
-        best: That of the best one; None where no episode ended.
-        resumed_from: The checkpoint that this training went on from; None for a new one.
-        eval: What the evaluation at the end found, see `add_evaluation`; None without one.
-        objective: What a sweeper optimises: the evaluation's success rate, or its mean return for a
-            task without success; without an evaluation, the training's own.
+        best: Path of the best checkpoint; None if no episode ended.
+        resumed_from: The checkpoint that this training was resumed from; None for a new one.
+        eval: Results of the evaluation at the end, see `add_evaluation`; None without one.
+        objective: The objective for a sweeper: the evaluation's success rate, or its mean return
+            for a task without success; without an evaluation, that of the training.
     """
 
     task: str
@@ -89,26 +89,25 @@ def train(
     progress: Progress | None = None,
     attach: Callable[[BaseEnv], None] | None = None,
 ) -> TrainSummary:
-    """Learn a task in this process.
+    """Train a policy in this process.
 
-    Writes checkpoints and ``summary.json`` into the run folder, each as a whole or not at all, and
-    logs. With ``resume`` in the config it goes on from the newest checkpoint of that run's folder.
+    Writes checkpoints, ``summary.json`` (both atomically) and logs into the run folder. With
+    ``resume`` in the config, training continues from the newest checkpoint of that run's folder.
 
     Args:
         resolved: A config of the verb `train`.
-        run_dir: The run's own folder, which exists.
+        run_dir: The run's folder, which exists.
         progress: Called after every control step with `TrainStatistics`; may raise
-            KeyboardInterrupt to stop: the rollout and its update are finished first.
-        attach: Called with the environment once it is built, to attach observers: viewers.
+            KeyboardInterrupt to stop after the current rollout and its update.
+        attach: Called with the built environment, to attach observers such as viewers.
 
     Returns:
-        What the training was.
+        The results.
 
     Raises:
         ConfigError: If the task cannot be learned or an argument is wrong; nothing was written.
-        KeyboardInterrupt: `progress` raised it, or Ctrl-C came; what was learned until then is
-            saved first.
-        WriteError: The folder cannot be written; checkpoints that were whole still are.
+        KeyboardInterrupt: Raised by `progress` or Ctrl-C; the model is saved first.
+        WriteError: The folder cannot be written; complete checkpoints remain.
     """
     algorithm = _checked_algorithm(resolved)
     env = make_env(resolved)
@@ -128,11 +127,11 @@ def train(
 
 
 def add_evaluation(run_dir: Path, found: Mapping[str, Any]) -> dict[str, Any]:
-    """Put an evaluation of the final checkpoint into a training's `summary.json`.
+    """Add an evaluation of the final checkpoint to a training's `summary.json`.
 
     Args:
         run_dir: The training's folder.
-        found: `Evaluation.as_dict()`; the list of episodes is left out.
+        found: `Evaluation.as_dict()`; `per_episode` is left out.
 
     Returns:
         The summary.
@@ -147,19 +146,19 @@ def add_evaluation(run_dir: Path, found: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_training(resolved: Resolved) -> None:
-    """Check what `train` would refuse before it builds anything.
+    """Run the checks of `train` that need no environment.
 
     Args:
         resolved: A config of the verb `train`.
 
     Raises:
-        ConfigError: Every mistake.
+        ConfigError: Lists every mistake.
     """
     _checked_algorithm(resolved)
 
 
 def check_algorithm(resolved: Resolved, env: BaseEnv) -> None:
-    """Build the algorithm of a training on its environment, and leave it at that.
+    """Build the algorithm of a training on its environment, as a check, without training.
 
     Args:
         resolved: A config of the verb `train`.
@@ -172,7 +171,7 @@ def check_algorithm(resolved: Resolved, env: BaseEnv) -> None:
 
 
 def _checked_algorithm(resolved: Resolved) -> Algorithm:
-    """Check what the config says about learning before anything is built."""
+    """Check the config keys for learning, before building."""
     root = resolved.root
     problems = check_training_keys(root) + check_wandb(root.wandb)
     if root.resume is not None and not Path(root.resume).is_dir():
@@ -253,7 +252,7 @@ def _write(run_dir: Path, summary: Mapping[str, Any]) -> None:
 
 @contextmanager
 def _torch_threads(count: int) -> Iterator[None]:
-    """Set the threads of torch's operators for a while; they belong to the whole process."""
+    """Set the number of torch's threads inside the context; it applies to the whole process."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:

@@ -1,4 +1,4 @@
-"""`TrainedPolicy`: a policy from a file, which checks that it fits where it acts."""
+"""`TrainedPolicy`: a policy from a file, which checks that it fits its environment."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ class TrainedPolicy(ABC):
     """A function of flat observations that acts in batched environments.
 
     Args:
-        name: What messages call it.
+        name: Its name in messages.
         group: The observation group it was trained on.
-        trained_in: What its task was in training; None where that is not known.
+        trained_in: The digest of its task in training; None if unknown.
 
     Attributes:
-        allow_changed: Whether it acts in a task that has changed since training.
-        changed: What of the task that it was last checked against differs from training.
+        allow_changed: Whether to accept a task that has changed since training.
+        changed: Differences between the task last checked and that of training.
     """
 
     def __init__(self, name: str, group: str, trained_in: TaskDigest | None = None) -> None:
@@ -50,8 +50,8 @@ class TrainedPolicy(ABC):
         """Check that the policy fits an environment.
 
         Raises:
-            ConfigError: If it does not take the task's observations or give its actions, or the
-                task changed since training and `allow_changed` is not set.
+            ConfigError: If its observations or actions differ from the task's, or the task changed
+                since training and `allow_changed` is not set.
         """
         self._fit(env)
         self.changed = check_unchanged(
@@ -72,28 +72,28 @@ class TrainedPolicy(ABC):
 
     @abstractmethod
     def act(self, obs: F32) -> F32:
-        """Return (N, A) actions for (N, K) observations, both as the task has them."""
+        """Return (N, A) actions for (N, K) observations, both in the task's units."""
 
     @abstractmethod
     def _fit(self, env: BaseEnv) -> None:
-        """Check that observations and actions have the widths of an environment's."""
+        """Check that observations and actions have the widths of those of an environment."""
 
     @abstractmethod
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Forget what is remembered of these environments' episodes; None is all."""
+        """Reset the policy's state for these environments; None is all."""
 
 
 def check_columns(name: str, columns: Sequence[str], env: BaseEnv, group: str) -> None:
-    """Check that a policy gets in an environment the observations that it had in training.
+    """Check that the observation columns of an environment are those of a policy's training.
 
     Args:
-        name: What messages call the policy.
-        columns: What it was trained on.
-        env: Where it will act.
+        name: The policy's name in messages.
+        columns: Observation columns in training.
+        env: The environment that it will act in.
         group: The observation group.
 
     Raises:
-        ConfigError: If the columns are others; names the first that differs.
+        ConfigError: If the columns differ; names the first difference.
     """
     here = observation_columns(env, group)
     pairs = itertools.zip_longest(columns, here, fillvalue="nothing")
