@@ -144,7 +144,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         cfg, sim = self.cfg, self.sim
         self.drives_robot = not cfg.actions and bool(cfg.robot or cfg.robots)
         own = self._setup_robot(**kwargs)
-        # After each hook, add what the config declares and an override did not add.
+        # After each hook, add the declared entities that an override did not add.
         declared = scene_setup.add_declared_robots(sim, cfg)
         self.robot = own if own is not None else declared
         has_space = getattr(self, "single_action_space", None) is not None

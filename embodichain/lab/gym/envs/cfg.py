@@ -58,7 +58,7 @@ Noise = float | list[float] | None
 class SceneEntityCfg:
     """Refers to an entity and, optionally, to its joints or links; regexes must match in full.
 
-    Resolved against the scene at build: what matches nothing is an error listing the candidates.
+    Resolved against the scene at build: no match is an error that lists the candidates.
     The order is the declared one when `preserve_order`, else the entity's own.
     """
 
@@ -165,7 +165,7 @@ class ActionTermCfg(TermCfg):
 
     delay: Steps | Annotated[list[Steps], Field(min_length=2, max_length=2)] = 0
     """Control steps, or [low, high]: then each episode of each environment draws its own. Until
-    the first action arrives, the term receives the one that changes nothing."""
+    the first action arrives, the term receives the one that keeps the present targets."""
     noise: NoiseCfg | None = None
     """In units of the action."""
 
@@ -240,7 +240,7 @@ class EnvCfg:
     ignore_terminations: bool = False
     max_episode_steps: int = 300
     """Control steps; -1 is no limit."""
-    # ours: the declared task. Maps are keyed by name; an entity's uid is its key.
+    # The declared task (not in EmbodiChain). Maps are keyed by name; an entity's uid is its key.
     description: str = dataclasses.field(default="", kw_only=True)
     id: str | None = dataclasses.field(default=None, kw_only=True)
     """A registered Python class instead of the generic one; ``package.module:ID`` imports it."""

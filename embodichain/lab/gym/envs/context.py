@@ -1,4 +1,4 @@
-"""`TermContext`: what terms and managers use of an environment.
+"""`TermContext`: the part of an environment that terms and managers use.
 
 `BaseEnv` satisfies these protocols structurally. Terms annotate their first argument with
 `TermContext`, so that they do not depend on the environment's class.
@@ -100,11 +100,11 @@ class EditableTerms(Protocol):
 
 
 class TermContext(ObservedEnv, Protocol):
-    """What terms and managers use of an environment. N is the number of environments."""
+    """The part of an environment that terms and managers use. N is the number of environments."""
 
     @property
     def cfg(self) -> EnvCfg:
-        """The environment's own copy of its config."""
+        """The environment's copy of its config."""
         ...
 
     @property
@@ -139,7 +139,7 @@ class TermContext(ObservedEnv, Protocol):
 
     @property
     def control_frequency(self) -> float:
-        """Control steps a second."""
+        """Control steps per second."""
         ...
 
     @property
@@ -192,7 +192,7 @@ class TermContext(ObservedEnv, Protocol):
         ...
 
     def scene_entity(self, cfg: Any) -> ResolvedEntity:
-        """Look up what a `SceneEntityCfg` (or a mapping with its keys) refers to."""
+        """Look up the entity of a `SceneEntityCfg` (or of a mapping with its keys)."""
         ...
 
     def add_detached_uids_for_reset(self, uids: Sequence[str]) -> None:

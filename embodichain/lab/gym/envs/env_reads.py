@@ -1,4 +1,4 @@
-"""`EnvReads`: what users, terms and observers read of an environment."""
+"""`EnvReads`: the readable attributes of an environment, for users, terms and observers."""
 
 from __future__ import annotations
 
@@ -73,22 +73,22 @@ class EnvReads:
 
     @property
     def physics_dt(self) -> float:
-        """Seconds a physics step."""
+        """Seconds per physics step."""
         return self.cfg.sim_cfg.physics_dt
 
     @property
     def step_dt(self) -> float:
-        """Seconds a control step."""
+        """Seconds per control step."""
         return self.physics_dt * self.sim_steps_per_control
 
     @property
     def physics_frequency(self) -> float:
-        """Physics steps a second."""
+        """Physics steps per second."""
         return 1.0 / self.physics_dt
 
     @property
     def control_frequency(self) -> float:
-        """Control steps a second."""
+        """Control steps per second."""
         return 1.0 / self.step_dt
 
     # -- counters ------------------------------------------------------------------------------
@@ -168,10 +168,10 @@ class EnvReads:
     # -- the scene -----------------------------------------------------------------------------
 
     def scene_entity(self, cfg: Any) -> ResolvedEntity:
-        """Look up what a `SceneEntityCfg` (or a mapping with its keys) refers to.
+        """Look up the entity of a `SceneEntityCfg` (or of a mapping with its keys).
 
         Raises:
-            ConfigError: If the entity, a joint or a link does not exist; lists what does.
+            ConfigError: If the entity, a joint or a link does not exist; lists those that do.
         """
         return resolve_entity(self.sim, cfg)
 
@@ -244,12 +244,12 @@ class EnvReads:
 
     @property
     def sim_freq(self) -> float:
-        """Physics steps a second."""
+        """Physics steps per second."""
         return self.physics_frequency
 
     @property
     def control_freq(self) -> float:
-        """Control steps a second."""
+        """Control steps per second."""
         return self.control_frequency
 
     @property

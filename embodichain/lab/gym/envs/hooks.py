@@ -68,7 +68,7 @@ class EnvHooks:
         return add_declared_robots(self.sim, self.cfg)
 
     def _prepare_scene(self, **kwargs: Any) -> None:
-        """Add everything else; called after `_setup_robot`. The default adds what is declared."""
+        """Add all other entities, after `_setup_robot`. The default adds the declared ones."""
         add_declared_scene(self.sim, self.cfg)
 
     def _setup_sensors(self, **kwargs: Any) -> dict[str, Any]:
@@ -85,7 +85,7 @@ class EnvHooks:
     # -- resetting -----------------------------------------------------------------------------
 
     def _initialize_episode(self, env_ids: torch.Tensor, **kwargs: Any) -> None:
-        """Set the initial state of environments, whose entities are in their configured state.
+        """Set the initial state of environments; entities have their configured state before.
 
         Args:
             env_ids: (n,) int64, sorted.

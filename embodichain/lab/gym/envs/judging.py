@@ -83,7 +83,7 @@ class Outcome:
 
 
 def task_state(state: Any, num_envs: int, name: str) -> dict[str, Any]:
-    """Return entries of ``info`` from what `compute_task_state` returned.
+    """Return entries of ``info`` from the result of `compute_task_state`.
 
     Args:
         state: Success (N,), failure (N,) and metrics by name.
@@ -215,7 +215,7 @@ class StepJudge:
         """Info of the step: from the class's hooks, then terminations, then metrics."""
         env = self._env
         found = env.get_info(**kwargs)
-        info = found if type(found) is dict else dict(found.items())  # EmbodiChain's is no dict
+        info = found if type(found) is dict else dict(found.items())  # EmbodiChain's is not a dict
         success = as_mask(info.get("success"), env.num_envs, "success")
         fail = as_mask(info.get("fail"), env.num_envs, "fail")
         masks = env.termination_manager.compute(obs, action, info)

@@ -1,8 +1,8 @@
 """`StepObserver`: how logs, viewers and dashboards follow an environment.
 
 Also the records that observers receive (named tuples: a third of the time of frozen dataclasses),
-and `ObservedEnv`, what observers use of an environment. A Gymnasium wrapper cannot replace an
-observer: it does not see what happens inside an automatic reset.
+and `ObservedEnv`, the part of an environment that observers use. A Gymnasium wrapper cannot replace
+an observer: it receives nothing from inside an automatic reset.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class EndedBy(Protocol):
 
 
 class ObservedEnv(Protocol):
-    """What observers use of an environment."""
+    """The part of an environment that observers use."""
 
     @property
     def num_envs(self) -> int:
@@ -69,17 +69,17 @@ class ObservedEnv(Protocol):
 
     @property
     def physics_dt(self) -> float:
-        """Seconds a physics step."""
+        """Seconds per physics step."""
         ...
 
     @property
     def step_dt(self) -> float:
-        """Seconds a control step."""
+        """Seconds per control step."""
         ...
 
     @property
     def sim_steps_per_control(self) -> int:
-        """Physics steps a control step."""
+        """Physics steps per control step."""
         ...
 
     @property
@@ -114,7 +114,7 @@ class EventRecord(NamedTuple):
         term: The term's name in the config.
         mode: ``startup``, ``reset`` or ``interval``; ``command`` for a command.
         env_ids: (n,) int64 environments in which it fired, or None for all N.
-        drawn: What it drew at random, by name, each (n, ...); empty if it draws nothing.
+        drawn: Its random draws by name, each (n, ...); empty if there are none.
     """
 
     term: str

@@ -295,7 +295,7 @@ def _references(path: str, params: Any) -> Iterator[tuple[str, Mapping[str, Any]
             yield from _references(where, value)
 
 
-# -- what events draw ------------------------------------------------------------------------------
+# -- draws of events -------------------------------------------------------------------------------
 
 
 def drive_changes(events: Mapping[str, EventCfg]) -> dict[str, list[DriveChange]]:

@@ -18,7 +18,7 @@ __all__ = ["Drawn", "Snapshot", "SnapshotSource"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
-    """What a term drew for one environment.
+    """The draws of a term for one environment.
 
     Attributes:
         term: Name of the term.

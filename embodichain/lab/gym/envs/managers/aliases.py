@@ -2,7 +2,7 @@
 
 ``"joint_vel_l2": alias("joint_velocity", "l2")`` makes ``{func: joint_vel_l2}`` mean ``{func:
 joint_velocity, shape: l2}``. A parameter of the target may have a fixed value, another name (`P`),
-or a value that a function makes of parameters of its own.
+or a value that a function computes from its own parameters.
 """
 
 from __future__ import annotations

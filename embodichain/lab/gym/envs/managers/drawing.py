@@ -348,7 +348,7 @@ class CommandManager(DrawingManager[CommandCfg]):
             if type(term).metrics is not CommandTerm.metrics
         ]
 
-    # -- what others read ----------------------------------------------------------------------
+    # -- read by terms -------------------------------------------------------------------------
 
     def require(self, name: str, key: str = "command_name") -> str:
         """Return the name of a command if it exists; for terms with a command parameter.
@@ -380,7 +380,7 @@ class CommandManager(DrawingManager[CommandCfg]):
         instance = self.terms[name].instance
         return tuple(instance.names) or tuple(map(str, range(instance.values.shape[1])))
 
-    # -- what the environment calls ------------------------------------------------------------
+    # -- called by the environment -------------------------------------------------------------
 
     def resample(self, env_ids: EnvIndex | None) -> None:
         """Draw every command, for environments that were reset.

@@ -70,7 +70,7 @@ _DAMPING = 1e-6
 _LONGEST_STEP = 0.5
 """Rad or m: no joint moves farther in one iteration."""
 _SHORTEST_STEP = 1e-5
-"""Rad or m: where no joint moves farther than this, nothing nearer to the pose is found."""
+"""Rad or m: the search ends when no joint moves farther than this in an iteration."""
 
 
 class Reach:

@@ -222,7 +222,7 @@ class UniformJointPositionCommand(CommandTerm):
     Args:
         entity_cfg: The robot; its joint names or control parts pick joints.
         position_range: [low, high] for all picked joints, or a map from joint name or regex to it;
-            joints that no key matches stay at home. None draws between the joints' limits.
+            joints that no key matches get their initial position. None draws between the limits.
         relative: True adds the draw to the initial positions; unused without ranges.
     """
 

@@ -57,7 +57,7 @@ class Randomize:
             whose size environments share, are refused.
         mass: kg, of an object or of each link; links without mass are left out.
         com: [[x, y, z] low, [x, y, z] high] in metres, in the body's frame, added to the compiled
-            centre of mass. Inertias about the centre of mass stay.
+            centre of mass. Inertias about the centre of mass do not change.
         inertia: Factors, positive, of the three principal moments together, for the mass at that
             time.
         friction: Sliding coefficient of each object or link that collides. A contact takes the
