@@ -176,7 +176,7 @@ class Locator:
 
 
 def _depth_of_override(override: Override, parts: Sequence[str]) -> float:
-    """How many parts of a path an override sets; less a half if it sets something below it."""
+    """Number of parts of a path that an override sets; less a half if it sets a key below."""
     key = override.key_or_group.replace("[", ".").replace("]", "").split(".")
     common = len(commonprefix([key, list(parts)]))
     if common < len(key):

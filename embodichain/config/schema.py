@@ -78,7 +78,7 @@ class RecordCfg:
     view_envs: list[Annotated[int, Field(ge=0)]] = [0]
     """Environments recorded for viewers: transforms, shapes, joint states."""
     view_hz: Annotated[float, Field(gt=0)] = 10.0
-    """Of simulated time."""
+    """Rate of these in simulated time, Hz."""
 
 
 @configclass
