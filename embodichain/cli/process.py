@@ -86,16 +86,30 @@ def signals_raise() -> Iterator[None]:
     Further signals are ignored, except Ctrl-C, which exits at once. Within a `StopFlag`, signals
     set the flag instead.
 
-    Python ignores exceptions in finalizers and weak reference callbacks. If a signal arrives there,
-    it is delivered again shortly after.
+    Python ignores exceptions in finalizers and weak reference callbacks, and libraries in C may
+    discard them. If the context is not left, the signal is delivered again: at once where Python
+    reports the exception, otherwise every two seconds, which is longer than removing files takes.
     """
     came: list[str] = []
+    timers: list[threading.Timer] = []
     hook = sys.unraisablehook
+    main = threading.main_thread().ident
+
+    def deliver(number: int, seconds: float) -> None:
+        def send() -> None:
+            came.clear()
+            signal.pthread_kill(main or 0, number)
+
+        timer = threading.Timer(seconds, send)
+        timer.daemon = True
+        timers.append(timer)
+        timer.start()
 
     def handle(number: int, frame: FrameType | None) -> None:
         name = signal.Signals(number).name
         if not came:
             came.append(name)
+            deliver(number, 2.0)
             raise Interrupted(f"interrupted ({name})")
         if number == signal.SIGINT:
             raise KeyboardInterrupt(_TWICE)
@@ -104,15 +118,16 @@ def signals_raise() -> Iterator[None]:
         if not isinstance(ignored.exc_value, Interrupted):
             hook(ignored)
             return
-        number = signal.Signals[came.pop()]
-        main = threading.main_thread().ident
-        threading.Timer(0.01, signal.pthread_kill, [main, number]).start()
+        timers.pop().cancel()
+        deliver(signal.Signals[came[0]], 0.01)
 
     sys.unraisablehook = deliver_again
     try:
         with _handled_by(handle):
             yield
     finally:
+        for timer in timers:
+            timer.cancel()
         sys.unraisablehook = hook
 
 

@@ -564,7 +564,7 @@ BAD = {
         new="  init_qpos: {Joint0: 1}",
     ),
     "wrong number of joints": bad(
-        "conf/task/mine.yaml:7: task.robot.init_qpos: wants 6 values, one for each joint "
+        "conf/task/mine.yaml:7: task.robot.init_qpos: must be 6 values, one for each joint "
         "(Joint1, Joint2, Joint3, Joint4, Joint5, Joint6), got 3",
         old="  init_qpos: [0, -1, 1, 0, 0, 0]",
         new="  init_qpos: [0, -1, 1]",
@@ -608,7 +608,7 @@ BAD = {
         overrides=("task.objects.box.attrs.mass=-1",),
     ),
     "infinite position": bad(
-        "command line: task.robot.init_pos: wants 3 finite numbers, got [0.0, 0.0, inf]",
+        "command line: task.robot.init_pos: must be 3 finite numbers, got [0.0, 0.0, inf]",
         overrides=("task.robot.init_pos=[0,0,inf]",),
     ),
     "several at once": bad(

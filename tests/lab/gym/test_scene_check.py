@@ -231,7 +231,7 @@ def test_a_name_that_cannot_be_used_is_named(cfg, expected):
         ),
         (
             {"init_qpos": [0.0] * 7},
-            f"robot.init_qpos: wants 6 values, one for each joint ({JOINTS}), got 7",
+            f"robot.init_qpos: must be 6 values, one for each joint ({JOINTS}), got 7",
         ),
         (
             {"drive_pros": JointDrivePropertiesCfg(stiffness={"elbow": 1.0})},

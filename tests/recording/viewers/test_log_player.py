@@ -161,7 +161,7 @@ def test_the_window_pauses_at_the_space_bar(path, monkeypatch):
         (["--view", "web", "--speed", "0"], "'--speed': 0.0 is not in the range x>0"),
         (["--view", "--env", "7"], "no environment 7"),
         (["--port", "8080"], "--port needs --view"),
-        (["--view", "--verify"], "--verify and --view are two things"),
+        (["--view", "--verify"], "--verify and --view exclude each other"),
     ],
     ids=str,
 )

@@ -13,7 +13,7 @@ import logging
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 from embodichain.lab.gym.envs.cfg import NO_LIMIT, ActionTermCfg, EnvCfg, EventCfg, SceneEntityCfg
 from embodichain.lab.gym.envs.managers.aliases import AliasSpec
@@ -29,7 +29,12 @@ from embodichain.lab.sim.cfg import (
     name_of,
 )
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
-from embodichain.lab.sim.compiler.drives import DriveChange, PhysicsStep, physics_step
+from embodichain.lab.sim.compiler.drives import (
+    DriveChange,
+    DriveOperation,
+    PhysicsStep,
+    physics_step,
+)
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
 from embodichain.lab.sim.compiler.rigid_objects import check_object
 from embodichain.lab.sim.compiler.robot_links import MAX_MASKED
@@ -319,12 +324,12 @@ def drive_changes(events: Mapping[str, EventCfg]) -> dict[str, list[DriveChange]
             params = {**params, **own}
         entities = params.get("entity_cfgs") or [params.get("entity_cfg")]
         for param, quantity in getattr(func, "drive_ranges", {}).items():
-            bounds = _bounds(params.get(param))
-            for entity in entities if bounds is not None else ():
+            bounds, operation = _bounds(params.get(param)), _operation(params, quantity)
+            for entity in entities if bounds is not None and operation is not None else ():
                 fields = entity if isinstance(entity, Mapping) else getattr(entity, "__dict__", {})
                 if fields:
                     names = _names(fields, quantity, params)
-                    change = DriveChange(quantity, names, bounds, _operation(params, quantity))
+                    change = DriveChange(quantity, names, bounds, operation)
                     found.setdefault(str(fields.get("uid")), []).append(change)
     return found
 
@@ -345,7 +350,8 @@ def _operation(params: Mapping[str, Any], quantity: str) -> Any:
     if quantity == "strength":  # always factors, unlike the other fields
         return "abs"
     default = "add" if quantity == "mass" and params.get("relative") else "abs"
-    return params.get("operation") or default
+    given = params.get("operation") or default
+    return given if given in get_args(DriveOperation) else None
 
 
 def _bounds(given: Any) -> Any:

@@ -4,15 +4,14 @@ Spring and damper are both in the actuator, so that the effort limit bounds the 
 PhysX, Isaac Lab and mjlab. Joints keep the damping and friction of their file.
 
 A drive's force is ``clip(kp (target - q) - kd v, -limit, limit)``. MuJoCo integrates its damper
-implicitly, but not where the force is clipped: there a step changes the velocity by
-``h M^-1 force``, independent of the velocity. If a clipped force reverses the velocity within one
-step, it is clipped again in the next step, and the joint oscillates permanently: it chatters.
+implicitly, but not where the force is clipped: there a step changes the velocity by ``h M^-1 f``.
+A clipped force that reverses it in one step is clipped in the next as well: the joint chatters.
 
 For one joint the condition follows from the cycle of two steps, q = target -+ h v / 2 at +-v with
 v = h limit / 2 M: its force is clipped, so that the cycle persists, exactly if
 M < h kd / 2 + h^2 kp / 4. Several joints chatter together where the matrix
-M(q) - diag(h kd / 2 + h^2 kp / 4) is not positive semidefinite, even if each joint alone does not.
-Passive damping and dry friction, which only reduce chatter, are left out.
+M(q) - diag(h kd / 2 + h^2 kp / 4) is not positive semidefinite. Passive damping and dry friction
+only reduce chatter.
 """
 
 from __future__ import annotations
@@ -38,6 +37,7 @@ from embodichain.utils.suggest import did_you_mean, listing
 __all__ = [
     "DriveChange",
     "DriveGains",
+    "DriveOperation",
     "PhysicsStep",
     "apply_drives",
     "drawn_joints",
@@ -48,6 +48,7 @@ __all__ = [
 ]
 
 Parts = Mapping[str, Sequence[int]]  # control part -> joint indices
+DriveOperation = Literal["abs", "scale", "add"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -341,7 +342,7 @@ class DriveChange:
     quantity: Literal["stiffness", "damping", "max_effort", "strength", "armature", "mass"]
     names: tuple[str, ...] | None
     ranges: tuple[float, float] | Mapping[str, tuple[float, float]]
-    operation: Literal["abs", "scale", "add"] = "abs"
+    operation: DriveOperation = "abs"
 
     def bounds(
         self, quantity: str, names: Sequence[str], parts: Parts
@@ -364,8 +365,7 @@ class DriveChange:
 
     def apply(self, default: float, value: float) -> float:
         """Return the result of drawing `value` for a compiled value."""
-        changed = {"abs": value, "scale": default * value, "add": default + value}
-        return changed[self.operation]
+        return {"abs": value, "scale": default * value, "add": default + value}[self.operation]
 
 
 def quiet_armature(

@@ -64,7 +64,7 @@ def test_what_is_no_number_stays_visible(sigmoid, margin) -> None:
 @pytest.mark.parametrize("sigmoid", sorted(SIGMOIDS))
 def test_a_value_at_the_margin_must_suit_the_sigmoid(sigmoid) -> None:
     if sigmoid not in ("linear", "cosine", "quadratic"):
-        with pytest.raises(ConfigError, match=r"value_at_margin: must lie in \(0, 1\)"):
+        with pytest.raises(ConfigError, match=r"value_at_margin: must be in \(0, 1\)"):
             Tolerance([0.0, 0.0], 1.0, sigmoid, 0.0)
     with pytest.raises(ConfigError, match="value_at_margin"):
         Tolerance([0.0, 0.0], 1.0, sigmoid, 1.0)

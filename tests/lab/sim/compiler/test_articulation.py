@@ -319,7 +319,7 @@ def test_a_missing_file_says_where_it_was_looked_for_and_what_is_close():
     [
         (
             [0.0] * 5,
-            "a.init_qpos: wants 6 values, one for each joint (Joint1, Joint2, Joint3, Joint4, "
+            "a.init_qpos: must be 6 values, one for each joint (Joint1, Joint2, Joint3, Joint4, "
             "Joint5, Joint6), got 5",
         ),
         (
