@@ -88,7 +88,7 @@ def signals_raise() -> Iterator[None]:
 
     Python ignores exceptions in finalizers and weak reference callbacks, and libraries in C may
     discard them. If the context is not left, the signal is delivered again: at once where Python
-    reports the exception, otherwise every two seconds, which is longer than removing files takes.
+    reports the exception, otherwise every ten seconds: removing partial files takes less.
     """
     came: list[str] = []
     timers: list[threading.Timer] = []
@@ -109,7 +109,7 @@ def signals_raise() -> Iterator[None]:
         name = signal.Signals(number).name
         if not came:
             came.append(name)
-            deliver(number, 2.0)
+            deliver(number, 10.0)
             raise Interrupted(f"interrupted ({name})")
         if number == signal.SIGINT:
             raise KeyboardInterrupt(_TWICE)
@@ -124,10 +124,12 @@ def signals_raise() -> Iterator[None]:
     sys.unraisablehook = deliver_again
     try:
         with _handled_by(handle):
-            yield
+            try:
+                yield
+            finally:  # before other handlers could receive a signal
+                for timer in timers:
+                    timer.cancel()
     finally:
-        for timer in timers:
-            timer.cancel()
         sys.unraisablehook = hook
 
 

@@ -291,7 +291,8 @@ def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
         return []
     name = policy if isinstance(policy, str) else policy.func
     if ":" in name and not allow_import:
-        return [Problem("policy", f"{name!r} would be imported, which this config may not ask for")]
+        message = f"{name!r} would be imported, which is not allowed for this config"
+        return [Problem("policy", message)]
     try:
         params = {} if isinstance(policy, str) else {"params": policy.params}
         resolve_policy({"func": name, **params}, load_file=lambda path: _existing(root, path))

@@ -129,7 +129,7 @@ def load_parameters(model: BaseAlgorithm, path: Path) -> None:
     try:
         model.set_parameters(params, exact_match=True, device="cpu")
     except (ValueError, KeyError, RuntimeError) as error:
-        what = f"{path} does not fit the network that the run's config asks for"
+        what = f"{path} does not fit the network of the run's config"
         raise _wrong(what, error) from error
     for name, value in (variables or {}).items():
         if value is not None:

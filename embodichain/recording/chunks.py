@@ -374,7 +374,7 @@ class LogReader:
                 else:
                     self.schemas[record.id] = record
             else:  # skipping a chunk of zeros nine bytes at a time would take minutes
-                raise DamageError(f"a chunk is damaged: it holds a record of kind {opcode}")
+                raise DamageError(f"a chunk is damaged: it contains a record of kind {opcode}")
             at += length
         return found
 

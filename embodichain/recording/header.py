@@ -270,7 +270,7 @@ def why_unverifiable(model: mujoco.MjModel, state: str) -> str:
     if state == "none":
         return "no states were recorded (record.state: none)"
     if int(model.opt.enableflags) & int(mujoco.mjtEnableBit.mjENBL_SLEEP):
-        return "the model lets bodies sleep, which the state rows do not hold"
+        return "the model lets bodies sleep, which the state rows do not contain"
     if model.nplugin:
         return "the model has plugins, which may keep state outside the state rows"
     return ""

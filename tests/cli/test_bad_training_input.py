@@ -74,7 +74,7 @@ def test_checkpoints_of_another_task_or_shape(run, capsys):
     config.write_text(yaml.safe_dump(tree))
     again = ("total_timesteps=128", "allow_changed=true", "--quiet")
     err = refused(capsys, "train", f"resume={run}", *again)  # YAML was dumped in another order
-    assert "final.zip does not fit the network that the run's config asks for: " in err
+    assert "final.zip does not fit the network of the run's config: " in err
 
 
 def test_missing_statistics(run, capsys):

@@ -31,7 +31,7 @@ _GROUP, _GIZMO = "object groups are not available", "gizmos are not available"
 _TEXTURE, _MATERIAL = "textures are compiled into the model", "declare visual_material"
 _LIGHT, _WELD = "MuJoCo has none; add lights", "welds come later"
 _ENGINE = "the engine is MuJoCo's: model and data are scene.model and engine.rows"
-_WINDOW = "the log of a run holds it: record=full, then `embodichain replay last --video FILE`"
+_WINDOW = "the log of a run contains it: record=mcap, then `embodichain replay last --video FILE`"
 
 SIMULATION_ANSWERS: Mapping[str, tuple[Any, str]] = {
     "flush_cleanup_queue": (None, "`destroy` frees at once"),

@@ -142,7 +142,7 @@ def _check(snapshot: Snapshot, model: mujoco.MjModel, width: int) -> None:
             )
     layout = {name: (s.start, s.stop) for name, s in row_layout(model).items()}
     if layout != dict(snapshot.layout):
-        raise ConfigError(f"{snapshot.origin}: its rows hold other components than here")
+        raise ConfigError(f"{snapshot.origin}: its rows have other components than this scene's")
     if snapshot.last_action.shape != (width,):
         raise ConfigError(
             f"{snapshot.origin}: its actions have {len(snapshot.last_action)} columns, here {width}"

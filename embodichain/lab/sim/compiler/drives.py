@@ -131,7 +131,7 @@ def resolve_drives(
     own = np.zeros(count), joints.damping, joints.qf_limits
     if servos is None:
         problems += [
-            Problem(name, "a URDF holds no gains: give numbers")
+            Problem(name, "a URDF has no gains: give numbers")
             for name in ("stiffness", "damping")
             if getattr(cfg, name) == "file"
         ]

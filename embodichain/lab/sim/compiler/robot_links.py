@@ -133,12 +133,13 @@ def set_root(spec: mujoco.MjSpec, fixed: bool) -> tuple[mujoco.MjSpec, str]:
     """
     tops = list(spec.worldbody.bodies)
     if not tops:
-        raise ConfigError("the file holds no bodies")
+        raise ConfigError("the file contains no bodies")
     root = tops[0]
     floats = any(j.type == mujoco.mjtJoint.mjJNT_FREE for body in tops for j in body.joints)
     if floats and len(tops) > 1:
         names = ", ".join(repr(body.name) for body in tops)
-        raise ConfigError(f"one articulation is one tree, but the file holds free bodies: {names}")
+        message = f"one articulation is one tree, but the file contains free bodies: {names}"
+        raise ConfigError(message)
     if not floats and (len(tops) > 1 or root.joints):
         spec, root = _wrapped(spec)
     for joint in list(root.joints):

@@ -183,7 +183,7 @@ def _read_collada(path: Path) -> MeshData:
                 part.rgba, part.texture = looks[material.id]
             data.parts.append(part)
     if not data.parts:
-        raise MeshError(f"{path}: it holds no triangles")
+        raise MeshError(f"{path}: it contains no triangles")
     data.notes = list(dict.fromkeys(data.notes))
     return data
 
@@ -308,7 +308,7 @@ def _read_other(path: Path) -> MeshData:
     for mesh in meshes:
         data.parts += _parts(mesh, data.notes)
     if not data.parts:
-        raise MeshError(f"{path}: it holds no triangles")
+        raise MeshError(f"{path}: it contains no triangles")
     return data
 
 

@@ -262,7 +262,7 @@ def test_a_broken_visual_mesh_is_left_out_too(tmp_path, caplog):
     name = write(tmp_path / "m.urdf", meshed("broken.stl", "part.stl"))
     assert scene_of({"m": RobotCfg(fpath=name)}).model.ngeom == 2
     assert "visual mesh of link 'base' left out" in caplog.text
-    assert "broken.stl: it holds no triangles" in caplog.text
+    assert "broken.stl: it contains no triangles" in caplog.text
 
 
 def test_links_held_by_fixed_joints_without_an_inertial_have_no_mass(tmp_path):
@@ -295,7 +295,7 @@ BAD_FILES = {
         '<mujoco>\n<worldbody>\n<body>\n<geom type="boxx"/></body></worldbody></mujoco>',
         ":4: invalid keyword: 'boxx' (element 'geom')",
     ),
-    "world.xml": ("<mujoco><worldbody/></mujoco>", ": the file holds no bodies"),
+    "world.xml": ("<mujoco><worldbody/></mujoco>", ": the file contains no bodies"),
 }
 
 

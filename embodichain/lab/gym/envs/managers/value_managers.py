@@ -384,11 +384,11 @@ def check_shapes(env: JudgedEnv, obs: EnvObs) -> None:
     if not any(len(manager) for manager in managers):
         return
     count = env.num_envs
-    nobody = torch.zeros(count, dtype=torch.bool)
+    none = torch.zeros(count, dtype=torch.bool)
     info: dict[str, Any] = {
         "elapsed_steps": env.elapsed_steps,
-        "success": nobody,
-        "fail": nobody.clone(),
+        "success": none,
+        "fail": none.clone(),
     }
     action = env.last_action
     saved = env.streams.state_dict()

@@ -346,7 +346,7 @@ class Efforts:
         stiff = joints[asset.drives.stiffness[0, joints] > 0]
         if len(stiff):
             logger.warning(
-                "joint_effort: joints %s have a drive with stiffness that holds its own target "
+                "joint_effort: joints %s have a drive with stiffness that keeps its own target "
                 "beside the effort; drive_pros: {stiffness: 0, damping: 0} leaves the effort alone",
                 ", ".join(asset.parsed.joint_names[j] for j in stiff),
             )
