@@ -141,7 +141,7 @@ def report(facts: dict[str, Any]) -> str:
         us = f"{median(found['ours']):.0f}", f"{median(found['dummy']):.0f}"
         rows.append([f"{size}", *us, _judged(ratio, aim, ratio >= (aim or 0.0))])
     heading = ["N", "SB3VecEnv, us", "DummyVecEnv, us", "speed over DummyVecEnv"]
-    parts = ["reach through SB3VecEnv, CPU time a step:", table(heading, rows)]
+    parts = ["reach through SB3VecEnv, CPU time a step:", "", table(heading, rows)]
     rows = []
     for task, found in facts["beyond_physics"].items():
         extra = [a - b for a, b in zip(found["step"], found["physics"], strict=True)]
