@@ -28,6 +28,7 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
     name_of,
 )
+from embodichain.lab.sim.compiler.appearance import check_light
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
 from embodichain.lab.sim.compiler.drives import (
     DriveChange,
@@ -35,12 +36,14 @@ from embodichain.lab.sim.compiler.drives import (
     PhysicsStep,
     physics_step,
 )
+from embodichain.lab.sim.compiler.index import F64
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
-from embodichain.lab.sim.compiler.rigid_objects import check_object
+from embodichain.lab.sim.compiler.rigid_objects import check_object, check_pose, initial_pose
 from embodichain.lab.sim.compiler.robot_links import MAX_MASKED
-from embodichain.lab.sim.compiler.scene import check_light, compile_scene
+from embodichain.lab.sim.compiler.scene import compile_scene
 from embodichain.lab.sim.compiler.scene_sensors import plan_sensors
 from embodichain.lab.sim.prepared_scene import PreparedScene
+from embodichain.lab.sim.scene_cfg import SceneCfg
 from embodichain.lab.sim.viewer import has_display
 from embodichain.utils.errors import ConfigError, Problem, below
 from embodichain.utils.suggest import did_you_mean, listing
@@ -78,6 +81,9 @@ def _declared(cfg: EnvCfg, *sections: str) -> list[_Entity]:
     """The entities declared in some sections of a task, in order."""
     entities: list[_Entity] = []
     for section in sections:
+        if section == "scene":
+            entities += _surroundings(cfg)
+            continue
         declared: Any = getattr(cfg, section)
         if section != "robot":
             entities += [_Entity(f"{section}.{uid}", str(uid), e) for uid, e in declared.items()]
@@ -88,6 +94,38 @@ def _declared(cfg: EnvCfg, *sections: str) -> list[_Entity]:
                 name = ""
             entities.append(_Entity("robot", name, declared))
     return entities
+
+
+def _surroundings(cfg: EnvCfg) -> list[_Entity]:
+    """The furniture and the lights of the section ``scene``."""
+    scene = _scene(cfg)
+    lights = [_Entity(f"scene.lights.{uid}", uid, light) for uid, light in scene.lights.items()]
+    if scene.table is None and scene.pedestal is None:
+        return lights
+    from embodichain.lab.sim.compiler.furniture import furniture_of  # few scenes have any
+
+    furniture = furniture_of(scene, _base(cfg)).items()
+    return [_Entity(f"scene.{uid}", uid, thing) for uid, thing in furniture] + lights
+
+
+def _check_surroundings(cfg: EnvCfg) -> list[Problem]:
+    scene = _scene(cfg)
+    if scene.pedestal is None:
+        return []
+    from embodichain.lab.sim.compiler.furniture import check_pedestal
+
+    return below("scene.pedestal", check_pedestal(scene.pedestal, _base(cfg)))
+
+
+def _scene(cfg: EnvCfg) -> SceneCfg:
+    given: SimulationManagerCfg | None = cfg.sim_cfg
+    return cfg.scene or (SceneCfg() if given is None else given.scene)
+
+
+def _base(cfg: EnvCfg) -> F64 | None:
+    """Position of the first robot's base, if it is valid."""
+    robot = next(iter(_declared(cfg, "robot", "robots")), None)
+    return None if robot is None or check_pose(robot.cfg) else initial_pose(robot.cfg)[0]
 
 
 # -- values that follow from others ----------------------------------------------------------------
@@ -133,6 +171,7 @@ def _physics(cfg: EnvCfg) -> SimulationManagerCfg:
     own = {name: value for name, value in own.items() if value is not None}
     sim.physics_dt = own.pop("physics_dt", sim.physics_dt)
     sim.physics_config = dataclasses.replace(sim.physics_config, **own)
+    sim.scene, sim.views = cfg.scene or sim.scene, cfg.views or sim.views
     return sim
 
 
@@ -175,11 +214,11 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
         user are never raised.
     """
     prepared = PreparedScene() if prepared is None else prepared
-    entities = _declared(cfg, "robot", "robots", "articulations", "objects", "lights")
+    entities = _declared(cfg, "robot", "robots", "articulations", "scene", "objects", "lights")
     physics = _physics(cfg)
     step, changes = physics_step(physics), drive_changes(cfg.events)
     parsed, problems = _parse(entities, step, changes)
-    problems = _check_names(entities) + problems
+    problems = _check_names(entities) + _check_surroundings(cfg) + problems
     objects = {e.uid: e.cfg for e in entities if isinstance(e.cfg, RigidObjectCfg)}
     lights = {e.uid: e.cfg for e in entities if isinstance(e.cfg, LightCfg)}
     known: dict[str, ParsedArticulation | str | None] = {}
@@ -189,7 +228,7 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
         known.setdefault(uid, kind or parsed.get(path))
     open_scene = cfg.id is not None
     problems += check_references(cfg, known, open_scene=open_scene)
-    ground = cfg.sim_cfg.ground_plane
+    ground = physics.has_ground
     sensors, found = plan_sensors(cfg.sensors, known, ground=ground, open_scene=open_scene)
     problems += found
     if problems:
@@ -383,6 +422,7 @@ def _add(sim: SimulationManager, entity: _Entity) -> None:
         "articulations": sim.add_articulation,
         "objects": sim.add_rigid_object,
         "lights": sim.add_light,
+        "scene": sim.add_light if isinstance(cfg, LightCfg) else sim.add_rigid_object,
     }
     try:
         add[path.partition(".")[0]](cfg)
@@ -411,12 +451,15 @@ def add_declared_robots(sim: SimulationManager, cfg: EnvCfg) -> Robot | None:
 
 
 def add_declared_scene(sim: SimulationManager, cfg: EnvCfg) -> None:
-    """Add the declared articulations, objects and lights that the scene lacks.
+    """Add the declared articulations, furniture, objects and lights that the scene lacks.
 
     Raises:
         ConfigError: If a file or a value is wrong; the path is the one in the config.
     """
-    for entity in _declared(cfg, "articulations", "objects", "lights"):
+    problems = _check_surroundings(cfg)
+    if problems:
+        raise ConfigError(problems)
+    for entity in _declared(cfg, "articulations", "scene", "objects", "lights"):
         _add(sim, entity)
 
 
