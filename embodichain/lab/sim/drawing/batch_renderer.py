@@ -301,7 +301,8 @@ class BatchRenderer:
         if "color" in target.outputs:
             clear = np.array([0.7, 0.78, 0.86])
             self._sky.use({**shared, "sky": self._textures.sky, "clear": clear})
-            self._buffers.draw_background(layers)
+            with target.color_alone():
+                self._buffers.draw_background(layers)
         on = 1.0 if headlight.active else 0.0
         values: dict[str, Any] = {
             **shared,
@@ -319,10 +320,9 @@ class BatchRenderer:
         triangles = len(self._geometry.triangles)
         self._buffers.draw(0, triangles, layers)
         if self._any_transparent(state):
-            target.blend()
             self._scene.use({"transparentPass": 1})
-            self._buffers.draw(0, triangles, layers)
-            target.end()
+            with target.color_alone(blended=True):
+                self._buffers.draw(0, triangles, layers)
 
     def _any_transparent(self, state: DrawnState) -> bool:
         colours = [state.drawn_field("geom_rgba").reshape(-1, 4)]

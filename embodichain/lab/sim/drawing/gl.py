@@ -9,7 +9,8 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -278,24 +279,24 @@ class LayeredTarget:
         if "mask" in self._textures:
             GL.glClearBufferiv(GL.GL_COLOR, 2, np.full(4, -1, np.int32))
 
-    def blend(self) -> None:
-        """Mix what is drawn from now on into the colours, behind what is nearer."""
+    @contextmanager
+    def color_alone(self, blended: bool = False) -> Iterator[None]:
+        """Within it, depth and mask stay as they are; blended, colours mix behind what is nearer."""
         from OpenGL import GL
 
-        GL.glDepthMask(False)
-        GL.glEnablei(GL.GL_BLEND, 0)
-        GL.glBlendFunc(GL.GL_SRC_ALPHA, GL.GL_ONE_MINUS_SRC_ALPHA)
         for place in (1, 2):
             GL.glColorMaski(place, False, False, False, False)
-
-    def end(self) -> None:
-        """Undo `blend`."""
-        from OpenGL import GL
-
-        for place in (1, 2):
-            GL.glColorMaski(place, True, True, True, True)
-        GL.glDisablei(GL.GL_BLEND, 0)
-        GL.glDepthMask(True)
+        if blended:
+            GL.glDepthMask(False)
+            GL.glEnablei(GL.GL_BLEND, 0)
+            GL.glBlendFunc(GL.GL_SRC_ALPHA, GL.GL_ONE_MINUS_SRC_ALPHA)
+        try:
+            yield
+        finally:
+            for place in (1, 2):
+                GL.glColorMaski(place, True, True, True, True)
+            GL.glDisablei(GL.GL_BLEND, 0)
+            GL.glDepthMask(True)
 
     def read(self, name: str, into: NDArray[Any]) -> None:
         """Read an output, (layers, height, width, ...)."""
