@@ -41,6 +41,8 @@ _UNITS = {"poses": 0, "looks": 1, "views": 2, "lights": 3, "shadowViews": 4, "te
 _SHADOW_UNIT = 6
 _GREY = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
 _SHADOW_PIXELS = 2048
+import os
+MOST=int(os.environ.get("MOST","300"))
 
 
 class DrawnState(Protocol):
@@ -124,7 +126,7 @@ class BatchRenderer:
     def __init__(self, model: mujoco.MjModel) -> None:
         self.context = Context()
         self._model = model
-        self._geometry = SceneGeometry.of_model(model, 24)
+        self._geometry = SceneGeometry.of_model(model, 24, MOST)
         self._types = model.geom_type[self._geometry.geoms]
         self._textures = SceneTextures(model, _UNITS["textures"])
         self._buffers = VertexBuffers(self._geometry.vertices, self._geometry.triangles)

@@ -7,7 +7,6 @@ need, which keep their radius when its length changes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -63,13 +62,15 @@ class SceneGeometry:
     infinite: NDArray[np.bool_]
 
     @classmethod
-    def of_model(cls, model: mujoco.MjModel, slices: int, hidden: Sequence[int] = ()) -> SceneGeometry:
+    def of_model(
+        cls, model: mujoco.MjModel, slices: int, most_triangles: int | None = None
+    ) -> SceneGeometry:
         """Collect the geoms that are visible.
 
         Args:
             model: The compiled scene.
             slices: Around a sphere or cylinder.
-            hidden: Ids of geoms to leave out.
+            most_triangles: Meshes without texture coordinates are simplified to about so many.
         """
         geoms: list[int] = []
         parts: list[NDArray[Any]] = []
@@ -77,9 +78,9 @@ class SceneGeometry:
         ranges: list[tuple[int, int]] = []
         vertex = first = 0
         for geom in range(model.ngeom):
-            if model.geom_group[geom] >= VISIBLE_GROUPS or geom in hidden:
+            if model.geom_group[geom] >= VISIBLE_GROUPS:
                 continue
-            shape = _shape_of(model, geom, slices)
+            shape = _shape_of(model, geom, slices, most_triangles)
             if shape is None:
                 continue
             part, faces = shape
@@ -128,11 +129,14 @@ def geom_scales(types: NDArray[np.int32], sizes: NDArray[Any], far: float) -> F3
 
 
 def _shape_of(
-    model: mujoco.MjModel, geom: int, slices: int
+    model: mujoco.MjModel, geom: int, slices: int, most_triangles: int | None
 ) -> tuple[NDArray[Any], Triangles] | None:
     kind = int(model.geom_type[geom])
     if kind == _MESH:
-        return _mesh(model, int(model.geom_dataid[geom]))
+        found = _mesh(model, int(model.geom_dataid[geom]))
+        most = len(found[1]) if most_triangles is None else most_triangles
+        textured = model.mesh_texcoordadr[int(model.geom_dataid[geom])] >= 0
+        return found if textured or len(found[1]) <= most else _simplified(*found, most)
     if kind == _HFIELD:
         return _height_field(model, int(model.geom_dataid[geom]))
     if kind == _PLANE:
@@ -256,6 +260,25 @@ def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[NDArray[Any], Triangles]:
     texcoord = texcoords[unique[:, 2]] if len(texcoords) else np.zeros((len(unique), 2))
     found = _vertices(positions[unique[:, 0]], normals[unique[:, 1]], texcoord)
     return found, inverse.reshape(-1, 3).astype(np.uint32)
+
+
+def _simplified(
+    vertices: NDArray[Any], triangles: Triangles, most: int
+) -> tuple[NDArray[Any], Triangles]:
+    """A mesh of about `most` triangles by quadric decimation, with smooth normals."""
+    import fast_simplification
+
+    points, joined = np.unique(vertices["position"], axis=0, return_inverse=True)
+    points, faces = fast_simplification.simplify(
+        points, joined[triangles].astype(np.int32), target_count=most
+    )
+    corners = points[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(points)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], across)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return _vertices(points, normals, np.zeros((len(points), 2))), faces.astype(np.uint32)
 
 
 def _height_field(model: mujoco.MjModel, field: int) -> tuple[NDArray[Any], Triangles]:
