@@ -40,7 +40,7 @@ _CHUNK_BYTES = 256 * 2**20
 _UNITS = {"poses": 0, "looks": 1, "views": 2, "lights": 3, "shadowViews": 4, "textures": 5}
 _SHADOW_UNIT = 6
 _GREY = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
-_SHADOW_PIXELS = 2048
+_SHADOW_PIXELS = 1024
 import os
 MOST=int(os.environ.get("MOST","300"))
 
@@ -300,11 +300,6 @@ class BatchRenderer:
         target.begin()
         headlight = self._model.vis.headlight
         shared = {**_UNITS, **self._textures.uniforms()}
-        if "color" in target.outputs:
-            clear = np.array([0.7, 0.78, 0.86])
-            self._sky.use({**shared, "sky": self._textures.sky, "clear": clear})
-            with target.color_alone():
-                self._buffers.draw_background(layers)
         on = 1.0 if headlight.active else 0.0
         values: dict[str, Any] = {
             **shared,
@@ -321,6 +316,11 @@ class BatchRenderer:
         self._scene.use(values)
         triangles = len(self._geometry.triangles)
         self._buffers.draw(0, triangles, layers)
+        if "color" in target.outputs:
+            clear = np.array([0.7, 0.78, 0.86])
+            self._sky.use({**shared, "sky": self._textures.sky, "clear": clear})
+            with target.color_alone():
+                self._buffers.draw_background(layers)
         if self._any_transparent(state):
             self._scene.use({"transparentPass": 1})
             with target.color_alone(blended=True):

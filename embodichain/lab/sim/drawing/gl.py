@@ -200,15 +200,15 @@ class VertexBuffers:
         )
 
     def draw_background(self, instances: int) -> None:
-        """Draw one triangle that covers every picture, without depths."""
+        """Draw one triangle behind everything else of every picture."""
         from OpenGL import GL
 
         GL.glBindVertexArray(self._array)
-        GL.glDisable(GL.GL_DEPTH_TEST)
+        GL.glDepthFunc(GL.GL_LEQUAL)
         GL.glDisable(GL.GL_CULL_FACE)
         GL.glDrawArraysInstanced(GL.GL_TRIANGLES, 0, 3, instances)
-        GL.glEnable(GL.GL_DEPTH_TEST)
         GL.glEnable(GL.GL_CULL_FACE)
+        GL.glDepthFunc(GL.GL_LESS)
 
 
 class LayeredTarget:

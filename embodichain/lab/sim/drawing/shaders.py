@@ -40,20 +40,26 @@ SCENE_VERTEX = (
     _HEAD
     + _PLACE
     + """
-flat out int geomIndex, picture, environmentIndex;
+flat out int geomIndex, environmentIndex;
+flat out vec4 rgba, look, scaling;
+flat out vec3 eye;
 out vec3 worldPosition, worldNormal, localPosition;
 out vec2 uv;
 
 void main() {
     int v = gl_InstanceID * 8;
     int environment = int(texelFetch(views, v + 4).w);
-    vec4 scale = texelFetch(looks, (environment * geomCount + int(geom)) * 3);
+    int g = (environment * geomCount + int(geom)) * 3;
+    vec4 scale = texelFetch(looks, g);
+    scaling = scale;
+    rgba = texelFetch(looks, g + 1);
+    look = texelFetch(looks, g + 2);
+    eye = texelFetch(views, v + 4).xyz;
     localPosition = position * scale.xyz + vec3(0.0, 0.0, end * scale.w);
     worldPosition = inWorld(environment, localPosition, 1.0);
     worldNormal = inWorld(environment, normal / scale.xyz, 0.0);
     uv = texcoord;
     geomIndex = int(geom);
-    picture = gl_InstanceID;
     environmentIndex = environment;
     vec4 at = vec4(worldPosition, 1.0);
     gl_Position = vec4(dot(texelFetch(views, v), at), dot(texelFetch(views, v + 1), at),
@@ -108,7 +114,9 @@ SCENE_FRAGMENT = (
     _HEAD
     + _TEXTURES
     + """
-flat in int geomIndex, picture, environmentIndex;
+flat in int geomIndex, environmentIndex;
+flat in vec4 rgba, look, scaling;
+flat in vec3 eye;
 in vec3 worldPosition, worldNormal, localPosition;
 in vec2 uv;
 uniform int full;                 // 1: specular light, textures smoothly, shadows
@@ -141,20 +149,16 @@ vec3 surface(vec3 base, vec4 look) {
     if (kind < 0) return base;
     vec4 entry = textureTable[kind];
     if (entry.x < 0.0) return base;
-    vec4 scale = texelFetch(looks, (environmentIndex * geomCount + geomIndex) * 3);
     bool repeats = uniformRepeat[kind] == 1;
     if (entry.y == 1.0) return base * cubeFace(localPosition, int(entry.x));
-    vec2 st = uv * entry.zw * (repeats ? scale.xy : vec2(1.0));
+    vec2 st = uv * entry.zw * (repeats ? scaling.xy : vec2(1.0));
     return base * texture(textures, vec3(st, entry.x)).rgb;
 }
 
 void main() {
-    int p = (environmentIndex * geomCount + geomIndex) * 3;
-    vec4 rgba = texelFetch(looks, p + 1), look = texelFetch(looks, p + 2);
     if (rgba.a <= 0.0 || (rgba.a < 1.0) != (transparentPass == 1)) discard;
     vec3 base = surface(rgba.rgb, look);
     vec3 normal = normalize(worldNormal);
-    vec3 eye = texelFetch(views, picture * 8 + 4).xyz;
     vec3 toEye = normalize(eye - worldPosition);
     float facing = max(dot(normal, toEye), 0.0);
     vec3 light = headAmbient + headDiffuse * facing;
