@@ -12,13 +12,23 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from benchmarks import log_cost, memory, randomization, startup, step_profile, step_speed, train
+from benchmarks import (
+    log_cost,
+    memory,
+    randomization,
+    small_batches,
+    startup,
+    step_profile,
+    step_speed,
+    train,
+)
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "benchmarks" / "results"
 PAGE = ROOT / "docs" / "performance.md"
 REPORTS = {
     "step_speed": step_speed.report,
+    "small_batches": small_batches.report,
     "log_cost": log_cost.report,
     "step_profile": step_profile.report,
     "randomization": randomization.report,
@@ -45,7 +55,7 @@ def main() -> None:
 
 
 def filled(text: str, name: str, content: str) -> str:
-    """Replace what stands between the marks of a name.
+    """Replace the text between the marks of a name.
 
     Raises:
         ValueError: If a mark is missing.
@@ -54,7 +64,7 @@ def filled(text: str, name: str, content: str) -> str:
     head, _, rest = text.partition(begin)
     _, mark, tail = rest.partition(end)
     if not mark:
-        raise ValueError(f"no place for {name!r}: it stands between {begin!r} and {end!r}")
+        raise ValueError(f"no place for {name!r}: it is between {begin!r} and {end!r}")
     return head + begin + content + end + tail
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import time
 from collections import Counter
 from collections.abc import Callable
+from contextlib import redirect_stderr
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -118,6 +120,11 @@ def time_to_success(
     return {"seconds": seconds if solved else None, "env_steps": model.num_timesteps}
 
 
+class _Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
 def _train(count: int, settings: Settings, seed: int, folder: Path) -> Learner:
     """What `embodichain train` does with it: statistics, logs, and the dashboard on a terminal."""
     from embodichain.cli.dashboard import Dashboard
@@ -133,13 +140,11 @@ def _train(count: int, settings: Settings, seed: int, folder: Path) -> Learner:
         statistics = TrainStatistics(rollouts * count * settings.n_steps)
         model.num_timesteps = 0  # every turn is a training of its own, with this model
         with (
-            (folder / "terminal").open("w") as terminal,
-            Dashboard(
-                "reach", "ppo", statistics.total_timesteps, stream=terminal, live=True
-            ) as dashboard,
+            redirect_stderr(_Terminal()),
+            Dashboard("reach", "ppo", statistics.total_timesteps) as dashboard,
         ):
             Session(model, vec, statistics, folder).learn(
-                lambda: None, lambda found: dashboard.due and dashboard.show(found)
+                lambda: None, lambda found: dashboard.due and dashboard.update(found)
             )
         for part, share in statistics.fractions.items():
             learner.spent[part] += share * statistics.seconds

@@ -112,7 +112,7 @@ def _time(env: Any, path: tuple[str, ...], spent: dict[str, int], name: str) -> 
         return result
 
     setattr(owner, path[-1], timed)
-    return lambda: delattr(owner, path[-1])
+    return lambda: setattr(owner, path[-1], method)
 
 
 if __name__ == "__main__":

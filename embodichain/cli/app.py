@@ -1,7 +1,7 @@
-"""The `embodichain` command: its verbs as a click group, and the options that verbs share.
+"""The `embodichain` command: a click group of verbs, and the decorators that declare a verb.
 
-A verb is the function ``command`` of the module `embodichain.cli.NAME`, imported when it is
-called or its help is asked for.
+A verb is the click command ``command`` of the module `embodichain.cli.NAME`, which is imported
+when the verb is called or its help is printed.
 """
 
 from __future__ import annotations
@@ -13,13 +13,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import click
 from click.shell_completion import BashComplete, add_completion_class, shell_complete
 
-from embodichain.cli import exits
-from embodichain.cli.process import signals_raise, starting
+from embodichain.cli import process
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -28,40 +27,38 @@ __all__ = [
     "VERBS",
     "Verb",
     "call",
-    "common",
+    "command_line",
     "complete_last",
-    "job_options",
-    "jobs",
+    "job_arguments",
     "log_argument",
     "log_of",
     "main",
     "overrides",
     "split_overrides",
-    "typed",
     "verb",
 ]
 
 VERBS = {
     "run": "Run a task: simulate, show progress, write a log.",
     "train": "Train a policy with Stable-Baselines3.",
-    "eval": "Play a policy for exactly N episodes; say how far the numbers can be trusted.",
+    "eval": "Play a policy for exactly N episodes; print results with confidence intervals.",
     "play": "Show a trained policy in a window.",
     "compare": "Put trainings side by side: a table, and curves with intervals over seeds.",
-    "export": "Write a log for another program, or a policy as one ONNX or TorchScript file.",
-    "replay": "Say what a log contains; with --verify simulate it again and compare every bit.",
-    "view": "Say how to look at a log in Foxglove or Lichtblick; open it, or play it to them.",
-    "recover": "Write a clean log from a broken one, up to where it is good.",
-    "diff": "Name the first step and field where two logs differ.",
+    "export": "Write a log in another format, or a policy as one ONNX or TorchScript file.",
+    "replay": "Print what a log contains; with --verify simulate it again and compare every bit.",
+    "view": "Print how to open a log in Foxglove or Lichtblick; open it, or play it to them.",
+    "recover": "Write a clean log from a broken one, up to where it can be read.",
+    "diff": "Print the first step and field where two logs differ.",
     "bench": "Measure control steps/s beside the bare batch of the same model.",
     "list": "List tasks, robots or terms.",
     "show": "Show a task: resolved config, scene, spaces, terms; or one term.",
     "validate": "Check a task, build it as `run` does, and print every mistake.",
     "convert": "Write EmbodiChain's own config of a task as a task file.",
     "run-env": "EmbodiChain's command: run --gym-config, with its flags.",
-    "new": "Write a task and its test into your folder or package.",
+    "new": "Write a new task and its test into your folder or package.",
     "doctor": "Check this machine: versions, threads, rendering, disk, optional packages.",
 }
-"""Verb -> what it does, in the order of `--help`."""
+"""Verb -> its description, in the order of `--help`."""
 
 EVERYDAY_KEYS = (
     *("task", "num_envs", "episodes", "max_steps", "total_timesteps", "seed", "policy"),
@@ -83,30 +80,26 @@ Examples:
 
 {_EXIT_CODES}"""
 _QUICK_START = ("run", "run-env", "train")
-"""Verbs that call `started` once their start-up is over."""
+"""Verbs that call `process.started` once their start-up is over."""
 _COMPLETE = "_EMBODICHAIN_COMPLETE"
-_FORGET = {
+_UNINSTALL = {
     "bash": "complete -r embodichain",
     "zsh": "compdef -d embodichain",
     "fish": "complete -c embodichain -e",
 }
-_F = TypeVar("_F", bound=Callable[..., Any])
-Decorator = Callable[[_F], _F]
+Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 
 class Verb(click.Command):
     """A verb whose help ends with examples.
 
-    Args:
-        examples: Arguments, and what they do.
+    Attributes:
+        examples: Pairs of arguments and their description.
         keys: Whether it takes ``key=value`` overrides.
     """
 
-    def __init__(
-        self, *args: Any, examples: tuple[tuple[str, str], ...], keys: bool, **attrs: Any
-    ) -> None:
-        super().__init__(*args, **attrs)
-        self.examples, self.keys = examples, keys
+    examples: tuple[tuple[str, str], ...] = ()
+    keys = False
 
     def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write keys, examples and exit codes, unwrapped."""
@@ -158,21 +151,21 @@ def _version(ctx: click.Context, parameter: click.Parameter, value: bool) -> Non
 
 
 def _completion(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
-    """Print what a shell evaluates to complete this command, or to forget it."""
+    """Print the shell code that turns completion of this command on or off."""
     if value is None or ctx.resilient_parsing:
         return
     action, _, shell = value.partition("=")
-    if action not in ("install", "uninstall") or shell not in _FORGET:
+    if action not in ("install", "uninstall") or shell not in _UNINSTALL:
         raise ConfigError("-sc takes install=SHELL or uninstall=SHELL; SHELL is bash, zsh or fish")
     if action == "uninstall":
-        click.echo(_FORGET[shell])
+        click.echo(_UNINSTALL[shell])
     else:
         shell_complete(_cli, {}, "embodichain", _COMPLETE, f"{shell}_source")
     ctx.exit()
 
 
 class _Bash(BashComplete):
-    """Completes ``key=value`` as one word, and goes on after ``key=`` and ``key.``."""
+    """Completes ``key=value`` as one word, and adds no blank after ``key=`` and ``key.``."""
 
     source_template = "COMP_WORDBREAKS=${COMP_WORDBREAKS//=}\n" + (
         BashComplete.source_template.replace(
@@ -225,20 +218,20 @@ def main(argv: list[str] | None = None) -> int:
         return shell_complete(_cli, {}, "embodichain", _COMPLETE, os.environ[_COMPLETE])
     try:
         return call(arguments)
-    except SystemExit as stop:  # how Hydra leaves
-        return stop.code if isinstance(stop.code, int) else exits.OK
-    except BrokenPipeError:  # the reader of a pipe left; Python's manual asks for this redirection
+    except SystemExit as stop:  # raised by Hydra
+        return stop.code if isinstance(stop.code, int) else process.OK
+    except BrokenPipeError:  # the pipe's reader closed it; redirection as in Python's manual
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return exits.FAILED
-    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (the last line of defence)
-        return exits.report(error, full="--traceback" in arguments)
+        return process.FAILED
+    except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  (reported, with an exit code)
+        return process.report(error, full="--traceback" in arguments)
 
 
 def call(arguments: list[str]) -> int:
     """Call a verb; errors are raised.
 
     Args:
-        arguments: The verb and what follows it.
+        arguments: The verb and its arguments.
 
     Returns:
         The exit code.
@@ -246,39 +239,34 @@ def call(arguments: list[str]) -> int:
     first = arguments[0] if arguments else "help"
     if "=" in first or first in ("-m", "--multirun"):
         raise ConfigError(f"a verb comes first: embodichain run {' '.join(arguments)}")
-    if first == "help":
-        arguments = ["--help"]
-    start = starting() if first in _QUICK_START else nullcontext()
+    words = ["--help"] if first == "help" else list(arguments)
+    line = ["embodichain", *arguments]
     try:
         with (
-            signals_raise(),
+            process.signals_raise(),
             _own_modules(),
-            start,
-            _cli.make_context(
-                "embodichain", list(arguments), obj=["embodichain", *arguments]
-            ) as context,
+            process.starting() if first in _QUICK_START else nullcontext(),
+            _cli.make_context("embodichain", words, obj=line) as context,
         ):
             code: int | None = _cli.invoke(context)
-            return code or exits.OK
+            return code or process.OK
     except click.exceptions.Exit as end:
         return end.exit_code
-    except click.UsageError as error:
-        raise ConfigError(_usage(error)) from error
-
-
-def _usage(error: click.UsageError) -> str:
-    if isinstance(error, click.exceptions.NoSuchCommand):
+    except click.exceptions.NoSuchCommand as error:
         hint = did_you_mean(error.command_name, VERBS)
-        return f"no such verb: '{error.command_name}'.{hint} There are: {', '.join(VERBS)}."
-    program = error.ctx.command_path if error.ctx is not None else "embodichain"
-    return f"{error.format_message()}\nTry '{program} --help'."
+        verbs = ", ".join(VERBS)
+        message = f"no such verb: '{error.command_name}'.{hint} There are: {verbs}."
+        raise ConfigError(message) from error
+    except click.UsageError as error:
+        program = error.ctx.command_path if error.ctx is not None else "embodichain"
+        raise ConfigError(f"{error.format_message()}\nTry '{program} --help'.") from error
 
 
 @contextmanager
 def _own_modules() -> Iterator[None]:
     """Let a config name functions of modules in the working directory, or in its `src`.
 
-    They come last in `sys.path`: no installed module is hidden by them.
+    These folders are added at the end of `sys.path`, so that they hide no installed module.
     """
     added = [folder for folder in (os.getcwd(), os.path.abspath("src")) if folder not in sys.path]
     sys.path += added
@@ -289,47 +277,88 @@ def _own_modules() -> Iterator[None]:
             sys.path.remove(folder)
 
 
-# -- what verbs are made of --------------------------------------------------------------------
+# -- declaring verbs -------------------------------------------------------------------------------
+
+
+def _search_first(ctx: click.Context, parameter: click.Parameter, value: str | None) -> None:
+    ctx.meta["config_dir"] = value
+    if value is not None and not ctx.resilient_parsing:
+        from embodichain.config.hydra_loader import user_configs
+
+        ctx.with_resource(user_configs(value))
+
+
+_CONFIG_DIR = click.Option(
+    ["--config-dir", "-cd"],
+    metavar="DIR",
+    expose_value=False,
+    callback=_search_first,
+    help="Search this folder for YAML first.",
+)
+_QUIET = click.Option(["--quiet", "-q"], is_flag=True, help="No progress, no report.")
+_OUTPUT = (
+    click.Option(["--json"], is_flag=True, help="One JSON object on stdout."),
+    click.Option(
+        ["--traceback"], is_flag=True, expose_value=False, help="Show where an error happened."
+    ),
+)
+_JOB_OPTIONS = (
+    click.option(
+        *("--gym-config",),
+        metavar="FILE",
+        help="EmbodiChain's own config of a task, instead of task=NAME.",
+    ),
+    click.option("--multirun", "-m", is_flag=True, help="One job for each value."),
+    click.option(
+        *("--cfg", "-c"),
+        type=click.Choice(("job", "hydra", "all")),
+        help="Print the config instead of running.",
+    ),
+    click.option("--resolve", is_flag=True, help="With --cfg: resolve interpolations."),
+    click.option("--package", "-p", metavar="KEY", help="With --cfg: only this part."),
+    click.option(
+        *("--info", "-i"),
+        type=click.Choice(("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")),
+        is_flag=False,
+        flag_value="all",
+        help="Print how the config was composed.",
+    ),
+)
 
 
 def verb(
-    name: str, *examples: tuple[str, str], keys: bool = False
+    name: str,
+    *examples: tuple[str, str],
+    keys: bool = False,
+    config_dir: bool = False,
+    quiet: bool = False,
 ) -> Callable[[Callable[..., int | None]], Verb]:
-    """Make a function the verb of this name.
+    """Make a function the verb `name`; the function returns the exit code, or None for 0.
+
+    Every verb has `--json`, which is passed to the function, and `--traceback`.
 
     Args:
         name: One of `VERBS`.
-        *examples: Arguments after ``embodichain``, and what they do.
+        *examples: Arguments after ``embodichain``, and their description.
         keys: Whether it takes ``key=value`` overrides.
+        config_dir: Whether it has `--config-dir`, which applies while the function runs.
+        quiet: Whether it has `--quiet`, which is passed to the function.
     """
-    return click.command(name, cls=Verb, help=VERBS[name], examples=examples, keys=keys)
+
+    def make(function: Callable[..., int | None]) -> Verb:
+        command = click.command(name, cls=Verb, help=VERBS[name])(function)
+        command.params += [_CONFIG_DIR] * config_dir + [_QUIET] * quiet + [*_OUTPUT]
+        command.examples, command.keys = examples, keys
+        return command
+
+    return make
 
 
-def common(*, config_dir: bool = False, quiet: bool = False) -> Decorator[Any]:
-    """Add `--json`, `--traceback` and, where asked for, `--config-dir` and `--quiet`."""
-
-    def add(function: _F) -> _F:
-        function = click.option("--traceback", is_flag=True, help="Show where an error happened.")(
-            function
-        )
-        function = click.option("--json", is_flag=True, help="One JSON object on stdout.")(function)
-        if quiet:
-            text = "No progress, no report."
-            function = click.option("--quiet", "-q", is_flag=True, help=text)(function)
-        if config_dir:
-            function = click.option(
-                *("--config-dir", "-cd"), metavar="DIR", help="Search this folder for YAML first."
-            )(function)
-        return function
-
-    return add
-
-
-def overrides(metavar: str = "[KEY=VALUE]...", *words: str, config: str = "run") -> Decorator[Any]:
-    """Add the argument `words`: overrides in Hydra's grammar, and names.
+def overrides(metavar: str = "[KEY=VALUE]...", *words: str, config: str = "run") -> Decorator:
+    """Add the argument `words`, which takes overrides in Hydra's grammar and names.
 
     Args:
-        metavar: How help shows it.
+        metavar: Its name in the help text.
         *words: Names that are completed besides keys.
         config: The root config whose keys are completed, ``run`` or ``train``.
     """
@@ -350,28 +379,43 @@ def _complete(
     found = [name for name in names if incomplete and name.startswith(incomplete)]
     if found:
         return found
-    typed = [w for w in ctx.params.get("words") or () if "=" in w or w.startswith("~")]
+    before = [w for w in ctx.params.get("words") or () if "=" in w or w.startswith("~")]
     with _own_modules():
-        return complete_override(incomplete, typed, config, ctx.params.get("config_dir"))
+        return complete_override(incomplete, before, config, ctx.meta.get("config_dir"))
 
 
-def complete_last(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
-    """Complete `last`, the newest run."""
-    return ["last"] if "last".startswith(incomplete) else []
+def job_arguments(config: str) -> Decorator:
+    """Add the arguments of `run` and `train`: overrides and Hydra's flags.
+
+    Args:
+        config: The root config, ``run`` or ``train``.
+    """
+
+    def add(function: Callable[..., Any]) -> Callable[..., Any]:
+        for option in reversed(_JOB_OPTIONS):
+            function = option(function)
+        return overrides("[task=NAME] [KEY=VALUE]...", config=config)(function)
+
+    return add
 
 
-def log_argument(metavar: str = "FILE", name: str = "file") -> Decorator[Any]:
-    """Add an argument that names a log, see `log_of`."""
+def log_argument(metavar: str = "FILE", name: str = "file") -> Decorator:
+    """Add an argument that names a log (see `log_of`)."""
     return click.argument(name, metavar=metavar, shell_complete=complete_last)
 
 
+def complete_last(ctx: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    """Complete the word `last`, which means the newest run."""
+    return ["last"] if "last".startswith(incomplete) else []
+
+
 def log_of(name: str) -> Path:
-    """Return the log that is meant: a file, the one in a run's folder, or the newest (``last``).
+    """Return the log of a name: a file, a run's folder, or ``last`` for the newest run.
 
     Raises:
         ConfigError: There is no log yet, or the folder has none.
     """
-    from embodichain.config.newest import LOG, newest_run
+    from embodichain.config.run_folder import LOG, newest_run
 
     path = newest_run("outputs", LOG) if name == "last" else Path(name)
     if path is None:
@@ -384,63 +428,13 @@ def log_of(name: str) -> Path:
     return log
 
 
-_INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
-
-
-def jobs(config: str) -> Decorator[Any]:
-    """Add what `run` and `train` take: overrides, Hydra's flags, output.
-
-    Args:
-        config: The root config, ``run`` or ``train``.
-    """
-
-    def add(function: _F) -> _F:
-        option = click.option
-        for decorate in (
-            common(config_dir=True, quiet=True),
-            option(
-                *("--info", "-i"),
-                type=click.Choice(_INFO),
-                is_flag=False,
-                flag_value="all",
-                help="Print how the config was composed.",
-            ),
-            option("--package", "-p", metavar="KEY", help="With --cfg: only this part."),
-            option("--resolve", is_flag=True, help="With --cfg: resolve interpolations."),
-            option(
-                *("--cfg", "-c"),
-                type=click.Choice(("job", "hydra", "all")),
-                help="Print the config, and do nothing.",
-            ),
-            option("--multirun", "-m", is_flag=True, help="One job for each value."),
-            option(
-                *("--gym-config",),
-                metavar="FILE",
-                help="EmbodiChain's own config of a task, instead of task=NAME.",
-            ),
-            overrides("[task=NAME] [KEY=VALUE]...", config=config),
-        ):
-            function = decorate(function)
-        return function
-
-    return add
-
-
-def typed() -> list[str]:
+def command_line() -> list[str]:
     """Return the command line of the verb that is running."""
     return list(click.get_current_context().find_root().obj)
 
 
-def job_options(options: Any) -> list[str]:
-    """Return the flags of a verb that starts a job as overrides: `quiet`, `json`, `traceback`.
-
-    The workers of a sweep get overrides only, so that everything they must know is one.
-    """
-    return [f"{name}=true" for name in ("quiet", "json", "traceback") if getattr(options, name)]
-
-
 def split_overrides(words: tuple[str, ...]) -> list[str]:
-    """Turn what was typed into overrides: a bare word names the task.
+    """Return words as overrides; a word without ``=`` is the name of the task.
 
     Raises:
         ConfigError: More than one bare word.

@@ -1,52 +1,31 @@
-"""`embodichain bench`: control steps/s of a task beside the bare batch of the same model.
+"""`embodichain bench`: control steps/s of a task compared with the bare batch of the same model.
 
 The bare arm is `mujoco.batch.Batch.step` with nothing bound: C threads over the same simulations,
-under the same controls, and without MuJoCo's own timers, as everything here. Both arms live in one
-process and take turns, so that the ratio holds where the machine's speed wanders.
+with the same ctrl and without MuJoCo's timers. Both arms run alternately in one process, so that
+their ratio does not depend on variations of the machine's speed.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
 from statistics import median
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from embodichain.cli.app import common, overrides, split_overrides, verb
+from embodichain.cli.app import overrides, split_overrides, verb
 from embodichain.cli.output import print_json, print_table
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
+    from embodichain.config.resolved import Resolved
     from embodichain.lab.gym.envs.base_env import BaseEnv
 
 __all__ = ["command"]
 
-_ACTIONS = 16  # drawn before the clock starts: the policy's cost is not the environment's
+_ACTIONS = 16  # drawn before timing, to exclude the cost of a policy
 _ROUND_SECONDS = 0.3
-
-
-@dataclass(frozen=True, slots=True)
-class Result:
-    """One size. Speeds are control steps/s summed over environments.
-
-    Attributes:
-        num_envs: N.
-        steps_per_s: Median over rounds of the task's environment.
-        slowest: Slowest round of it.
-        fastest: Fastest round of it.
-        bare_steps_per_s: Median of the bare batch.
-        ratio: Median over rounds of the two speeds' ratio.
-    """
-
-    num_envs: int
-    steps_per_s: float
-    slowest: float
-    fastest: float
-    bare_steps_per_s: float
-    ratio: float
 
 
 @verb(
@@ -54,19 +33,17 @@ class Result:
     ("bench task=random_reach num_envs=1,64,1024", "three sizes"),
     ("bench task=push_cube num_envs=64 --rounds 3 --json", "quicker, for scripts"),
     keys=True,
+    config_dir=True,
 )
 @overrides("task=NAME [num_envs=1,64,1024] [KEY=VALUE]...")
-@click.option("--rounds", type=int, default=7, help="Rounds of each arm; else 7.")
-@common(config_dir=True)
-def command(
-    words: tuple[str, ...], rounds: int, config_dir: str | None, json: bool, traceback: bool
-) -> None:
-    """Measure every size that was asked for."""
-    if rounds < 1:
-        raise ConfigError(f"--rounds must be at least 1, got {rounds}")
+@click.option("--rounds", type=click.IntRange(1), default=7, help="Rounds of each arm. Default: 7.")
+def command(words: tuple[str, ...], rounds: int, json: bool) -> None:
+    """Measure every requested number of environments."""
+    from embodichain.config.resolved import resolve
+
     sizes, lines = _sizes(split_overrides(words))
-    configs = [_resolved(lines, size, config_dir) for size in sizes]
-    results = [asdict(_measure(config, rounds)) for config in configs]
+    configs = [resolve([*lines, *size, "record=none"], "run") for size in sizes]
+    results = [_measure(config, rounds) for config in configs]
     task = configs[0].task_name
     if json:
         print_json({"task": task, "rounds": rounds, "results": results})
@@ -74,27 +51,25 @@ def command(
         print_table(f"{task}, control steps/s", results)
 
 
-def _sizes(overrides: list[str]) -> tuple[list[int | None], list[str]]:
-    """Take ``num_envs=1,64`` out of the overrides; None stands for the task's own number."""
+def _sizes(overrides: list[str]) -> tuple[list[list[str]], list[str]]:
+    """Split ``num_envs=1,64`` into one override per size; returns these and the other overrides."""
     given = [o for o in overrides if o.startswith("num_envs=")]
     if not given:
-        return [None], overrides
+        return [[]], overrides
     words = given[-1].removeprefix("num_envs=").split(",")
     if not all(word.strip().isdecimal() and int(word) > 0 for word in words):
         message = f"must be one or more positive integers, got {given[-1]!r}"
         raise ConfigError([Problem("num_envs", message, "As in num_envs=1,64,1024")])
-    return [int(word) for word in words], [o for o in overrides if o not in given]
+    return [[f"num_envs={int(word)}"] for word in words], [o for o in overrides if o not in given]
 
 
-def _resolved(overrides: list[str], size: int | None, config_dir: str | None) -> Any:
-    from embodichain.config.resolved import resolve
+def _measure(config: Resolved, rounds: int) -> dict[str, float]:
+    """Build both arms and measure them alternately.
 
-    own = [] if size is None else [f"num_envs={size}"]
-    return resolve([*overrides, *own, "record=none"], "run", config_dir=config_dir)
-
-
-def _measure(config: Any, rounds: int) -> Result:
-    """Build both arms, then let them take turns."""
+    Returns:
+        ``num_envs``; speeds in control steps/s summed over environments, medians over rounds
+        except ``slowest`` and ``fastest``; ``ratio``, the median of the two speeds' ratio.
+    """
     from embodichain.config.factory import make_env
 
     env = make_env(config)
@@ -105,21 +80,21 @@ def _measure(config: Any, rounds: int) -> Result:
     finally:
         env.close()
     ours = [env.num_envs * a for a, _ in speeds]
-    return Result(
-        env.num_envs,
-        median(ours),
-        min(ours),
-        max(ours),
-        env.num_envs * median(b for _, b in speeds),
-        median(a / b for a, b in speeds),
-    )
+    return {
+        "num_envs": env.num_envs,
+        "steps_per_s": median(ours),
+        "slowest": min(ours),
+        "fastest": max(ours),
+        "bare_steps_per_s": env.num_envs * median(b for _, b in speeds),
+        "ratio": median(a / b for a, b in speeds),
+    }
 
 
-def _arms(env: BaseEnv, config: Any) -> tuple[Callable[[int], None], Callable[[int], None]]:
-    """The environment under actions drawn beforehand, and the bare batch under their controls."""
+def _arms(env: BaseEnv, config: Resolved) -> tuple[Callable[[int], None], Callable[[int], None]]:
+    """The environment with actions drawn beforehand, and the bare batch with the same ctrl."""
     from mujoco import batch as mjbatch
 
-    from embodichain.cli.attach import policy_of
+    from embodichain.cli.jobs import policy_of
 
     policy = policy_of(config.root, env)
     obs, _ = env.reset()
@@ -147,13 +122,13 @@ def _arms(env: BaseEnv, config: Any) -> tuple[Callable[[int], None], Callable[[i
 
 
 def _steps_per_round(arm: Callable[[int], None]) -> int:
-    """How many steps take about a third of a second; the first ones warm up."""
+    """Number of steps that take about a third of a second, after a warm-up."""
     _speed(arm, 4)
     return max(8, int(_speed(arm, 8) * _ROUND_SECONDS))
 
 
 def _speed(arm: Callable[[int], None], steps: int) -> float:
-    """Calls a second."""
+    """Calls per second."""
     start = time.perf_counter()
     for step in range(steps):
         arm(step)

@@ -1,4 +1,4 @@
-"""`embodichain compare`: trainings side by side, as a table and as curves."""
+"""`embodichain compare`: a table and learning curves of several trainings."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from embodichain.cli.app import common, complete_last, verb
+from embodichain.cli.app import complete_last, verb
 from embodichain.cli.output import number, print_json, print_table
-from embodichain.config.newest import CHECKPOINT, newest_run
+from embodichain.config.run_folder import CHECKPOINT, newest_run
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
-    from embodichain.learning.comparison import Group
+    from embodichain.learning.statistics import Estimate
 
 __all__ = ["command"]
 
@@ -29,7 +29,6 @@ _COLUMNS = {
     "seconds": "train_seconds",
     "env steps": "env_steps",
 }
-_SHARES = ("success", "eval success")
 
 
 @verb(
@@ -39,9 +38,8 @@ _SHARES = ("success", "eval success")
 )
 @click.argument("runs", nargs=-1, required=True, metavar="RUN...", shell_complete=complete_last)
 @click.option("--output", "-o", metavar="OUT", help="A new picture: .png, .svg, .pdf.")
-@common()
-def command(runs: tuple[str, ...], output: str | None, json: bool, traceback: bool) -> None:
-    """Print a table of trainings, runs that differ by their seed in one line; draw their curves.
+def command(runs: tuple[str, ...], output: str | None, json: bool) -> None:
+    """Print a table of trainings, one line for runs that differ only in the seed; draw curves.
 
     RUN is a folder of a training or of a sweep, or `last`.
     """
@@ -52,34 +50,50 @@ def command(runs: tuple[str, ...], output: str | None, json: bool, traceback: bo
         from embodichain.learning.plots import plot_curves
 
         plot_curves(groups, Path(output))
+    numbers = [{name: group.number(name) for name in _COLUMNS.values()} for group in groups]
     if json:
-        print_json({"groups": [_data(group) for group in groups], "picture": output})
+        data = [
+            {
+                "label": group.label,
+                "seeds": [run.seed for run in group.runs],
+                "folders": [str(run.folder) for run in group.runs],
+                "numbers": {name: asdict(x) for name, x in found.items() if x is not None},
+            }
+            for group, found in zip(groups, numbers, strict=True)
+        ]
+        print_json({"groups": data, "picture": output})
         return
-    known = [title for title, name in _COLUMNS.items() if any(g.number(name) for g in groups)]
-    rows = [_row(group, known) for group in groups]
+    rows = [
+        {
+            **{"runs": group.label, "seeds": len(group.runs)},
+            **{
+                title: _cell(found[name], share="success" in title)
+                for title, name in _COLUMNS.items()
+                if any(other[name] for other in numbers)
+            },
+        }
+        for group, found in zip(groups, numbers, strict=True)
+    ]
     print_table("trainings: mean over seeds [95 % interval]", rows)
     if output is not None:
         sys.stdout.write(f"{output}\n")
 
 
 def _trainings(names: Sequence[str]) -> list[Path]:
-    """The folders of what was named; the trainings of a sweep's folder.
+    """The folders of the named trainings and of the trainings in a sweep's folder.
 
-    A pattern finds evaluations, and files, too: these are left out, and said.
+    Evaluations and files, which a shell pattern may match, are left out with a note.
     """
     from embodichain.learning.comparison import trainings_in
 
-    found: list[Path] = []
-    others: list[Path] = []
-    for path in dict.fromkeys(map(_path, names)):
-        inside = trainings_in(path) if path.is_dir() else []
-        found += inside
-        others += [] if inside else [path]
-    if not found:
-        return others  # reading one of them says what is wrong with it
-    for path in others:
-        sys.stderr.write(f"left out: {path} is no training\n")
-    return list(dict.fromkeys(found))
+    paths = dict.fromkeys(map(_path, names))
+    inside = {path: trainings_in(path) if path.is_dir() else [] for path in paths}
+    if not any(inside.values()):
+        return list(paths)  # reading them reports the mistake
+    for path in paths:
+        if not inside[path]:
+            sys.stderr.write(f"left out: {path} is no training\n")
+    return list(dict.fromkeys(training for found in inside.values() for training in found))
 
 
 def _path(name: str) -> Path:
@@ -91,24 +105,10 @@ def _path(name: str) -> Path:
     return path.resolve()
 
 
-def _row(group: Group, titles: list[str]) -> dict[str, Any]:
-    row: dict[str, Any] = {"runs": group.label, "seeds": len(group.runs)}
-    for title in titles:
-        found = group.number(_COLUMNS[title])
-        if found is None:
-            continue
-        form: Callable[[float], str] = (lambda v: f"{v:.1%}") if title in _SHARES else number
-        ends = found.mean_interval
-        row[title] = form(found.mean)
-        row[title] += f" [{form(ends[0])}, {form(ends[1])}]" if ends is not None else ""
-    return row
-
-
-def _data(group: Group) -> dict[str, Any]:
-    numbers = {name: group.number(name) for name in _COLUMNS.values()}
-    return {
-        "label": group.label,
-        "seeds": [run.seed for run in group.runs],
-        "folders": [str(run.folder) for run in group.runs],
-        "numbers": {n: asdict(found) for n, found in numbers.items() if found is not None},
-    }
+def _cell(found: Estimate | None, *, share: bool) -> str | None:
+    """A mean with its interval."""
+    if found is None:
+        return None
+    form: Callable[[float], str] = "{:.1%}".format if share else number
+    ends = found.mean_interval
+    return form(found.mean) + (f" [{form(ends[0])}, {form(ends[1])}]" if ends is not None else "")

@@ -1,6 +1,6 @@
-"""`embodichain convert`: EmbodiChain's gym config becomes a task file of ours.
+"""`embodichain convert`: converts EmbodiChain's gym config to a task file.
 
-The gym config is only read, and no file is ever replaced.
+The gym config is not changed, and no file is overwritten.
 """
 
 from __future__ import annotations
@@ -8,19 +8,19 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from embodichain.cli.app import common, verb
+from embodichain.cli.app import verb
 from embodichain.cli.output import print_json
 from embodichain.utils.atomic import write_text
-from embodichain.utils.errors import ConfigError
+from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.config.gym_config import GymConfig
-    from embodichain.config.locate import LocatedProblem
 
 __all__ = ["command"]
 
@@ -31,10 +31,9 @@ __all__ = ["command"]
     ("convert gym_config.json -o conf/task/push.yaml", "write it; then: run task=push"),
 )
 @click.argument("file", metavar="FILE")
-@click.option("--output", "-o", metavar="OUT", help="A new file; else the terminal.")
-@common()
-def command(file: str, output: str | None, json: bool, traceback: bool) -> None:
-    """Print the task, or write it to a new file; say on stderr what could not come along."""
+@click.option("--output", "-o", metavar="OUT", help="A new file. Default: print it.")
+def command(file: str, output: str | None, json: bool) -> None:
+    """Print the task, or write it to a new file; list on stderr what could not be converted."""
     from embodichain.config.composed import compose
     from embodichain.config.gym_config import load_gym_config, override_of
     from embodichain.config.validation import validate
@@ -50,7 +49,7 @@ def command(file: str, output: str | None, json: bool, traceback: bool) -> None:
     left = validate(compose([override_of(file)]))
     if json:
         lists = {"notes": gym.notes, "mistakes": left}
-        listed = {name: [p.as_dict() for p in found] for name, found in lists.items()}
+        listed = {name: [asdict(p) for p in found] for name, found in lists.items()}
         print_json({"name": gym.name, "task": gym.task, "written": output, **listed})
         return
     sys.stdout.write(text if output is None else f"{output}: {gym.name}, from {file}\n")
@@ -59,8 +58,8 @@ def command(file: str, output: str | None, json: bool, traceback: bool) -> None:
 
 
 def _task_file(gym: GymConfig, source: str) -> str:
-    """The task as YAML; its head lists what could not come along."""
-    from embodichain.config.frozen import dump_yaml
+    """The task as YAML; comments at the top list what could not be converted."""
+    from embodichain.config.resolved import dump_yaml
 
     head = [f"# Converted from {Path(source).name} by `embodichain convert`."]
     if gym.notes:
@@ -70,7 +69,7 @@ def _task_file(gym: GymConfig, source: str) -> str:
 
 
 def _write_new(path: Path, text: str) -> None:
-    """Write a file that was not there, whole or not at all."""
+    """Write a new file atomically."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, text, new=True)
@@ -80,6 +79,6 @@ def _write_new(path: Path, text: str) -> None:
         raise ConfigError(f"cannot write {path}: {error}") from error
 
 
-def _list(title: str, problems: Iterable[LocatedProblem]) -> str:
+def _list(title: str, problems: Iterable[Problem]) -> str:
     lines = [f"  {problem}\n" for problem in problems]
     return "".join([f"{title} ({len(lines)}):\n", *lines]) if lines else ""

@@ -1,12 +1,12 @@
-"""`embodichain diff A B`: the first step and field where two logs differ."""
+"""`embodichain diff A B`: the first step and field in which two logs differ."""
 
 from __future__ import annotations
 
 import sys
 from dataclasses import asdict
 
-from embodichain.cli import exits
-from embodichain.cli.app import common, log_argument, log_of, verb
+from embodichain.cli import process
+from embodichain.cli.app import log_argument, log_of, verb
 from embodichain.cli.output import print_json
 
 __all__ = ["command"]
@@ -19,9 +19,8 @@ __all__ = ["command"]
 )
 @log_argument("A", "a")
 @log_argument("B", "b")
-@common()
-def command(a: str, b: str, json: bool, traceback: bool) -> int:
-    """Compare two logs; 1 if they differ."""
+def command(a: str, b: str, json: bool) -> int:
+    """Compare two logs; returns 1 if they differ."""
     from embodichain.recording.log_diff import diff
 
     report = diff(log_of(a), log_of(b))
@@ -30,8 +29,8 @@ def command(a: str, b: str, json: bool, traceback: bool) -> int:
     else:
         for note in report.notes:
             sys.stderr.write(f"note: {note}\n")
-        said = f"the same: {report.steps} control steps, every bit"
+        verdict = f"the same: {report.steps} control steps, every bit"
         if report.difference is not None:
-            said = f"they differ first at {report.difference}"
-        sys.stdout.write(f"{said}\n")
-    return exits.OK if report.same else exits.FAILED
+            verdict = f"they differ first at {report.difference}"
+        sys.stdout.write(f"{verdict}\n")
+    return process.OK if report.same else process.FAILED

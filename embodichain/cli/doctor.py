@@ -1,29 +1,52 @@
-"""`embodichain doctor`: what this machine has, and what to do where something is missing.
+"""`embodichain doctor`: checks of this machine, with advice on what is missing.
 
-A check never raises: what it finds is its result. Exits 1 when something that every run needs is
-not there.
+A check never raises. The exit code is 1 if something that every run needs is missing.
 """
 
 from __future__ import annotations
 
-import importlib.metadata as metadata
 import os
 import platform
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
+from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
-from embodichain.cli import exits
-from embodichain.cli.app import common, verb
-from embodichain.cli.extras import EXTRAS
+from embodichain.cli import process
+from embodichain.cli.app import verb
 from embodichain.cli.output import print_json, print_table
 
-__all__ = ["Check", "command"]
+__all__ = ["EXTRAS", "Check", "command"]
 
+EXTRAS = {
+    "robots": ("robots of example-robot-data", "example-robot-data"),
+    "decompose": ("convex parts of meshes: collision: decompose", "coacd"),
+    "plot": ("curves of trainings as PNG", "matplotlib"),
+    "wandb": ("trainings in Weights & Biases", "wandb"),
+    "sweep": (
+        "sweeps in parallel, and searches with Optuna",
+        *("hydra-joblib-launcher", "hydra-optuna-sweeper", "alembic", "sqlalchemy"),
+    ),
+    "export": ("policies as ONNX files", "onnx", "onnxruntime"),
+    "video": ("films: video=true, replay --video", "imageio-ffmpeg"),
+    "foxglove": ("viewer=foxglove", "foxglove-sdk"),
+    "pandas": ("logs as data frames", "pandas"),
+    "parquet": ("logs as Parquet files", "pyarrow"),
+    "hdf5": ("logs as HDF5 files", "h5py"),
+    "ros2": ("logs as ROS 2 bags", "rosbags"),
+    "rerun": ("logs as recordings for Rerun", "rerun-sdk"),
+    "lerobot": ("logs as LeRobot data sets", "pandas", "pyarrow", "imageio-ffmpeg"),
+}
+"""Extra of this package -> its purpose and its packages (versions are in `pyproject.toml`)."""
+OTHERS = {
+    "tensorboard": "event files of trainings",
+    "sb3-contrib": "algorithms TRPO, TQC, CrossQ, RecurrentPPO",
+}
+"""Optional package that is in no extra -> its purpose."""
 _CORE = (
     *("mujoco", "numpy", "torch", "tensordict", "gymnasium", "stable-baselines3", "hydra-core"),
     *("omegaconf", "pydantic", "mcap", "protobuf", "rich"),
@@ -39,9 +62,9 @@ class Check:
     """One line of the report.
 
     Attributes:
-        part: What was looked at.
-        state: ``ok``; ``warn``: works, but; ``missing``: optional and not there; ``fail``.
-        found: What was found.
+        part: Name of the check.
+        state: ``ok``; ``warn``: works with limits; ``missing``: optional, not installed; ``fail``.
+        found: The result.
         advice: What to do, or empty.
     """
 
@@ -53,18 +76,29 @@ class Check:
 
 @verb(
     "doctor",
-    ("doctor", "a table, with what to do where something is missing"),
+    ("doctor", "a table, with what to do about what is missing"),
     ("doctor --json", ""),
 )
-@common()
-def command(json: bool, traceback: bool) -> int:
-    """Check everything and print it."""
-    checks = [check for section in _SECTIONS for check in section()]
+def command(json: bool) -> int:
+    """Run all checks and print their results."""
+    sections = _versions, _threads, _rendering, _display, _disk, _optional, _randomness
+    checks = [check for section in sections for check in section()]
     if json:
         print_json({"checks": [asdict(check) for check in checks]})
     else:
         print_table("this machine", [asdict(check) for check in checks])
-    return exits.FAILED if any(check.state == "fail" for check in checks) else exits.OK
+    return process.FAILED if any(check.state == "fail" for check in checks) else process.OK
+
+
+def _installed(packages: Sequence[str]) -> tuple[dict[str, str], list[str]]:
+    """Versions of the packages that are installed, and the names of the others."""
+    versions: dict[str, str] = {}
+    for name in packages:
+        try:
+            versions[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+    return versions, [name for name in packages if name not in versions]
 
 
 def _versions() -> Iterator[Check]:
@@ -72,11 +106,9 @@ def _versions() -> Iterator[Check]:
 
     yield Check("embodichain", "ok", embodichain.__version__)
     yield Check("Python", "ok", f"{platform.python_version()} on {platform.platform()}")
-    for name in _CORE:
-        try:
-            yield Check(name, "ok", metadata.version(name))
-        except metadata.PackageNotFoundError:
-            yield Check(name, "fail", "not installed", f"pip install {name}")
+    versions, missing = _installed(_CORE)
+    yield from (Check(name, "ok", version) for name, version in versions.items())
+    yield from (Check(name, "fail", "not installed", f"pip install {name}") for name in missing)
 
 
 def _threads() -> Iterator[Check]:
@@ -88,11 +120,10 @@ def _threads() -> Iterator[Check]:
 
 
 def _rendering() -> Iterator[Check]:
-    """A tiny picture, in a process of its own: a broken driver may take it down."""
+    """Render a small picture, in a separate process that a broken driver may crash."""
+    command = [sys.executable, "-c", _RENDER]
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", _RENDER], capture_output=True, text=True, timeout=60, check=False
-        )
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     except subprocess.TimeoutExpired:
         yield Check("rendering", "warn", "no picture within 60 s", _NO_PICTURE)
         return
@@ -104,8 +135,9 @@ def _rendering() -> Iterator[Check]:
 
 
 def render_once() -> None:
-    """Draw one small picture and say with what; raises where no picture can be made."""
+    """Render one small picture and print the OpenGL backend; raise if rendering fails."""
     import mujoco
+    from mujoco.rendering.classic import gl_context
 
     from embodichain.lab.sim.engine.cpu import CpuEngine
     from embodichain.lab.sim.rendering import SceneRenderer, View
@@ -115,8 +147,6 @@ def render_once() -> None:
     look = View.look_at((0.4, -0.4, 0.4), (0.0, 0.0, 0.0), (0.0, 0.0, 1.0), 45.0)
     picture = renderer.draw(CpuEngine(model, 1), 0, look)
     renderer.close()
-    from mujoco.rendering.classic import gl_context
-
     backend = gl_context.GLContext.__module__.rpartition(".")[2]
     if picture.max() == picture.min():
         raise RuntimeError(f"{backend} draws an empty picture")
@@ -135,40 +165,39 @@ def _disk() -> Iterator[Check]:
     folder = Path("outputs").resolve()
     existing = next(p for p in (folder, *folder.parents) if p.exists())
     free = shutil.disk_usage(existing).free / 1e9
-    state: Literal["ok", "warn"] = "ok" if free > _LOW_DISK_GB else "warn"
-    advice = "" if state == "ok" else "logs of many environments are large: record=none, or room"
-    yield Check("disk", state, f"{free:.1f} GB free for {folder}", advice)
+    found = f"{free:.1f} GB free for {folder}"
+    if free > _LOW_DISK_GB:
+        yield Check("disk", "ok", found)
+    else:
+        yield Check(
+            "disk", "warn", found, "logs of many environments are large: record=none, or room"
+        )
     if not os.access(existing, os.W_OK):
         yield Check("outputs", "warn", f"{existing} cannot be written", "run elsewhere")
 
 
 def _optional() -> Iterator[Check]:
-    for name, extra in EXTRAS.items():
-        versions, missing = extra.found()
+    extras = {name: (purpose, f"'embodichain[{name}]'") for name, (purpose, *_) in EXTRAS.items()}
+    others = {name: (purpose, name) for name, purpose in OTHERS.items()}
+    for name, (purpose, install) in {**extras, **others}.items():
+        versions, missing = _installed(EXTRAS[name][1:] if name in EXTRAS else [name])
         listed = ", ".join(f"{package} {version}" for package, version in versions.items())
         if not missing:
             yield Check(name, "ok", listed)
             continue
         lacking = f"not installed: {', '.join(missing)}"
         found = f"{lacking} (there: {listed})" if listed else lacking
-        yield Check(name, "missing", found, f"{extra.purpose}: pip install {extra.install}")
+        yield Check(name, "missing", found, f"{purpose}: pip install {install}")
     yield Check("CUDA", "missing", "device=cuda is not available in this version: device=cpu")
 
 
 def _randomness() -> Iterator[Check]:
-    """Classes and terms whose results depend on num_envs: they draw from a global generator."""
+    """Classes and terms that draw from a global generator, so that results depend on num_envs."""
     from embodichain.cli.global_random import global_draws, registered_code
 
-    found = False
-    for name, thing in registered_code():
-        for draw in global_draws(thing):
-            found = True
-            advice = "use env.rand or env.randn: the same numbers whatever num_envs is"
-            yield Check(name, "warn", f"draws from a global generator: {draw}", advice)
-    if not found:
+    advice = "use env.rand or env.randn: the same numbers whatever num_envs is"
+    draws = [(name, draw) for name, thing in registered_code() for draw in global_draws(thing)]
+    for name, draw in draws:
+        yield Check(name, "warn", f"draws from a global generator: {draw}", advice)
+    if not draws:
         yield Check("random numbers", "ok", "no registered class or term uses a global generator")
-
-
-_SECTIONS: tuple[Callable[[], Iterator[Check]], ...] = (
-    *(_versions, _threads, _rendering, _display, _disk, _optional, _randomness),
-)

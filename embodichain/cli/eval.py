@@ -1,31 +1,48 @@
-"""`embodichain eval`: exactly N episodes of a policy, and how far their numbers can be trusted."""
+"""`embodichain eval`: exactly N episodes of a policy, with confidence intervals.
+
+The evaluation at the end of `train` uses the same functions.
+"""
 
 from __future__ import annotations
 
-import sys
+import dataclasses
+from collections.abc import Mapping
+from contextlib import suppress
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from embodichain.cli.app import common, job_options, overrides, typed, verb
-from embodichain.cli.attach import check_attachments, film_job
-from embodichain.cli.evaluating import (
-    Asked,
-    evaluate_job,
-    evaluation_config,
-    objective_of,
-    print_evaluation,
-)
-from embodichain.cli.exits import Interrupted
-from embodichain.cli.jobs import FRESH, Job, execute
-from embodichain.cli.output import print_json
-from embodichain.cli.process import StopFlag
+from embodichain.cli.app import command_line, overrides, verb
+from embodichain.cli.jobs import FRESH, Job, execute, job_options, policy_of
+from embodichain.cli.output import number, print_facts, print_json, to_json
+from embodichain.cli.reporting import ProgressDisplay
 from embodichain.cli.trained import one_target, take
+from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["command"]
+if TYPE_CHECKING:
+    from embodichain.config.resolved import Resolved
+    from embodichain.learning.episode_statistics import EpisodeStatistics
 
-_EPISODES = 100
+__all__ = ["Asked", "brief_rows", "command", "evaluate_job", "evaluation_config", "objective_of"]
+
+EVAL_FILE = "eval.json"
+_EPISODES = "100"
 _WORDS = {"true": True, "false": False}
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Asked:
+    """The options of an evaluation.
+
+    Attributes:
+        episodes: Number of episodes over all environments.
+        seed: As typed; the environments use this plus `EVAL_SEED_OFFSET`.
+        deterministic: Whether a trained policy returns its mean action.
+    """
+
+    episodes: int
+    seed: int
+    deterministic: bool = True
 
 
 @verb(
@@ -34,68 +51,188 @@ _WORDS = {"true": True, "false": False}
     ("eval outputs/latest episodes=500 seed=7", "more of them, others"),
     ("eval last deterministic=false", "actions drawn as in training"),
     ("eval policy.onnx task=reach", "a file, in a task"),
-    ("eval random task=reach episodes=50 record=none", "what chance reaches, without a log"),
+    ("eval random task=reach episodes=50 record=none", "random actions, without a log"),
     keys=True,
+    config_dir=True,
+    quiet=True,
 )
 @overrides("RUN|last|PATH [task=NAME] [KEY=VALUE]...", "last")
-@common(config_dir=True, quiet=True)
 def command(**kwargs: Any) -> None:
     """Evaluate one policy in a new run folder."""
     from embodichain.config.schema import LARGEST_TRAINING_SEED
-    from embodichain.config.search_path import user_configs
     from embodichain.learning.evaluation import EVAL_SEED_OFFSET
 
     options = SimpleNamespace(**kwargs)
-    with user_configs(options.config_dir):
-        target, lines = one_target("evaluate", options.words)
-        episodes = _integer(lines, "episodes", _EPISODES, least=1)
-        word = take(lines, "deterministic") or "true"
-        if word.lower() not in _WORDS:
-            raise _wrong("deterministic", f"must be true or false, got {word!r}")
-        seed = _integer(lines, "seed", None, least=0)
-        chosen = any(line.startswith("num_envs=") for line in lines)
-        fresh = {**FRESH, "viewer": {"name": "none"}, "record": {}}
-        resolved = target.resolve([*lines, *job_options(options)], fresh)
-        if seed is None:  # the training's; without a training the same episodes each time
-            seed = int(resolved.tree["seed"]) % EVAL_SEED_OFFSET if target.run is not None else 0
-        if seed > LARGEST_TRAINING_SEED:
-            raise _wrong("seed", f"must be from 0 to {LARGEST_TRAINING_SEED}, got {seed}")
-        asked = Asked(episodes, seed, _WORDS[word.lower()])
-
-        def evaluate(run: Job, stop: StopFlag) -> float | None:
-            return _evaluate(run, stop, asked)
-
-        execute(evaluation_config(resolved, asked, trim=not chosen), evaluate, typed())
+    target, lines = one_target("evaluate", options.words)
+    episodes = _integer("episodes", take(lines, "episodes", _EPISODES), least=1)
+    word = take(lines, "deterministic", "true")
+    if word.lower() not in _WORDS:
+        raise ConfigError([Problem("deterministic", f"must be true or false, got {word!r}")])
+    typed_seed = take(lines, "seed", "")
+    seed = _integer("seed", typed_seed or "0", least=0)
+    trim = not any(line.startswith("num_envs=") for line in lines)
+    fresh = {**FRESH, "viewer": {"name": "none"}, "record": {}}
+    resolved = target.resolve([*lines, *job_options(options)], fresh)
+    if not typed_seed and target.run is not None:
+        seed = int(resolved.tree["seed"]) % EVAL_SEED_OFFSET  # the training's
+    if seed > LARGEST_TRAINING_SEED:
+        message = f"must be from 0 to {LARGEST_TRAINING_SEED}, got {seed}"
+        raise ConfigError([Problem("seed", message)])
+    asked = Asked(episodes, seed, _WORDS[word.lower()])
+    config = evaluation_config(resolved, asked, trim=trim)
+    execute(config, lambda job: _evaluate(job, asked), command_line())
 
 
-def _evaluate(run: Job, stop: StopFlag, asked: Asked) -> float | None:
-    """Play, write `eval.json`, show it."""
-    if not run.quiet:
-        sys.stderr.write(f"{run.resolved.task_name}: {run.folder}\n")
-    check_attachments(run.root)
-    result = evaluate_job(run, stop, asked)
-    result |= film_job(run, stop, result["log"])
-    if run.root.json:
+def _integer(key: str, word: str, *, least: int) -> int:
+    with suppress(ValueError):
+        if (value := int(word)) >= least:
+            return value
+    raise ConfigError([Problem(key, f"must be an integer of at least {least}, got {word!r}")])
+
+
+def _evaluate(job: Job, asked: Asked) -> float | None:
+    """Evaluate, write `eval.json` and print the results."""
+    result = evaluate_job(job, asked)
+    result |= job.film(result["log"])
+    if job.root.json:
         print_json(result)
-    elif not run.quiet:
-        print_evaluation(result)
-    if stop.stopped is not None:
-        raise Interrupted(f"interrupted ({stop.stopped}); {run.folder} is complete up to there")
+    elif not job.quiet:
+        _print(result)
     return objective_of(result)
 
 
-def _integer(overrides: list[str], key: str, default: int | None, *, least: int) -> Any:
-    word = take(overrides, key)
-    if word is None:
-        return default
+def evaluation_config(resolved: Resolved, asked: Asked, *, trim: bool = True) -> Resolved:
+    """Return the config of an evaluation's environment.
+
+    Args:
+        resolved: The config of the run to evaluate.
+        asked: The options of the evaluation.
+        trim: Whether to reduce the number of environments to the number of episodes.
+
+    Raises:
+        ConfigError: The log is configured to show environments that the evaluation does not have.
+    """
+    from embodichain.learning.evaluation import EVAL_SEED_OFFSET
+
+    count = int(resolved.tree["num_envs"])
+    if trim:
+        count = min(count, asked.episodes)
+    record = resolved.root.record
+    beyond = [i for i in record.view_envs if i >= count]
+    if beyond and record.format != "none":
+        message = f"no such environments: {beyond}; the evaluation has {count}"
+        raise ConfigError([Problem("record.view_envs", message)])
+    episodes = -(-asked.episodes // count)
+    return resolved.changed(num_envs=count, episodes=episodes, seed=EVAL_SEED_OFFSET + asked.seed)
+
+
+def evaluate_job(job: Job, asked: Asked) -> dict[str, Any]:
+    """Build, roll out, log, and write `eval.json` into the run's folder.
+
+    Args:
+        job: A job with a config of `evaluation_config` that names the policy. If a signal stops
+            it, the episodes until then count.
+        asked: The options of the evaluation.
+
+    Returns:
+        The content of `eval.json`.
+    """
+    from embodichain.config.factory import make_env
+    from embodichain.learning.evaluation import evaluate
+
+    task = job.resolved.task_name
+    env = make_env(job.resolved, run_dir=job.folder)
     try:
-        value = int(word)
-    except ValueError:
-        value = least - 1
-    if value < least:
-        raise _wrong(key, f"must be an integer of at least {least}, got {word!r}")
-    return value
+        policy = policy_of(job.root, env, deterministic=asked.deterministic)
+        recorder = job.attach_log(env)
+        job.attach_viewer(env, realtime=False, resets=False)
+        with ProgressDisplay(task, asked.episodes, "episodes", quiet=job.quiet) as display:
+
+            def watch(counted: EpisodeStatistics) -> bool:
+                if display.due or counted.complete:
+                    display.show(counted.episodes, _facts(counted))
+                return job.stop.is_stopped()
+
+            found = evaluate(env, policy, asked.episodes, seed=asked.seed, watch=watch)
+    finally:
+        env.close()  # finishes the log too
+    result = {
+        "task": task,
+        "policy": job.root.policy,
+        "deterministic": asked.deterministic,
+        "folder": str(job.folder),
+        "log": str(recorder.stats.path) if recorder is not None else None,
+        "changed": [str(change) for change in getattr(policy, "changed", ())],
+        **found.as_dict(),
+    }
+    write_text(job.folder / EVAL_FILE, to_json(result, indent=2) + "\n")
+    return result
 
 
-def _wrong(key: str, why: str) -> ConfigError:
-    return ConfigError([Problem(key, why)])
+def _facts(counted: EpisodeStatistics) -> dict[str, str]:
+    facts = {"step": f"{counted.steps}"}
+    for name, form in (("return", ".3g"), ("success", ".0%")):
+        mean = counted.mean(name)
+        if mean is not None:
+            facts[name] = format(mean, form)
+    return facts
+
+
+def _print(result: Mapping[str, Any]) -> None:
+    """Print the content of `eval.json` as a table."""
+    mode = "deterministic" if result["deterministic"] else "actions drawn"
+    rows: list[tuple[str, Any]] = [
+        ("policy", f"{result['policy']} ({mode})"),
+        ("episodes", f"{result['episodes']:,} of {result['num_envs']} environments"),
+        *_success_row(result),
+        *_estimate_rows("return", result["returns"]),
+        *_estimate_rows("length", result["length"]),
+    ]
+    rows += [(f"reward {name}", value) for name, value in result["rewards"].items()]
+    rows += [(f"metric {name}", value) for name, value in result["metrics"].items()]
+    rows += [(name, f"{result[name]} episodes") for name in ("terminated", "diverged")]
+    names = ("seed", "log", "video", "folder")
+    rows += [(name, result[name]) for name in names if result.get(name) is not None]
+    title = f"{result['task']}  ([low, high]: {result['confidence']:.0%} intervals)"
+    print_facts(title, rows)
+
+
+def brief_rows(result: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """Return the rows about the evaluation for the final table of a training."""
+    episodes = f"{result['episodes']:,} episodes  ([low, high]: {result['confidence']:.0%})"
+    returns = _estimate_rows("return", result["returns"])[:2]
+    rows = [("episodes", episodes), *_success_row(result), *returns]
+    return [(f"eval {name}", value) for name, value in rows]
+
+
+def objective_of(result: Mapping[str, Any]) -> float | None:
+    """Return the objective for a sweeper: the success rate, else the mean return."""
+    if result["success"] is not None:
+        return float(result["success"]["rate"])
+    return None if result["returns"] is None else float(result["returns"]["mean"])
+
+
+def _success_row(result: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    success = result["success"]
+    if success is None:
+        return []
+    low, high = success["interval"]
+    share = f"{success['rate']:.1%}  [{low:.1%}, {high:.1%}]"
+    return [("success", f"{share}  {success['count']} of {success['trials']}")]
+
+
+def _estimate_rows(name: str, found: Mapping[str, Any] | None) -> list[tuple[str, Any]]:
+    if found is None:
+        return [(name, None)]
+
+    def spread(key: str) -> str:
+        interval = found[f"{key}_interval"]
+        ends = f"  [{number(interval[0])}, {number(interval[1])}]" if interval is not None else ""
+        return f"{number(found[key])}{ends}"
+
+    whole = f"{number(found['min'])} to {number(found['max'])}"
+    return [
+        (f"{name} mean", spread("mean")),
+        (f"{name} IQM", spread("iqm")),
+        (f"{name} median", f"{number(found['median'])}  ({whole})"),
+    ]

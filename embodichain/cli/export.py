@@ -9,13 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from embodichain.cli.app import common, log_of, verb
-from embodichain.cli.attach import ended_early, show_pictures
-from embodichain.cli.exits import Interrupted
-from embodichain.cli.logs import warnings_on_stderr
+from embodichain.cli.app import log_of, verb
+from embodichain.cli.jobs import ended_early, film_progress
 from embodichain.cli.output import print_json, say_warnings
-from embodichain.cli.process import StopFlag
-from embodichain.cli.progress import ProgressDisplay
+from embodichain.cli.process import Interrupted, StopFlag
+from embodichain.cli.reporting import ProgressDisplay, warnings_on_stderr
 from embodichain.cli.trained import Target, one_target
 from embodichain.utils.errors import ConfigError
 
@@ -41,6 +39,7 @@ def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -
     ("export policy last", "policy.onnx in the run's folder"),
     ("export policy last --format torchscript -o reach.pt", "for C++ and PyTorch"),
     ("export policy my_model.zip task=reach", "a zip of your own"),
+    config_dir=True,
 )
 @click.argument(
     "words",
@@ -53,14 +52,13 @@ def _complete(ctx: click.Context, parameter: click.Parameter, incomplete: str) -
     "form",
     metavar="F",
     help="Of a log: csv, npz, parquet, hdf5, lerobot, rrd, ros2 or mp4; of a policy: onnx "
-    "(else) or torchscript.",
+    "(default) or torchscript.",
 )
 @click.option("--output", "-o", metavar="OUT", help="A new file (lerobot: folder).")
 @click.option("--env", type=int, metavar="I", help="Of a log: only this environment.")
 @click.option("--episode", type=int, metavar="K", help="Only this episode of --env.")
-@click.option("--from", "start", type=int, default=0, metavar="T", help="First step.")
-@click.option("--to", "stop", type=int, metavar="T", help="Step that ends it.")
-@common(config_dir=True)
+@click.option("--from", "start", type=int, default=0, metavar="T", help="First control step.")
+@click.option("--to", "stop", type=int, metavar="T", help="The control step to stop before.")
 def command(**kwargs: Any) -> None:
     """Write a log, or a part of it, or a policy, to a new file."""
     options = SimpleNamespace(**kwargs)
@@ -75,30 +73,25 @@ def command(**kwargs: Any) -> None:
 
 
 def _export_policy(options: SimpleNamespace) -> None:
-    from embodichain.config.search_path import user_configs
-
-    form = options.form or "onnx"
+    form: Format = options.form or "onnx"
     if form not in _POLICIES:
         raise ConfigError(f"--format of a policy is one of {', '.join(_POLICIES)}, not {form}")
     target, lines = one_target("export", options.words[1:])
     if target.file is None or target.file.suffix in _POLICIES.values():
         name = target.policy
         raise ConfigError(f"policy: only zips of Stable-Baselines3 are exported, not {name}")
-    out = Path(options.output) if options.output is not None else _beside(target, form)
-    with user_configs(options.config_dir):
-        facts = _write_policy(target, lines, out, form)
+    if options.output is not None:
+        out = Path(options.output)
+    elif target.run is not None:
+        out = target.run / f"policy{_POLICIES[form]}"
+    else:  # a file that belongs to no run
+        out = Path(target.policy).with_suffix(_POLICIES[form])
+    facts = _write_policy(target, lines, out, form)
     if options.json:
         print_json(facts)
     else:
         worst = f"at most {facts['largest_difference']:.2g} from Stable-Baselines3's actions"
         sys.stdout.write(f"{out}: {facts['task']}, {facts['algo']}, {worst}\n")
-
-
-def _beside(target: Target, form: Format) -> Path:
-    """``policy.onnx`` in the run's folder, ``NAME.onnx`` beside a file that belongs to none."""
-    if target.run is not None:
-        return target.run / f"policy{_POLICIES[form]}"
-    return Path(target.policy).with_suffix(_POLICIES[form])
 
 
 def _write_policy(target: Target, overrides: list[str], out: Path, form: Format) -> dict[str, Any]:
@@ -148,7 +141,7 @@ def _export_log(options: SimpleNamespace) -> None:
 
 
 def _write(log: Log, options: SimpleNamespace, part: Part) -> tuple[Path, str]:
-    """Everything but films: a signal leaves no file."""
+    """Write any format but a video; a signal leaves no file."""
     from embodichain.recording.export.formats import export
 
     try:
@@ -160,26 +153,24 @@ def _write(log: Log, options: SimpleNamespace, part: Part) -> tuple[Path, str]:
 
 
 def _film(log: Log, options: SimpleNamespace, part: Part) -> tuple[Path, str]:
-    """A film: a signal ends it. Returns what to say of that, too."""
+    """Write a video; also returns a message if a signal ended it early."""
     from embodichain.recording.export.formats import export
     from embodichain.recording.film import Filmed
 
     filmed = Filmed(0, -1, whole=False)
     with StopFlag() as stop, ProgressDisplay("film", None, "pictures", quiet=options.json) as bar:
-        show = show_pictures(bar)
+        show = film_progress(bar)
 
         def progress(now: Filmed) -> None:
             nonlocal filmed
             filmed = now
             show(now)
 
-        def stopped() -> bool:
-            return stop.stopped is not None
-
-        path = export(log, options.form, options.output, part, progress=progress, stop=stopped)
+        how = options.form, options.output, part
+        path = export(log, *how, progress=progress, stop=stop.is_stopped)
         if not filmed.pictures:
             raise Interrupted(ended_early(stop, filmed, path))
-        return path, ended_early(stop, filmed, path) if stop.stopped is not None else ""
+        return path, ended_early(stop, filmed, path) if stop.is_stopped() else ""
 
 
 def _size(path: Path) -> int:

@@ -1,7 +1,7 @@
-"""Finds code that draws from a global random generator, by reading its source.
+"""Finds code that draws from a global random generator, by parsing its source.
 
-Such code stands outside the promise that environment i makes the same bytes whatever num_envs is:
-torch's, numpy's and Python's global generators are shared by all environments. Runs nothing.
+The results of such code depend on num_envs, because all environments share the global generators
+of torch, numpy and Python.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ def global_draws(thing: Callable[..., object]) -> list[str]:
     """Return ``NAME (line N of FILE)`` for each draw from a global generator.
 
     Args:
-        thing: A class or function; of a class the body is read, not its bases.
+        thing: A class or function; the bases of a class are not searched.
 
     Returns:
-        Empty also when there is no source to read (built in the interpreter).
+        The draws; empty also if there is no source (built into the interpreter).
     """
     try:
         lines, first = inspect.getsourcelines(thing)
@@ -47,21 +47,19 @@ def global_draws(thing: Callable[..., object]) -> list[str]:
 
 
 def _is_global(call: ast.Call) -> bool:
-    """Whether a call draws from a generator that nobody passed."""
+    """Whether a call draws from a global generator instead of one passed to it."""
+    owner, _, name = ast.unparse(call.func).rpartition(".")
     if any(keyword.arg == "generator" for keyword in call.keywords):
         return False
-    owner, _, name = ast.unparse(call.func).rpartition(".")
-    if name in _IN_PLACE:
-        return True
-    if owner == "torch":
-        return name in _TORCH
-    if owner in ("np.random", "numpy.random", "random"):
-        return name not in _OWN_GENERATOR
-    return False
+    return (
+        name in _IN_PLACE
+        or (owner == "torch" and name in _TORCH)
+        or (owner in ("np.random", "numpy.random", "random") and name not in _OWN_GENERATOR)
+    )
 
 
 def registered_code() -> Iterator[tuple[str, Callable[..., object]]]:
-    """Yield environment classes of ours and of plug-ins, with their bases, and every term."""
+    """Yield the environment classes of this package and of plug-ins, their bases, and all terms."""
     from embodichain.config.plugins import load_task_packages
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.envs.managers.registry import KINDS, TERMS
@@ -69,13 +67,12 @@ def registered_code() -> Iterator[tuple[str, Callable[..., object]]]:
 
     load_task_packages()
     seen: set[object] = set(BaseEnv.__mro__)
+    found: list[tuple[str, Callable[..., object]]] = []
     for name, spec in REGISTERED_ENVS.items():
-        for cls in inspect.getmro(spec.cls) if inspect.isclass(spec.cls) else (spec.cls,):
-            if cls not in seen:
-                seen.add(cls)
-                yield name, cls
-    for kind in KINDS:
-        for name, term in TERMS[kind].items():
-            if term.func not in seen:
-                seen.add(term.func)
-                yield f"{kind} term {name}", term.func
+        bases = inspect.getmro(spec.cls) if inspect.isclass(spec.cls) else (spec.cls,)
+        found += [(name, cls) for cls in bases]
+    found += [(f"{k} term {name}", t.func) for k in KINDS for name, t in TERMS[k].items()]
+    for name, thing in found:
+        if thing not in seen:
+            seen.add(thing)
+            yield name, thing

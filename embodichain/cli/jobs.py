@@ -1,46 +1,72 @@
-"""A job: one run or training with its checked config, its folder and its log file."""
+"""A job: one run or training, from the command line to its folder, log, policy and viewer.
+
+A single job is composed with Hydra's compose API and executed here. Sweeps, ``--cfg`` and
+``--info`` go through Hydra's own `main`, see `embodichain.cli.sweeping`.
+"""
 
 from __future__ import annotations
 
+import logging
 import shlex
+import sys
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
-from embodichain.cli.logs import label_lines, log_to
-from embodichain.cli.process import StopFlag
+from embodichain.cli.app import command_line, split_overrides
+from embodichain.cli.process import Interrupted, StopFlag
+from embodichain.cli.reporting import ProgressDisplay, log_to, warn_if_public
+from embodichain.lab.gym.policies import Policy, resolve_policy
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.config.composed import Composed
     from embodichain.config.resolved import Resolved
-    from embodichain.config.schema import RootCfg
+    from embodichain.config.schema import RootCfg, Verb
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.recording import McapRecorder
+    from embodichain.recording.film import Filmed
 
-__all__ = ["FRESH", "LOG_FILE", "Body", "Job", "Verb", "execute", "resolved_job"]
+__all__ = [
+    "FRESH",
+    "Body",
+    "Job",
+    "check_extras",
+    "ended_early",
+    "execute",
+    "film_progress",
+    "job_options",
+    "policy_of",
+    "resolved_job",
+    "start",
+]
 
 LOG_FILE = "run.log"
+VIDEO = "rollout.mp4"
+"""File name of a run's video in its folder."""
 FRESH: dict[str, Any] = {
     **{"quiet": False, "json": False, "traceback": False, "resume": None, "allow_changed": False},
     **{"max_steps": None, "video": None, "total_timesteps": None, "algo": None},
     **{"output_dir": "outputs"},
 }
 """Root keys of a run's config that do not carry over to another run of it."""
-Verb = Literal["run", "train"]
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One run.
+    """One run or training.
 
     Attributes:
-        resolved: Its config.
-        folder: Its own folder.
+        resolved: The config.
+        folder: The run folder, not shared with other runs.
+        stop: Set by a signal; the job then ends after the current control step.
     """
 
     resolved: Resolved
     folder: Path
+    stop: StopFlag
 
     @property
     def root(self) -> RootCfg:
@@ -49,19 +75,145 @@ class Job:
 
     @property
     def quiet(self) -> bool:
-        """Whether nothing is shown besides the result."""
+        """Whether only the result is printed."""
         return self.root.quiet or self.root.json
 
+    def attach_log(self, env: BaseEnv) -> McapRecorder | None:
+        """Attach the log unless `record.format` is ``none``; closing the environment closes it."""
+        if self.root.record.format == "none":
+            return None
+        from embodichain.config.resolved import dump_yaml
+        from embodichain.config.run_folder import LOG
+        from embodichain.recording import McapRecorder, RecordOptions
 
-Body = Callable[[Job, StopFlag], float | None]
-"""What a job does; returns what a sweeper may optimise."""
+        record = self.root.record
+        options = {field.name: getattr(record, field.name) for field in fields(RecordOptions)}
+        recorder = McapRecorder(
+            self.folder / LOG,
+            env,
+            config=dump_yaml(self.resolved.tree),
+            overrides=dump_yaml(list(self.resolved.overrides)),
+            options=RecordOptions(**options),
+            task=self.resolved.task_name,
+        )
+        env.add_observer(recorder)
+        return recorder
+
+    def attach_viewer(self, env: BaseEnv, *, realtime: bool = True, resets: bool = True) -> None:
+        """Attach the viewer that the config names; closing the environment closes it.
+
+        Args:
+            env: The environment.
+            realtime: Whether the run starts in real time while a viewer is connected.
+            resets: Whether the viewer may end an episode.
+        """
+        cfg = self.root.viewer
+        if cfg.name == "foxglove":
+            from embodichain.recording.viewers.foxglove import FoxgloveView
+
+            shown = sorted({cfg.env, *self.root.record.view_envs})
+            live = FoxgloveView(env, cfg.host, cfg.port, shown, realtime=realtime)
+            env.add_observer(live)
+            url = live.server.url
+            where = f"{url} (Foxglove, Lichtblick: Open connection, Foxglove WebSocket)"
+        elif cfg.name == "web":
+            from embodichain.recording.viewers.web import PageOptions, WebView
+
+            page = PageOptions(cfg.host, cfg.port, cfg.env, realtime, resets)
+            view = WebView(env, page, stopped=self.stop.is_stopped)
+            env.add_observer(view)
+            url = where = view.url
+        else:
+            return
+        _log.info("viewer: %s", where)
+        if not self.quiet:
+            sys.stderr.write(f"viewer: {where}\n")
+        warn_if_public(cfg.host, url, controls=cfg.name == "web")
+
+    def film(self, log: str | Path | None) -> dict[str, str]:
+        """Render the log to a video if `video` is set; call it after everything else is written.
+
+        Args:
+            log: The closed log, or None.
+
+        Returns:
+            ``{"video": PATH}``, or an empty dict without a video. A signal ends the video after
+            the current picture, with a warning.
+
+        Raises:
+            RenderError: This machine cannot render.
+        """
+        if not self.root.video or log is None:
+            return {}
+        from embodichain.recording.film import film_log
+
+        out = self.folder / VIDEO
+        with ProgressDisplay("film", None, "pictures", quiet=self.quiet) as display:
+            progress = film_progress(display)
+            filmed = film_log(log, out, progress=progress, stop=self.stop.is_stopped)
+        if filmed.whole:
+            _log.info("%s: %d pictures", out, filmed.pictures)
+        else:
+            _log.warning("%s", ended_early(self.stop, filmed, out))
+        return {"video": str(out)} if filmed.pictures else {}
+
+
+Body = Callable[[Job], float | None]
+"""The work of a job; returns the objective for a sweeper, or None."""
+
+
+def start(verb: Verb, body: Body, options: Any) -> None:
+    """Run one job, or pass the command line to Hydra's `main`.
+
+    The config of every job is checked before the first starts.
+
+    Args:
+        verb: The verb, ``run`` or ``train``.
+        body: The work of a job.
+        options: Options of the command line.
+
+    Raises:
+        ConfigError: Wrong flags, or mistakes in the config of any job; no job was started.
+    """
+    from embodichain.config.composed import compose
+
+    overrides = [*split_overrides(options.words), *job_options(options)]
+    if options.gym_config is not None:
+        from embodichain.config.gym_config import override_of
+
+        overrides.append(override_of(options.gym_config))
+    line = command_line()
+
+    def check(lines: Sequence[str]) -> Resolved:
+        return resolved_job(compose(lines, verb), verb)
+
+    def do(resolved: Resolved, folder: Path | None = None) -> float | None:
+        return execute(resolved, body, line, folder)
+
+    hydras = any(line.lstrip("+~").startswith(("hydra.", "hydra/")) for line in overrides)
+    prints = options.cfg is not None or options.info is not None
+    if prints or options.multirun or hydras:
+        from embodichain.cli.sweeping import call_hydra
+
+        call_hydra(verb, check, do, options, overrides)
+    else:
+        do(check(overrides))
+
+
+def job_options(options: Any) -> list[str]:
+    """Return `--quiet`, `--json` and `--traceback` as overrides.
+
+    The workers of a sweep receive overrides only.
+    """
+    found = [f"{name}=true" for name in ("quiet", "json") if getattr(options, name)]
+    return [*found, *(["traceback=true"] if "--traceback" in command_line() else [])]
 
 
 def resolved_job(composed: Composed, verb: Verb) -> Resolved:
-    """Check a job's config as a whole; for a training, the arguments of its algorithm too.
+    """Check the whole config of a job; for a training, the algorithm's arguments too.
 
     Raises:
-        ConfigError: Every mistake, with its place.
+        ConfigError: Lists every mistake with its file and line.
     """
     from embodichain.config.resolved import resolve
 
@@ -75,45 +227,47 @@ def resolved_job(composed: Composed, verb: Verb) -> Resolved:
 
 
 def execute(
-    resolved: Resolved,
-    body: Body,
-    command: Sequence[str],
-    folder: Path | None = None,
-    label: str | None = None,
+    resolved: Resolved, body: Body, command: Sequence[str], folder: Path | None = None
 ) -> float | None:
-    """Do a job: give it its folder, and log what happens.
+    """Run a job in its folder, with a log file.
 
     Args:
-        resolved: Its config.
-        body: What it does.
+        resolved: The config.
+        body: The work of the job.
         command: The command line, as typed.
-        folder: Its folder; None claims a new one.
-        label: Begins the lines that it prints, where other jobs print at the same time.
+        folder: The run folder; None claims a new one.
 
     Raises:
-        ConfigError: No folder can be made.
-        Exception: Whatever `body` raises.
+        ConfigError: The folder cannot be made.
+        Interrupted: A signal came; the files are complete up to that step.
+        Exception: Any exception of `body`.
     """
-    from embodichain.config.run_folder import claim, write_record
+    from embodichain.config.resolved import write_record
+    from embodichain.config.run_folder import claim
 
     resolved = _pinned(resolved)
     if folder is None:
         folder = claim(resolved.root.output_dir, resolved.task_name)
     write_record(folder, resolved, command)
-    labelled = nullcontext() if label is None else label_lines(label, json=resolved.root.json)
-    with labelled, log_to(folder / LOG_FILE) as log, StopFlag() as stop:
+    with log_to(folder / LOG_FILE) as log, StopFlag() as stop:
         log.info("command: %s", shlex.join(command))
         for note in resolved.notes:
             log.warning("%s", note)
+        job = Job(resolved, folder, stop)
+        if not job.quiet:
+            sys.stderr.write(f"{resolved.task_name}: {folder}\n")
         with resolved.locating():
-            value = body(Job(resolved, folder), stop)
+            check_extras(job.root)
+            value = body(job)
+        if stop.stopped is not None:
+            raise Interrupted(f"interrupted ({stop.stopped}); {folder} is complete up to there")
         log.info("done")
         return value
 
 
 def _pinned(resolved: Resolved) -> Resolved:
-    """Replace `last` and links by the folder that they mean now: the next run changes that."""
-    from embodichain.config.newest import CHECKPOINT, named_checkpoint, newest_run
+    """Replace `last` and links by the folder they refer to now, since later runs change it."""
+    from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
 
     policy = resolved.tree["policy"]
     last = policy == "last"
@@ -121,5 +275,67 @@ def _pinned(resolved: Resolved) -> Resolved:
         return resolved
     path = newest_run(resolved.tree["output_dir"], CHECKPOINT) if last else named_checkpoint(policy)
     if path is None:
-        raise ConfigError("policy: the training that 'last' meant is gone")
+        raise ConfigError("policy: there is no training for 'last' any more")
     return resolved.changed(policy=str(path.resolve()))
+
+
+def check_extras(root: RootCfg) -> None:
+    """Check that the packages for the video and the viewer are installed.
+
+    Raises:
+        ConfigError: A package is missing; names the extra.
+    """
+    if root.video:
+        from embodichain.utils.video import need_encoder
+
+        need_encoder()
+    if root.viewer.name == "foxglove":
+        from embodichain.recording.viewers.foxglove import need_sdk
+
+        need_sdk()
+
+
+def policy_of(
+    root: RootCfg, env: BaseEnv, policy: str | None = None, *, deterministic: bool = True
+) -> Policy:
+    """Return the policy from its name, its import path, or a training's folder or file.
+
+    Args:
+        root: The config.
+        env: The environment that it will act in.
+        policy: Replaces the policy of the config.
+        deterministic: Whether a trained policy returns its mean action.
+
+    Raises:
+        ConfigError: There is no such policy, its parameters are wrong, or it was trained in
+            another task and ``allow_changed`` is not set.
+    """
+
+    def load(path: Path) -> Policy:
+        from embodichain.learning.policy import load_policy
+
+        changed = root.allow_changed
+        return load_policy(path, env, deterministic=deterministic, allow_changed=changed)
+
+    chosen = policy or root.policy or "random"
+    if not isinstance(chosen, str):
+        return resolve_policy({"func": chosen.func, "params": chosen.params}, load_file=load)
+    return resolve_policy(chosen, load_file=load)
+
+
+def film_progress(display: ProgressDisplay) -> Callable[[Filmed], None]:
+    """Return a callback that shows the progress of a video."""
+
+    def show(filmed: Filmed) -> None:
+        if display.due:
+            display.show(filmed.pictures, {"step": f"{filmed.step}"})
+
+    return show
+
+
+def ended_early(stop: StopFlag, filmed: Filmed, out: Path) -> str:
+    """Return a message about a video that a signal ended early."""
+    if not filmed.pictures:
+        return f"interrupted ({stop.stopped}); {out} was not begun"
+    till = f"{filmed.pictures} pictures, up to control step {filmed.step}"
+    return f"interrupted ({stop.stopped}); {out} is a whole film of the first {till}"

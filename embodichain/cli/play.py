@@ -1,4 +1,4 @@
-"""`embodichain play`: a trained policy in a window. It is `run` with the viewer, and no log."""
+"""`embodichain play`: shows a trained policy in a window; `run` with a viewer and without a log."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from typing import Any
 
 import click
 
-from embodichain.cli.app import common, job_options, overrides, typed, verb
-from embodichain.cli.jobs import FRESH, execute
+from embodichain.cli.app import command_line, overrides, verb
+from embodichain.cli.jobs import FRESH, execute, job_options
 from embodichain.cli.run import run_job
 from embodichain.cli.trained import one_target, take
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["command"]
 
-_EPISODES = 5
+_DEFAULTS = {"num_envs": "1", "viewer": "native", "record": "none"}
+_EPISODES = "5"
 
 
 @verb(
@@ -25,32 +26,25 @@ _EPISODES = 5
     ("play policy.onnx task=reach", "a file, in a task"),
     ("play last viewer=none record=mcap", "without a window, into a log"),
     keys=True,
+    config_dir=True,
+    quiet=True,
 )
 @overrides("RUN|last|PATH [KEY=VALUE]...", "last")
-@click.option("--episodes", type=int, metavar="N", help=f"How many; else {_EPISODES}.")
-@common(config_dir=True, quiet=True)
+@click.option("--episodes", type=int, metavar="N", help=f"How many episodes. Default: {_EPISODES}.")
 def command(**kwargs: Any) -> None:
     """Show episodes of one policy."""
-    from embodichain.config.search_path import user_configs
-
     options = SimpleNamespace(**kwargs)
-    with user_configs(options.config_dir):
-        target, lines = one_target("play", options.words)
-        episodes = options.episodes or take(lines, "episodes") or _EPISODES
-        lines = [*_defaults(lines), f"episodes={episodes}", *job_options(options)]
-        _need_display(target.policy, lines)
-        execute(target.resolve(lines, FRESH), run_job, typed())
-
-
-def _defaults(overrides: list[str]) -> list[str]:
-    """Overrides with what `play` means beside them: one environment, a window, no log."""
-    keys = {line.partition("=")[0] for line in overrides}
-    ours = {"num_envs": "1", "viewer": "native", "record": "none"}
-    return [*overrides, *(f"{key}={value}" for key, value in ours.items() if key not in keys)]
+    target, lines = one_target("play", options.words)
+    typed = take(lines, "episodes", _EPISODES)
+    keys = {line.partition("=")[0] for line in lines}
+    lines += [f"{key}={value}" for key, value in _DEFAULTS.items() if key not in keys]
+    lines += [f"episodes={options.episodes or typed}", *job_options(options)]
+    _need_display(target.policy, lines)
+    execute(target.resolve(lines, FRESH), run_job, command_line())
 
 
 def _need_display(name: str, lines: list[str]) -> None:
-    """Say before anything is built what can be done without a display."""
+    """Report before building that there is no display, with alternatives."""
     from embodichain.lab.sim.viewer import has_display
 
     if "viewer=native" in lines and not has_display():

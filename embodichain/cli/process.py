@@ -1,12 +1,11 @@
-"""The process of a job: when garbage is collected, and what signals do.
+"""The process of a command: garbage collection, signals, exit codes, the report of an error.
 
-Imports and builds make a million objects and next to no garbage; looking through them again and
-again costs a fifth of the time to the first step. Python's `gc` manual describes this use of
-`gc.freeze`.
+Imports and builds make a million objects and almost no garbage; repeated collections take a fifth
+of the time to the first step. Python's `gc` manual describes this use of `gc.freeze`.
 
-Ctrl-C, SIGTERM and SIGUSR2 (what batch systems send some time before they kill, as with
-`sbatch --signal=USR2@120`) end a run after its current step, a film after its current picture, and
-anything else at once; everything is closed on the way.
+Ctrl-C, SIGTERM and SIGUSR2 (which batch systems can send before they kill a job, as with
+`sbatch --signal=USR2@120`) end a run after the current step, a video after the current picture, and
+anything else at once; all files are closed before the process ends.
 """
 
 from __future__ import annotations
@@ -15,25 +14,51 @@ import gc
 import signal
 import sys
 import threading
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any
 
-from embodichain.cli.exits import Interrupted
+from embodichain.utils.errors import ConfigError
 
-__all__ = ["StopFlag", "signals_raise", "started", "starting"]
+__all__ = [
+    "FAILED",
+    "INTERRUPTED",
+    "OK",
+    "WRONG_INPUT",
+    "Interrupted",
+    "StopFlag",
+    "report",
+    "signals_raise",
+    "started",
+    "starting",
+]
 
+OK = 0
+FAILED = 1
+"""The run or the check failed."""
+WRONG_INPUT = 2
+"""The input is wrong; nothing was started."""
+INTERRUPTED = 130
+"""Ctrl-C, SIGTERM or SIGUSR2; the files are complete up to that step."""
 _SIGNALS = [
     getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR2") if hasattr(signal, name)
 ]
 _TWICE = "interrupted twice: left without closing everything"
 
 
+class Interrupted(KeyboardInterrupt):
+    """A signal ended the run after everything was closed.
+
+    It is a KeyboardInterrupt, so that a sweep ends with the job.
+    """
+
+
 @contextmanager
 def starting() -> Iterator[None]:
-    """Collect no cyclic garbage inside, until `started` is called."""
+    """Disable the collection of cyclic garbage inside the context, until `started` is called."""
     gc.disable()
     try:
         yield
@@ -42,7 +67,7 @@ def starting() -> Iterator[None]:
 
 
 def started() -> None:
-    """Collect again; what was there before, modules above all, is not looked through any more."""
+    """Enable collection again, except for existing objects, most of which are modules."""
     if not gc.isenabled():
         _freeze()
         gc.enable()
@@ -50,50 +75,67 @@ def started() -> None:
 
 @cache
 def _freeze() -> None:
-    """Once a process: later runs in it import nothing new, and leave garbage that counts."""
+    """Freeze once per process: later runs import nothing new, and their garbage is collected."""
     gc.freeze()
 
 
 @contextmanager
 def signals_raise() -> Iterator[None]:
-    """Within it a signal raises `Interrupted`: files that are being written are removed on the way.
+    """Raise `Interrupted` at a signal inside the context, so that partial files are removed.
 
-    The same signals again are ignored meanwhile, but for Ctrl-C, which leaves at once. Where a
-    `StopFlag` is up, that is what signals set.
+    Further signals are ignored, except Ctrl-C, which exits at once. Within a `StopFlag`, signals
+    set the flag instead.
 
-    Python ignores what is raised in a finalizer or a callback of a weak reference, where a signal
-    may arrive as anywhere else. The signal is then delivered again, shortly after.
+    Python ignores exceptions in finalizers and weak reference callbacks, and libraries in C may
+    discard them. If the context is not left, the signal is delivered again: at once where Python
+    reports the exception, otherwise every ten seconds: removing partial files takes less.
     """
     came: list[str] = []
-    report = sys.unraisablehook
+    timers: list[threading.Timer] = []
+    hook = sys.unraisablehook
+    main = threading.main_thread().ident
+
+    def deliver(number: int, seconds: float) -> None:
+        def send() -> None:
+            came.clear()
+            signal.pthread_kill(main or 0, number)
+
+        timer = threading.Timer(seconds, send)
+        timer.daemon = True
+        timers.append(timer)
+        timer.start()
 
     def handle(number: int, frame: FrameType | None) -> None:
         name = signal.Signals(number).name
         if not came:
             came.append(name)
+            deliver(number, 10.0)
             raise Interrupted(f"interrupted ({name})")
         if number == signal.SIGINT:
             raise KeyboardInterrupt(_TWICE)
 
     def deliver_again(ignored: sys.UnraisableHookArgs) -> None:
         if not isinstance(ignored.exc_value, Interrupted):
-            report(ignored)
+            hook(ignored)
             return
-        number = signal.Signals[came.pop()]
-        main = threading.main_thread().ident
-        threading.Timer(0.01, signal.pthread_kill, [main, number]).start()
+        timers.pop().cancel()
+        deliver(signal.Signals[came[0]], 0.01)
 
     sys.unraisablehook = deliver_again
     try:
         with _handled_by(handle):
-            yield
+            try:
+                yield
+            finally:  # before other handlers could receive a signal
+                for timer in timers:
+                    timer.cancel()
     finally:
-        sys.unraisablehook = report
+        sys.unraisablehook = hook
 
 
 @contextmanager
 def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Give our signals to a handler; outside the main thread nothing can, and nothing changes."""
+    """Install a handler for the signals; does nothing outside the main thread."""
     before: dict[signal.Signals, Any] = {}
     if threading.current_thread() is threading.main_thread():
         before = {number: signal.signal(number, handler) for number in _SIGNALS}
@@ -107,8 +149,8 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
 class StopFlag:
     """Within a ``with`` block, the first signal sets `stopped`; a second Ctrl-C raises at once.
 
-    Outside the main thread (a sweep's worker may be a thread) signals cannot be handled, and the
-    flag stays down.
+    Outside the main thread (a sweep's worker may be a thread) signals cannot be handled, and
+    `stopped` stays None.
 
     Attributes:
         stopped: Name of the signal that came (``SIGINT``), or None.
@@ -116,7 +158,7 @@ class StopFlag:
 
     def __init__(self) -> None:
         self.stopped: str | None = None
-        self._handled = _handled_by(self._raise_flag)
+        self._handled = _handled_by(self._stop)
 
     def is_stopped(self) -> bool:
         """Return whether a signal came."""
@@ -126,15 +168,47 @@ class StopFlag:
         self._handled.__enter__()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._handled.__exit__(None, None, None)
 
-    def _raise_flag(self, number: int, frame: FrameType | None) -> None:
+    def _stop(self, number: int, frame: FrameType | None) -> None:
         if self.stopped is not None and number == signal.SIGINT:
             raise KeyboardInterrupt(_TWICE)
         self.stopped = signal.Signals(number).name
+
+
+def report(error: BaseException, *, full: bool = False) -> int:
+    """Print an error on stderr and return the exit code.
+
+    Args:
+        error: The exception.
+        full: Whether to print the whole traceback (`--traceback`).
+
+    Returns:
+        2 when the user's input is wrong, 130 when a signal ended the run, else 1.
+    """
+    if full and not isinstance(error, Interrupted):
+        traceback.print_exception(error, file=sys.stderr)
+    if isinstance(error, KeyboardInterrupt):
+        code, text = INTERRUPTED, str(error) or "interrupted"
+    elif not isinstance(error, ConfigError):
+        hint = "" if full else "\n(--traceback shows where it happened)"
+        code, text = FAILED, f"error: {_line(error)}{hint}"
+    elif len(error.problems) < 2:
+        code, text = WRONG_INPUT, f"error: {error}"
+    else:  # one paragraph for each mistake, its lists indented below
+        mistakes = (str(problem).replace("\n", "\n    ") for problem in error.problems)
+        lines = [f"{len(error.problems)} mistakes:", *(f"  {text}" for text in mistakes)]
+        code, text = WRONG_INPUT, "\n".join(lines)
+    sys.stderr.write(f"{text}\n")
+    sys.stderr.flush()
+    return code
+
+
+def _line(error: BaseException) -> str:
+    """The exception in one line, with its type unless it is one of this package's."""
+    text = " ".join(str(error).split())
+    name = type(error).__name__
+    if type(error).__module__.startswith("embodichain."):
+        return text or name
+    return f"{name}: {text}" if text else name

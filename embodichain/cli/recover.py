@@ -1,4 +1,4 @@
-"""`embodichain recover`: a clean log from a broken one, which stays as it is."""
+"""`embodichain recover`: writes a clean log from a broken one, which is not changed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from embodichain.cli.app import common, log_argument, log_of, verb
+from embodichain.cli.app import log_argument, log_of, verb
 from embodichain.cli.output import print_json
 
 if TYPE_CHECKING:
@@ -22,12 +22,12 @@ __all__ = ["command"]
     "recover",
     ("recover last saved.mcap", "the newest run's log; it is only read"),
     ("recover broken.mcap saved.mcap --json", "what was saved, for scripts"),
+    quiet=True,
 )
 @log_argument("IN")
 @click.argument("target", metavar="OUT")
-@common(quiet=True)
-def command(file: str, target: str, quiet: bool, json: bool, traceback: bool) -> None:
-    """Write what can be read of IN to OUT, and say where it ends."""
+def command(file: str, target: str, quiet: bool, json: bool) -> None:
+    """Write the readable part of IN to OUT, and report where it ends."""
     from embodichain.recording.recover import recover
 
     saved = recover(log_of(file), Path(target))

@@ -1,8 +1,7 @@
-"""`embodichain replay`: what a log contains; verified, filmed, viewed, or played with a policy."""
+"""`embodichain replay`: prints, verifies, films or views a log, or replays it with a policy."""
 
 from __future__ import annotations
 
-import math
 import re
 import sys
 from dataclasses import asdict
@@ -13,31 +12,30 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from embodichain.cli import exits
-from embodichain.cli.app import common, log_argument, log_of, verb
-from embodichain.cli.attach import ended_early, show_pictures, warn_if_public
-from embodichain.cli.exits import Interrupted
+from embodichain.cli import process
+from embodichain.cli.app import log_argument, log_of, verb
+from embodichain.cli.jobs import ended_early, film_progress
 from embodichain.cli.output import print_facts, print_json, print_table, say_warnings
-from embodichain.cli.process import StopFlag
-from embodichain.cli.progress import ProgressDisplay
+from embodichain.cli.process import Interrupted, StopFlag
+from embodichain.cli.reporting import ProgressDisplay, warn_if_public
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.recording.api import Log
+    from embodichain.recording.episodes import LogEpisode
     from embodichain.recording.header import Header
-    from embodichain.recording.summary import Episode, LogSummary
-    from embodichain.recording.verification import VerifyReport
+    from embodichain.recording.summary import LogSummary
     from embodichain.recording.viewers.log_player import Screen
 
 __all__ = ["command"]
 
+_COLUMNS = ("env", "episode", "steps", "total_reward", "terminated", "last_step", "success")
+"""Columns of the table of episodes."""
 _MOST_EPISODES = 20
-_SIZE = re.compile(r"(\d{1,5})x(\d{1,5})\Z")
-_VIEWERS = ("native", "web")
 _ACTIONS = ("verify", "video", "policy", "view")
 _ONLY_WITH = {
     "speed": ("video", "view"),
-    "allow-changed": ("policy",),
+    "allow_changed": ("policy",),
     "camera": ("video",),
     "size": ("video",),
     "host": ("view",),
@@ -55,38 +53,55 @@ _ONLY_WITH = {
     ("replay last --policy zero", "the same episodes with another policy, side by side"),
     ("replay last --video film.mp4 --env 2 --speed 0.5", "film it, at half the speed"),
     ("replay outputs/latest/rollout.mcap --json", "what it contains, for scripts"),
+    quiet=True,
 )
 @log_argument()
 @click.option("--verify", is_flag=True, help="Simulate again and compare.")
 @click.option("--env", type=int, metavar="I", help="Only this environment.")
-@click.option("--episode", type=int, metavar="K", help="Only this episode, from 0.")
+@click.option("--episode", type=int, metavar="K", help="Only this episode, counted from 0.")
 @click.option("--from", "start", type=int, metavar="T", help="First control step.")
-@click.option("--to", "stop", type=int, metavar="T", help="Step that ends it.")
-@click.option("--speed", type=float, metavar="X", help="Of --view and --video; 1 is real time.")
-@click.option("--policy", metavar="P", help="Play its episodes with this policy instead.")
+@click.option("--to", "stop", type=int, metavar="T", help="The control step to stop before.")
+@click.option(
+    "--speed",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="X",
+    help="Speed of --view and --video; 1 is real time.",
+)
+@click.option("--policy", metavar="P", help="Play the same episodes with this policy.")
 @click.option(
     "--allow-changed",
     is_flag=True,
     default=None,
-    help="Of --policy: also one trained in a task that is another than the log's.",
+    help="With --policy: allow one that was trained in another task.",
 )
 @click.option(
     "--view",
     is_flag=False,
     flag_value="",
     metavar="[WHERE]",
-    help="Play it in a window (native) or a browser (web); else native where a display is.",
+    help="Play it in a window (native) or a browser (web). Default: native, if there is a display.",
 )
-@click.option("--host", metavar="H", help="What --view web listens on; else 127.0.0.1.")
-@click.option("--port", type=int, metavar="P", help="Its port; else a free one from 8080.")
-@click.option("--video", metavar="OUT", help="Write an MP4 of --env, which is else 0.")
+@click.option("--host", metavar="H", help="Address of --view web. Default: 127.0.0.1.")
+@click.option("--port", type=int, metavar="P", help="Its port. Default: a free one from 8080.")
+@click.option("--video", metavar="OUT", help="Write an MP4 of --env. Default: environment 0.")
 @click.option("--camera", metavar="NAME", help="Film with this camera of the scene.")
-@click.option("--size", metavar="WxH", help="Pixels of the film; else 640x480.")
-@common(quiet=True)
+@click.option("--size", metavar="WxH", help="Pixels of the film. Default: 640x480.")
 def command(**kwargs: Any) -> int:
-    """Print what is in a log, or verify it."""
+    """Print the contents of a log, or verify, film, view or replay it."""
     options = SimpleNamespace(**kwargs)
-    _check_together(options)
+    given = {name for name, value in kwargs.items() if value not in (None, False)}
+    actions = [name for name in _ACTIONS if name in given]
+    if len(actions) > 1:
+        raise ConfigError(
+            f"--{actions[0]} and --{actions[1]} exclude each other: give one at a time"
+        )
+    for name, wanted in _ONLY_WITH.items():
+        if name in given and not set(wanted) & given:
+            needed = " or ".join(f"--{action}" for action in wanted)
+            raise ConfigError(f"--{name.replace('_', '-')} needs {needed}")
+    if options.verify and {"start", "stop"} & given:
+        raise ConfigError("--from and --to choose what is listed; --verify needs every step before")
+    options.last = None if options.stop is None else options.stop - 1
     path = log_of(options.file)
     if options.video is not None:
         return _film(path, options)
@@ -96,19 +111,7 @@ def command(**kwargs: Any) -> int:
         from embodichain.cli.replay_policy import rerun
 
         return rerun(path, options)
-    if options.verify and (options.start, options.stop) != (None, None):
-        raise ConfigError("--from and --to choose what is listed; --verify needs every step before")
     return _verify(path, options) if options.verify else _inspect(path, options)
-
-
-def _check_together(options: SimpleNamespace) -> None:
-    """Refuse options that would do nothing."""
-    what = [name for name in _ACTIONS if getattr(options, name) not in (None, False)]
-    if len(what) > 1:
-        raise ConfigError(f"--{what[0]} and --{what[1]} are two things: ask for one at a time")
-    for name, actions in _ONLY_WITH.items():
-        if getattr(options, name.replace("-", "_")) is not None and not set(actions) & set(what):
-            raise ConfigError(f"--{name} needs {' or '.join(f'--{a}' for a in actions)}")
 
 
 def _inspect(path: Path, options: SimpleNamespace) -> int:
@@ -118,32 +121,33 @@ def _inspect(path: Path, options: SimpleNamespace) -> int:
     episodes = [e for e in summary.episodes if _is_wanted(e, options)]
     say_warnings(path, summary.warnings)
     if options.json:
-        print_json(_summary_data(summary, episodes))
+        data = {
+            **asdict(summary),
+            "messages": summary.messages,
+            "duration_s": summary.duration_s,
+            "mean_reward": summary.mean_reward,
+        }
+        print_json({**data, "episodes": [_row(episode) for episode in episodes]})
     elif not options.quiet:
         _print_summary(summary, episodes)
-    return exits.OK
+    return process.OK
 
 
-def _is_wanted(episode: Episode, options: SimpleNamespace) -> bool:
-    """Whether it is the environment's, the episode, and has a step in [--from, --to)."""
-    right_env = options.env is None or episode.env == options.env
-    right_episode = options.episode is None or episode.episode == options.episode
-    first = episode.last_step - episode.steps + 1
-    after = options.start is None or episode.last_step >= options.start
-    return right_env and right_episode and after and (options.stop is None or first < options.stop)
+def _is_wanted(episode: LogEpisode, options: SimpleNamespace) -> bool:
+    """Whether an episode matches --env and --episode and has a step in [--from, --to)."""
+    return (
+        options.env in (None, episode.env)
+        and options.episode in (None, episode.episode)
+        and (options.start is None or episode.last_step >= options.start)
+        and (options.stop is None or episode.first_step < options.stop)
+    )
 
 
-def _summary_data(summary: LogSummary, episodes: list[Episode]) -> dict[str, Any]:
-    return {
-        **{name: value for name, value in asdict(summary).items() if name != "episodes"},
-        "messages": summary.messages,
-        "duration_s": summary.duration_s,
-        "mean_reward": summary.mean_reward,
-        "episodes": [asdict(episode) for episode in episodes],
-    }
+def _row(episode: LogEpisode) -> dict[str, Any]:
+    return {name: getattr(episode, name) for name in _COLUMNS}
 
 
-def _print_summary(summary: LogSummary, episodes: list[Episode]) -> None:
+def _print_summary(summary: LogSummary, episodes: list[LogEpisode]) -> None:
     header = summary.header
     started = datetime.fromtimestamp(header.start_ns / 1e9)
     state = "complete" if summary.complete else "INCOMPLETE"
@@ -160,7 +164,7 @@ def _print_summary(summary: LogSummary, episodes: list[Episode]) -> None:
     ]
     print_facts(str(summary.path), facts)
     print_table("channels", [asdict(channel) for channel in summary.channels])
-    print_table("episodes", [asdict(episode) for episode in episodes[:_MOST_EPISODES]])
+    print_table("episodes", [_row(episode) for episode in episodes[:_MOST_EPISODES]])
     if len(episodes) > _MOST_EPISODES:
         sys.stdout.write(f"... and {len(episodes) - _MOST_EPISODES} more: --env, --json\n")
 
@@ -188,85 +192,61 @@ def _verify(path: Path, options: SimpleNamespace) -> int:
         report = verify(path, options.env, options.episode, progress=progress)
     if options.json:
         print_json(asdict(report))
-    elif not options.quiet or not report.ok:
-        _print_report(report)
-    return exits.OK if report.ok else exits.FAILED
-
-
-def _print_report(report: VerifyReport) -> None:
-    """One line when all is well, else what differs first and what else is wrong."""
-    what = f"{report.steps} control steps of {report.envs} environments"
-    if report.ok:
-        sys.stdout.write(f"verified: {what}, every bit as recorded\n")
-        say_warnings(report.path, report.notes)
-        return
-    sys.stderr.write(f"NOT verified: {report.path}, {what} compared\n")
-    if report.difference is not None:
-        sys.stderr.write(f"  first difference: {report.difference}\n")
-    for problem in report.problems:
-        sys.stderr.write(f"  {problem}\n")
-    for name, error in report.largest_error.items():
-        sys.stderr.write(f"  largest error of {name}: {error:.3g}\n")
-    for note in report.notes:
-        sys.stderr.write(f"  {note}\n")
+    elif not report.ok:
+        sys.stderr.write(f"{path}: {report}\n")
+    elif not options.quiet:
+        sys.stdout.write(f"{report}\n")
+    return process.OK if report.ok else process.FAILED
 
 
 def _film(path: Path, options: SimpleNamespace) -> int:
-    """Write the film, and say where it is."""
+    """Write the video and print its path."""
     from embodichain.recording.api import Log
     from embodichain.recording.film import film_log
 
-    quiet = options.quiet or options.json
     out = Path(options.video)
-    last = None if options.stop is None else options.stop - 1
-    speed = 1.0 if options.speed is None else options.speed
-    size = _size(options.size) if options.size is not None else (640, 480)
+    part = options.env or 0, options.episode, options.start, options.last
+    how = options.speed or 1.0, _size(options.size or "640x480"), options.camera
+    quiet = options.quiet or options.json
     display = ProgressDisplay("film", None, "pictures", quiet=quiet)
     with Log(path) as log, StopFlag() as stop, display:
-        part = options.env or 0, options.episode, options.start, last
-        how = speed, size, options.camera
-        filmed = film_log(log, out, *part, *how, show_pictures(display), stop.is_stopped)
+        filmed = film_log(log, out, *part, *how, film_progress(display), stop.is_stopped)
         say_warnings(log.path, log.warnings)
-    if not filmed.pictures:
+    if filmed.pictures:
+        nbytes = out.stat().st_size
+        if options.json:
+            facts = {"pictures": filmed.pictures, "bytes": nbytes, "complete": filmed.whole}
+            print_json({"file": str(out), **facts})
+        elif not options.quiet:
+            sys.stdout.write(f"{out}: {filmed.pictures} pictures, {nbytes / 1e6:.2f} MB\n")
+    if not (filmed.pictures and filmed.whole):
         raise Interrupted(ended_early(stop, filmed, out))
-    nbytes = out.stat().st_size
-    if options.json:
-        facts = {"pictures": filmed.pictures, "bytes": nbytes, "complete": filmed.whole}
-        print_json({"file": str(out), **facts})
-    elif not options.quiet:
-        sys.stdout.write(f"{out}: {filmed.pictures} pictures, {nbytes / 1e6:.2f} MB\n")
-    if not filmed.whole:
-        raise Interrupted(ended_early(stop, filmed, out))
-    return exits.OK
+    return process.OK
 
 
 def _size(text: str) -> tuple[int, int]:
-    found = _SIZE.match(text)
+    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
     if found is None:
         raise ConfigError(f"--size is WIDTHxHEIGHT in pixels, such as 640x480, not {text!r}")
     return int(found[1]), int(found[2])
 
 
 def _view(path: Path, options: SimpleNamespace) -> int:
-    """Play until the window is closed or somebody presses Ctrl-C."""
+    """Play until the window is closed or Ctrl-C is pressed."""
     from embodichain.recording.api import Log
     from embodichain.recording.playback import span_of
     from embodichain.recording.viewers.log_player import play_log
 
-    speed = 1.0 if options.speed is None else options.speed
-    if not (math.isfinite(speed) and speed > 0):
-        raise ConfigError(f"--speed must be positive, got {speed}")
-    last = None if options.stop is None else options.stop - 1
+    part = options.episode, options.start, options.last
     with StopFlag() as stop, Log(path) as log:
-        span_of(log, options.env or 0, options.episode, options.start, last)  # complains early
+        span_of(log, options.env or 0, *part)  # a mistake is reported before a window opens
         say_warnings(log.path, log.warnings)
         screen = _screen(log, options, stop)
         try:
-            part = options.episode, options.start, last
-            play_log(log, screen, *part, speed, stop.is_stopped)
+            play_log(log, screen, *part, options.speed or 1.0, stop.is_stopped)
         finally:
             screen.close()
-    return exits.OK
+    return process.OK
 
 
 def _screen(log: Log, options: SimpleNamespace, stop: StopFlag) -> Screen:
@@ -276,27 +256,20 @@ def _screen(log: Log, options: SimpleNamespace, stop: StopFlag) -> Screen:
     name, env = options.view or ("native" if has_display() else "web"), options.env or 0
     if name == "foxglove":
         raise ConfigError("Foxglove and Lichtblick play the file itself: embodichain view FILE")
-    if name not in _VIEWERS:
-        raise ConfigError(f"--view {name}: there are {', '.join(_VIEWERS)}")
+    if name not in ("native", "web"):
+        raise ConfigError(f"--view {name}: there are native, web")
     if name == "native":
         if options.host is not None or options.port is not None:
             raise ConfigError("--host and --port are for --view web")
         return NativeScreen(env, stop.is_stopped)
-    from embodichain.recording.viewers.web_page import WebPage
+    from embodichain.recording.viewers.web_page import PageOptions, WebPage
 
     host = options.host or "127.0.0.1"
-    page = WebPage(
-        log.model,
-        host,
-        options.port,
-        title=f"{log.task}: {log.path.name}",
-        num_envs=log.num_envs,
-        env_id=env,
-        resets=False,
-        stopped=stop.is_stopped,
-    )
+    title = f"{log.task}: {log.path.name}"
+    shown = PageOptions(host, options.port, env, resets=False, title=title)
+    page = WebPage(log.model, shown, num_envs=log.num_envs, stopped=stop.is_stopped)
     if not options.quiet:
         sys.stderr.write(f"viewer: {page.url} (Ctrl-C ends)\n")
         sys.stderr.flush()
-    warn_if_public(host)
+    warn_if_public(host, page.url, controls=True)
     return page

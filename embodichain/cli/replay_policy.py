@@ -1,7 +1,7 @@
-"""`embodichain replay FILE --policy P`: the recorded episodes once more, with another policy.
+"""`embodichain replay FILE --policy P`: repeats the recorded episodes with another policy.
 
-The config is the log's own, and nothing that it names is imported; seeds and environments are the
-same, so every episode begins as the recorded one did.
+The config is read from the log, and no module that it names is imported. Seeds and environments are
+the same, so every episode begins in the recorded state.
 """
 
 from __future__ import annotations
@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.cli import exits
-from embodichain.cli.attach import policy_of
+from embodichain.cli import process
+from embodichain.cli.jobs import policy_of
 from embodichain.cli.output import print_facts, print_json, print_table, say_warnings
-from embodichain.cli.progress import ProgressDisplay
+from embodichain.cli.reporting import ProgressDisplay
 from embodichain.cli.trained import find_target
 from embodichain.utils.errors import ConfigError
 
@@ -33,11 +33,12 @@ __all__ = ["rerun"]
 _LONGER = 10
 _NEVER = 2**31 - 1
 _MOST_ROWS = 20
+_STATE = ("qpos", "qvel", "mocap_pos", "mocap_quat")
 
 
 @dataclass(frozen=True, slots=True)
 class _Pair:
-    """One episode: as it was recorded, and with the policy."""
+    """One episode as recorded, and with the policy."""
 
     env: int
     episode: int
@@ -46,21 +47,21 @@ class _Pair:
     recorded_return: float
     total_return: float
     difference: float
-    cut: bool  # the log ends before the episode: both are over its first steps
+    cut: bool  # the log ends before the episode: both cover its first steps only
 
 
 def rerun(path: Path, options: SimpleNamespace) -> int:
-    """Play what was recorded with another policy, and put returns side by side."""
+    """Repeat recorded episodes with another policy, and compare returns."""
+    from embodichain.config.factory import make_env
     from embodichain.recording.api import Log
 
     target = find_target(options.policy)
     with Log(path) as log:
         wanted = _wanted(log, options)
         resolved = _resolved(log)
-        starts = {name: log.read(name, start=0, stop=1)[name] for name in _start_fields(log)}
+        names = [name for name in _STATE if name in log.columns]
+        starts = {name: log.read(name, start=0, stop=1)[name][0] for name in names}
         warnings = list(log.warnings)
-    from embodichain.config.factory import make_env
-
     env = make_env(resolved)
     try:
         pairs, same = _play(env, target.policy, resolved, wanted, starts, options)
@@ -84,11 +85,11 @@ def rerun(path: Path, options: SimpleNamespace) -> int:
         if len(pairs) > _MOST_ROWS:
             sys.stdout.write(f"... and {len(pairs) - _MOST_ROWS} more: --env, --json\n")
         print_facts(str(path), [(name.replace("_", " "), value) for name, value in facts.items()])
-    return exits.OK
+    return process.OK
 
 
 def _wanted(log: Log, options: SimpleNamespace) -> dict[tuple[int, int], LogEpisode]:
-    """The log's episodes, as far as they are asked for."""
+    """The log's episodes that the options select."""
     if any(e.episode for e in log.episodes if e.first_step == log.header.first_step):
         raise ConfigError(f"{log.path} does not begin with first episodes: seeds lead elsewhere")
     found = {
@@ -102,20 +103,16 @@ def _wanted(log: Log, options: SimpleNamespace) -> dict[tuple[int, int], LogEpis
 
 
 def _resolved(log: Log) -> Resolved:
-    """The log's config, made to play without a log, a window, or anything that it could import."""
+    """The log's config without recording and viewer; no module that it names is imported."""
     from embodichain.config.resolved import resolve_tree
 
     tree = log.config
     if "task" not in tree:
-        raise ConfigError(f"{log.path} holds no config: it was not recorded by `run`")
+        raise ConfigError(f"{log.path} contains no config: it was not recorded by `run`")
     own = {"seed": log.seed, "num_envs": log.num_envs, "policy": None}
     here = {"viewer": {"name": "none"}, "quiet": True, "video": False, "resume": None}
     changed = {**tree, **own, **{name: value for name, value in here.items() if name in tree}}
     return resolve_tree(changed, f"{log.path}: config.yaml", "run", task_name=log.task)
-
-
-def _start_fields(log: Log) -> list[str]:
-    return [name for name in ("qpos", "qvel", "mocap_pos", "mocap_quat") if name in log.columns]
 
 
 def _play(
@@ -126,17 +123,16 @@ def _play(
     starts: dict[str, NDArray[np.float64]],
     options: SimpleNamespace,
 ) -> tuple[list[_Pair], bool]:
-    """The episodes, and whether all environments began as recorded."""
+    """The episodes, and whether all environments began in the recorded state."""
     allowed = resolved.changed(allow_changed=bool(options.allow_changed))
     policy = policy_of(allowed.root, env, policy_name)
     obs, _ = env.reset()
-    same = all(
-        np.array_equal(env.sim.engine.state(name), values[0]) for name, values in starts.items()
-    )
+    state = env.sim.engine.state
+    same = all(np.array_equal(state(name), values) for name, values in starts.items())
     returns, steps = np.zeros(env.num_envs), np.zeros(env.num_envs, np.int64)
     pairs: dict[tuple[int, int], _Pair] = {}
-    cut = {key: e for key, e in wanted.items() if not (e.terminated or e.truncated)}
-    # Where the task has no limit, another policy might never come to an end.
+    cut = {key for key, e in wanted.items() if not (e.terminated or e.truncated)}
+    # Without a time limit in the task, episodes of another policy might never end.
     longest = max(e.steps for e in wanted.values())
     limit = _LONGER * longest if env.max_episode_steps == _NEVER else _NEVER
     quiet = options.quiet or options.json
@@ -148,14 +144,12 @@ def _play(
             steps += 1
             if (steps >= limit).any():
                 env.truncate(np.flatnonzero(steps >= limit))
-            for key in [k for k in cut if k[1] == ids[k[0]] and steps[k[0]] == wanted[k].steps]:
-                pairs[key] = _pair(cut.pop(key), int(steps[key[0]]), float(returns[key[0]]))
             done = np.flatnonzero((terminated | truncated).numpy(force=True))
-            for i in done.tolist():
-                key = i, int(ids[i])
-                if key in wanted and key not in pairs:
-                    cut.pop(key, None)
-                    pairs[key] = _pair(wanted[key], int(steps[i]), float(returns[i]))
+            ended = [k for k in cut if k[1] == ids[k[0]] and steps[k[0]] == wanted[k].steps]
+            ended += [key for i in done.tolist() if (key := (i, int(ids[i]))) in wanted]
+            for key in ended:
+                cut.discard(key)
+                pairs.setdefault(key, _pair(wanted[key], int(steps[key[0]]), returns[key[0]]))
             if len(done):
                 returns[done], steps[done] = 0.0, 0
                 policy.reset(done)
@@ -165,7 +159,13 @@ def _play(
 
 
 def _pair(recorded: LogEpisode, steps: int, total: float) -> _Pair:
-    before = recorded.total_reward
-    where = recorded.env, recorded.episode
-    cut = not (recorded.terminated or recorded.truncated)
-    return _Pair(*where, recorded.steps, steps, before, total, total - before, cut)
+    return _Pair(
+        env=recorded.env,
+        episode=recorded.episode,
+        recorded_steps=recorded.steps,
+        steps=steps,
+        recorded_return=recorded.total_reward,
+        total_return=float(total),
+        difference=float(total) - recorded.total_reward,
+        cut=not (recorded.terminated or recorded.truncated),
+    )

@@ -1,35 +1,32 @@
-"""`embodichain run`: build a task, play a policy in it, keep what happened in a run folder."""
+"""`embodichain run`: build a task, run a policy in it, write log and summary to a run folder."""
 
 from __future__ import annotations
 
 import json
 import logging
-import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from embodichain.cli.app import jobs, typed, verb
-from embodichain.cli.attach import (
-    StartPicture,
-    attach_log,
-    attach_viewer,
-    check_attachments,
-    film_job,
-    policy_of,
-)
-from embodichain.cli.exits import Interrupted
-from embodichain.cli.jobs import Job
-from embodichain.cli.launch import start
-from embodichain.cli.output import print_json, to_json
-from embodichain.cli.process import StopFlag, started
-from embodichain.cli.progress import ProgressDisplay
-from embodichain.cli.rollout import Outcome, print_summary, roll_out, summarize
+from embodichain.cli.app import job_arguments, verb
+from embodichain.cli.jobs import Job, policy_of, start
+from embodichain.cli.output import number, print_facts, print_json, to_json
+from embodichain.cli.process import started
+from embodichain.cli.reporting import ProgressDisplay
+from embodichain.learning.episode_statistics import EpisodeStatistics, play
 from embodichain.utils.atomic import write_text
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from embodichain.lab.gym.envs.base_env import BaseEnv
+    from embodichain.lab.gym.policies import Policy
 
 __all__ = ["SUMMARY_FILE", "command", "run_job"]
 
 SUMMARY_FILE = "summary.json"
+_PICTURE_SIZE = (1280, 960)
 _log = logging.getLogger(__name__)
 
 
@@ -43,72 +40,209 @@ _log = logging.getLogger(__name__)
     ("run --gym-config gym_config.yaml", "a task in EmbodiChain's own form"),
     ("run task=random_reach --cfg job", "print the config, run nothing"),
     keys=True,
+    config_dir=True,
+    quiet=True,
 )
-@jobs("run")
+@job_arguments("run")
 def command(**options: Any) -> None:
     """Run once, or once for each point of a sweep."""
-    start("run", run_job, SimpleNamespace(**options), typed())
+    start("run", run_job, SimpleNamespace(**options))
 
 
-def run_job(run: Job, stop: StopFlag) -> float | None:
-    """Build, play, close, sum up; a failure is kept in `summary.json` too."""
-    root = run.root
+def run_job(job: Job) -> float | None:
+    """Build, roll out, close and summarize; a failure is written to `summary.json` too."""
+    root = job.root
     facts: dict[str, Any] = {
-        "task": run.resolved.task_name,
-        "folder": str(run.folder),
+        "task": job.resolved.task_name,
+        "folder": str(job.folder),
         "seed": root.seed,
         "policy": root.policy if isinstance(root.policy, (str, type(None))) else root.policy.func,
     }
-    if not run.quiet:
-        sys.stderr.write(f"{facts['task']}: {run.folder}\n")
-    check_attachments(root)
     try:
-        outcome, log = _simulate(run, stop)
+        counted, log = _simulate(job)
     except Exception as error:
         try:
-            _write_summary(run.folder, {**facts, "status": "failed", "error": repr(error)})
-        except OSError as second:  # a full disk fails here too; what came first is what is told
+            _write_summary(job.folder, {**facts, "status": "failed", "error": repr(error)})
+        except OSError as second:  # a full disk fails here too; the first error is reported
             _log.error("%s could not be written: %s", SUMMARY_FILE, second)
         raise
     if log is not None:
         facts |= {"log": str(log), "log_bytes": log.stat().st_size}
-    summary = summarize(outcome, facts)
-    _write_summary(run.folder, summary)
+    summary = {**facts, **counted}
+    _write_summary(job.folder, summary)
     _log.info("summary: %s", json.dumps(summary, default=str))
-    summary |= film_job(run, stop, log)
+    summary |= job.film(log)
     if root.json:
         print_json(summary)
     elif not root.quiet:
-        print_summary(summary)
-    if stop.stopped is not None:
-        raise Interrupted(f"interrupted ({stop.stopped}); {run.folder} is complete up to there")
-    return outcome.statistics.mean("return")
+        _print_summary(summary)
+    return summary["return"]["mean"] if summary["return"] is not None else None
 
 
-def _simulate(run: Job, stop: StopFlag) -> tuple[Outcome, Path | None]:
-    """The rollout from build to close, and where its log is."""
+def _simulate(job: Job) -> tuple[dict[str, Any], Path | None]:
+    """Build, roll out and close; returns the summary and the path of the log."""
     from embodichain.config.factory import make_env
 
-    root = run.root
-    episodes = root.episodes or 1
-    env = make_env(run.resolved, run_dir=run.folder)
-    start: StartPicture | None = None
+    root = job.root
+    env = make_env(job.resolved, run_dir=job.folder)
+    picture: _StartPicture | None = None
     try:
         policy = policy_of(root, env)
-        recorder = attach_log(run, env)
-        attach_viewer(root, env, stop)
+        recorder = job.attach_log(env)
+        job.attach_viewer(env)
         obs, _ = env.reset()
-        start = StartPicture(env) if root.scene_png else None
+        picture = _StartPicture(env) if root.scene_png else None
         started()
-        label, total = run.resolved.task_name, env.num_envs * episodes
-        with ProgressDisplay(label, total, "episodes", quiet=run.quiet) as display:
-            outcome = roll_out(env, policy, obs, episodes, root.max_steps, display, stop)
+        counted = _roll_out(env, policy, obs, job)
     finally:
         env.close()  # finishes the log too
-        if start is not None:
-            start.draw(run.folder / "scene.png")
-    return outcome, recorder.stats.path if recorder is not None else None
+        if picture is not None:
+            picture.draw(job.folder / "scene.png")
+    return counted, recorder.stats.path if recorder is not None else None
+
+
+def _roll_out(env: BaseEnv, policy: Policy, obs: Any, job: Job) -> dict[str, Any]:
+    """Step `env` with `policy` from `obs` to the end of the run; in real time if a window is open.
+
+    `env` was just reset and resets its environments automatically; `policy` is reset for
+    environments that begin a new episode.
+
+    Returns:
+        The statistics for `summary.json`. The status is ``finished`` if every environment completed
+        its episodes, ``max_steps`` if the limit was reached, ``interrupted`` after a signal.
+    """
+    max_steps, stop = job.root.max_steps, job.stop
+    counted = EpisodeStatistics(env.num_envs, job.root.episodes or 1)
+    limit = float("inf") if max_steps is None else max_steps
+    start = time.perf_counter()
+    status = "interrupted" if stop.is_stopped() else "finished"
+    with ProgressDisplay(
+        job.resolved.task_name, counted.wanted, "episodes", quiet=job.quiet
+    ) as display:
+
+        def show() -> None:
+            seconds = time.perf_counter() - start
+            display.show(counted.episodes, _facts(counted, max_steps, seconds))
+
+        for _ in () if stop.is_stopped() else play(env, policy, obs, counted):
+            if env.sim.is_window_open:  # in real time
+                time.sleep(max(0.0, start + counted.steps * env.step_dt - time.perf_counter()))
+            if display.due:
+                show()
+            if not counted.complete and (stop.is_stopped() or counted.steps >= limit):
+                status = "interrupted" if stop.is_stopped() else "max_steps"
+                break
+        seconds = time.perf_counter() - start
+        show()
+    env_steps = counted.steps * counted.num_envs
+    return {
+        "status": status,
+        "signal": stop.stopped,
+        "num_envs": counted.num_envs,
+        "control_steps": counted.steps,
+        "env_steps": env_steps,
+        "seconds": round(seconds, 6),
+        "fps": round(env_steps / seconds, 3),
+        "episodes": counted.episodes,
+        "episodes_wanted": counted.wanted,
+        "return": _spread(counted, "return"),
+        "length": _spread(counted, "length"),
+        "success_rate": counted.mean("success"),
+        "terminated": int(counted.column("terminated").sum()),
+        "diverged": int(counted.column("diverged").sum()),
+        "metrics": _means(counted, "metrics/"),
+        "rewards": _means(counted, "rewards/"),
+    }
+
+
+def _facts(counted: EpisodeStatistics, max_steps: int | None, seconds: float) -> dict[str, str]:
+    """The numbers shown beside the progress bar."""
+    steps = f"{counted.steps}/{max_steps}" if max_steps is not None else f"{counted.steps}"
+    facts = {"step": steps, "FPS": f"{counted.steps * counted.num_envs / seconds:,.0f}"}
+    mean_return, success = counted.mean("return"), counted.mean("success")
+    if mean_return:  # a task without rewards always returns 0
+        facts["return"] = f"{mean_return:.3g}"
+    if success is not None:
+        facts["success"] = f"{success:.0%}"
+    return facts
+
+
+def _spread(counted: EpisodeStatistics, name: str) -> dict[str, float] | None:
+    column = counted.column(name)
+    if not column.size:
+        return None
+    return {name: float(getattr(column, name)()) for name in ("mean", "std", "min", "max")}
+
+
+def _means(counted: EpisodeStatistics, prefix: str) -> dict[str, float | None]:
+    names = [name for name in counted.names() if name.startswith(prefix)]
+    return {name.removeprefix(prefix): counted.mean(name) for name in names}
 
 
 def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
     write_text(folder / SUMMARY_FILE, to_json(summary, indent=2) + "\n")
+
+
+def _print_summary(summary: dict[str, Any]) -> None:
+    """Print the summary as a table."""
+    ends = {
+        "finished": "every environment had its episodes",
+        "max_steps": "max_steps reached",
+        "interrupted": f"interrupted ({summary['signal']})",
+    }
+    episodes = f"{summary['episodes']:,} of {summary['episodes_wanted']:,}"
+    returns = summary["return"]
+    has_return = summary["rewards"] or returns is None or returns["min"] < 0 or returns["max"] > 0
+    rows: list[tuple[str, Any]] = [
+        ("ended", ends[summary["status"]]),
+        ("episodes", f"{episodes} ({summary['num_envs']} environments)"),
+        ("control steps", f"{summary['control_steps']:,} in {summary['seconds']:.2f} s"),
+        ("FPS", f"{summary['fps']:,.0f} environment steps/s"),
+        *([("return", _mean_spread(returns))] if has_return else []),
+        ("length", _mean_spread(summary["length"])),
+    ]
+    if summary["success_rate"] is not None:
+        rows.append(("success", f"{summary['success_rate']:.1%}"))
+    rows += [(f"metric {name}", value) for name, value in summary["metrics"].items()]
+    rows += [(f"reward {name}", value) for name, value in summary["rewards"].items()]
+    if summary["diverged"]:
+        rows.append(("diverged", f"{summary['diverged']} episodes"))
+    names = ("seed", "log", "video", "folder")
+    rows += [(name, summary[name]) for name in names if summary.get(name) is not None]
+    print_facts(str(summary["task"]), rows)
+
+
+def _mean_spread(spread: dict[str, float] | None) -> str:
+    if spread is None:
+        return "-"
+    low, high = number(spread["min"]), number(spread["max"])
+    return f"{number(spread['mean'])} ± {number(spread['std'])} ({low} to {high})"
+
+
+class _StartPicture:
+    """A copy of environment 0's state at construction, rendered when the run ends."""
+
+    def __init__(self, env: BaseEnv) -> None:
+        self._model = env.sim.scene.model
+        self._data = env.sim.engine.data_of(0)
+
+    def data_of(self, env_id: int) -> mujoco.MjData:
+        """The copied state."""
+        return self._data
+
+    def draw(self, path: Path) -> None:
+        """Write the picture; warn if there is no OpenGL or the file cannot be written."""
+        from PIL import Image
+
+        from embodichain.lab.sim.rendering import SceneRenderer
+        from embodichain.utils.atomic import atomic_file
+        from embodichain.utils.errors import RenderError
+
+        try:
+            renderer = SceneRenderer(self._model, *_PICTURE_SIZE)
+            pixels = renderer.draw(self, 0, "default")
+            renderer.close()
+            with atomic_file(path) as temporary:
+                Image.fromarray(pixels).save(temporary, format="PNG")
+        except (RenderError, OSError) as error:
+            _log.warning("no scene.png: %s", error)

@@ -1,6 +1,6 @@
-"""`embodichain run-env`: EmbodiChain's command, as `embodichain run --gym-config` with its flags.
+"""`embodichain run-env`: EmbodiChain's command; `embodichain run --gym-config` with its flags.
 
-Flags without an effect are accepted, with a note; everything else is `run`'s.
+Flags without an effect are accepted, with a note; everything else is as in `run`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import Any
 
 import click
 
-from embodichain.cli.app import common, overrides, typed, verb
-from embodichain.cli.launch import start
+from embodichain.cli.app import overrides, verb
+from embodichain.cli.jobs import start
 from embodichain.cli.run import run_job
 from embodichain.compat.gym_utils import RENDERERS
 from embodichain.utils.errors import ConfigError
@@ -21,53 +21,48 @@ from embodichain.utils.errors import ConfigError
 __all__ = ["command"]
 
 _KEYS = {
-    "num_envs": "num_envs",
-    "max_episodes": "episodes",
-    "device": "device",
-    "seed": "seed",
-    "viser_host": "viewer.host",
-    "viser_port": "viewer.port",
+    "num_envs": (int, "num_envs", "Environments that run in parallel."),
+    "max_episodes": (int, "episodes", "Episodes of each environment."),
+    "seed": (int, "seed", "Seed of every random stream."),
+    "device": (str, "device", "Where physics runs: cpu."),
+    "viser_host": (str, "viewer.host", "The address to listen on."),
+    "viser_port": (int, "viewer.port", "The port."),
 }
-"""Flag -> key of the config of a run."""
-_NO_EFFECT = {
-    "renderer": "pictures are MuJoCo's",
-    "arena_space": "every environment is its own world",
-    "gpu_id": "physics runs on the CPU",
-    "action_config": "not read: expert demonstrations are not generated here; policy=NAME acts",
-    "preview": "viewer=web shows the run in a browser, viewer=native in a window",
-    "filter_dataset_saving": "a run writes a log; `embodichain export` makes a data set of it",
-    "viser_env_ids": "people choose the environment on the page",
-    "viser_fps": "the page draws as fast as the browser asks",
-    "viser_image_fps": "there are no camera images on the page",
-    "viser_soft_body_fps": "there are no soft bodies",
+"""Flag -> type, key of the config of a run, help."""
+_SWITCHES = {
+    "headless": "Open no window.",
+    "viser": "Show an environment in a browser.",
+    "filter_visual_rand": "Leave out visual randomization.",
 }
-_FLAGS: tuple[tuple[str, Any, str], ...] = (
-    ("gym_config", str, "EmbodiChain's config of a task: YAML or JSON."),
-    ("num_envs", int, "Environments that run in parallel."),
-    ("max_episodes", int, "Episodes of each environment."),
-    ("seed", int, "Seed of every random stream."),
-    ("device", str, "Where physics runs: cpu."),
-    ("headless", bool, "Open no window."),
-    ("renderer", click.Choice(RENDERERS), "No effect."),
-    ("arena_space", float, "No effect."),
-    ("gpu_id", int, "No effect."),
-    ("action_config", str, "No effect."),
-    ("preview", bool, "No effect."),
-    ("filter_visual_rand", bool, "Leave out visual randomization."),
-    ("filter_dataset_saving", bool, "No effect."),
-    ("viser", bool, "Show an environment in a browser."),
-    ("viser_host", str, "The address to listen on."),
-    ("viser_port", int, "The port."),
-    ("viser_env_ids", str, "No effect."),
-    ("viser_fps", float, "No effect."),
-    ("viser_image_fps", float, "No effect."),
-    ("viser_soft_body_fps", float, "No effect."),
-)
+_NO_EFFECT: dict[str, tuple[Any, str]] = {
+    "renderer": (click.Choice(RENDERERS), "pictures are MuJoCo's"),
+    "arena_space": (float, "every environment is its own world"),
+    "gpu_id": (int, "physics runs on the CPU"),
+    "action_config": (
+        str,
+        "not read: expert demonstrations are not generated here; policy=NAME acts",
+    ),
+    "preview": (bool, "viewer=web shows the run in a browser, viewer=native in a window"),
+    "filter_dataset_saving": (
+        bool,
+        "a run writes a log; `embodichain export` makes a data set of it",
+    ),
+    "viser_env_ids": (str, "the environment is chosen on the page"),
+    "viser_fps": (float, "the page draws as fast as the browser requests"),
+    "viser_image_fps": (float, "there are no camera images on the page"),
+    "viser_soft_body_fps": (float, "there are no soft bodies"),
+}
+"""Flag -> type, and why it has no effect."""
 
 
 def _flags(function: Any) -> Any:
-    """Add EmbodiChain's flags in both spellings, all unset: only what was typed counts."""
-    for name, kind, text in reversed(_FLAGS):
+    """Add EmbodiChain's flags in both spellings, without defaults."""
+    file = "EmbodiChain's config of a task: YAML or JSON."
+    flags: list[tuple[str, Any, str]] = [("gym_config", str, file)]
+    flags += [(name, kind, text) for name, (kind, _, text) in _KEYS.items()]
+    flags += [(name, bool, text) for name, text in _SWITCHES.items()]
+    flags += [(name, kind, "No effect.") for name, (kind, _) in _NO_EFFECT.items()]
+    for name, kind, text in reversed(flags):
         spellings = {f"--{name}", f"--{name.replace('_', '-')}"}
         how: dict[str, Any] = {"is_flag": True} if kind is bool else {"type": kind}
         function = click.option(*sorted(spellings), name, help=text, **how)(function)
@@ -78,30 +73,28 @@ def _flags(function: Any) -> Any:
     "run-env",
     ("run-env --gym_config gym_config.json --num_envs 4 --headless", "four environments"),
     ("run-env --gym_config gym_config.json record=none max_steps=100", "with keys of `run`"),
+    quiet=True,
 )
 @overrides()
 @_flags
-@common(quiet=True)
 def command(**options: Any) -> None:
     """Translate the flags, then run.
 
     Raises:
-        ConfigError: No gym config is named, a flag is unknown, or what `run` finds wrong.
+        ConfigError: No gym config is named, a flag is unknown, or `run` finds a mistake.
     """
-    flags = SimpleNamespace(**options)
+    flags = SimpleNamespace(**options, cfg=None, info=None, multirun=False)
     if not flags.gym_config:
         raise ConfigError("no gym config is named: embodichain run-env --gym_config FILE")
-    for flag, why in _NO_EFFECT.items():
+    for flag, (_, why) in _NO_EFFECT.items():
         if options[flag] is not None and options[flag] is not False:  # 0 is a value that was typed
             sys.stderr.write(f"note: --{flag} has no effect: {why}\n")
     flags.words = tuple(_overrides(flags))
-    flags.cfg = flags.info = flags.config_dir = None
-    flags.multirun = False
-    start("run", run_job, flags, typed())
+    start("run", run_job, flags)
 
 
 def _overrides(flags: Any) -> Iterator[str]:
-    for flag, key in _KEYS.items():
+    for flag, (_, key, _) in _KEYS.items():
         value = getattr(flags, flag)
         if value is not None:
             yield f"{key}={value}"
@@ -114,7 +107,7 @@ def _overrides(flags: Any) -> Iterator[str]:
 
 
 def _visual_events(path: str) -> list[str]:
-    """The events of a gym config that only change how things look."""
+    """The events of a gym config that only change visuals."""
     from embodichain.compat.gym_config.conversion import convert
     from embodichain.compat.gym_config.file import read_gym_config
     from embodichain.compat.gym_config.functors import VISUAL

@@ -1,8 +1,8 @@
 """Hydra's own `main`: sweeps, `--cfg` and `--info`.
 
-Points, workers and searches are Hydra's: its basic sweeper and launcher, and the plug-ins of the
-extra `sweep`, which bring `hydra/launcher=joblib` and `hydra/sweeper=optuna`. Here is what is
-checked before a sweep starts, and what is said when one ends.
+Sweeps are run by Hydra's basic sweeper and launcher, or by the plug-ins of the extra `sweep`:
+`hydra/launcher=joblib` and `hydra/sweeper=optuna`. The configs of all jobs are checked before a
+sweep starts.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ import logging
 import os
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -24,12 +24,11 @@ from hydra.experimental.callback import Callback
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from embodichain.cli.jobs import Body, Verb, execute, resolved_job
-from embodichain.config.composed import WITHOUT_TASK, compose, from_hydra
-from embodichain.config.overrides import relax
-from embodichain.config.resolved import resolve
+from embodichain.config.composed import WITHOUT_TASK, compose, from_hydra, relax
+from embodichain.config.hydra_loader import VERSION_BASE, config_loader
+from embodichain.config.resolved import Resolved, resolve
 from embodichain.config.run_folder import adopt
-from embodichain.config.search_path import VERSION_BASE, config_loader
+from embodichain.config.schema import Verb
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["BestPoint", "call_hydra", "points", "towards_scores"]
@@ -41,19 +40,23 @@ _ONE_BY_ONE = "BasicLauncher"
 
 
 def call_hydra(
-    verb: Verb, body: Body, options: Any, overrides: Sequence[str], typed: Sequence[str]
+    verb: Verb,
+    check: Callable[[Sequence[str]], object],
+    do: Callable[[Resolved, Path | None], float | None],
+    options: Any,
+    overrides: Sequence[str],
 ) -> None:
-    """Call Hydra's `main` for a verb; its exceptions come out as they are.
+    """Call Hydra's `main` for a verb; its exceptions are raised unchanged.
 
     Args:
-        verb: Whose jobs they are.
-        body: What a job does.
+        verb: The verb, ``run`` or ``train``.
+        check: Checks the config of one job.
+        do: Runs a job, in the given folder or a new one.
         options: `cfg`, `info`, `multirun`, `package`, `resolve`.
         overrides: As typed.
-        typed: The command line.
 
     Raises:
-        ConfigError: Mistakes in the config of any job: nothing has started.
+        ConfigError: Mistakes in the config of any job; no job was started.
     """
     keys: list[str] = []
     gym = any(line.lstrip("+").startswith("gym_config=") for line in overrides)
@@ -66,18 +69,19 @@ def call_hydra(
     elif options.multirun:
         keys = _swept(overrides)
         for point in points(overrides, _MOST_CHECKED_JOBS):
-            resolved_job(compose(point, verb), verb)
+            check(point)
         overrides = towards_scores(overrides)
     else:
-        resolved_job(compose(overrides, verb), verb)
+        check(overrides)
 
-    # Pickled by value for the workers of a sweep, with what it refers to.
+    # Pickled by value for the workers of a sweep, with its closure.
     @hydra.main(version_base=VERSION_BASE, config_path="pkg://embodichain.conf", config_name=verb)
     def job(composed: DictConfig) -> float | None:
         resolved, folder = resolve(from_hydra(), verb), None
         if HydraConfig.get().mode == RunMode.MULTIRUN:
             folder = adopt(HydraConfig.get().runtime.output_dir)
-        return execute(resolved, body, typed, folder, _label(keys))
+        with _labelled_lines(_label(keys), json=resolved.root.json):
+            return do(resolved, folder)
 
     with config_loader() as loader:
         relaxed = relax(overrides, loader)
@@ -86,13 +90,13 @@ def call_hydra(
 
 
 def points(overrides: Sequence[str], most: int) -> Iterator[list[str]]:
-    """Give the overrides of each job of a sweep, as far as they are known before it starts.
+    """Yield the overrides of each job of a sweep, as far as they are known before it starts.
 
-    A search chooses its points as it goes: of one, there is the point with every key's first value.
+    A search chooses its points while it runs; for it, only the first value of each key is used.
 
     Args:
         overrides: As typed, with sweeps.
-        most: How many are given at most.
+        most: Largest number of jobs to yield.
 
     Raises:
         HydraException: An override is malformed.
@@ -108,7 +112,7 @@ def points(overrides: Sequence[str], most: int) -> Iterator[list[str]]:
 
 
 def towards_scores(overrides: Sequence[str]) -> list[str]:
-    """Let a search look for the highest objective, unless a direction is typed: Optuna minimizes.
+    """Make a search maximize the objective unless a direction is typed; Optuna minimizes.
 
     Args:
         overrides: As typed.
@@ -119,10 +123,10 @@ def towards_scores(overrides: Sequence[str]) -> list[str]:
 
 
 class BestPoint(Callback):
-    """Says which point a search found best; Hydra calls it, see `conf/common.yaml`."""
+    """Reports the best point of a search; called by Hydra, see `conf/common.yaml`."""
 
     def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Read what the search has left in the sweep's folder; other sweeps leave nothing there."""
+        """Read the results of a search from the sweep's folder; other sweeps write none."""
         path = Path(config.hydra.sweep.dir) / RESULTS_FILE
         if config.quiet or config.json or not path.is_file():
             return
@@ -133,7 +137,7 @@ class BestPoint(Callback):
 
 
 def _swept(overrides: Sequence[str]) -> list[str]:
-    """The keys that a sweep gives several values."""
+    """The keys with several values in a sweep."""
     parsed = OverridesParser.create().parse_overrides(list(overrides))
     return [override.key_or_group for override in parsed if override.is_sweep_override()]
 
@@ -143,7 +147,7 @@ def _searches(overrides: Sequence[str]) -> bool:
 
 
 def _first(override: Override) -> str:
-    """The override with one value in place of a sweep."""
+    """The override with the first value of its sweep."""
     line = override.input_line or ""
     if not override.is_sweep_override():
         return line
@@ -168,8 +172,58 @@ def _label(keys: Sequence[str]) -> str | None:
     return f"[{' '.join([str(config.job.num), *point])}] "
 
 
+@contextmanager
+def _labelled_lines(label: str | None, *, json: bool) -> Iterator[None]:
+    """Prefix each line printed inside the context with a label.
+
+    Args:
+        label: The label and a blank; None changes nothing.
+        json: Whether stdout is JSON; its lines are then not changed.
+    """
+    before = sys.stdout, sys.stderr
+    if label is not None:
+        sys.stderr = _Labelled(sys.stderr, label)
+        sys.stdout = sys.stdout if json else _Labelled(sys.stdout, label)
+    try:
+        yield
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        sys.stdout, sys.stderr = before
+
+
+class _Labelled:
+    """A text stream that prefixes each line with a label and writes it at once.
+
+    It is not a terminal even if `stream` is: bars of several jobs would overwrite each other.
+    """
+
+    def __init__(self, stream: TextIO, label: str) -> None:
+        self._stream, self._label, self._rest = stream, label, ""
+
+    def write(self, text: str) -> int:
+        *lines, self._rest = (self._rest + text).split("\n")
+        if lines:
+            self._stream.write(
+                "".join(f"{self._label}{line}\n" if line else "\n" for line in lines)
+            )
+            self._stream.flush()
+        return len(text)
+
+    def flush(self) -> None:
+        """Write the remaining text as a line."""
+        if self._rest:
+            self.write("\n")
+
+    def isatty(self) -> bool:
+        return False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
 def _flags(options: Any) -> list[str]:
-    """Hydra's flags; its parser takes them before the overrides only."""
+    """Hydra's flags, which its parser accepts only before the overrides."""
     flags = ["--multirun"] if options.multirun else []
     flags += ["--resolve"] if options.resolve else []
     for name in ("cfg", "package", "info"):
@@ -181,9 +235,9 @@ def _flags(options: Any) -> list[str]:
 
 @contextmanager
 def _process(program: str, arguments: list[str]) -> Iterator[None]:
-    """Put arguments where Hydra reads them, in `sys.argv`, and let its exceptions through.
+    """Put arguments into `sys.argv`, where Hydra reads them, and let its exceptions through.
 
-    What Hydra changes in `logging` is undone afterwards.
+    Hydra's changes to `logging` are undone afterwards.
     """
     argv, full = sys.argv, os.environ.get("HYDRA_FULL_ERROR")
     root = logging.getLogger()

@@ -1,17 +1,16 @@
-"""Registered terms as people read about them: kinds, parameters with types and defaults, example.
-
-What `list terms`, `show term` and the page docs/terms.md print comes from here. No torch.
-"""
+"""Descriptions of registered terms for `list terms`, `show term` and the page docs/terms.md."""
 
 from __future__ import annotations
 
 import dataclasses
 import inspect
 import re
+import textwrap
 import types
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
+from importlib import resources
 from typing import Annotated, Any, Literal, Union, cast, get_args, get_origin
 
 import yaml
@@ -48,12 +47,12 @@ _ENTRY = re.compile(r"^\*{0,2}(\w+)(?: \([^)]*\))?: (.*)$")
 
 @dataclass(frozen=True, slots=True)
 class TermDoc:
-    """A google-style docstring, taken apart.
+    """The parts of a google-style docstring.
 
     Attributes:
         summary: Its first paragraph, on one line.
         text: The paragraphs before the first section, the summary among them.
-        params: What each argument is, on one line.
+        params: Argument -> its description on one line.
         example: YAML on one line that declares the term; empty if there is none.
     """
 
@@ -65,13 +64,13 @@ class TermDoc:
 
 @dataclass(frozen=True, slots=True)
 class TermEntry:
-    """One function or class under one name.
+    """One function or class registered under one name.
 
     Attributes:
-        name: How configs call it.
+        name: Its name in configs.
         kinds: The managers that run it; none for a shape.
-        spec: As it is registered under the first of them.
-        doc: Its docstring; of an alias what it stands for.
+        spec: Its registration under the first of these.
+        doc: Its docstring; for an alias, its meaning.
     """
 
     name: str
@@ -80,17 +79,17 @@ class TermEntry:
     doc: TermDoc
 
     @property
-    def is_alias(self) -> bool:
-        """Whether it stands for another term."""
-        return isinstance(self.spec, AliasSpec)
+    def sections(self) -> str:
+        """The sections of a task in which it may be used; empty for a shape."""
+        return ", ".join(SECTION_OF[kind] for kind in self.kinds)
 
     @property
     def signature(self) -> str:
-        """``name(a, b=1)``, as configs see it."""
+        """``name(a, b=1)``, with the parameters that configs may set."""
         return f"{self.name}({', '.join(_short(*item) for item in self.spec.params.items())})"
 
     def parameters(self) -> list[dict[str, str]]:
-        """One row a parameter: name, type with its range, default, what it is."""
+        """One row per parameter: name, type with its range, default, description."""
         hints = self.spec.hints()
         return [
             {
@@ -103,20 +102,18 @@ class TermEntry:
         ]
 
     def facts(self) -> dict[str, Any]:
-        """Everything about it, for JSON."""
-        return {
+        """Return all its properties, for JSON."""
+        facts: dict[str, Any] = {
             "name": self.name,
             "kinds": list(self.kinds),
             "signature": self.signature,
-            "parameters": self.parameters(),
-            "doc": self.doc.text,
-            "example": self.doc.example,
-            "defined": self.spec.place,
         }
+        facts |= {"parameters": self.parameters(), "doc": self.doc.text}
+        return {**facts, "example": self.doc.example, "defined": self.spec.place}
 
 
 def all_entries() -> list[TermEntry]:
-    """Every registered term, by section, then by name; one registered twice stands once."""
+    """Every registered term, by section, then by name; one registered twice is one entry."""
     found: dict[tuple[str, Any], list[TermSpec]] = {}
     for kind in SECTION_OF:
         for name, spec in sorted(TERMS[kind].items()):
@@ -128,7 +125,7 @@ def all_entries() -> list[TermEntry]:
 
 
 def shape_entries() -> list[TermEntry]:
-    """Every shape that a quantity may be given, in the order of their module."""
+    """Every shape (function of a quantity), in the order of its module."""
     TERMS["reward"]  # shapes are registered with the terms
     return [TermEntry(name, (), spec, parse_doc(spec.doc)) for name, spec in SHAPES.items()]
 
@@ -138,12 +135,13 @@ def _doc_of(spec: TermSpec) -> TermDoc:
 
 
 def _doc_of_alias(spec: AliasSpec) -> TermDoc:
-    """What an alias stands for, in the words of its target and its shapes."""
+    """Describe an alias by the docstrings of its target and shapes."""
     docs = [parse_doc(part.doc) for part in spec.parts]
     first: dict[str, Any] = yaml.safe_load(docs[0].example)
     params: dict[str, Any] = yaml.safe_load(spec.example) if spec.example else {}
     for name, (part, key) in spec.exposed.items() if not params else ():
-        given = first.get("params", {})
+        written = first.get("params", {})
+        given = {meant: written[key] for key, meant in spec.target.written(written).items()}
         if part:
             shape = yaml.safe_load(docs[part].example)["shape"]
             given = _parameters_of(shape, spec.steps[part - 1])
@@ -154,11 +152,14 @@ def _doc_of_alias(spec: AliasSpec) -> TermDoc:
     if params:
         example["params"] = params
     text = yaml.safe_dump(example, default_flow_style=True, sort_keys=False, width=10_000)
-    told = docs[: 1 + len(spec.steps)]
+    shown = docs[: 1 + len(spec.steps)]
     return TermDoc(
         summary=f"{spec.doc} {docs[0].summary}",
-        text="\n\n".join([spec.doc, *(doc.summary for doc in told)]),
-        params={name: docs[part].params.get(key, "") for name, (part, key) in spec.exposed.items()},
+        text="\n\n".join([spec.doc, *(doc.summary for doc in shown)]),
+        params={
+            name: spec.texts.get(name) or docs[part].params.get(key, "")
+            for name, (part, key) in spec.exposed.items()
+        },
         example=text.strip(),
     )
 
@@ -173,10 +174,10 @@ def _parameters_of(written: Any, shape: TermSpec) -> dict[str, Any]:
 
 
 def find_entries(name: str) -> list[TermEntry]:
-    """Return the terms and shapes of a name: several where kinds have one each.
+    """Return the terms and shapes with a name; several if more than one kind has it.
 
     Raises:
-        ConfigError: If nothing is; names the closest.
+        ConfigError: If there is none; names the closest.
     """
     entries = [*all_entries(), *shape_entries()]
     found = [entry for entry in entries if entry.name == name]
@@ -187,13 +188,13 @@ def find_entries(name: str) -> list[TermEntry]:
 
 
 def _short(name: str, parameter: inspect.Parameter) -> str:
-    """``name`` where a value must be given, else ``name=default``."""
+    """``name`` if the parameter is required, else ``name=default``."""
     required = parameter.default is inspect.Parameter.empty
     return name if required else f"{name}={parameter.default}"
 
 
 def _default(parameter: inspect.Parameter) -> str:
-    """A default as YAML; empty where a value must be given."""
+    """A default as YAML; empty if the parameter is required."""
     value = parameter.default
     if value is inspect.Parameter.empty:
         return ""
@@ -207,11 +208,7 @@ def _default(parameter: inspect.Parameter) -> str:
 
 @cache
 def parse_doc(doc: str) -> TermDoc:
-    """Take a docstring apart.
-
-    Args:
-        doc: As `inspect.getdoc` returns it.
-    """
+    """Parse a docstring, as `inspect.getdoc` returns it."""
     parts: dict[str, list[str]] = {"": []}
     current = ""
     for line in doc.splitlines():
@@ -220,7 +217,13 @@ def parse_doc(doc: str) -> TermDoc:
             parts.setdefault(current, [])
         else:
             parts[current].append(line)
-    paragraphs = _paragraphs(parts[""])
+    blocks = re.split(r"\n\s*\n", "\n".join(parts[""]).strip("\n"))
+    # Indented paragraphs (formulas, lists) keep their lines.
+    paragraphs = [
+        block if re.match(r"\s|[*-] ", block) else " ".join(block.split())
+        for block in blocks
+        if block.strip()
+    ]
     return TermDoc(
         summary=paragraphs[0] if paragraphs else "",
         text="\n\n".join(paragraphs),
@@ -229,20 +232,12 @@ def parse_doc(doc: str) -> TermDoc:
     )
 
 
-def _paragraphs(lines: list[str]) -> list[str]:
-    """Paragraphs as one line each; indented ones (formulas, lists) keep their lines."""
-    blocks = re.split(r"\n\s*\n", "\n".join(lines).strip("\n"))
-    plain = (b for b in blocks if b.strip())
-    return [b if re.match(r"\s|[*-] ", b) else " ".join(b.split()) for b in plain]
-
-
 def _entries(lines: list[str]) -> dict[str, str]:
-    """``name: text`` entries; deeper indented lines go on with the one before."""
-    indent = min((len(x) - len(x.lstrip()) for x in lines if x.strip()), default=0)
+    """``name: text`` entries; deeper indented lines continue the one before."""
     found: dict[str, str] = {}
     name = ""
-    for line in lines:
-        entry = _ENTRY.match(line[indent:])
+    for line in textwrap.dedent("\n".join(lines)).splitlines():
+        entry = _ENTRY.match(line)
         if entry is not None:
             name = entry[1].removesuffix("_")  # `from_` is written `from`
             found[name] = entry[2].strip()
@@ -270,188 +265,125 @@ _NAMED = {
     "SceneEntityCfg": "entity",
     "TermCfg": "term",
 }
-_LIMITS = (("gt", ">"), ("ge", ">="), ("lt", "<"), ("le", "<="))
+_LIMITS = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
 
 
 def type_words(hint: Any) -> str:
-    """Return what a value of this type looks like in YAML.
+    """Return a description of a type's values in YAML.
 
     Args:
         hint: An evaluated annotation: ``Annotated[float, Field(gt=0)]`` gives ``number > 0``.
     """
-    origin, arguments = get_origin(hint), get_args(hint)
-    if origin is Annotated:
-        return _annotated(arguments[0], list(_flat(arguments[1:])))
-    if origin in (Union, types.UnionType):
-        return " or ".join(dict.fromkeys(type_words(one) for one in arguments))
-    if origin is Literal:
-        return " or ".join(map(str, arguments))
-    if origin is not None:
-        return _container(origin, arguments, [])
-    name = getattr(hint, "__name__", str(hint))
-    if name in _NAMED:
-        return _NAMED[name]
-    if dataclasses.is_dataclass(hint):
-        return f"map with {', '.join(field.name for field in dataclasses.fields(hint))}"
-    return _WORDS.get(hint, name)
-
-
-def _flat(metadata: Iterable[Any]) -> Iterator[Any]:
-    """Constraints, those inside pydantic's `Field` too."""
-    for item in metadata:
-        inner = getattr(item, "metadata", None)
-        if isinstance(inner, list):
-            yield from inner
-        else:
-            yield item
-
-
-def _annotated(hint: Any, metadata: list[Any]) -> str:
+    metadata: list[Any] = []
     if get_origin(hint) is Annotated:
-        inner, *more = get_args(hint)
-        return _annotated(inner, [*_flat(more), *metadata])
-    origin = get_origin(hint)
-    if origin is not None and origin not in (Union, types.UnionType, Literal):
-        return _container(origin, get_args(hint), metadata)
-    limits = [
-        f"{sign} {getattr(item, name):g}"
-        for item in metadata
-        for name, sign in _LIMITS
-        if getattr(item, name, None) is not None
-    ]
-    return " ".join([type_words(hint), " and ".join(limits)]).strip()
+        hint, *outer = get_args(hint)
+        metadata = [part for item in outer for part in getattr(item, "metadata", [item])]
+    origin, arguments = get_origin(hint), get_args(hint)
+    name = getattr(hint, "__name__", str(hint))
+    if origin in (Union, types.UnionType):
+        words = " or ".join(dict.fromkeys(map(type_words, arguments)))
+    elif origin is Literal:
+        words = " or ".join(map(str, arguments))
+    elif origin is not None:
+        return _container(origin, arguments, metadata)
+    elif dataclasses.is_dataclass(hint) and name not in _NAMED:
+        words = f"map with {', '.join(field.name for field in dataclasses.fields(hint))}"
+    else:
+        words = _NAMED.get(name) or _WORDS.get(hint, name)
+    found = [(sign, getattr(part, key, None)) for part in metadata for key, sign in _LIMITS.items()]
+    limits = " and ".join(f"{sign} {value:g}" for sign, value in found if value is not None)
+    return f"{words} {limits}".strip()
 
 
 def _container(origin: Any, arguments: tuple[Any, ...], metadata: list[Any]) -> str:
-    if isinstance(origin, type) and issubclass(origin, Mapping):
-        return f"map of {type_words(arguments[-1])}" if arguments else "map"
-    if origin is tuple and arguments and arguments[-1] is not Ellipsis:
-        same = len(set(map(str, arguments))) == 1
-        words = type_words(arguments[0])
-        return _several(len(arguments), words, False) if same else _listed(arguments)
-    if not (isinstance(origin, type) and issubclass(origin, Iterable)):
-        return str(getattr(origin, "__name__", origin))
+    """Describe a list or a map; pairs with a further check are bounds."""
     item = type_words(arguments[0]) if arguments else "anything"
-    least = _length(metadata, "min_length")
-    most = _length(metadata, "max_length")
-    if least is not None and least == most:
-        return _several(least, item, any(hasattr(m, "func") for m in metadata))
-    return f"list of {item}" + (f", at least {least}" if least else "")
-
-
-def _length(metadata: list[Any], name: str) -> int | None:
-    found = [getattr(item, name) for item in metadata if getattr(item, name, None) is not None]
-    return int(found[-1]) if found else None
-
-
-def _several(count: int, item: str, ordered: bool) -> str:
-    """Pairs that are checked beyond their length are bounds."""
-    if count == 2 and ordered:
+    if issubclass(origin, Mapping):
+        return f"map of {type_words(arguments[-1])}" if arguments else "map"
+    if not issubclass(origin, Iterable):
+        return str(origin.__name__)
+    lengths = {
+        key: value
+        for part in metadata
+        for key in ("min_length", "max_length")
+        if (value := getattr(part, key, None)) is not None
+    }
+    least = lengths.get("min_length")
+    count = least if least == lengths.get("max_length") else None
+    if origin is tuple and arguments and arguments[-1] is not Ellipsis:
+        if len(set(map(str, arguments))) > 1:
+            return f"[{', '.join(map(type_words, arguments))}]"
+        count = len(arguments)
+    if count is None:
+        return f"list of {item}" + (f", at least {least}" if least else "")
+    if count == 2 and any(hasattr(part, "func") for part in metadata):
         return "[low, high]" if item == "number" else f"[low, high], each {item}"
     return f"{count} {item.replace('number', 'numbers', 1)}"
 
 
-def _listed(arguments: tuple[Any, ...]) -> str:
-    return f"[{', '.join(map(type_words, arguments))}]"
-
-
 # -- the page docs/terms.md -----------------------------------------------------------------------
 
-_HEAD = """\
-# Terms
-
-Made by `embodichain list terms --markdown`: every function that a task can name, with its
-parameters and an example that a test builds. `embodichain show term NAME` prints the same on the
-terminal. Units are SI and radians unless a line says otherwise; an *entity* is a reference such as
-`{uid: ur10, link_names: [ee_link]}`; `[low, high]` bounds are ordered. N is the number of
-environments.
-
-A reward, a metric or a termination is one number of each environment: a [quantity](#quantities),
-with a [shape](#shapes) where it has several columns or is to become a kernel or a truth. The
-section of the task says which of them it is; an observation takes the columns as they are.
-
-```yaml
-description: A quantity in each section.
-robot: {uid: ur10, fpath: UniversalRobots/UR10/UR10.urdf, init_pos: [0, 0, 1]}
-objects:
-  goal: {shape: {shape_type: Sphere, radius: 0.02}, body_type: static, init_pos: [0.6, 0.3, 1]}
-rewards:
-  reach:
-    func: distance
-    shape: {tanh: 0.1}
-    params: &pair {from: {uid: ur10, link_names: [ee_link]}, to: {uid: goal}}
-  effort: {func: joint_effort, shape: l2, weight: -1.0e-5, params: {of: {uid: ur10}}}
-metrics:
-  success: {func: distance, shape: {below: 0.05}, params: *pair}
-observations:
-  qvel: {func: joint_velocity, scale: 0.1, params: {of: {uid: ur10}}}
-```
-
-`of`, `from` and `to` may be written `entity_cfg`, `source_entity_cfg` and `target_entity_cfg`, and
-the other way round. [Other names](#other-names), which EmbodiChain, Isaac Lab, mjlab and dm_control
-use, stand for another term, or for a quantity with a shape.
-"""
 _BUILTIN = "embodichain."
 _QUANTITIES = (
     "Serve observations, rewards, terminations and metrics, except where a line says otherwise."
 )
 _OTHERS = """\
-Each has parameters of what it stands for, which `embodichain show term NAME` lists; words in
-capitals are names of its own."""
+`embodichain show term NAME` lists the parameters; those in capitals have another name than in the
+term."""
 
 
 def catalogue() -> str:
     """Return the page. Terms of other packages are not on it."""
+    head = resources.files("embodichain.cli") / "templates" / "terms.md.tmpl"
     entries = [e for e in all_entries() if e.spec.func.__module__.startswith(_BUILTIN)]
     aliases = [e for e in entries if isinstance(e.spec, AliasSpec) and not e.spec.makers]
     described = [e for e in entries if e not in aliases]
     values = [e for e in described if set(e.kinds) & set(VALUE_KINDS)]
-    lines = [_HEAD]
+    lines = [head.read_text(encoding="utf-8")]
     parts: dict[str, list[TermEntry]] = {"quantities": values, "shapes": shape_entries()}
     for kind, section in SECTION_OF.items():
         if kind not in VALUE_KINDS:
             parts[section] = [e for e in described if kind in e.kinds]
     lines += [f"* [{title}](#{title}): {len(found)}" for title, found in parts.items()]
-    lines.append(f"* [other names](#other-names): {len(aliases)}")
+    lines += [f"* [other names](#other-names): {len(aliases)}"]
     for title, found in parts.items():
-        lines += ["", f"## {title}", ""]
-        if title == "quantities":
-            lines += [_QUANTITIES, ""]
-        for entry in found:
-            lines += _term(entry)
-    lines += [
-        "",
-        "## other names",
-        "",
-        _OTHERS,
-        "",
-        "| name | for | stands for |",
-        "| --- | --- | --- |",
+        lines += ["", f"## {title}", "", *([_QUANTITIES, ""] if title == "quantities" else [])]
+        lines += [line for entry in found for line in _term(entry)]
+    lines += ["", "## other names", "", _OTHERS, ""]
+    meanings = [e.spec.doc.removeprefix("Alias of ").replace("``", "`") for e in aliases]
+    rows = [
+        (f"`{entry.name}`", entry.sections, meaning.rstrip("."))
+        for entry, meaning in zip(aliases, meanings, strict=True)
     ]
-    for entry in aliases:
-        sections = ", ".join(SECTION_OF[kind] for kind in entry.kinds)
-        meaning = entry.spec.doc.removeprefix("Stands for ").replace("``", "`").rstrip(".")
-        lines.append(f"| `{entry.name}` | {sections} | {meaning} |")
+    lines += _rows(("name", "for", "alias of"), rows)
     return "\n".join(lines).rstrip("\n") + "\n"
 
 
 def _term(entry: TermEntry) -> Iterator[str]:
-    yield f"### {entry.name}"
-    yield ""
-    yield entry.doc.text
-    yield ""
-    if entry.kinds and set(entry.kinds) <= set(VALUE_KINDS) and len(entry.kinds) < len(VALUE_KINDS):
-        yield f"For {', '.join(SECTION_OF[kind] for kind in entry.kinds)}."
-        yield ""
-    rows = entry.parameters()
+    yield from (f"### {entry.name}", "", entry.doc.text, "")
+    notes = [f"For {entry.sections}."] if set() < set(entry.kinds) < set(VALUE_KINDS) else []
+    if entry.spec.func.__module__.startswith("embodichain.compat."):
+        notes.append("With the name and parameters of EmbodiChain's.")
+    if notes:
+        yield from (" ".join(notes), "")
+    rows = [
+        (
+            f"`{row['parameter']}`",
+            row["type"],
+            f"`{row['default']}`" if row["default"] else "needed",
+            row["what"],
+        )
+        for row in entry.parameters()
+    ]
     if rows:
-        yield "| parameter | type | default | what |"
-        yield "| --- | --- | --- | --- |"
-        for row in rows:
-            default = f"`{row['default']}`" if row["default"] else "needed"
-            cells = (f"`{row['parameter']}`", row["type"], default, row["what"])
-            yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
-        yield ""
+        yield from (*_rows(("parameter", "type", "default", "what"), rows), "")
     if entry.doc.example:
-        yield f"Example: `{entry.doc.example}`"
-        yield ""
+        yield from (f"Example: `{entry.doc.example}`", "")
+
+
+def _rows(names: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
+    """A table in Markdown."""
+    for row in (names, ("---",) * len(names)):
+        yield f"| {' | '.join(row)} |"
+    for row in rows:
+        yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |"

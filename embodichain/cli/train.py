@@ -1,28 +1,37 @@
-"""`embodichain train`: learn a policy with Stable-Baselines3, keep it in a run folder."""
+"""`embodichain train`: learn a policy with Stable-Baselines3, or resume a training.
+
+``resume=RUN`` reads the config from the run's `config.yaml`. It is the same experiment, so only few
+keys may change. It continues in a new folder; the files of the earlier run are not changed.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import json
-import sys
+from collections.abc import Sequence
 from contextlib import suppress
+from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
-from embodichain.cli.app import jobs, typed, verb
-from embodichain.cli.attach import attach_viewer, check_attachments, film_job
-from embodichain.cli.evaluating import Asked, brief_rows, evaluate_job, evaluation_config
-from embodichain.cli.exits import Interrupted
-from embodichain.cli.jobs import Job
-from embodichain.cli.launch import start
+from embodichain.cli.app import command_line, job_arguments, split_overrides, verb
+from embodichain.cli.eval import Asked, brief_rows, evaluate_job, evaluation_config
+from embodichain.cli.jobs import Job, execute, job_options, start
 from embodichain.cli.output import print_facts, print_json
-from embodichain.cli.process import StopFlag, started
+from embodichain.cli.process import Interrupted, started
+from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
-    from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.learning.episodes import TrainStatistics
 
 __all__ = ["command", "train_job"]
+
+MAY_CHANGE = (
+    *("total_timesteps", "checkpoint", "eval", "record", "video", "sim", "output_dir"),
+    *("wandb", "allow_changed", "quiet", "json", "traceback"),
+)
+"""Keys (and what is below them) that may differ from those of the run that is resumed."""
 
 
 @verb(
@@ -31,88 +40,173 @@ __all__ = ["command", "train_job"]
     ("train task=reach total_timesteps=8192", "shorter"),
     ("train task=reach algo.learning_rate=3e-4 seed=1", "another learning rate and seed"),
     ("train task=reach algo=sac algo.normalize=obs", "another algorithm; normalized"),
-    ("train resume=last total_timesteps=400_000", "go on from the newest checkpoint"),
+    ("train resume=last total_timesteps=400_000", "resume from the newest checkpoint"),
     ("train -m task=reach seed=0,1,2", "a sweep: one training for each seed"),
     keys=True,
+    config_dir=True,
+    quiet=True,
 )
-@jobs("train")
-def command(**options: Any) -> None:
+@job_arguments("train")
+def command(**kwargs: Any) -> None:
     """Train once, or once for each point of a sweep."""
-    start("train", train_job, SimpleNamespace(**options), typed())
+    options = SimpleNamespace(**kwargs)
+    words = options.words
+    if not any(line.lstrip("+").startswith("resume=") for line in words):
+        start("train", train_job, options)
+        return
+    hydras = any(line.lstrip("+~").startswith(("hydra.", "hydra/")) for line in words)
+    flags = options.cfg, options.info, options.gym_config
+    if options.multirun or hydras or any(flag is not None for flag in flags):
+        only = "no --multirun, no --gym-config, no key of Hydra's"
+        raise ConfigError(f"resume continues one training: {only}")
+    lines = [*split_overrides(words), *job_options(options)]
+    execute(_resumed(lines), train_job, command_line())
 
 
-def train_job(run: Job, stop: StopFlag) -> float | None:
-    """Learn, evaluate what was learned, show both."""
-    check_attachments(run.root)
-    asked = _asked(run)
-    evaluated = None if asked is None else evaluation_config(run.resolved, asked)
-    summary = _learn(run, stop)
+def train_job(job: Job) -> float | None:
+    """Train, evaluate the policy and print the results of both."""
+    episodes, seed = job.root.eval.episodes, job.root.seed
+    asked = evaluated = None
+    if episodes and seed is not None:  # as `embodichain eval RUN`; checked before training
+        asked = Asked(episodes, seed)
+        evaluated = evaluation_config(job.resolved, asked)
+    summary = _learn(job)
     if asked is not None and evaluated is not None and summary["status"] == "finished":
-        summary |= _evaluate(run, evaluated, stop, asked)
-    _show(run, summary)
-    if summary["status"] == "interrupted" or stop.stopped is not None:
-        raise Interrupted(f"interrupted ({stop.stopped}); what was learned is in {run.folder}")
+        summary |= _evaluate(job, evaluated, asked)
+    if job.root.json:
+        print_json(summary)
+    elif not job.root.quiet:
+        _print(summary)
     objective: float | None = summary["objective"]
     return objective
 
 
-def _asked(run: Job) -> Asked | None:
-    """The evaluation that is to follow, that of `embodichain eval RUN`."""
-    episodes, seed = run.root.eval.episodes, run.root.seed
-    return Asked(episodes, seed) if episodes and seed is not None else None
-
-
-def _evaluate(run: Job, evaluated: Resolved, stop: StopFlag, asked: Asked) -> dict[str, Any]:
-    """Play the final checkpoint; returns the summary with what was found."""
-    from embodichain.config.newest import CHECKPOINT
-    from embodichain.learning.train import add_evaluation
-
-    policy = str((run.folder / CHECKPOINT).resolve())
-    found = evaluate_job(Job(evaluated.changed(policy=policy), run.folder), stop, asked)
-    summary = add_evaluation(run.folder, found)
-    return summary | film_job(run, stop, found["log"])
-
-
-def _learn(run: Job, stop: StopFlag) -> dict[str, Any]:
-    """Learn until it ends or somebody stops it; returns what `summary.json` holds."""
+def _learn(job: Job) -> dict[str, Any]:
+    """Train to the end or until a signal; returns the content of `summary.json`."""
     from embodichain.cli.dashboard import Dashboard
     from embodichain.config.algorithms import DEFAULT_ALGORITHM
-    from embodichain.learning.train import SUMMARY_FILE, train
+    from embodichain.config.run_folder import SUMMARY
+    from embodichain.learning.train import train
 
     started()
-    root = run.root
-    if not run.quiet:
-        sys.stderr.write(f"{run.resolved.task_name}: {run.folder}\n")
+    root = job.root
     algo = root.algo.name if root.algo is not None else DEFAULT_ALGORITHM
-    about = run.resolved.task_name, algo, root.total_timesteps
-    with Dashboard(*about, quiet=run.quiet) as display:
+    about = job.resolved.task_name, algo, root.total_timesteps or 0
+    with Dashboard(*about, quiet=job.quiet) as display:
 
         def progress(statistics: TrainStatistics) -> None:
-            if stop.stopped is not None:
+            if job.stop.is_stopped():
                 raise Interrupted
             if display.due:
-                display.show(statistics)
+                display.update(statistics)
 
-        def attach(env: BaseEnv) -> None:
-            attach_viewer(root, env, stop, realtime=False)
-
-        # Interrupted: checkpoint and summary are written by then; the job says so and leaves.
+        # Interrupted: checkpoint and summary have been written; the job ends with code 130.
         with suppress(Interrupted):
-            train(run.resolved, run.folder, progress, attach)
-    summary: dict[str, Any] = json.loads((run.folder / SUMMARY_FILE).read_text())
-    return {**summary, "folder": str(run.folder)}
+            train(
+                *(job.resolved, job.folder, progress),
+                lambda env: job.attach_viewer(env, realtime=False),
+            )
+    summary: dict[str, Any] = json.loads((job.folder / SUMMARY).read_text())
+    return {**summary, "folder": str(job.folder)}
 
 
-def _show(run: Job, summary: dict[str, Any]) -> None:
-    """The closing table, or JSON."""
-    if run.root.json:
-        print_json(summary)
-    elif not run.root.quiet:
-        task = str(summary["task"])
-        apart = ("task", "eval", "folder")
-        rows = [(k.replace("_", " "), v) for k, v in summary.items() if k not in apart]
-        shares = [f"{name} {share:.0%}" for name, share in summary["time_fractions"].items()]
-        rows = [(k, shares if k == "time fractions" else v) for k, v in rows]
-        if summary["eval"] is not None:
-            rows += brief_rows(summary["eval"])
-        print_facts(task, [*rows, ("folder", summary["folder"])])
+def _evaluate(job: Job, evaluated: Resolved, asked: Asked) -> dict[str, Any]:
+    """Evaluate the final checkpoint; returns the summary with the results."""
+    from embodichain.config.run_folder import CHECKPOINT
+    from embodichain.learning.train import add_evaluation
+
+    policy = str((job.folder / CHECKPOINT).resolve())
+    found = evaluate_job(dataclasses.replace(job, resolved=evaluated.changed(policy=policy)), asked)
+    return add_evaluation(job.folder, found) | job.film(found["log"])
+
+
+def _print(summary: dict[str, Any]) -> None:
+    """Print the summary as a table."""
+    shares = [f"{name} {share:.0%}" for name, share in summary["time_fractions"].items()]
+    rows = [
+        (key.replace("_", " "), shares if key == "time_fractions" else value)
+        for key, value in summary.items()
+        if key not in ("task", "eval", "folder")
+    ]
+    if summary["eval"] is not None:
+        rows += brief_rows(summary["eval"])
+    print_facts(str(summary["task"]), [*rows, ("folder", summary["folder"])])
+
+
+def _resumed(overrides: Sequence[str]) -> Resolved:
+    """The config of a training that is resumed.
+
+    Args:
+        overrides: As typed: ``resume=RUN`` (or ``last``) and keys that may change.
+
+    Raises:
+        ConfigError: There is no such run, none of its checkpoints can be resumed, or an override
+            sets a key that may not change.
+    """
+    from embodichain.config.rerun import read_config
+    from embodichain.config.resolved import resolve_tree
+    from embodichain.config.run_folder import CONFIG
+    from embodichain.learning.checkpoint import read_note
+    from embodichain.learning.keeper import find_resumable
+    from embodichain.learning.train import check_training
+
+    changes = _parsed(overrides)
+    folder = _folder(changes.pop("resume"), changes.get("output_dir", "outputs"))
+    allowed = ", ".join(MAY_CHANGE)
+    problems = [
+        Problem(key, f"a resumed training keeps its config; what may change: {allowed}")
+        for key in changes
+        if key.partition(".")[0] not in MAY_CHANGE
+    ]
+    if problems:
+        raise ConfigError(problems)
+    checkpoint, state = find_resumable(folder)
+    fresh: dict[str, Any] = {"quiet": False, "json": False, "traceback": False}
+    fresh |= {"allow_changed": False, "resume": str(folder)}
+    tree = {**read_config(folder / CONFIG), **fresh}
+    for key, value in changes.items():
+        # An option of the group `record` sets the format only; other keys keep the run's values.
+        path = "record.format" if key == "record" and isinstance(value, str) else key
+        *parents, last = path.split(".")
+        node = tree
+        for parent in parents:
+            node = node.setdefault(parent, {})
+        node[last] = value
+    task = str(read_note(checkpoint).get("task", "task"))
+    source = str(folder / CONFIG)
+    found = resolve_tree(tree, source, "train", task_name=task, allow_import=True)
+    check_training(found)
+    done, wanted = state["env_steps"], found.root.total_timesteps or 0
+    if done >= wanted:
+        message = f"{checkpoint} has {done} steps already: give more, total_timesteps=N"
+        raise ConfigError([Problem("total_timesteps", message)])
+    return dataclasses.replace(found, overrides=tuple(overrides))
+
+
+def _parsed(overrides: Sequence[str]) -> dict[str, Any]:
+    """Key and value of each override, in Hydra's grammar."""
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.errors import OverrideParseException
+
+    try:
+        parsed = OverridesParser.create().parse_overrides(list(overrides))
+    except OverrideParseException as error:
+        raise ConfigError(str(error)) from error
+    wrong = [o.input_line or "" for o in parsed if o.is_delete() or o.is_sweep_override()]
+    if wrong:
+        raise ConfigError([Problem("resume", f"takes no {line!r} beside it") for line in wrong])
+    return {o.key_or_group: o.value() for o in parsed}
+
+
+def _folder(name: Any, output_dir: Any) -> Path:
+    """The run's folder; ``last`` is the newest training that has a checkpoint."""
+    from embodichain.config.run_folder import CONFIG, newest_run
+
+    found = newest_run(output_dir, "checkpoints/*.zip") if name == "last" else Path(str(name))
+    if found is None:
+        message = f"there is no training in {output_dir} yet: embodichain train task=NAME"
+        raise ConfigError([Problem("resume", message)])
+    if not (found / CONFIG).is_file():
+        message = f"{str(name)!r} is no training's folder: it has no {CONFIG}"
+        raise ConfigError([Problem("resume", message)])
+    return found.resolve()

@@ -1,4 +1,4 @@
-"""What `eval`, `play` and `export` are pointed at: a training, a policy's file, a policy's name."""
+"""Finds the policy for `eval`, `play` and `export`: of a training, in a file, or by its name."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from embodichain.config.newest import CHECKPOINT, named_checkpoint, newest_run
+from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
     from embodichain.config.resolved import Resolved
 
-__all__ = ["Target", "find_target", "one_target", "split_words", "take"]
+__all__ = ["Target", "find_target", "one_target", "take"]
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What is meant.
+    """A policy.
 
     Attributes:
         policy: A file's path, or the policy's name.
-        file: The file, where it is one.
-        run: The folder of the run that it belongs to, where there is one.
+        file: The file, or None.
+        run: The folder of the run that the file belongs to, or None.
     """
 
     policy: str
@@ -31,14 +31,14 @@ class Target:
     run: Path | None
 
     def resolve(self, overrides: Sequence[str], values: Mapping[str, Any]) -> Resolved:
-        """Return the config to play it in: ``task=`` in the overrides, else its run's own.
+        """Return the config for the policy: from ``task=`` in the overrides, else from its run.
 
         Args:
             overrides: As typed.
-            values: Keys of the root to set where the run's own config is used.
+            values: Keys of the root to set if the run's config is used.
 
         Raises:
-            ConfigError: There is neither, or the config is wrong.
+            ConfigError: There is neither, or the config has mistakes.
         """
         if any(line.startswith(("task=", "gym_config=")) for line in overrides):
             from embodichain.config.resolved import resolve
@@ -50,7 +50,9 @@ class Target:
 
             resolved = resolve_again(self.run, overrides, {**values, "policy": None})
         else:
-            raise ConfigError(f"{self.policy} lies in no run's folder: say which task, task=NAME")
+            raise ConfigError(
+                f"{self.policy} is not in the folder of a run: give the task, task=NAME"
+            )
         return resolved.changed(policy=self.policy)
 
 
@@ -66,10 +68,8 @@ def find_target(name: str, output_root: str = "outputs") -> Target:
         if newest is None:
             raise ConfigError(f"no training in {output_root} yet: embodichain train task=NAME")
         path = newest
-    elif not path.exists() and "/" not in name and not path.suffix:
-        return Target(name, None, None)  # zero, random, ...
-    elif not path.exists() and ":" in name:
-        return Target(name, None, None)  # package.module:function
+    elif not path.exists() and (":" in name or ("/" not in name and not path.suffix)):
+        return Target(name, None, None)  # package.module:function; zero, random, ...
     from embodichain.learning.checkpoint import find_checkpoint
 
     file = find_checkpoint(path).resolve()
@@ -77,16 +77,20 @@ def find_target(name: str, output_root: str = "outputs") -> Target:
 
 
 def one_target(action: str, words: Sequence[str]) -> tuple[Target, list[str]]:
-    """Return the one policy that words name, and the overrides among them.
+    """Return the policy named by a verb's arguments, and the overrides among them.
+
+    Overrides are ``key=value`` and ``~key``; the path of an existing file is a name.
 
     Args:
         action: What the verb does with it, for messages.
-        words: As typed.
+        words: The arguments as typed.
 
     Raises:
-        ConfigError: They name none or several, or it is not there.
+        ConfigError: No policy or several are named, or the policy does not exist.
     """
-    names, lines = split_words(words)
+    marked = [word for word in words if "=" in word or word.startswith("~")]
+    lines = [word for word in marked if not Path(word).exists()]
+    names = [word for word in words if word not in lines]
     if len(names) != 1:
         raise ConfigError(
             f"{action} what? One of: RUN (a training's folder), last, PATH (a policy)"
@@ -95,21 +99,14 @@ def one_target(action: str, words: Sequence[str]) -> tuple[Target, list[str]]:
     return find_target(names[0], roots[-1] if roots else "outputs"), lines
 
 
-def split_words(words: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Tell what names something from overrides (``key=value``, ``~key``); what exists is a name."""
-    marked = [word for word in words if "=" in word or word.startswith("~")]
-    overrides = [word for word in marked if not Path(word).exists()]
-    return [word for word in words if word not in overrides], overrides
-
-
-def take(overrides: list[str], key: str) -> str | None:
-    """Remove ``key=value`` from overrides and return its last value, None without any."""
+def take(overrides: list[str], key: str, default: str) -> str:
+    """Remove ``key=value`` from overrides and return its last value, or the default."""
     found = [line for line in overrides if line.partition("=")[0].lstrip("+") == key]
     overrides[:] = [line for line in overrides if line not in found]
-    return found[-1].partition("=")[2] if found else None
+    return found[-1].partition("=")[2] if found else default
 
 
 def _run_of(file: Path) -> Path | None:
-    """The run that a file belongs to: a checkpoint lies one folder below, an export in it."""
+    """The run of a file, if any: an export is in the run folder, a checkpoint one folder below."""
     folders = (file.parent.parent, file.parent)
     return next((folder for folder in folders if (folder / "config.yaml").is_file()), None)

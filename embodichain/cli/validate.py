@@ -1,30 +1,31 @@
-"""`embodichain validate`: every mistake in a task or a file that `run` would refuse.
+"""`embodichain validate`: prints every mistake in a task or a file that `run` would refuse.
 
-What the config alone shows comes first, all of it at once; then one environment is built as a run
-builds it, which needs torch.
+All mistakes of the config are found first; then one environment is built as a run builds it, which
+needs torch.
 """
 
 from __future__ import annotations
 
 import sys
 import tempfile
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from embodichain.cli import exits
-from embodichain.cli.app import common, overrides, split_overrides, verb
-from embodichain.cli.jobs import Verb, resolved_job
-from embodichain.cli.logs import warnings_on_stderr
+from embodichain.cli import process
+from embodichain.cli.app import overrides, split_overrides, verb
+from embodichain.cli.jobs import resolved_job
 from embodichain.cli.output import print_json
+from embodichain.cli.reporting import warnings_on_stderr
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
-    from embodichain.config.locate import LocatedProblem
     from embodichain.config.resolved import Resolved
+    from embodichain.config.schema import Verb
 
-__all__ = ["command", "try_out"]
+__all__ = ["command"]
 
 
 @verb(
@@ -34,20 +35,18 @@ __all__ = ["command", "try_out"]
     ("validate task=reach task.max_episode_steps=50", "with overrides"),
     ("validate --config-dir my_conf task=random_reach", "with a folder of yours"),
     keys=True,
+    config_dir=True,
 )
 @overrides("FILE | [task=NAME] [KEY=VALUE]...")
 @click.option("--train", is_flag=True, help="As `train` would read it.")
-@common(config_dir=True)
-def command(
-    words: tuple[str, ...], train: bool, config_dir: str | None, json: bool, traceback: bool
-) -> int:
-    """Print every mistake on stderr and exit 2, or say that there is none."""
-    from embodichain.config.locate import LocatedProblem
-
+def command(words: tuple[str, ...], train: bool, json: bool) -> int:
+    """Print every mistake on stderr and exit with 2, or report that there is none."""
     verb: Verb = "train" if train else "run"
     name = " ".join(words)
-    files = [word for word in words if _is_file(word)]
-    notes: tuple[LocatedProblem, ...] = ()
+    # By the suffix, so that a missing file is reported as missing.
+    endings = (".yaml", ".yml", ".json")
+    files = [word for word in words if "=" not in word and word.endswith(endings)]
+    notes: tuple[Problem, ...] = ()
     problems: tuple[Problem, ...] = ()
     if files and len(words) > 1:
         raise ConfigError(f"either one file or overrides: {name}")
@@ -62,53 +61,48 @@ def command(
         else:
             from embodichain.config.composed import compose
 
-            composed = compose(split_overrides(words), verb, config_dir=config_dir)
+            composed = compose(split_overrides(words), verb)
             notes = composed.notes
             resolved = resolved_job(composed, verb)
         notes = resolved.notes
         with warnings_on_stderr():
-            try_out(resolved, verb)
+            _try_out(resolved, verb)
     except ConfigError as error:
         problems = error.problems
     if json:
-        mistakes = [LocatedProblem.of(p, getattr(p, "source", "")).as_dict() for p in problems]
-        listed = {"notes": [p.as_dict() for p in notes]} if notes else {}
+        mistakes = [asdict(p.at(p.source)) for p in problems]
+        listed = {"notes": [asdict(p) for p in notes]} if notes else {}
         print_json({"checked": name, "ok": not problems, "mistakes": mistakes, **listed})
-        return exits.WRONG_INPUT if problems else exits.OK
+        return process.WRONG_INPUT if problems else process.OK
     for note in notes:
         sys.stderr.write(f"note: {note}\n")
     if problems:
         raise ConfigError(problems)
     sys.stdout.write(f"{name}: ok\n")
-    return exits.OK
+    return process.OK
 
 
-def _is_file(word: str) -> bool:
-    """Whether a word means a file: by its ending, so that a missing one is reported as such."""
-    return "=" not in word and word.endswith((".yaml", ".yml", ".json"))
-
-
-def try_out(resolved: Resolved, verb: Verb) -> None:
+def _try_out(resolved: Resolved, verb: Verb) -> None:
     """Build what the job builds, reset it and take one step.
 
-    Files that terms write go to a temporary folder, which is removed; no viewer is opened and no
-    log is written.
+    Terms write files into a temporary folder, which is removed; no viewer is opened and no log is
+    written.
 
     Args:
-        resolved: A config that was checked.
-        verb: Whose job it is: a training builds its algorithm, a run its policy.
+        resolved: A checked config.
+        verb: ``train`` also builds the algorithm, ``run`` the policy.
 
     Raises:
-        ConfigError: What the job would refuse, with its place.
-        Exception: What else would end the job here.
+        ConfigError: A mistake that the job would refuse, with its place.
+        Exception: Any other error that would end the job.
     """
-    from embodichain.cli.attach import check_attachments, policy_of
+    from embodichain.cli.jobs import check_extras, policy_of
     from embodichain.config.factory import make_env
 
     unseen = resolved.changed(viewer={**resolved.tree["viewer"], "name": "none"})
     root = resolved.root
     with tempfile.TemporaryDirectory() as folder, resolved.locating():
-        check_attachments(root)
+        check_extras(root)
         env = make_env(unseen, run_dir=Path(folder))
         try:
             if verb == "train":

@@ -1,4 +1,4 @@
-"""`embodichain view`: how to look at a log in a viewer; open it there, or play it to one."""
+"""`embodichain view`: prints how to open a log in a viewer, opens it, or plays it to a viewer."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from embodichain.cli.app import common, log_argument, log_of, verb
+from embodichain.cli.app import log_argument, log_of, verb
 from embodichain.cli.output import print_json, say_warnings
 from embodichain.utils.errors import ConfigError
 
@@ -34,23 +34,19 @@ _MAGIC = b"\x89MCAP0\r\n"
 @log_argument()
 @click.option("--open", "opens", is_flag=True, help="Open it with the desktop's program.")
 @click.option("--serve", is_flag=True, help="Play it over a WebSocket.")
-@click.option("--host", default="127.0.0.1", help="Of --serve.")
-@click.option("--port", type=int, metavar="N", help="Of --serve; 8765.")
-@click.option("--speed", type=float, default=1.0, metavar="X", help="Of --serve; 1.")
-@common()
+@click.option("--host", default="127.0.0.1", help="Address of --serve. Default: 127.0.0.1.")
+@click.option("--port", type=int, metavar="N", help="Port of --serve. Default: 8765.")
+@click.option(
+    "--speed",
+    type=click.FloatRange(min=0, min_open=True),
+    default=1.0,
+    metavar="X",
+    help="Speed of --serve; 1 is real time.",
+)
 def command(
-    file: str,
-    opens: bool,
-    serve: bool,
-    host: str,
-    port: int | None,
-    speed: float,
-    json: bool,
-    traceback: bool,
+    file: str, opens: bool, serve: bool, host: str, port: int | None, speed: float, json: bool
 ) -> None:
-    """Say how a log is opened; open or play it if asked to."""
-    if not speed > 0:
-        raise ConfigError("--speed must be above 0")
+    """Print how to open a log, open it, or play it."""
     from embodichain.recording import inspect
 
     log = inspect(log_of(file))
@@ -59,23 +55,17 @@ def command(
     if json:
         print_json({"file": str(log.path), "layout": str(layout), "complete": log.complete})
     else:
-        sys.stdout.write(_told(log, layout))
+        files = [log.path.with_name(name) for name in log.files]
+        first = f"Foxglove or Lichtblick: Open local file, {', '.join(map(str, files))}"
+        if not all(map(_has_end, files)):  # both need the index at a file's end
+            saved = log.path.with_name(f"{log.path.stem}_saved.mcap")
+            first = f"embodichain recover {log.path} {saved}, and Open local file, {saved}, "
+            first += "in Foxglove or Lichtblick"
+        sys.stdout.write(f"{first}\nthen Layouts, Import from file, {layout}\n")
     if serve:
         _serve(log.path, host, port, speed)
     elif opens:
         _open(log)
-
-
-def _told(log: LogSummary, layout: Path) -> str:
-    """Two lines: what to open, and how it is laid out."""
-    files = [log.path.with_name(name) for name in log.files]
-    if all(_has_end(file) for file in files):
-        first = f"Foxglove or Lichtblick: Open local file, {', '.join(map(str, files))}"
-    else:  # both insist on the index at a file's end
-        saved = log.path.with_name(f"{log.path.stem}_saved.mcap")
-        first = f"embodichain recover {log.path} {saved}, and Open local file, {saved}, in Foxglove"
-        first += " or Lichtblick"
-    return f"{first}\nthen Layouts, Import from file, {layout}\n"
 
 
 def _has_end(file: Path) -> bool:
@@ -85,7 +75,7 @@ def _has_end(file: Path) -> bool:
 
 
 def _layout(log: LogSummary) -> Path:
-    """The layout beside the log; taken from its attachment where it is not there."""
+    """The layout beside the log; if it is missing, the log's attachment is written there."""
     path = log.path.with_name(_LAYOUT)
     if not path.exists():
         from embodichain.recording.chunks import LogReader
@@ -97,7 +87,7 @@ def _layout(log: LogSummary) -> Path:
 
 
 def _open(log: LogSummary) -> None:
-    """Hand the file to the desktop."""
+    """Open the file with the desktop's default program."""
     for name in ("xdg-open", "open"):
         program = shutil.which(name)
         if program is not None:
@@ -109,18 +99,16 @@ def _open(log: LogSummary) -> None:
 def _serve(path: Path, host: str, port: int | None, speed: float) -> None:
     """Play until Ctrl-C."""
     from embodichain.cli.process import StopFlag
-    from embodichain.recording.viewers.foxglove_playback import declare_channels, play_log
-    from embodichain.recording.viewers.foxglove_server import DEFAULT_PORT, FoxgloveServer
-    from embodichain.utils.addresses import is_loopback
+    from embodichain.cli.reporting import warn_if_public
+    from embodichain.recording.viewers.foxglove import FoxgloveServer, declare_channels, stream_log
 
-    server = FoxgloveServer(host, DEFAULT_PORT if port is None else port)
+    server = FoxgloveServer(host, port)
     try:
         declare_channels(path, server)
         sys.stdout.write(f"playing it at {server.url}: Open connection; Ctrl-C ends it\n")
         sys.stdout.flush()
-        if not is_loopback(host):
-            sys.stderr.write(f"warning: everybody who reaches {host} can look at it\n")
+        warn_if_public(host, server.url, controls=False)
         with StopFlag() as stop:
-            play_log(path, server, stop.is_stopped, speed=speed)
+            stream_log(path, server, stop.is_stopped, speed)
     finally:
         server.close()

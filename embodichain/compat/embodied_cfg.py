@@ -1,7 +1,7 @@
 """`EmbodiedEnvCfg`: a task declared in Python in EmbodiChain's form, with lists of entities.
 
-`EmbodiedEnvCfg.complete` converts it as a gym config is converted (`compat.gym_config`): notes on
-what means something else or nothing here are the same.
+`EmbodiedEnvCfg.complete` converts it like a gym config (`compat.gym_config`), with the same notes
+on what is left out or changed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class _EnvLightCfg:
 
 @configclass
 class EmbodiedEnvCfg(EnvCfg):
-    """The config of an environment in EmbodiChain's form. All fields of `EnvCfg` count, too.
+    """The config of an environment in EmbodiChain's form. It has all fields of `EnvCfg`.
 
     `events`, `observations`, `rewards` and `actions` are a configclass with a field for each
     functor, or a map. A functor's `func` is a term's name or a function.
@@ -50,10 +50,10 @@ class EmbodiedEnvCfg(EnvCfg):
     EnvLightCfg = _EnvLightCfg
 
     control_parts: list[str] | None = dataclasses.field(default=None, kw_only=True)
-    """Parts whose joints are acted on; None is every joint."""
+    """Control parts whose joints the actions move; None is every joint."""
     active_joint_ids: list[int] = dataclasses.field(default_factory=list, kw_only=True)
     sensor: list[Any] = dataclasses.field(default_factory=list, kw_only=True)
-    """Sensors of ours; a camera is an error when the environment is built."""
+    """Sensors of this package; a camera is an error when the environment is built."""
     light: _EnvLightCfg = dataclasses.field(default_factory=_EnvLightCfg, kw_only=True)
     background: list[RigidObjectCfg] = dataclasses.field(default_factory=list, kw_only=True)
     """Static or kinematic objects."""
@@ -77,7 +77,7 @@ class EmbodiedEnvCfg(EnvCfg):
         """Set the fields of `EnvCfg` from those in EmbodiChain's form; log what is left out.
 
         Raises:
-            ConfigError: A value cannot be converted; contains every mistake.
+            ConfigError: A value cannot be converted; lists every mistake.
             NotImplementedError: A camera is declared.
         """
         cameras = [sensor for sensor in self.sensor if isinstance(sensor, CameraCfg)]
@@ -98,11 +98,11 @@ class EmbodiedEnvCfg(EnvCfg):
 
 
 def _gym_config(cfg: EmbodiedEnvCfg) -> dict[str, Any]:
-    """The content of a file that declares the same; only what differs from a default."""
+    """The content of an equivalent gym config, with the values that differ from a default."""
     env: dict[str, Any] = {key: getattr(cfg, key) for key in _OF_ENV if getattr(cfg, key)}
     env["extensions"] = cfg.extensions or {}
     if cfg.dataset is not None:
-        env["dataset"] = {"recorder": None}  # its content means nothing here
+        env["dataset"] = {"recorder": None}  # its content is not used
     for section, kind in FUNCTORS.items():
         env[section] = {
             name: _functor(functor, kind) for name, functor in _named(getattr(cfg, section))
@@ -134,18 +134,18 @@ def _functor(functor: Any, kind: Kind) -> Any:
     if not isinstance(functor, TermCfg):
         return plain
     if kind == "observation":
-        plain["mode"] = getattr(functor, "mode", "modify")  # its default is not that of a file
+        plain["mode"] = getattr(functor, "mode", "modify")  # a file has another default
     func = functor.func
     if callable(func):
         known = next((name for name, spec in TERMS[kind].items() if spec.func is func), None)
         plain["func"] = known or func
         if known is None and functor.params:
-            plain["params"] = functor.params  # a user's function gets a `SceneEntityCfg` as it is
+            plain["params"] = functor.params  # a user's function gets a `SceneEntityCfg` unchanged
     return plain
 
 
 def _plain(value: Any) -> Any:
-    """A config as a map of what differs from its class's defaults; of a user's class, from ours."""
+    """A config as a map of non-default values; a user's class has the fields of its base here."""
     if isinstance(value, Mapping):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -167,7 +167,7 @@ def _default(field: dataclasses.Field[Any]) -> Any:
 
 
 def _same(value: Any, default: Any) -> bool:
-    """Equal by content, of types that say so with one bool: an array is never a default."""
+    """Whether two values are equal; False for arrays, whose comparison is not one bool."""
     if value is default:
         return True
     return not hasattr(value, "shape") and bool(_plain(value) == _plain(default))

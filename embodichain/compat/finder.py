@@ -1,7 +1,7 @@
-"""The import hook behind EmbodiChain's paths: modules that only it has, names that ours lack.
+"""The import hook for EmbodiChain's modules, and for its names missing from this package's modules.
 
-It acts on the modules of `names.upstream_modules` alone. A module of ours is loaded as usual, and
-its own names come first; only a name that it does not have is looked up in `names`.
+It applies only to the modules of `names.upstream_modules`. A module of this package is loaded as
+usual; only a name that it lacks is looked up in `names`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _ROOT = "embodichain."
 
 
 class _Completed(SourceFileLoader):
-    """Loads one of our modules and adds EmbodiChain's names that it lacks."""
+    """Loads a module of this package and adds the EmbodiChain names that it lacks."""
 
     def exec_module(self, module: ModuleType) -> None:
         super().exec_module(module)
@@ -29,10 +29,10 @@ class _Completed(SourceFileLoader):
 
 
 class _Alias(Loader):
-    """Makes a module that only EmbodiChain has: its names, and nothing else."""
+    """Creates a module that exists only in EmbodiChain, with its names."""
 
     def create_module(self, spec: ModuleSpec) -> None:
-        """Leave it to Python."""
+        """Return None, so that Python creates the module."""
 
     def exec_module(self, module: ModuleType) -> None:
         module.__doc__ = (
@@ -49,7 +49,7 @@ class _Finder(MetaPathFinder):
         if not fullname.startswith(_ROOT) or fullname not in upstream_modules():
             return None
         spec = PathFinder.find_spec(fullname, path, target)
-        if spec is None or spec.origin is None:  # nothing here, or a folder without Python
+        if spec is None or spec.origin is None:  # no such module, or a folder without Python
             below = f"{fullname}."
             package = any(name.startswith(below) for name in upstream_modules())
             alias = ModuleSpec(fullname, _Alias(), is_package=package)
@@ -62,7 +62,7 @@ class _Finder(MetaPathFinder):
 
 
 def complete(module: ModuleType) -> None:
-    """Let a module answer for EmbodiChain's names too, after its own."""
+    """Look up EmbodiChain's names in a module that lacks them."""
     name_of, listed = module.__name__, upstream_names(module.__name__)
     own: Callable[[str], Any] | None = module.__dict__.get("__getattr__")
 
@@ -83,7 +83,7 @@ def complete(module: ModuleType) -> None:
 
 
 def install() -> None:
-    """Put the finder first and complete the modules that are loaded already, once a process."""
+    """Insert the finder first and complete the modules already loaded; once per process."""
     if any(isinstance(finder, _Finder) for finder in sys.meta_path):
         return
     for name, module in list(sys.modules.items()):

@@ -26,7 +26,7 @@ class _Extra:
 
 @configclass
 class FunctorCfg(_Extra, cfg.TermCfg):
-    """A functor: `func` is one of `managers.events` and so on, or a function of your own."""
+    """A functor: `func` is one of `managers.events` and so on, or a user's function."""
 
 
 @configclass
@@ -36,7 +36,7 @@ class EventCfg(_Extra, cfg.EventCfg):
 
 @configclass
 class ObservationCfg(_Extra, cfg.ObservationCfg):
-    """An entry of the observation; `mode` is ``modify`` unless it says ``add``, as there."""
+    """An entry of the observation; `mode` is ``modify`` by default, as in EmbodiChain."""
 
     mode: Literal["add", "modify"] = "modify"
 
@@ -48,7 +48,7 @@ class RewardCfg(_Extra, cfg.RewardCfg):
 
 @configclass
 class ActionTermCfg(_Extra, cfg.ActionTermCfg):
-    """A term that a slice of the action goes to."""
+    """A term that receives a slice of the action."""
 
     mode: Literal["pre", "post"] = dataclasses.field(default="pre", kw_only=True)
     """No effect: actions are read before physics."""

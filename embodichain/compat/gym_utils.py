@@ -24,7 +24,7 @@ DEFAULT_MANAGER_MODULES = [
     f"embodichain.lab.gym.envs.managers.{name}"
     for name in ("actions", "randomization", "record", "events", "observations", "rewards")
 ]
-"""Modules of EmbodiChain's functors; `config_to_cfg` finds their names without it, too."""
+"""Modules of EmbodiChain's functors; `config_to_cfg` finds their names without it."""
 RENDERERS = ("hybrid", "fast-rt", "rt", "auto", "no-render")
 _UNUSED = "accepted for compatibility: no effect"
 _FLAGS: dict[str, tuple[Any, str]] = {
@@ -35,14 +35,14 @@ _FLAGS: dict[str, tuple[Any, str]] = {
     "arena_space": (5.0, "metres between environments in viewers"),
     "gpu_id": (0, f"{_UNUSED} on the CPU"),
 }
-"""Flags that are keys of a gym config too: default and help."""
+"""Flags that are also keys of a gym config -> default and help."""
 
 
 def add_env_launcher_args_to_parser(parser: argparse.ArgumentParser) -> None:
     """Add the arguments of EmbodiChain's scripts.
 
     Args:
-        parser: Gains ``--num_envs --device --headless --renderer --arena_space --gpu_id
+        parser: Gets ``--num_envs --device --headless --renderer --arena_space --gpu_id
             --gym_config --action_config --preview --filter_visual_rand
             --filter_dataset_saving``.
     """
@@ -66,10 +66,10 @@ def build_env_cfg_from_args(
 ) -> tuple[EnvCfg, dict[str, Any], dict[str, Any]]:
     """Build an environment's config from the files and flags of a launcher.
 
-    A flag that differs from its default beats the file; EmbodiChain's defaults overwrite it.
+    A flag that differs from its default overrides the file (in EmbodiChain defaults do too).
 
     Args:
-        args: What `add_env_launcher_args_to_parser` parsed; `gym_config` is EmbodiChain's config
+        args: Arguments of `add_env_launcher_args_to_parser`; `gym_config` is EmbodiChain's config
             of the task, `action_config` any YAML or JSON.
         gym_config_modifier: Changes the content of the gym config before it is used.
 

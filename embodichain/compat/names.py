@@ -1,8 +1,8 @@
-"""The table of EmbodiChain's public names: which of ours each is, or what to use instead.
+"""The table of EmbodiChain's public names: the equivalent here, or what to use instead.
 
-Functors (events, observations, rewards, actions) are not in it: they are looked up among our terms,
-and `compat.gym_config.functors` says why some are missing. Importing this module imports nothing
-of ours; docs/compatibility.md has a table that `scripts/names_table.py` makes of it.
+Functors (events, observations, rewards, actions) are not in it: they are looked up among the terms,
+and `compat.gym_config.functors` has reasons for missing ones. This module imports no other module
+of the package; `scripts/names_table.py` makes a table in docs/compatibility.md from it.
 """
 
 from __future__ import annotations
@@ -46,7 +46,9 @@ _PLACES: Final[Mapping[str, tuple[str, ...]]] = {
     f"{_SIM}.unavailable": ("SoftObject",),
     f"{_SIM}.sensors": ("BaseSensor", "CameraCfg", "SensorCfg", "StereoCameraCfg"),
     f"{_SIM}.shapes": ("VisualMaterialCfg",),
+    f"{_MANAGERS}.drawing": ("EventManager",),
     f"{_MANAGERS}.term": ("ActionTerm",),
+    f"{_MANAGERS}.value_managers": ("RewardManager",),
     f"{_DATA}.lookup": ("get_data_path",),
     f"{_UTILS}.configclass": ("configclass", "is_configclass"),
 }
@@ -55,7 +57,7 @@ OURS: Final[Mapping[str, str]] = {
     "class_to_dict": f"{_UTILS}.configclass:config_to_dict",
     "build_env": "embodichain.lab.gym.utils.registration:build_env",
 }
-"""Name -> where it is here. The same wherever EmbodiChain has the name."""
+"""Name -> where it is here, for every module of EmbodiChain that has the name."""
 
 _SOLVERS = (
     "IK solvers are not classes here: the terms that need inverse kinematics solve it themselves"
@@ -154,7 +156,7 @@ REASONS: Final[Mapping[str, str]] = {
     f"{_UTILS}.visualizer": "embodichain train --plot draws curves; view opens a log",
     f"{_UTILS}.warp": "kernels for CUDA are not here: physics runs on the CPU",
 }
-"""Module, or one name of it -> what to use instead of what is not here; the closest one counts."""
+"""Missing module, or a name of it -> what to use instead; the most specific entry applies."""
 
 _LATER: Final[Mapping[str, tuple[str, ...]]] = {
     "embodichain.lab.visualization": _PLACES["embodichain.recording.viewers.visualization"],
@@ -179,26 +181,26 @@ def upstream_modules() -> frozenset[str]:
 
 
 def upstream_names(module: str) -> frozenset[str]:
-    """Public names of a module of EmbodiChain's; empty if there is no such module."""
+    """Public names of a module of EmbodiChain; empty if there is no such module."""
     return _upstream().get(module, frozenset())
 
 
 def available(module: str) -> list[str]:
-    """Those names of a module that are not refused, in order."""
+    """The names of a module that are available, in order."""
     return sorted(
         name for name in upstream_names(module) if name in OURS or _term(module, name) is not None
     )
 
 
 def find(module: str, name: str) -> Any:
-    """Return what a name of EmbodiChain's is here.
+    """Return the object here for a name of EmbodiChain.
 
     Args:
         module: The module it is imported from.
         name: One of `upstream_names`.
 
     Raises:
-        NotImplementedError: It is not available; says what to use.
+        NotImplementedError: It is not available; names what to use instead.
     """
     target = OURS.get(name)
     if target is not None:
@@ -222,7 +224,7 @@ def reason(module: str, name: str) -> str:
     if exact:
         return exact
     having = sorted((m for m, names in _upstream().items() if name in names), key=len, reverse=True)
-    below = [m for m in having if m.startswith(f"{module}.")]  # where a package has its names from
+    below = [m for m in having if m.startswith(f"{module}.")]  # the modules of a package's names
     for place in (*below, module, *having):
         text = _closest(place)
         if text:
@@ -231,14 +233,14 @@ def reason(module: str, name: str) -> str:
 
 
 def _closest(module: str) -> str:
-    """The reason of a module or of the nearest package around it that has one."""
+    """The reason for a module, or for its nearest parent package that has one."""
     while module and not REASONS.get(module):
         module = module.rpartition(".")[0]
     return REASONS.get(module, "")
 
 
 def _term(module: str, name: str) -> Any:
-    """The term that a functor of EmbodiChain's is, by its name if it is an alias; or None."""
+    """The term for a functor of EmbodiChain (its name for an alias), or None."""
     if not module.startswith(_MANAGERS):
         return None
     from embodichain.compat.gym_config.functors import ACTIONS

@@ -1,7 +1,7 @@
 """From YAML and overrides to one checked, frozen config: compose, validate, derive, freeze.
 
-What a config means (scenes, terms, algorithms) lives below, in `lab`; this package reads its data
-classes and its checks. Names are found on first use, so that importing the package costs nothing.
+Scenes and terms are defined in `lab`; this package uses its data classes and checks. Names are
+imported on first use, so that importing the package is cheap.
 """
 
 from typing import TYPE_CHECKING
@@ -9,28 +9,33 @@ from typing import TYPE_CHECKING
 import lazy_loader
 
 if TYPE_CHECKING:
-    from embodichain.config.composed import Composed, compose, from_hydra, list_options
+    from embodichain.config.composed import Composed, compose, from_hydra, list_options, relax
     from embodichain.config.factory import make, make_env
     from embodichain.config.file_validation import validate_file
-    from embodichain.config.frozen import dump_yaml, freeze, thaw
-    from embodichain.config.locate import LocatedProblem
-    from embodichain.config.overrides import relax
-    from embodichain.config.resolved import Resolved, resolve, resolve_tree
-    from embodichain.config.run_folder import adopt, claim, find_run, write_record
-    from embodichain.config.search_path import user_configs
+    from embodichain.config.hydra_loader import user_configs
+    from embodichain.config.resolved import (
+        Resolved,
+        dump_yaml,
+        freeze,
+        resolve,
+        resolve_tree,
+        thaw,
+        write_record,
+    )
+    from embodichain.config.run_folder import adopt, claim, find_run
     from embodichain.config.validation import validate
 
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "composed": ["Composed", "compose", "from_hydra", "list_options"],
-        "frozen": ["dump_yaml", "freeze", "thaw"],
+        "composed": ["Composed", "compose", "from_hydra", "list_options", "relax"],
         "factory": ["make", "make_env"],
-        "overrides": ["relax"],
-        "locate": ["LocatedProblem"],
-        "resolved": ["Resolved", "resolve", "resolve_tree"],
-        "run_folder": ["adopt", "claim", "find_run", "write_record"],
-        "search_path": ["user_configs"],
+        "hydra_loader": ["user_configs"],
+        "resolved": [
+            *("Resolved", "dump_yaml", "freeze", "resolve", "resolve_tree", "thaw"),
+            "write_record",
+        ],
+        "run_folder": ["adopt", "claim", "find_run"],
         "validation": ["validate"],
         "file_validation": ["validate_file"],
     },
@@ -38,7 +43,6 @@ __getattr__, __dir__, _ = lazy_loader.attach(
 
 __all__ = [
     "Composed",
-    "LocatedProblem",
     "Resolved",
     "adopt",
     "claim",

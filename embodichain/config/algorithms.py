@@ -1,50 +1,35 @@
-"""Algorithms as data classes, one each: what `algo` may hold, without importing torch.
+"""Configs of the algorithms: the keys that `algo` may have. Does not import torch.
 
-Fields are arguments of the algorithm's class; None keeps its default. That they are all of them, a
-test compares with the signatures. What names in `policy_kwargs` mean is `learning`'s.
+A config has every argument of the algorithm's class; null keeps the default of the class. The
+schema is built from one table with the type of each argument and the arguments of each algorithm.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated, Any, Literal
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
 from embodichain.utils.configclass import configclass
 
-__all__ = [
-    "ALGO_INSTEAD",
-    "DEFAULT_ALGORITHM",
-    "PATTERNS",
-    "AlgoCfg",
-    "AnyAlgoCfg",
-    "OffPolicyCfg",
-    "PpoCfg",
-]
+__all__ = ["ALGORITHMS", "ALGO_INSTEAD", "DEFAULT_ALGORITHM", "PATTERNS", "AlgoCfg", "AnyAlgoCfg"]
 
 DEFAULT_ALGORITHM = "ppo"
 
-Count = Annotated[int, Field(ge=1)]
-Whole = Annotated[int, Field(ge=0)]
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Share = Annotated[float, Field(ge=0, le=1)]
-Sampling = Annotated[int, Field(ge=-1)]
 _LINEAR = r"^lin_(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$"
 _AUTO = r"^auto(_(\d+\.?\d*|\.\d+))?$"
 PATTERNS = {_LINEAR: "a schedule lin_VALUE", _AUTO: "auto or auto_VALUE"}
-"""What text must look like, in words."""
-LinearSchedule = Annotated[str, Field(pattern=_LINEAR)]
-"""``lin_3e-4``: from 3e-4 down to 0 in a straight line over the training (rl-zoo3's spelling)."""
-Schedule = Positive | LinearSchedule
+"""Pattern of a string -> its description in words."""
 
 _WRAPPER = "wrappers are not used here: observation and reward terms do what they do"
 ALGO_INSTEAD = {
-    "n_timesteps": "it stands at the root: total_timesteps=N",
-    "n_envs": "it stands at the root: num_envs=N",
-    "seed": "it stands at the root: seed=N",
-    "device": "it stands at the root: device=NAME",
+    "n_timesteps": "it is a key of the root: total_timesteps=N",
+    "n_envs": "it is a key of the root: num_envs=N",
+    "seed": "it is a key of the root: seed=N",
+    "device": "it is a key of the root: device=NAME",
     "env": "the environment is the task's",
     "env_wrapper": _WRAPPER,
     "vec_env_wrapper": _WRAPPER,
@@ -55,205 +40,143 @@ ALGO_INSTEAD = {
     "tensorboard_log": "event files are in the run folder",
 }
 """Keys that other tools have below the algorithm (rl-zoo3), and what to use instead."""
-# Not arguments of an algorithm: how its environment and its noise are made.
-_OURS = ("name", "normalize", "normalize_kwargs", "noise_type", "noise_std")
+# Keys that are not arguments of the algorithm's class.
+_NOT_ARGUMENTS = ("name", "normalize", "normalize_kwargs", "noise_type", "noise_std")
+
+Count = Annotated[int, Field(ge=1)]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+# ``lin_3e-4``: decays linearly from 3e-4 to 0 over the training (rl-zoo3's spelling).
+Schedule = Positive | Annotated[str, Field(pattern=_LINEAR)]
 
 
 @configclass
 class AlgoCfg:
-    """What every algorithm has."""
+    """The keys that every algorithm has."""
 
     name: str = ""
-    policy: Literal["MlpPolicy"] = "MlpPolicy"
-    """Observations are one flat vector."""
+    policy: Literal["MlpPolicy", "MlpLstmPolicy"] = "MlpPolicy"
+    """Class of Stable-Baselines3; observations are one flat vector."""
     learning_rate: Schedule | None = None
     gamma: Share | None = None
     policy_kwargs: dict[str, Any] = {}
     """Arguments of the policy's class: `net_arch`, `log_std_init`..."""
     normalize: Literal["obs", "reward", "both"] | bool | None = None
-    """What `VecNormalize` normalizes; true is both (rl-zoo3's spelling)."""
+    """Whether `VecNormalize` is used, and for what; true is both (rl-zoo3's spelling)."""
     normalize_kwargs: dict[str, Any] = {}
-    """Arguments of `VecNormalize`; its `gamma` is the algorithm's unless given."""
+    """Arguments of `VecNormalize`; `gamma` defaults to the algorithm's."""
 
     def arguments(self) -> dict[str, Any]:
-        """Return what is set, as keyword arguments of the algorithm's class."""
+        """Return the keys that are set, as keyword arguments of the algorithm's class."""
         fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-        return {k: v for k, v in fields.items() if k not in _OURS and v is not None}
+        return {k: v for k, v in fields.items() if k not in _NOT_ARGUMENTS and v is not None}
 
 
-@configclass
-class OnPolicyCfg(AlgoCfg):
-    """Algorithms that learn from whole rollouts and forget them."""
+_KEYS: dict[str, Any] = {
+    "batch_size": Count,
+    "buffer_size": Count,
+    "cg_damping": Positive,
+    "cg_max_steps": Count,
+    "clip_range": Schedule,
+    "clip_range_vf": Schedule,
+    "ent_coef": NonNegative | Annotated[str, Field(pattern=_AUTO)],
+    "exploration_final_eps": Share,
+    "exploration_fraction": Share,
+    "exploration_initial_eps": Share,
+    "gae_lambda": Share,
+    # Gradient steps per update; -1: as many as environment steps since the last update.
+    "gradient_steps": Annotated[int, Field(ge=-1)],
+    "learning_starts": Annotated[int, Field(ge=0)],  # environment steps with random actions
+    "line_search_max_iter": Count,
+    "line_search_shrinking_factor": Share,
+    "max_grad_norm": Positive,
+    "n_critic_updates": Count,
+    "n_epochs": Count,
+    # On-policy: control steps per environment between updates; off-policy: n of n-step returns.
+    "n_steps": Count,
+    "noise_std": NonNegative,  # of actions in [-1, 1]; null is 0.1
+    "noise_type": Literal["normal", "ornstein-uhlenbeck"],  # `action_noise`, rl-zoo3's spelling
+    "normalize_advantage": bool,
+    "optimize_memory_usage": bool,
+    "policy_delay": Count,
+    "rms_prop_eps": Positive,
+    "sde_sample_freq": Annotated[int, Field(ge=-1)],
+    "stats_window_size": Count,
+    "sub_sampling_factor": Count,
+    "target_entropy": float | Literal["auto"],
+    "target_kl": Positive,
+    "target_noise_clip": NonNegative,
+    "target_policy_noise": NonNegative,
+    "target_update_interval": Count,
+    "tau": Share,
+    "top_quantiles_to_drop_per_net": Annotated[int, Field(ge=0)],
+    "train_freq": Count,  # control steps between updates
+    "use_rms_prop": bool,
+    "use_sde": bool,
+    "use_sde_at_warmup": bool,
+    "vf_coef": NonNegative,
+}
+# On-policy algorithms allow fewer values.
+_ON_POLICY_KEYS = {"batch_size": Annotated[int, Field(ge=2)], "ent_coef": NonNegative}
 
-    n_steps: Count | None = None
-    """Control steps of each environment between updates."""
-    gae_lambda: Share | None = None
-    normalize_advantage: bool | None = None
-    use_sde: bool | None = None
-    sde_sample_freq: Sampling | None = None
-    stats_window_size: Count | None = None
-
-
-@configclass
-class PpoCfg(OnPolicyCfg):
-    """Arguments of `stable_baselines3.PPO`."""
-
-    name: Literal["ppo"] = "ppo"
-    batch_size: Annotated[int, Field(ge=2)] | None = None
-    n_epochs: Count | None = None
-    clip_range: Schedule | None = None
-    clip_range_vf: Schedule | None = None
-    ent_coef: NonNegative | None = None
-    vf_coef: NonNegative | None = None
-    max_grad_norm: Positive | None = None
-    target_kl: Positive | None = None
-
-
-@configclass
-class RecurrentPpoCfg(PpoCfg):
-    """Arguments of `sb3_contrib.RecurrentPPO`: PPO with a policy that remembers (LSTM)."""
-
-    name: Literal["recurrent_ppo"] = "recurrent_ppo"  # type: ignore[assignment]
-    policy: Literal["MlpLstmPolicy"] = "MlpLstmPolicy"  # type: ignore[assignment]
-
-
-@configclass
-class A2cCfg(OnPolicyCfg):
-    """Arguments of `stable_baselines3.A2C`."""
-
-    name: Literal["a2c"] = "a2c"
-    ent_coef: NonNegative | None = None
-    vf_coef: NonNegative | None = None
-    max_grad_norm: Positive | None = None
-    rms_prop_eps: Positive | None = None
-    use_rms_prop: bool | None = None
-
-
-@configclass
-class TrpoCfg(OnPolicyCfg):
-    """Arguments of `sb3_contrib.TRPO`."""
-
-    name: Literal["trpo"] = "trpo"
-    batch_size: Annotated[int, Field(ge=2)] | None = None
-    cg_max_steps: Count | None = None
-    cg_damping: Positive | None = None
-    line_search_shrinking_factor: Share | None = None
-    line_search_max_iter: Count | None = None
-    n_critic_updates: Count | None = None
-    target_kl: Positive | None = None
-    sub_sampling_factor: Count | None = None
-
-
-@configclass
-class OffPolicyCfg(AlgoCfg):
-    """Algorithms that learn from a replay buffer."""
-
-    buffer_size: Count | None = None
-    learning_starts: Whole | None = None
-    """Environment steps with random actions before anything is learned."""
-    batch_size: Count | None = None
-    train_freq: Count | None = None
-    """Control steps between updates."""
-    gradient_steps: Sampling | None = None
-    """Gradient steps an update; -1: as many as environment steps since the last."""
-    optimize_memory_usage: bool | None = None
-    n_steps: Count | None = None
-    """Of n-step returns."""
-
-
-@configclass
-class NoisyCfg(OffPolicyCfg):
-    """Algorithms with noise on their actions; `action_noise` in rl-zoo3's spelling."""
-
-    noise_type: Literal["normal", "ornstein-uhlenbeck"] | None = None
-    noise_std: NonNegative | None = None
-    """Of actions in [-1, 1]; null is 0.1."""
-
-
-@configclass
-class DdpgCfg(NoisyCfg):
-    """Arguments of `stable_baselines3.DDPG`."""
-
-    name: Literal["ddpg"] = "ddpg"
-    tau: Share | None = None
+_ON_POLICY = "n_steps gae_lambda normalize_advantage use_sde sde_sample_freq stats_window_size"
+_PPO = (
+    f"{_ON_POLICY} batch_size n_epochs clip_range clip_range_vf ent_coef vf_coef max_grad_norm "
+    "target_kl"
+)
+_OFF_POLICY = (
+    "buffer_size learning_starts batch_size train_freq gradient_steps optimize_memory_usage n_steps"
+)
+_NOISY = f"{_OFF_POLICY} noise_type noise_std"
+_ENTROPY = (
+    f"{_NOISY} ent_coef target_entropy use_sde sde_sample_freq use_sde_at_warmup stats_window_size"
+)
+ALGORITHMS: dict[str, tuple[str, str]] = {
+    "ppo": ("stable_baselines3.PPO", _PPO),
+    "a2c": (
+        "stable_baselines3.A2C",
+        f"{_ON_POLICY} ent_coef vf_coef max_grad_norm rms_prop_eps use_rms_prop",
+    ),
+    "sac": ("stable_baselines3.SAC", f"{_ENTROPY} tau target_update_interval"),
+    "td3": (
+        "stable_baselines3.TD3",
+        f"{_NOISY} tau policy_delay target_policy_noise target_noise_clip stats_window_size",
+    ),
+    "ddpg": ("stable_baselines3.DDPG", f"{_NOISY} tau"),
+    "dqn": (
+        "stable_baselines3.DQN",
+        f"{_OFF_POLICY} tau target_update_interval exploration_fraction exploration_initial_eps "
+        "exploration_final_eps max_grad_norm stats_window_size",
+    ),
+    "trpo": (
+        "sb3_contrib.TRPO",
+        f"{_ON_POLICY} batch_size cg_max_steps cg_damping line_search_shrinking_factor "
+        "line_search_max_iter n_critic_updates target_kl sub_sampling_factor",
+    ),
+    "tqc": (
+        "sb3_contrib.TQC",
+        f"{_ENTROPY} tau target_update_interval top_quantiles_to_drop_per_net",
+    ),
+    "crossq": ("sb3_contrib.CrossQ", f"{_ENTROPY} policy_delay"),
+    "recurrent_ppo": ("sb3_contrib.RecurrentPPO", _PPO),
+}
+"""Algorithm -> its class, and the keys of its config besides those of `AlgoCfg`."""
 
 
-@configclass
-class Td3Cfg(NoisyCfg):
-    """Arguments of `stable_baselines3.TD3`."""
-
-    name: Literal["td3"] = "td3"
-    tau: Share | None = None
-    policy_delay: Count | None = None
-    target_policy_noise: NonNegative | None = None
-    target_noise_clip: NonNegative | None = None
-    stats_window_size: Count | None = None
+def _config(name: str) -> type[AlgoCfg]:
+    keys = ALGORITHMS[name][1].split()
+    kinds = _KEYS | (_ON_POLICY_KEYS if "gae_lambda" in keys else {})
+    policy = "MlpLstmPolicy" if name == "recurrent_ppo" else "MlpPolicy"
+    members: dict[str, Any] = {"name": name, "policy": policy, **dict.fromkeys(keys)}
+    annotations = {"name": Literal[name], "policy": Literal[policy]}
+    annotations |= {key: kinds[key] | None for key in keys}
+    return configclass(type(name, (AlgoCfg,), {"__annotations__": annotations, **members}))
 
 
-@configclass
-class EntropyCfg(NoisyCfg):
-    """Algorithms that keep their entropy up."""
-
-    ent_coef: NonNegative | Annotated[str, Field(pattern=_AUTO)] | None = None
-    target_entropy: float | Literal["auto"] | None = None
-    use_sde: bool | None = None
-    sde_sample_freq: Sampling | None = None
-    use_sde_at_warmup: bool | None = None
-    stats_window_size: Count | None = None
-
-
-@configclass
-class SacCfg(EntropyCfg):
-    """Arguments of `stable_baselines3.SAC`."""
-
-    name: Literal["sac"] = "sac"
-    tau: Share | None = None
-    target_update_interval: Count | None = None
-
-
-@configclass
-class TqcCfg(EntropyCfg):
-    """Arguments of `sb3_contrib.TQC`."""
-
-    name: Literal["tqc"] = "tqc"
-    tau: Share | None = None
-    target_update_interval: Count | None = None
-    top_quantiles_to_drop_per_net: Whole | None = None
-
-
-@configclass
-class CrossqCfg(EntropyCfg):
-    """Arguments of `sb3_contrib.CrossQ`."""
-
-    name: Literal["crossq"] = "crossq"
-    policy_delay: Count | None = None
-
-
-@configclass
-class DqnCfg(OffPolicyCfg):
-    """Arguments of `stable_baselines3.DQN`, which needs discrete actions."""
-
-    name: Literal["dqn"] = "dqn"
-    tau: Share | None = None
-    target_update_interval: Count | None = None
-    exploration_fraction: Share | None = None
-    exploration_initial_eps: Share | None = None
-    exploration_final_eps: Share | None = None
-    max_grad_norm: Positive | None = None
-    stats_window_size: Count | None = None
-
-
-AnyAlgoCfg = Annotated[
-    PpoCfg
-    | A2cCfg
-    | SacCfg
-    | Td3Cfg
-    | DdpgCfg
-    | DqnCfg
-    | TrpoCfg
-    | TqcCfg
-    | CrossqCfg
-    | RecurrentPpoCfg,
-    Field(discriminator="name"),
-]
-"""What `algo` may be; ``name`` chooses."""
+if TYPE_CHECKING:
+    AnyAlgoCfg = AlgoCfg
+else:
+    _members = reduce(or_, map(_config, ALGORITHMS))
+    AnyAlgoCfg = Annotated[_members, Field(discriminator="name")]
+"""The union of the algorithms' configs, chosen by ``name``."""

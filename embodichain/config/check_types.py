@@ -1,7 +1,7 @@
-"""The first check: keys, types, lengths and ranges, by pydantic over the data classes.
+"""The check of keys, types, lengths and ranges, by pydantic over the data classes.
 
-Pydantic finds all mistakes at once; here they become lines people can act on, and the tree is
-pruned of them so that the other checks can look at the rest.
+Pydantic finds all mistakes at once; each becomes a `Problem` and is removed from the tree for the
+other checks. `schema_at` returns the JSON schema of a key path, for lists of allowed keys.
 """
 
 from __future__ import annotations
@@ -15,26 +15,32 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from embodichain.config.algorithms import ALGO_INSTEAD, DEFAULT_ALGORITHM, PATTERNS
-from embodichain.config.introspect import field_names, length_at, tag_values, type_at
+from embodichain.config.algorithms import ALGO_INSTEAD, DEFAULT_ALGORITHM, PATTERNS, AnyAlgoCfg
 from embodichain.config.schema import ROOT_INSTEAD, RootCfg
-from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.sim.sensors.cfg import AnySensorCfg
+from embodichain.lab.sim.shapes import AnyShapeCfg
 from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean
 from embodichain.utils.type_errors import ErrorDetails, show_value, unknown_key, what_is_wrong
 
-__all__ = ["TypeCheck", "check_types"]
+__all__ = ["TypeCheck", "check_types", "key_names", "schema_at"]
 
 Loc = tuple[str | int, ...]
+_TAGS: dict[str, Any] = {
+    "shape_type": AnyShapeCfg,
+    "sensor_type": AnySensorCfg,
+    "name": AnyAlgoCfg,
+}
+"""Key that chooses between the members of a union -> the union."""
 
 
 @dataclass(frozen=True)
 class TypeCheck:
-    """What pydantic found.
+    """The result of the check of types.
 
     Attributes:
-        root: The config without what is wrong in it; None if there is no task to look at.
-        tree: What was checked, without what is wrong, whole floats made integers where asked for.
+        root: The config without its wrong keys; None if no task is left to check.
+        tree: The same as plain values; whole floats are integers where an integer is needed.
         problems: One for each wrong key.
         pruned: Paths that were left out of `root`.
     """
@@ -60,7 +66,7 @@ def check_types(tree: Mapping[str, Any]) -> TypeCheck:
             problems[f"task.{name}"] = Problem(f"task.{name}", f"not a key of a task; {instead}")
     if isinstance(data.get("algo"), dict):
         data["algo"].setdefault("name", DEFAULT_ALGORITHM)
-    while True:  # each turn repairs or removes something, so it ends
+    while True:  # ends, because each iteration repairs or removes something
         try:
             root = _adapter().validate_json(json.dumps(data, default=str), strict=True)
             return TypeCheck(root, data, list(problems.values()), tuple(sorted(pruned)))
@@ -83,7 +89,7 @@ def _adapter() -> TypeAdapter[RootCfg]:
 
 
 def _grouped(errors: Iterable[ErrorDetails], data: Any) -> dict[Loc, list[ErrorDetails]]:
-    """Errors by key path; a union's members each report, the deepest knows best."""
+    """Errors by key path; of the errors of a union's members, the deepest are kept."""
     groups: dict[Loc, list[ErrorDetails]] = {}
     for error in errors:
         groups.setdefault(_clean(error, data), []).append(error)
@@ -100,7 +106,7 @@ def _clean(error: ErrorDetails, data: Any) -> Loc:
     clean: list[str | int] = []
     for i, part in enumerate(loc):
         last = i == len(loc) - 1
-        if _holds(data, part):
+        if _has(data, part):
             data = data[part]
         elif not (last and kind == "missing"):
             continue
@@ -110,14 +116,14 @@ def _clean(error: ErrorDetails, data: Any) -> Loc:
     return tuple(clean)
 
 
-def _holds(data: Any, part: str | int) -> bool:
+def _has(data: Any, part: str | int) -> bool:
     if isinstance(data, dict):
         return part in data
     return isinstance(data, list) and isinstance(part, int) and part < len(data)
 
 
 def _repair(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> bool:
-    """Make a whole float the integer that was asked for (``total_timesteps=1e6``)."""
+    """Turn a whole float into an integer where one is needed (``total_timesteps=1e6``)."""
     value = errors[0]["input"]
     if {e["type"] for e in errors} != {"int_type"} or not isinstance(value, float):
         return False
@@ -130,7 +136,7 @@ def _repair(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> bool:
 
 
 def _prune(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> Loc:
-    """Remove what is wrong: the key, the list that holds it, or the map that lacks it."""
+    """Remove a wrong key, the list that contains it, or the map that lacks a required key."""
     if errors[0]["type"] == "missing" or errors[0]["type"].startswith("union_tag"):
         loc = loc[:-1]
     while loc and isinstance(loc[-1], int):
@@ -143,7 +149,7 @@ def _prune(data: Any, loc: Loc, errors: Sequence[ErrorDetails]) -> Loc:
 
 
 def _problem(path: str, loc: Loc, errors: Sequence[ErrorDetails], data: Any) -> Problem:
-    """The line that people read."""
+    """The message for the user."""
     error = errors[0]
     kind, value = error["type"], error["input"]
     if kind == "unexpected_keyword_argument":
@@ -151,20 +157,22 @@ def _problem(path: str, loc: Loc, errors: Sequence[ErrorDetails], data: Any) -> 
     if kind.startswith("union_tag"):
         return _wrong_tag(path, value, _tag_key(error))
     if kind in ("too_short", "too_long"):
-        wanted = length_at(RootCfg, loc, data)
+        schema = schema_at(loc, data)
+        low, high = schema.get("minItems"), schema.get("maxItems")
+        wanted = f"at most {high}" if low is None else low if low == high else f"at least {low}"
         return Problem(path, f"expected {wanted} values, got {len(value)}: {show_value(value)}")
     return Problem(path, *what_is_wrong(errors, PATTERNS))
 
 
 def _unknown_key(path: str, loc: Loc, value: Any, data: Any) -> Problem:
-    allowed = field_names(type_at(RootCfg, loc[:-1], data))
+    allowed = key_names(schema_at(loc[:-1], data))
     if len(loc) > 1 and loc[:-1] == ("task",):
         allowed = [name for name in allowed if name not in ROOT_INSTEAD]
     name = str(loc[-1])
     if loc[:-1] == ("algo",) and name in ALGO_INSTEAD:
         return Problem(path, f"not a key of an algorithm; {ALGO_INSTEAD[name]}")
     message, hint = unknown_key(name, allowed)
-    if len(loc) == 1 and name in field_names(EnvCfg):
+    if len(loc) == 1 and name in key_names(schema_at(["task"], {})):
         hint = f"Did you mean 'task.{name}'?"
     return Problem(path, message, hint)
 
@@ -176,9 +184,56 @@ def _tag_key(error: ErrorDetails) -> str:
 
 def _wrong_tag(path: str, value: Any, key: str) -> Problem:
     tag = value.get(key) if isinstance(value, dict) else None
-    names = tag_values(key)
+    schema = TypeAdapter(_TAGS[key]).json_schema()
+    members = [schema["$defs"][one["$ref"].rpartition("/")[2]] for one in schema["oneOf"]]
+    names = [member["properties"][key]["const"] for member in members]
     what = "algorithm" if key == "name" else key.removesuffix("_type")
     if tag is None:
         return Problem(path, f"missing value; one of: {', '.join(names)}")
     hint = did_you_mean(str(tag), names).strip()
     return Problem(path, f"unknown {what} {show_value(tag)}; one of: {', '.join(names)}.", hint)
+
+
+def schema_at(parts: Sequence[str | int], data: Any) -> Mapping[str, Any]:
+    """Return the JSON schema of a key path; empty if none is declared.
+
+    Args:
+        parts: The path; keys of maps and indices of lists included.
+        data: The tree that is checked; its values choose between the members of unions.
+    """
+    schema = _chosen(_schema(), data)
+    for part in parts:
+        data = data[part] if _has(data, part) else None
+        if part in schema.get("properties", ()):
+            below = schema["properties"][part]
+        else:
+            below = schema.get("items" if isinstance(part, int) else "additionalProperties")
+        schema = _chosen(below or {}, data)
+    return schema
+
+
+def key_names(schema: Mapping[str, Any]) -> list[str]:
+    """Return the keys that a schema declares; empty if it is not that of a config class."""
+    return list(schema.get("properties", ()))
+
+
+@cache
+def _schema() -> dict[str, Any]:
+    return _adapter().json_schema()
+
+
+def _chosen(schema: Any, value: Any) -> Mapping[str, Any]:
+    """The member of a union that fits a value: by its tag, else by its type, else the first."""
+    if not isinstance(schema, Mapping):  # additionalProperties: true
+        return {}
+    if "$ref" in schema:
+        return _chosen(_schema()["$defs"][schema["$ref"].rpartition("/")[2]], value)
+    members = schema.get("oneOf") or schema.get("anyOf")
+    if not members:
+        return schema
+    tag = schema.get("discriminator", {"propertyName": ""})["propertyName"]
+    chosen = [_chosen(member, value) for member in members]
+    if isinstance(value, Mapping) and tag in value:
+        chosen.sort(key=lambda one: one["properties"][tag]["const"] != value[tag])
+    kind = "array" if isinstance(value, list) else "object"
+    return next((one for one in chosen if one.get("type") == kind), chosen[0])

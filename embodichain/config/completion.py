@@ -1,4 +1,4 @@
-"""What an override that is being typed may become: groups, their options, keys."""
+"""Completion of overrides on the command line: groups, their options and keys."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from embodichain.config.check_types import key_names, schema_at
 from embodichain.config.composed import compose
-from embodichain.config.introspect import field_names, type_at
-from embodichain.config.schema import RootCfg
-from embodichain.config.search_path import config_loader
+from embodichain.config.hydra_loader import config_loader
 
 __all__ = ["complete_override"]
 
@@ -20,13 +19,13 @@ def complete_override(
     config_name: str = "run",
     config_dir: str | Path | None = None,
 ) -> list[str]:
-    """Return how an override may go on: ``task=NAME``, ``algo=``, ``task.physics.physics_dt=``.
+    """Return the completions of an override: ``task=NAME``, ``algo=``, ``task.physics.``...
 
     Args:
         typed: The word so far.
         before: The overrides before it.
         config_name: The root config.
-        config_dir: A folder with groups of the user's own.
+        config_dir: A folder with the user's groups.
     """
     prefix = typed[: len(typed) - len(typed.lstrip("+~"))]
     key, has_value, value = typed[len(prefix) :].partition("=")
@@ -48,10 +47,10 @@ def complete_override(
     for part in parts:
         node = node.get(part) if isinstance(node, Mapping) else None
     names = list(node) if isinstance(node, Mapping) else []
-    names += field_names(type_at(RootCfg, parts, tree) if parts else RootCfg)
+    names += key_names(schema_at(parts, tree))
     for name in map(str, dict.fromkeys(names)):
         path = f"{parent}{dot}{name}"
         below = isinstance(node, Mapping) and isinstance(node.get(name), Mapping)
-        kind = type_at(RootCfg, [*parts, name], tree)
-        found.append(f"{path}." if below or field_names(kind) else f"{path}=")
+        keys = key_names(schema_at([*parts, name], tree))
+        found.append(f"{path}." if below or keys else f"{path}=")
     return [f"{prefix}{word}" for word in dict.fromkeys(found) if word.startswith(key)]

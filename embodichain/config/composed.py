@@ -1,12 +1,14 @@
-"""Groups, experiments and overrides become one plain tree; Hydra does the merging.
+"""Composes groups, experiments and overrides into one plain tree, merged by Hydra.
 
-Mistakes are collected, not raised, so that they stand in one report with those of `validate`.
-Nothing here knows what a key means.
+Overrides are in Hydra's grammar, but keys of the schema need no `+`. They are parsed one by one and
+sorted into choices of a group's option, overrides of Hydra itself, and values. Mistakes are
+collected, so that one report lists all of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -14,22 +16,38 @@ from typing import TYPE_CHECKING, Any
 
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.override_parser.types import Override
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override, OverrideType
+from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from embodichain.config.algorithms import DEFAULT_ALGORITHM
-from embodichain.config.hydra_errors import COMPOSING, explain
-from embodichain.config.locate import COMMAND_LINE, ConfigFile, LocatedProblem, Locator
-from embodichain.config.overrides import ParsedOverrides, apply_values, parse
-from embodichain.config.search_path import config_loader, folder_of_source
-from embodichain.utils.errors import ConfigError
+from embodichain.config.hydra_loader import (
+    COMPOSING,
+    config_loader,
+    explain,
+    folder_of_source,
+)
+from embodichain.config.locate import COMMAND_LINE, ConfigFile, Locator
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.config.gym_config import GymConfig
 
-__all__ = ["WITHOUT_TASK", "Composed", "compose", "from_hydra", "list_options"]
+__all__ = [
+    "WITHOUT_TASK",
+    "Composed",
+    "ParsedOverrides",
+    "apply_values",
+    "compose",
+    "from_hydra",
+    "list_options",
+    "parse",
+    "relax",
+]
 
 WITHOUT_TASK = "~task"
 """The override that composes a config with no option of the group `task`."""
@@ -42,14 +60,14 @@ class Composed:
     Attributes:
         config_name: The root config, ``run`` or ``train``.
         overrides: As typed.
-        tree: Plain dicts and lists, interpolations resolved, without Hydra's own node. Partial when
+        tree: Plain dicts and lists, interpolations resolved, without Hydra's own node. Partial if
             there are problems.
-        choices: The option of each group.
-        locator: Where each key was set.
-        problems: What went wrong so far.
-        usable: Whether `tree` is whole; otherwise its values besides the task are there at best,
-            and only their types can be checked.
-        notes: What of a gym config was left out or is read otherwise.
+        choices: Group -> the chosen option.
+        locator: Finds where each key was set.
+        problems: The mistakes found so far.
+        usable: Whether `tree` is complete; otherwise it has at most values of the root, and only
+            their types can be checked.
+        notes: What was left out or changed in converting a gym config.
     """
 
     config_name: str
@@ -57,9 +75,14 @@ class Composed:
     tree: dict[str, Any]
     choices: Mapping[str, str | None]
     locator: Locator
-    problems: tuple[LocatedProblem, ...] = ()
+    problems: tuple[Problem, ...] = ()
     usable: bool = True
-    notes: tuple[LocatedProblem, ...] = ()
+    notes: tuple[Problem, ...] = ()
+
+    def source(self, path: str) -> str:
+        """Return where a key was set: ``FILE:LINE``, or the command line (also for null keys)."""
+        unset = "." not in path and self.tree.get(path) is None
+        return COMMAND_LINE if unset else self.locator.source(path)
 
 
 def compose(
@@ -67,15 +90,15 @@ def compose(
     config_name: str = "run",
     config_dir: str | Path | None = None,
 ) -> Composed:
-    """Compose a root config with overrides in Hydra's grammar; Hydra's global state is kept.
+    """Compose a root config with overrides in Hydra's grammar; Hydra's global state is unchanged.
 
-    ``key=value`` may set any key of the schema, whether or not a file spells it out. With
-    ``gym_config=FILE`` the task is what EmbodiChain's gym config in that file converts to.
+    ``key=value`` may set any key of the schema, whether or not a file has it. With
+    ``gym_config=FILE`` the task is converted from EmbodiChain's gym config in that file.
 
     Args:
         overrides: E.g. ``["task=reach", "num_envs=64", "~task.events.push"]``.
         config_name: ``run`` or ``train``.
-        config_dir: A folder with groups of the user's own, searched first.
+        config_dir: A folder with the user's groups, searched first.
 
     Raises:
         ConfigError: `config_dir` does not exist.
@@ -85,20 +108,19 @@ def compose(
         parsed = parse(lines, loader)
         gym, parsed = _gym_config(parsed)
         if gym is None and WITHOUT_TASK in parsed.for_hydra:
-            tree, locator = _partial(loader, config_name, parsed)
-            return Composed(config_name, lines, tree, {}, locator, parsed.problems, usable=False)
+            return _without_task(loader, config_name, lines, parsed, [])
         try:
             lines_of_groups = list(parsed.for_hydra)
             config = loader.load_configuration(config_name, lines_of_groups, RunMode.RUN)
             chosen = _algorithm(config, parsed.values, loader.get_group_options("algo"))
-            if chosen is not None:  # the group was left at null: load what it means
+            if chosen is not None:  # the group is null: load its default
                 lines_of_groups.append(f"algo={chosen}")
                 config = loader.load_configuration(config_name, lines_of_groups, RunMode.RUN)
         except COMPOSING as error:
-            found = [] if _follows(error, parsed) else explain(error, loader)
-            problems = (*parsed.problems, *found)
-            tree, locator = _partial(loader, config_name, parsed)
-            return Composed(config_name, lines, tree, {}, locator, problems, usable=False)
+            # A group without an option is a consequence of leaving out its wrong one.
+            known = any(f"You must specify '{group}'" in str(error) for group in parsed.broken)
+            found = [] if known else explain(error, loader)
+            return _without_task(loader, config_name, lines, parsed, found)
     choices = dict(config.hydra.runtime.choices)
     folders = [folder_of_source(s.schema, s.path) for s in config.hydra.runtime.config_sources]
     files = partial(_files, loader, config_name, lines_of_groups, folders, gym)
@@ -109,7 +131,7 @@ def compose(
         config["task"] = OmegaConf.merge(gym.task, config.get("task", {}))
     problems = (*parsed.problems, *apply_values(config, parsed.values))
     locator = Locator(files, parsed.values)
-    tree, unresolved = _plain(config, locator)
+    tree, unresolved = _resolved(config, locator)
     problems = (*problems, *unresolved)
     notes = gym.notes if gym is not None else ()
     return Composed(config_name, lines, tree, choices, locator, problems, notes=notes)
@@ -128,13 +150,13 @@ def from_hydra() -> Composed:
 
 
 def list_options(group: str, config_dir: str | Path | None = None) -> list[str]:
-    """Return the options of a group (``task``, ``record``...), sorted; empty for no such group."""
+    """Return the sorted options of a group (``task``, ``record``...); empty if it is unknown."""
     with config_loader(config_dir) as loader:
         return list(loader.get_group_options(group))
 
 
 def _gym_config(parsed: ParsedOverrides) -> tuple[GymConfig | None, ParsedOverrides]:
-    """The gym config that overrides name, if any, and overrides that choose no task beside it."""
+    """The gym config that overrides name, if any, and overrides that choose no other task."""
     paths = [o.value() for o in parsed.values if o.key_or_group == "gym_config"]
     if not paths or paths[-1] is None:
         return None, parsed
@@ -143,7 +165,7 @@ def _gym_config(parsed: ParsedOverrides) -> tuple[GymConfig | None, ParsedOverri
     problems = list(parsed.problems)
     if chosen:
         message = f"either a gym config or a task: {chosen[-1]}"
-        problems.append(LocatedProblem("task", message, source=COMMAND_LINE))
+        problems.append(Problem("task", message, source=COMMAND_LINE))
     gym = None
     from embodichain.config.gym_config import load_gym_config  # terms: only when needed
 
@@ -151,7 +173,7 @@ def _gym_config(parsed: ParsedOverrides) -> tuple[GymConfig | None, ParsedOverri
         gym = load_gym_config(str(paths[-1]))
         problems += gym.problems
     except ConfigError as error:
-        problems += [LocatedProblem.of(p, "") for p in error.problems]
+        problems += [p.at("") for p in error.problems]
     for_hydra = (*rest, WITHOUT_TASK)
     return gym, replace(parsed, for_hydra=for_hydra, problems=tuple(problems))
 
@@ -163,7 +185,7 @@ def _files(
     folders: Sequence[Path | None],
     gym: GymConfig | None,
 ) -> list[ConfigFile]:
-    """The files behind a config in the order of merging, without Hydra's own."""
+    """The files of a config in the order of merging, without Hydra's own."""
     files = [] if gym is None else [gym.file]
     for default in loader.compute_defaults_list(config_name, for_hydra, RunMode.RUN).defaults:
         name = default.config_path
@@ -176,28 +198,33 @@ def _files(
     return files
 
 
-def _partial(
-    loader: ConfigLoader, config_name: str, parsed: ParsedOverrides
-) -> tuple[dict[str, Any], Locator]:
-    """The root's own values with overrides of them, where task and groups cannot be composed."""
+def _without_task(
+    loader: ConfigLoader,
+    config_name: str,
+    lines: tuple[str, ...],
+    parsed: ParsedOverrides,
+    found: Sequence[Problem],
+) -> Composed:
+    """The values of the root with their overrides, for when task and groups cannot be composed."""
     values = [o for o in parsed.values if o.key_or_group.split(".")[0] != "task"]
     locator = Locator(list, values)
-    try:
+    tree: dict[str, Any] = {}
+    with suppress(*COMPOSING):
         config = loader.load_configuration(config_name, ["~task"], RunMode.RUN)
-    except COMPOSING:
-        return {}, locator
-    OmegaConf.set_struct(config, False)
-    del config["hydra"]
-    apply_values(config, values)
-    return _plain(config, locator)[0], locator
+        OmegaConf.set_struct(config, False)
+        del config["hydra"]
+        apply_values(config, values)
+        tree = _resolved(config, locator)[0]
+    problems = (*parsed.problems, *found)
+    return Composed(config_name, lines, tree, {}, locator, problems, usable=False)
 
 
 def _algorithm(
     config: DictConfig, values: Sequence[Override], options: Sequence[str]
 ) -> str | None:
-    """The option of `algo` that a null choice means: named by a key, suggested, else ppo.
+    """The option for `algo: null`: the one named by a key, else the task's suggestion, else ppo.
 
-    A name that is no option is left for the check of types to report where it stands.
+    A name that is not an option is reported, with its place, by the check of types.
     """
     if config.hydra.runtime.choices.get("algo", "") is not None:
         return None
@@ -207,68 +234,171 @@ def _algorithm(
     return next((n for n in (*named, written, suggested) if n in options), DEFAULT_ALGORITHM)
 
 
-def _follows(error: Exception, parsed: ParsedOverrides) -> bool:
-    """Whether an error only says that a group has no option, after its wrong one was left out."""
-    return any(f"You must specify '{group}'" in str(error) for group in parsed.broken)
-
-
 _INSTANTIATE = ("_target_", "_recursive_", "_convert_", "_partial_", "_args_")
 
 
-def _plain(config: DictConfig, locator: Locator) -> tuple[dict[str, Any], list[LocatedProblem]]:
-    """Resolve interpolations everywhere.
+def _resolved(node: DictConfig | ListConfig, locator: Locator) -> tuple[Any, list[Problem]]:
+    """A config as plain values without unresolvable keys, and a problem for each such key."""
+    problems: list[Problem] = []
 
-    Args:
-        config: The composed config.
-        locator: Finds the source of what fails.
+    def report(path: str, message: str) -> None:
+        problems.append(Problem(path, message, source=locator.source(path)))
 
-    Returns:
-        The plain tree without the keys that failed, and one problem for each of these.
-    """
-    walk = _Walk(locator)
-    return walk.mapping(config, ""), walk.problems
-
-
-class _Walk:
-    def __init__(self, locator: Locator) -> None:
-        self.problems: list[LocatedProblem] = []
-        self._locator = locator
-
-    def mapping(self, config: DictConfig, path: str) -> dict[str, Any]:
-        result: dict[str, Any] = {}
-        for key in config:
+    def plain(node: DictConfig | ListConfig, path: str) -> Any:
+        found: dict[Any, Any] = {}
+        for key in range(len(node)) if isinstance(node, ListConfig) else list(node):
             where = f"{path}.{key!s}" if path else str(key)
             if key in _INSTANTIATE:
-                self._report(where, f"{key} is not used here: name a function with func: NAME")
-            elif self._readable(config, key, where):
-                result[str(key)] = self._value(config[key], where)
-        return result
+                report(where, f"{key} is not used here: name a function with func: NAME")
+                continue
+            if OmegaConf.is_missing(node, key):
+                report(where, "missing value (???): it must be set")
+                continue
+            try:
+                value = node[key]
+            except OmegaConfBaseException as error:
+                written: Any = OmegaConf.to_container(node, resolve=False)
+                reason = str(error).splitlines()[0]
+                report(where, f"cannot resolve {written[key]!r}: {reason}")
+                continue
+            nested = isinstance(value, (DictConfig, ListConfig))
+            found[key] = plain(value, where) if nested else value
+        if isinstance(node, ListConfig):
+            return list(found.values())
+        return {str(key): value for key, value in found.items()}
 
-    def _value(self, value: Any, path: str) -> Any:
-        if isinstance(value, DictConfig):
-            return self.mapping(value, path)
-        if isinstance(value, ListConfig):
-            indices = [i for i in range(len(value)) if self._readable(value, i, f"{path}.{i}")]
-            return [self._value(value[i], f"{path}.{i}") for i in indices]
-        return value
+    return plain(node, ""), problems
 
-    def _readable(self, node: DictConfig | ListConfig, key: Any, path: str) -> bool:
-        """Whether a value is there and resolves; reports it otherwise."""
-        if OmegaConf.is_missing(node, key):
-            self._report(path, "missing value (???): it must be set")
-            return False
+
+@dataclass(frozen=True)
+class ParsedOverrides:
+    """Overrides sorted by their kind, each kind in the order given.
+
+    Attributes:
+        for_hydra: Overrides that choose group options or set keys of Hydra itself.
+        values: Overrides that add, change or delete values.
+        broken: Groups for which an unknown option was chosen (their overrides are left out).
+        problems: The mistakes in the overrides that are left out.
+    """
+
+    for_hydra: tuple[str, ...]
+    values: tuple[Override, ...]
+    broken: frozenset[str]
+    problems: tuple[Problem, ...]
+
+
+def parse(lines: Sequence[str], loader: ConfigLoader) -> ParsedOverrides:
+    """Parse overrides; malformed ones, sweeps and unknown options become problems.
+
+    Args:
+        lines: As typed: ``key=value``, ``+key=value``, ``~key``, ``group=option``.
+        loader: Provides the groups and their options.
+    """
+    parser = OverridesParser.create()
+    for_hydra: list[str] = []
+    values: list[Override] = []
+    broken: set[str] = set()
+    problems: list[Problem] = []
+    for line in lines:
         try:
-            node[key]
-        except OmegaConfBaseException as error:
-            reason = str(error).splitlines()[0]
-            self._report(path, f"cannot resolve {_raw(node, key)!r}: {reason}")
-            return False
-        return True
+            override = parser.parse_override(line)
+        except HydraException as error:
+            problems.append(_malformed(line, error))
+            continue
+        if not override.key_or_group:
+            problems.append(_malformed(line, HydraException("the key is missing")))
+        elif override.is_sweep_override():
+            key = override.key_or_group
+            message = f"{line!r} is a sweep: add -m to run every value, or write {key}=[...] for a "
+            problems.append(Problem(key, f"{message}list", source=COMMAND_LINE))
+        elif _is_hydras(override):
+            for_hydra.append(line)
+        elif options := loader.get_group_options(override.key_or_group):
+            problem = _check_option(override, options)
+            if problem is None:
+                for_hydra.append(line)
+            else:
+                broken.add(override.key_or_group)
+                problems.append(problem)
+        else:
+            values.append(override)
+    return ParsedOverrides(tuple(for_hydra), tuple(values), frozenset(broken), tuple(problems))
 
-    def _report(self, path: str, message: str) -> None:
-        self.problems.append(LocatedProblem(path, message, source=self._locator.source(path)))
+
+def relax(lines: Iterable[str], loader: ConfigLoader) -> list[str]:
+    """Write ``key=value`` as ``++key=value``, for Hydra's own `main`.
+
+    Hydra refuses to set a key that no file has; here the defaults are in the data classes. Lines
+    that cannot be parsed are left for Hydra to refuse. The function is idempotent.
+    """
+    parser = OverridesParser.create()
+    relaxed: list[str] = []
+    for line in lines:
+        try:
+            override = parser.parse_override(line)
+        except HydraException:
+            relaxed.append(line)
+            continue
+        plain = override.type is OverrideType.CHANGE and not _is_hydras(override)
+        value = plain and not loader.get_group_options(override.key_or_group)
+        relaxed.append(f"++{line}" if value else line)
+    return relaxed
 
 
-def _raw(node: DictConfig | ListConfig, key: Any) -> Any:
-    child = node._get_node(key)  # the interpolation as written; OmegaConf has no public name for it
-    return child._value() if child is not None and not isinstance(child, list) else None
+def apply_values(config: DictConfig, overrides: Iterable[Override]) -> list[Problem]:
+    """Apply value overrides in place, in order; dicts merge, lists replace.
+
+    Returns:
+        Overrides that could not be applied: deletion of a missing key, a key below a scalar.
+    """
+    problems: list[Problem] = []
+    for override in overrides:
+        key = override.key_or_group
+        try:
+            if override.is_delete():
+                _delete(config, key)
+            else:
+                OmegaConf.update(config, key, override.value(), merge=True, force_add=True)
+        except KeyError as error:
+            problems.append(Problem(key, str(error.args[0]), source=COMMAND_LINE))
+        except (OmegaConfBaseException, TypeError, ValueError) as error:
+            message = f"cannot apply {override.input_line}: {str(error).splitlines()[0]}"
+            problems.append(Problem(key, message, source=COMMAND_LINE))
+    return problems
+
+
+def _delete(config: DictConfig, key: str) -> None:
+    parent_key, _, name = key.rpartition(".")
+    parent: Any = OmegaConf.select(config, parent_key) if parent_key else config
+    if not isinstance(parent, DictConfig) or name not in parent:
+        siblings = [str(k) for k in parent] if isinstance(parent, DictConfig) else []
+        there = f"; there are: {', '.join(siblings)}." if siblings else ""
+        hint = did_you_mean(name, siblings)
+        raise KeyError(f"cannot delete it: there is no such key{there}{hint}")
+    del parent[name]
+
+
+def _is_hydras(override: Override) -> bool:
+    key = override.key_or_group
+    return key == "hydra" or key.startswith(("hydra.", "hydra/"))
+
+
+def _malformed(line: str, error: HydraException) -> Problem:
+    reason = str(error).splitlines()[0]
+    message = f"malformed override {line!r}: {reason}; expected key=value, +key=value or ~key"
+    return Problem("", message, source=COMMAND_LINE)
+
+
+def _check_option(override: Override, options: list[str]) -> Problem | None:
+    value = override.value()
+    chosen = value if isinstance(value, list) else [value]
+    if override.is_delete():
+        return None
+    for option in chosen:
+        name = "null" if option is None else str(option)
+        if name not in options:
+            group = override.key_or_group
+            message = f"unknown option {name!r}; {group} is one of: {', '.join(options)}."
+            hint = did_you_mean(name, options).strip()
+            return Problem(group, message, hint, COMMAND_LINE)
+    return None

@@ -1,4 +1,4 @@
-"""Python's door: `embodichain.make("reach", num_envs=64)` builds what `run task=reach` would.
+"""`embodichain.make("reach", num_envs=64)`: builds the environment of `run task=reach`.
 
 Torch is imported when an environment is built, not before.
 """
@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from embodichain.config.gymnasium_ids import task_of_id
 from embodichain.config.resolved import Resolved, resolve
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ __all__ = ["make", "make_env"]
 
 
 _KWARGS = ("autoreset_mode", "render_mode", "run_dir")
-"""What `BaseEnv` takes besides its config; it would hand anything else to hooks of subclasses."""
+"""Arguments of `BaseEnv` besides its config; it passes others on to methods of subclasses."""
 
 
 def make(
@@ -40,17 +40,17 @@ def make(
         task: An option of the group `task`: ``reach``.
         num_envs: N; None is the task's suggestion, else 1.
         overrides: As on the command line: ``["seed=1", "task.rewards.near.weight=2"]``.
-        seed: Of every random stream; None draws one.
-        config_dir: A folder with groups of the user's own, searched first.
+        seed: The seed of every random stream; None draws one.
+        config_dir: A folder with the user's groups, searched first.
         **kwargs: For `BaseEnv`: ``render_mode``, ``autoreset_mode`` (SAME_STEP unless given),
-            ``run_dir``; for the class that a task names, also its own.
+            ``run_dir``; also the arguments of the class that the task names.
 
     Returns:
         The batched torch environment. `gymnasium.make` makes one environment with numpy
         observations of the same task, `gymnasium.make_vec` a batch of them.
 
     Raises:
-        ConfigError: Holds every mistake in the config.
+        ConfigError: Lists every mistake in the config.
         TypeError: If `overrides` is one string instead of several, or an argument is unknown.
     """
     if isinstance(overrides, str):
@@ -69,25 +69,20 @@ def make(
 
 
 def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
-    """Build the environment that a config declares, of the class that it names.
+    """Build the environment of a config, as an instance of the class that the config names.
 
     Args:
         resolved: A checked config.
         **kwargs: For `BaseEnv`, or for the class.
 
     Raises:
-        ConfigError: If no class of that name is registered, or what only building shows, with its
-            place.
+        ConfigError: A mistake that is only found by building, with its place.
         TypeError: If an argument is unknown.
     """
     cfg = resolved.env_cfg
     if cfg.id is not None:
-        from embodichain.config.plugins import require_registered
         from embodichain.lab.gym.utils import registration
 
-        problem = require_registered(cfg.id)
-        if problem is not None:
-            raise ConfigError([Problem("task.id", problem)])
         with resolved.locating("task"):
             return registration.make(cfg.id.rpartition(":")[2], cfg=cfg, **kwargs)
     for key in kwargs:
@@ -103,14 +98,14 @@ def make_env(resolved: Resolved, **kwargs: Any) -> BaseEnv:
 
 
 def _check_once(key: str, value: int, overrides: Sequence[str]) -> None:
-    """Refuse a value that stands both in an argument and in an override: one would be dropped."""
+    """Refuse a value given both as an argument and in an override, since one would be ignored."""
     for line in overrides:
         if line.partition("=")[0].lstrip("+") == key:
             raise ConfigError(f"{key} is given twice: {value} as argument, and {line} in overrides")
 
 
 def _check_name(task: str, config_dir: str | Path | None) -> None:
-    """Say what to call for a name that is Gymnasium's and no task."""
+    """For a name that is a Gymnasium id and not a task, report the function to call instead."""
     name = task_of_id(task)
     if name is not None:
         raise ConfigError(

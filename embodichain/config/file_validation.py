@@ -1,4 +1,4 @@
-"""Checking one file where it lies: a task, another group's option, a dumped or a gym config."""
+"""Checks of one file: a task, an option of another group, a dumped config, or a gym config."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import yaml
 
 from embodichain.compat.gym_config.file import is_gym_config, read_gym_config
 from embodichain.config.composed import Composed, compose
-from embodichain.config.derive import Verb
 from embodichain.config.gym_config import load_gym_config, override_of
-from embodichain.config.hydra_errors import explain_yaml
-from embodichain.config.locate import ConfigFile, LocatedProblem, Locator, display_path
+from embodichain.config.hydra_loader import explain_yaml
+from embodichain.config.locate import ConfigFile, Locator, display_path
 from embodichain.config.resolved import Resolved, resolve, resolve_tree
-from embodichain.utils.errors import ConfigError
+from embodichain.config.schema import Verb
+from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["notes_on_file", "resolve_file", "validate_file"]
 
@@ -22,37 +22,37 @@ _GROUPS = ("task", "sim", "record", "viewer", "algo", "experiment")
 _ANY_TASK = "task=random_reach"
 
 
-def validate_file(path: str | Path, verb: Verb = "run") -> list[LocatedProblem]:
-    """Return every mistake of a file that can be found without building; empty is good.
+def validate_file(path: str | Path, verb: Verb = "run") -> list[Problem]:
+    """Return every mistake of a file that can be found without building; empty if there is none.
 
     Args:
         path: See `resolve_file`.
-        verb: Whose suggested values count.
+        verb: The verb for which the task's suggestions are used.
     """
     try:
         resolve_file(path, verb)
     except ConfigError as error:
-        return [LocatedProblem.of(p, getattr(p, "source", "")) for p in error.problems]
+        return list(error.problems)
     return []
 
 
 def resolve_file(path: str | Path, verb: Verb = "run") -> Resolved:
-    """Check a file as a whole and fill in what follows.
+    """Check a whole file and fill in defaults and derived values.
 
-    A file with a map ``task`` in it is a whole config, as run folders hold; one with a map ``env``
-    is EmbodiChain's gym config; one in a folder named like a group is an option of that group; any
-    other is a task.
+    A file with a map ``task`` is a whole config, as in run folders; one with a map ``env`` is
+    EmbodiChain's gym config; one in a folder with the name of a group is an option of that group;
+    any other is a task.
 
     Args:
         path: The file.
-        verb: Whose suggested values count.
+        verb: The verb for which the task's suggestions are used.
 
     Raises:
-        ConfigError: Holds every mistake as a `LocatedProblem`.
+        ConfigError: Lists every mistake with its place.
     """
     file = Path(path)
     if not file.is_file():
-        raise ConfigError([LocatedProblem("", f"no such file: {path}")])
+        raise ConfigError([Problem("", f"no such file: {path}")])
     if file.suffix == ".json":
         return resolve(compose([override_of(str(file))], verb), verb)
     try:
@@ -61,7 +61,7 @@ def resolve_file(path: str | Path, verb: Verb = "run") -> Resolved:
     except yaml.YAMLError as error:
         raise ConfigError([explain_yaml(error, file)]) from error
     except (OSError, UnicodeDecodeError) as error:
-        found = LocatedProblem("", f"cannot be read: {error}", source=display_path(file))
+        found = Problem("", f"cannot be read: {error}", source=display_path(file))
         raise ConfigError([found]) from error
     if is_gym_config(tree):
         return resolve(compose([override_of(str(file))], verb), verb)
@@ -70,11 +70,11 @@ def resolve_file(path: str | Path, verb: Verb = "run") -> Resolved:
     return resolve(_composed_option(file.resolve(), verb), _verb_of(file.resolve(), verb))
 
 
-def notes_on_file(path: str | Path) -> tuple[LocatedProblem, ...]:
-    """Return what of a file is left out or read otherwise: of a gym config, or else nothing.
+def notes_on_file(path: str | Path) -> tuple[Problem, ...]:
+    """Return notes on what was left out or changed in converting a gym config.
 
     Args:
-        path: The file; one with mistakes has no notes.
+        path: The file; there are no notes for other configs, or for a file with mistakes.
     """
     try:
         return load_gym_config(path).notes if is_gym_config(read_gym_config(path)) else ()
@@ -93,10 +93,10 @@ def _composed_option(file: Path, verb: Verb) -> Composed:
         link.parent.mkdir()
         link.symlink_to(file)
         composed = compose([f"task={file.stem}"], verb, folder)
-        _ = composed.locator.files  # read while the folder is there
+        _ = composed.locator.files  # read before the folder is removed
         return composed
 
 
 def _verb_of(file: Path, verb: Verb) -> Verb:
-    """An algorithm is an option of trainings only."""
+    """``train`` for an algorithm, which only trainings have; else `verb`."""
     return "train" if file.parent.name == "algo" else verb

@@ -1,4 +1,4 @@
-"""What Gymnasium makes of ``embodichain/NAME-v0``: `make` one environment, `make_vec` a batch."""
+"""Gymnasium's ``embodichain/NAME-v0``: `make` builds one environment, `make_vec` a batch."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode
 
 from embodichain.config.factory import make
 from embodichain.config.gymnasium_ids import task_id
-from embodichain.lab.gym.envs.autoreset import parse_mode
+from embodichain.lab.gym.envs.episodes import parse_mode
 from embodichain.lab.gym.single import SingleEnv
 from embodichain.lab.gym.vector import NumpyVectorEnv
 from embodichain.utils.errors import ConfigError
@@ -18,19 +18,19 @@ __all__ = ["TaskEnv", "make_task_vec"]
 
 
 class TaskEnv(SingleEnv):
-    """One environment of a YAML task, numpy and without a batch dimension.
+    """One environment of a YAML task, with numpy arrays and no batch dimension.
 
-    Gymnasium's ``max_episode_steps`` adds a limit to the task's own; a longer one than that is
-    ``overrides=["task.max_episode_steps=N"]``.
+    Gymnasium's ``max_episode_steps`` adds a limit to that of the task; for a longer limit than the
+    task's use ``overrides=["task.max_episode_steps=N"]``.
 
     Args:
         task: An option of the group `task`: ``reach``.
         overrides: As of `embodichain.make`.
-        flatten: Whether observations are what a policy sees; see `SingleEnv`.
+        flatten: Whether observations are the policy's flat vector; see `SingleEnv`.
         **kwargs: As of `embodichain.make`: ``seed``, ``config_dir``, ``render_mode``.
 
     Raises:
-        ConfigError: Holds every mistake in the config; or the arguments are those of a batch.
+        ConfigError: Lists every mistake in the config; or the arguments are those of a batch.
         TypeError: If an argument is unknown.
     """
 
@@ -69,15 +69,15 @@ def make_task_vec(
         num_envs: N.
         overrides: As of `embodichain.make`.
         autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED; see `NumpyVectorEnv`.
-        flatten: Whether observations are what a policy sees, likewise.
+        flatten: Whether observations are the policy's flat vector; see `NumpyVectorEnv`.
         max_episode_steps: Time limit in control steps; None is the task's.
         **kwargs: As of `embodichain.make`: ``seed``, ``config_dir``, ``render_mode``.
 
     Raises:
-        ConfigError: Holds every mistake in the config.
+        ConfigError: Lists every mistake in the config.
         TypeError: If an argument is unknown.
     """
-    mode = parse_mode(autoreset_mode)  # an unknown one is found before anything is built
+    mode = parse_mode(autoreset_mode)  # before building, so that an unknown mode is reported early
     lines = list(overrides)
     if max_episode_steps is not None:
         lines.append(f"task.max_episode_steps={max_episode_steps}")

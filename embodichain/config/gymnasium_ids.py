@@ -1,24 +1,37 @@
-"""Ids of YAML tasks in Gymnasium's registry: ``embodichain/NAME-v0``. `gymnasium_envs` makes them.
+"""Names of YAML tasks, and their ids in Gymnasium's registry: ``embodichain/NAME-v0``.
 
 Gymnasium has had no plug-ins since 1.0: an id exists once the package that registers it is
 imported, or is named in the id (``embodichain:embodichain/reach-v0``). So `import embodichain`
-registers, before or after `import gymnasium`.
+registers them, before or after `import gymnasium`. `gymnasium_envs` builds the environments.
 """
 
 from __future__ import annotations
 
 import re
 import sys
-from typing import TYPE_CHECKING, cast
+from collections.abc import Iterator, Sequence
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
 
-if TYPE_CHECKING:  # importlib.abc takes 30 ms, and `import embodichain` without it 10
-    from collections.abc import Sequence
-    from importlib.abc import Loader
-    from importlib.machinery import ModuleSpec
-    from types import ModuleType
+__all__ = [
+    "CONFIG_MODULE",
+    "ENTRY_POINTS",
+    "LOCAL",
+    "register_task_ids",
+    "register_with_gymnasium",
+    "task_id",
+    "task_names",
+    "task_of_id",
+]
 
-__all__ = ["register_task_ids", "register_with_gymnasium", "task_id", "task_of_id"]
-
+CONFIG_MODULE = "embodichain.conf"
+"""The YAML tree of this package."""
+ENTRY_POINTS = "embodichain.conf"
+"""The entry point group with which packages name their YAML trees."""
+LOCAL = "conf"
+"""The user's YAML tree, in the working directory."""
 _ID = re.compile(r"embodichain/([\w.-]+)-v0")
 _ENVS = "embodichain.config.gymnasium_envs"
 
@@ -29,19 +42,25 @@ def task_id(name: str) -> str:
 
 
 def task_of_id(env_id: str) -> str | None:
-    """Return the name of the YAML task that an id stands for, or None if it is no such id."""
+    """Return the name of the YAML task with this id, or None for another kind of id."""
     match = _ID.fullmatch(env_id)
     return match[1] if match else None
 
 
+def task_names() -> list[str]:
+    """Return the sorted names of the tasks in this package, in plug-ins and in ``./conf``.
+
+    Folders are listed; no YAML is read and no package imported.
+    """
+    return sorted({file.stem for folder in _folders() for file in (folder / "task").glob("*.yaml")})
+
+
 def register_task_ids() -> None:
-    """Register every YAML task that has no id yet: of this package, of plug-ins, of ``./conf``."""
+    """Register every YAML task of this package, plug-ins and ``./conf`` that has no id yet."""
     from gymnasium.envs.registration import register, registry
 
-    from embodichain.config.task_files import task_names  # metadata of packages: not before
-
     for name in task_names():
-        # A file whose name Gymnasium's grammar does not allow is a task without an id.
+        # A task has no id if Gymnasium's grammar does not allow the name of its file.
         if task_of_id(task_id(name)) and task_id(name) not in registry:
             register(
                 task_id(name),
@@ -54,7 +73,7 @@ def register_task_ids() -> None:
 def register_with_gymnasium() -> None:
     """Register every YAML task now if Gymnasium is imported, otherwise as soon as it is.
 
-    Gymnasium takes longer to import than the whole command line: it is not imported for this.
+    Gymnasium is not imported for this: that takes longer than the whole command line.
     """
     if "gymnasium" in sys.modules:
         register_task_ids()
@@ -63,39 +82,44 @@ def register_with_gymnasium() -> None:
 
 
 class _OnceImported:
-    """A finder of `sys.meta_path` that finds Gymnasium as the others do, with another loader."""
+    """A finder of `sys.meta_path` that registers the tasks after Gymnasium is imported.
+
+    It removes itself once Gymnasium is imported.
+    """
+
+    def __init__(self) -> None:
+        self._searching = False
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return how Gymnasium is imported; None for every other module."""
-        if name != "gymnasium":
+        """Return the spec of Gymnasium; None for every other module."""
+        if name != "gymnasium" or self._searching:
             return None
-        for finder in sys.meta_path:
-            spec = None if finder is self else finder.find_spec(name, path, target)
-            if spec is not None and spec.loader is not None:
-                spec.loader = cast("Loader", _ThenRegister(spec.loader, self))
-                return spec
-        return None
+        self._searching = True
+        try:
+            spec = find_spec(name)
+        finally:
+            self._searching = False
+        if spec is not None and spec.loader is not None:
+            execute = spec.loader.exec_module
+
+            def exec_module(module: ModuleType) -> None:
+                execute(module)
+                if self in sys.meta_path:
+                    sys.meta_path.remove(self)
+                register_task_ids()
+
+            spec.loader.exec_module = exec_module  # type: ignore[method-assign]
+        return spec
 
 
-class _ThenRegister:
-    """Loads Gymnasium with its own loader, which the module keeps, and registers the tasks."""
+def _folders() -> Iterator[Path]:
+    from importlib.metadata import entry_points  # takes 10 ms
 
-    def __init__(self, loader: Loader, finder: _OnceImported) -> None:
-        self._loader = loader
-        self._finder = finder
-
-    def create_module(self, spec: ModuleSpec) -> ModuleType | None:
-        """Return what its own loader creates."""
-        return self._loader.create_module(spec)
-
-    def exec_module(self, module: ModuleType) -> None:
-        """Execute the module; when that has worked, the finder has done its work."""
-        module.__loader__ = self._loader
-        if module.__spec__ is not None:
-            module.__spec__.loader = self._loader
-        self._loader.exec_module(module)
-        if self._finder in sys.meta_path:
-            sys.meta_path.remove(self._finder)
-        register_task_ids()
+    yield Path(LOCAL)
+    for module in (CONFIG_MODULE, *(entry.value for entry in entry_points(group=ENTRY_POINTS))):
+        package, *rest = module.split(".")
+        spec = find_spec(package)  # of a top-level name: nothing is imported
+        for place in (spec and spec.submodule_search_locations) or ():
+            yield Path(place, *rest)

@@ -1,25 +1,32 @@
-"""Who set a key, and mistakes with that place: a line of a YAML file, or the command line.
+"""`Locator`: finds where a key was set, a line of a YAML file or the command line.
 
-Works on the marks that YAML's parser leaves, over the files that were composed, in their order.
+The lines come from the marks that YAML's parser adds to keys.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from os.path import commonprefix
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, NamedTuple, TextIO
 
 import yaml
 from hydra.core.override_parser.types import Override
 
-from embodichain.utils.errors import Problem
+__all__ = ["COMMAND_LINE", "ConfigFile", "KeyPlace", "Locator", "display_path"]
 
-__all__ = ["COMMAND_LINE", "ConfigFile", "LocatedProblem", "Locator", "display_path"]
-
+COMMAND_LINE = "command line"
+"""The source of a key that no file sets."""
 _MERGE = "tag:yaml.org,2002:merge"
+
+
+class KeyPlace(NamedTuple):
+    """The line of a key, and whether its value is a ``map``, a ``list`` or a ``scalar``."""
+
+    line: int
+    kind: str
 
 
 @dataclass(frozen=True)
@@ -27,42 +34,86 @@ class ConfigFile:
     """A composed file.
 
     Attributes:
-        path: The file, not a link to it.
-        package: The key that its content hangs under; empty for the root.
-        root: Its YAML nodes, or None for an empty file.
+        path: The file, with links resolved.
+        package: The key under which its content is placed; empty for the root.
+        keys: Dotted key path, from the root of the config -> its place.
     """
 
     path: Path
     package: str
-    root: yaml.Node | None
+    keys: dict[str, KeyPlace]
 
     @classmethod
     def read(cls, path: Path, package: str) -> ConfigFile:
         """Read a file.
 
         Raises:
-            yaml.YAMLError: It is malformed, or has a tag (``!!python/...``, ``!!set``).
+            yaml.YAMLError: The file is malformed, or has a tag (``!!python/...``, ``!!set``).
         """
-        with path.open(encoding="utf-8") as stream:  # a stream's name stands in error marks
+        with path.open(encoding="utf-8") as stream:  # error marks have a stream's name
             if "!" in stream.read():
                 stream.seek(0)
                 _refuse_tags(stream)
             stream.seek(0)
-            return cls(path.resolve(), package, yaml.compose(stream, Loader=yaml.CSafeLoader))
+            return cls.of(path, package, yaml.compose(stream, Loader=yaml.CSafeLoader))
+
+    @classmethod
+    def of(cls, path: Path, package: str, root: yaml.Node | None) -> ConfigFile:
+        """Take a file's keys from its nodes; None is an empty file."""
+        keys: dict[str, KeyPlace] = {}
+        if root is not None:
+            names = package.split(".") if package else []
+            for depth in range(bool(names), len(names) + 1):
+                keys[".".join(names[:depth])] = KeyPlace(root.start_mark.line + 1, "map")
+            keys.update(_keys_below(root, f"{package}." if package else ""))
+        return cls(path.resolve(), package, keys)
+
+    def find(self, parts: Sequence[str]) -> tuple[int, int]:
+        """Return how many parts of a path are set here, and the line of the last (0 for none).
+
+        A name may contain dots. A key below a scalar was set elsewhere.
+        """
+        for depth in range(len(parts), -1, -1):
+            place = self.keys.get(".".join(parts[:depth]))
+            if place is not None and (place.kind != "scalar" or depth == len(parts)):
+                return depth, place.line
+        return 0, 0
+
+
+def _keys_below(node: yaml.Node, prefix: str) -> Iterator[tuple[str, KeyPlace]]:
+    """All keys of maps and indices of lists below a node; a map's own keys win over merged ones."""
+    entries: dict[str, tuple[yaml.Node, yaml.Node]] = {}
+    if isinstance(node, yaml.SequenceNode):
+        entries = {str(i): (item, item) for i, item in enumerate(node.value)}
+    elif isinstance(node, yaml.MappingNode):
+        merged: list[yaml.Node] = []
+        for key, value in node.value:
+            if key.tag == _MERGE:
+                merged += value.value if isinstance(value, yaml.SequenceNode) else [value]
+            else:
+                entries[str(key.value)] = key, value
+        for part in merged:
+            if isinstance(part, yaml.MappingNode):
+                entries = {str(k.value): (k, v) for k, v in part.value} | entries
+    for name, (key, value) in entries.items():
+        kinds: dict[type, str] = {yaml.MappingNode: "map", yaml.SequenceNode: "list"}
+        place = KeyPlace(key.start_mark.line + 1, kinds.get(type(value), "scalar"))
+        yield f"{prefix}{name}", place
+        yield from _keys_below(value, f"{prefix}{name}.")
 
 
 def _refuse_tags(stream: TextIO) -> None:
     for event in yaml.parse(stream, Loader=yaml.CSafeLoader):
         tag = getattr(event, "tag", None)
         if tag is not None:
-            mark: Any = event.start_mark  # libyaml's own class, of the same members
+            mark: Any = event.start_mark  # libyaml's class, with the same members
             raise yaml.MarkedYAMLError(
                 problem=f"tags are not used here, found {tag}", problem_mark=mark
             )
 
 
 def display_path(path: Path) -> str:
-    """Return a path as people read it: relative where it lies below the working directory."""
+    """Return a path for messages: relative if it is below the working directory."""
     resolved = path.resolve()
     here = Path.cwd().resolve()
     return str(resolved.relative_to(here)) if resolved.is_relative_to(here) else str(resolved)
@@ -72,8 +123,8 @@ class Locator:
     """Finds the source of dotted key paths.
 
     Args:
-        files: Reads the composed files when a place is first asked for; of two that set a key,
-            the later wins.
+        files: Reads the composed files, called at the first query; if two set a key, the later
+            wins.
         overrides: Value overrides, applied after all files.
     """
 
@@ -98,95 +149,34 @@ class Locator:
         parts = path.split(".")
         best, source = -1.0, ""
         for file in self.files:
-            known, line = _find(file, parts)
+            known, line = file.find(parts)
             if known >= best and line:
                 best, source = known, f"{display_path(file.path)}:{line}"
         for override in self.overrides:
             depth = _depth_of_override(override, parts)
-            if depth == len(parts) - 0.5 and not self._is_map(parts):
+            if depth == len(parts) - 0.5 and not any(
+                file.keys.get(path, KeyPlace(0, "")).kind == "map" for file in self.files
+            ):
                 depth = len(parts)  # the override made a map of a value
             if depth > 0 and depth >= best:
                 best, source = depth, COMMAND_LINE
         return source or COMMAND_LINE
 
-    def _is_map(self, parts: Sequence[str]) -> bool:
-        return any(isinstance(_node(file, parts), yaml.MappingNode) for file in self.files)
-
     def sets(self, path: str) -> bool:
-        """Whether a file has this very key."""
-        parts = path.split(".")
-        return any(_find(file, parts)[0] == len(parts) for file in self.files)
+        """Whether a file sets exactly this key."""
+        return any(path in file.keys for file in self.files)
 
     def chosen(self, path: str, package: str) -> bool:
-        """Whether someone set this key besides the group option mounted at `package`."""
+        """Whether a file or override, other than the group option at `package`, sets this key."""
         parts = path.split(".")
         others = [file for file in self.files if file.package != package]
-        return any(_find(file, parts)[0] == len(parts) for file in others) or any(
+        return any(path in file.keys for file in others) or any(
             _depth_of_override(override, parts) == len(parts) for override in self.overrides
         )
 
 
-def _find(file: ConfigFile, parts: Sequence[str]) -> tuple[int, int]:
-    """How many parts of a path a file knows, and the line of the deepest one (0 for none)."""
-    package = file.package.split(".") if file.package else []
-    common = package[: len(parts)]
-    if file.root is None or parts[: len(common)] != common:
-        return 0, 0
-    depth, line = _descend(file.root, parts[len(package) :])
-    return len(common) + depth, line
-
-
-def _node(file: ConfigFile, parts: Sequence[str]) -> yaml.Node | None:
-    """The node of a path of plain keys, or None."""
-    package = file.package.split(".") if file.package else []
-    if list(parts[: len(package)]) != package:
-        return file.root if package[: len(parts)] == list(parts) else None
-    node = file.root
-    for part in parts[len(package) :]:
-        entry = _entry(node, part) if isinstance(node, yaml.MappingNode) else None
-        node = entry[1] if entry else None
-    return node
-
-
-def _descend(node: yaml.Node, parts: Sequence[str]) -> tuple[int, int]:
-    line = node.start_mark.line + 1
-    if not parts:
-        return 0, line
-    if isinstance(node, yaml.SequenceNode) and parts[0].isdigit():
-        items = node.value
-        if int(parts[0]) < len(items):
-            depth, found = _descend(items[int(parts[0])], parts[1:])
-            return depth + 1, found
-    if isinstance(node, yaml.MappingNode):
-        for count in range(len(parts), 0, -1):  # a name may contain dots: the longest match first
-            entry = _entry(node, ".".join(parts[:count]))
-            if entry is not None:
-                key, value = entry
-                if isinstance(value, yaml.ScalarNode) and parts[count:]:
-                    return 0, line  # a value holds no keys: whoever made it a map is meant
-                depth, found = _descend(value, parts[count:])
-                at_key = key.start_mark.line + 1
-                return depth + count, found if depth else at_key
-    return 0, line
-
-
-def _entry(node: yaml.MappingNode, name: str) -> tuple[yaml.Node, yaml.Node] | None:
-    """The last entry of this name; else one of the maps that ``<<`` merges in."""
-    merged: list[yaml.Node] = []
-    for key, value in reversed(node.value):
-        if key.tag == _MERGE:
-            merged += value.value if isinstance(value, yaml.SequenceNode) else [value]
-        elif key.value == name:
-            return key, value
-    for value in merged:
-        found = _entry(value, name) if isinstance(value, yaml.MappingNode) else None
-        if found is not None:
-            return found
-    return None
-
-
 def _depth_of_override(override: Override, parts: Sequence[str]) -> float:
-    """How many parts of a path an override sets; half a part less where it sets something below."""
+    """Number of parts of a path that an override sets; less a half if it sets a key below."""
     key = override.key_or_group.replace("[", ".").replace("]", "").split(".")
     common = len(commonprefix([key, list(parts)]))
     if common < len(key):
@@ -204,40 +194,3 @@ def _depth_of_override(override: Override, parts: Sequence[str]) -> float:
             break
         depth += 1
     return depth
-
-
-COMMAND_LINE = "command line"
-"""The source of what no file says."""
-
-
-@dataclass(frozen=True, slots=True)
-class LocatedProblem(Problem):
-    """A mistake whose place is known.
-
-    Attributes:
-        source: ``FILE:LINE``, ``FILE``, or ``command line``; empty where nobody wrote it.
-    """
-
-    source: str = ""
-
-    @classmethod
-    def of(cls, problem: Problem, source: str) -> LocatedProblem:
-        """Give a problem its place; a hint begins a sentence of its own."""
-        message = problem.message.rstrip()
-        if problem.hint and not message.endswith((".", "?", "!")):
-            message += "."
-        return cls(problem.path, message, problem.hint.strip(), source)
-
-    def as_dict(self) -> dict[str, str]:
-        """Return the four texts by name, for JSON."""
-        return {
-            "path": self.path,
-            "message": self.message,
-            "hint": self.hint,
-            "source": self.source,
-        }
-
-    def __str__(self) -> str:
-        """Return ``source: path: message hint``."""
-        text = Problem.__str__(self)
-        return f"{self.source}: {text}" if self.source else text

@@ -1,7 +1,7 @@
-"""Packages that bring tasks: their modules are imported, so that what they register exists.
+"""Imports the modules of packages that register tasks.
 
-A package names its modules with the entry point group `embodichain.tasks`; this project's own
-module of tasks is always among them.
+A package names its modules with the entry point group `embodichain.tasks`; this project's module
+of tasks is always imported.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ _OWN = "embodichain.tasks"
 
 
 def load_task_packages() -> None:
-    """Import every module that registers tasks; a second time changes nothing.
+    """Import every module that registers tasks; a second call changes nothing.
 
     Raises:
-        Exception: Whatever such a module raises, with a note that names its entry point.
+        Exception: Any exception of such a module, with a note that names its entry point.
     """
     importlib.import_module(_OWN)
     for entry in sorted(importlib.metadata.entry_points(group=ENTRY_POINTS)):
@@ -34,11 +34,11 @@ def load_task_packages() -> None:
 
 
 def require_registered(env_id: str, *, allow_import: bool = True) -> str | None:
-    """Return why an id cannot be made, or None if it can; imports packages of tasks to find out.
+    """Return why an id cannot be made, or None if it can; may import packages of tasks.
 
     Args:
-        env_id: An id, or ``package.module:id`` as Gymnasium writes it: that module is imported,
-            and registers the id.
+        env_id: An id, or ``package.module:id`` as in Gymnasium, which imports that module to
+            register the id.
         allow_import: Whether such a module may be imported; False for configs read from a log.
     """
     module, _, name = env_id.rpartition(":")

@@ -1,6 +1,6 @@
-"""The config of a run that was made, changed by overrides: for playing what was trained there.
+"""The config of an earlier run, changed by overrides, for playing a policy trained there.
 
-The run's own `config.yaml` counts, not the files it was once composed of: these may have changed.
+It is read from the run's `config.yaml`, as the files that it was composed of may have changed.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ import yaml
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 
-from embodichain.config.locate import COMMAND_LINE, LocatedProblem
-from embodichain.config.overrides import ParsedOverrides, apply_values, parse
+from embodichain.config.composed import ParsedOverrides, apply_values, parse
+from embodichain.config.hydra_loader import config_loader
+from embodichain.config.locate import COMMAND_LINE
 from embodichain.config.resolved import Resolved, resolve_tree
-from embodichain.config.search_path import config_loader
-from embodichain.utils.errors import ConfigError
+from embodichain.config.run_folder import CONFIG, SUMMARY
+from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["CONFIG", "read_config", "resolve_again", "task_of"]
+__all__ = ["read_config", "resolve_again", "task_of"]
 
-CONFIG = "config.yaml"
 _FOLDER = re.compile(r"\d\d-\d\d-\d\d_(.+?)(_\d+)?")  # see `run_folder.claim`
 _GROUPS = ("record", "viewer", "sim")
 
@@ -32,12 +32,12 @@ _GROUPS = ("record", "viewer", "sim")
 def resolve_again(
     folder: Path, overrides: Sequence[str] = (), values: Mapping[str, Any] | None = None
 ) -> Resolved:
-    """Return a run's config as one of the verb `run`.
+    """Return a run's config as a config of the verb `run`.
 
     Args:
         folder: The run's folder.
         overrides: ``key=value``, and options of the groups record, viewer and sim.
-        values: Keys of the root to set first; overrides win over them.
+        values: Keys of the root to set before the overrides.
 
     Raises:
         ConfigError: The folder has no config, or overrides or the config are wrong.
@@ -64,14 +64,20 @@ def resolve_again(
             changed, str(source), "run", task_name=task_of(folder), allow_import=True
         )
     except ConfigError as error:
-        raise ConfigError([_located(p, parsed) for p in error.problems]) from error
+        keys = tuple(override.key_or_group for override in parsed.values)
+        raise ConfigError(
+            dataclasses.replace(p, source=COMMAND_LINE)
+            if any(p.path == key or p.path.startswith(f"{key}.") for key in keys)
+            else p
+            for p in error.problems
+        ) from error
     return dataclasses.replace(found, overrides=tuple(overrides))
 
 
 def task_of(folder: Path) -> str:
-    """Return what a run's task is called: by its summary, else by its folder's name."""
+    """Return the name of a run's task, from its summary, else from the name of its folder."""
     try:
-        task = json.loads((folder / "summary.json").read_text(encoding="utf-8")).get("task")
+        task = json.loads((folder / SUMMARY).read_text(encoding="utf-8")).get("task")
     except (OSError, ValueError, AttributeError):
         task = None
     if isinstance(task, str):
@@ -84,32 +90,23 @@ def read_config(path: Path) -> dict[str, Any]:
     """Read a run's `config.yaml`.
 
     Raises:
-        ConfigError: It cannot be read, or contains no map.
+        ConfigError: The file cannot be read, or is not a map.
     """
     try:
         tree = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise ConfigError(f"cannot read {path}: {error}") from error
     if not isinstance(tree, dict):
-        raise ConfigError(f"{path} holds no config")
+        raise ConfigError(f"{path} has no config")
     return tree
 
 
-def _unfit(parsed: ParsedOverrides) -> list[LocatedProblem]:
-    """Overrides that would make another run of it."""
+def _unfit(parsed: ParsedOverrides) -> list[Problem]:
+    """A problem for each override that is not allowed for an earlier run."""
     problems = []
     for line in parsed.for_hydra:
         group = line.lstrip("+~").partition("=")[0]
         if group not in _GROUPS or line.startswith("~"):
             message = f"{line!r} does not change a run that was made; groups: {', '.join(_GROUPS)}"
-            problems.append(LocatedProblem(group, message, source=COMMAND_LINE))
+            problems.append(Problem(group, message, source=COMMAND_LINE))
     return problems
-
-
-def _located(problem: Any, parsed: ParsedOverrides) -> Any:
-    """A mistake that an override made is on the command line."""
-    keys = [override.key_or_group for override in parsed.values]
-    typed = any(problem.path == key or problem.path.startswith(f"{key}.") for key in keys)
-    if not typed or not isinstance(problem, LocatedProblem):
-        return problem
-    return dataclasses.replace(problem, source=COMMAND_LINE)

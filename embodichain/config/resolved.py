@@ -1,53 +1,67 @@
-"""One call from overrides to a `Resolved` config: compose, validate, derive, freeze."""
+"""`Resolved`: a composed, checked and frozen config with every value filled in."""
 
 from __future__ import annotations
 
+import copy
+import json
+import secrets
+import shlex
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
-from embodichain.config import derive
+import yaml
+
 from embodichain.config.check_types import check_types
 from embodichain.config.composed import Composed, compose
-from embodichain.config.derive import Verb
-from embodichain.config.frozen import freeze, thaw
-from embodichain.config.locate import LocatedProblem
-from embodichain.config.schema import RootCfg
-from embodichain.config.validation import check, check_tree, source_of
+from embodichain.config.run_folder import CONFIG, versions
+from embodichain.config.schema import RootCfg, Verb
+from embodichain.config.validation import Check, check, check_tree
 from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.sim.cfg import SimulationManagerCfg
+from embodichain.lab.sim.compiler.names import exact_pattern
 from embodichain.lab.sim.prepared_scene import PreparedScene
+from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["Resolved", "Verb", "resolve", "resolve_tree"]
+__all__ = ["Resolved", "dump_yaml", "freeze", "resolve", "resolve_tree", "thaw", "write_record"]
+
+_DEFAULTS: dict[Verb, dict[str, Any]] = {
+    "run": {"num_envs": 1, "device": "cpu", "episodes": 1, "policy": "random"},
+    "train": {"num_envs": 1, "device": "cpu"},
+}
+_SEED_BITS = 31
 
 
 @dataclass(frozen=True)
 class Resolved:
-    """A config that was checked as a whole and can be built.
+    """A checked config that can be built.
 
     Attributes:
-        tree: Frozen plain mappings and tuples: what is written to files (`dump_yaml`).
+        tree: Frozen plain mappings and tuples, as written to files (`dump_yaml`).
         overrides: As typed.
         task_name: The option of the group `task`.
-        notes: What of a gym config was left out or is read otherwise, and what was derived that
-            changes the physics.
-        source: From a key path to where the key was set, or empty text.
-        prepared: The scene as the check has read and compiled it, for the first environment.
+        notes: What was left out or changed in converting a gym config, and derived values that
+            change the physics.
+        source: Function from a key path to where the key was set, or an empty string.
+        prepared: The scene that the check compiled, reused by the first environment.
     """
 
     tree: Mapping[str, Any]
     overrides: tuple[str, ...]
     task_name: str
-    notes: tuple[LocatedProblem, ...] = ()
+    notes: tuple[Problem, ...] = ()
     source: Callable[[str], str] = field(default=lambda path: "", repr=False, compare=False)
     prepared: PreparedScene = field(default_factory=PreparedScene, repr=False, compare=False)
 
     @cached_property
     def root(self) -> RootCfg:
-        """The config as data classes, everything filled in; not to be changed, see `changed`."""
+        """The config as data classes with all values; do not modify it, use `changed`."""
         checked = check_types(thaw(self.tree))
         if checked.root is None or checked.problems:
             raise ConfigError(checked.problems)
@@ -56,32 +70,41 @@ class Resolved:
     @property
     def env_cfg(self) -> EnvCfg:
         """A fresh `EnvCfg` for `BaseEnv`: `num_envs`, `seed` and `sim_cfg` filled in."""
-        cfg = derive.env_cfg(self.root)
+        root, cfg = self.root, copy.deepcopy(self.root.task)
+        cfg.num_envs = root.num_envs or 1
+        cfg.seed = root.seed
+        cfg.sim_cfg = SimulationManagerCfg(
+            headless=root.viewer.name != "native",
+            window_env=root.viewer.env,
+            num_envs=cfg.num_envs,
+            sim_device=root.device or "cpu",
+            num_threads=root.sim.num_threads,
+            persistent=root.sim.persistent,
+        )
         cfg.sim_cfg.prepared_scene = self.prepared
         return cfg
 
     def changed(self, **values: Any) -> Resolved:
-        """Return the config with other values of keys of the root."""
+        """Return a copy with other values for keys of the root."""
         return replace(self, tree=freeze({**self.tree, **values}))
 
     @contextmanager
     def locating(self, section: str = "") -> Iterator[None]:
-        """Give the mistakes of a `ConfigError` raised inside the places where they were written.
+        """Add file and line to the mistakes of a `ConfigError` raised inside the context.
 
         Args:
-            section: What their key paths are relative to; empty is the root.
+            section: The key that their key paths are relative to; empty is the root.
         """
         try:
             yield
         except ConfigError as error:
             raise type(error)([self._located(p, section) for p in error.problems]) from error
 
-    def _located(self, problem: Problem, section: str) -> LocatedProblem:
-        if isinstance(problem, LocatedProblem):
+    def _located(self, problem: Problem, section: str) -> Problem:
+        if problem.source:
             return problem
         path = ".".join(part for part in (section, problem.path) if part)
-        source = self.source(path) if path else ""
-        return LocatedProblem.of(Problem(path, problem.message, problem.hint), source)
+        return problem.at(self.source(path) if path else "", path)
 
 
 def resolve(
@@ -89,26 +112,22 @@ def resolve(
     verb: Verb = "run",
     config_dir: str | Path | None = None,
 ) -> Resolved:
-    """Check a config as a whole and fill in what follows.
+    """Check a whole config and fill in defaults and derived values.
 
     Args:
-        config: What `compose` returned, or overrides.
-        verb: Whose suggested values count.
-        config_dir: With overrides: searched first.
+        config: The result of `compose`, or overrides.
+        verb: The verb for which the task's suggestions are used.
+        config_dir: With overrides: a folder searched first.
 
     Raises:
-        ConfigError: Holds every mistake as a `LocatedProblem`.
+        ConfigError: Lists every mistake with its place.
     """
     composed = config if isinstance(config, Composed) else compose(config, verb, config_dir)
     found = check(composed, verb)
-    if found.problems:
-        raise ConfigError(found.problems)
-    tree, raised = derive.with_armature(derive.settle(found.types.tree, verb), found.scene)
-    name = composed.choices.get("task") or "task"
-    name = name.rpartition("/")[2]
-    source = partial(source_of, composed=composed)
-    notes = (*composed.notes, *raised)
-    return Resolved(freeze(tree), composed.overrides, name, notes, source, found.scene)
+    name = (composed.choices.get("task") or "task").rpartition("/")[2]
+    resolved = _resolved(found, verb, name, composed.source)
+    notes = (*composed.notes, *resolved.notes)
+    return replace(resolved, overrides=composed.overrides, notes=notes)
 
 
 def resolve_tree(
@@ -119,21 +138,123 @@ def resolve_tree(
     task_name: str = "task",
     allow_import: bool = False,
 ) -> Resolved:
-    """Check a config that was dumped: a run folder's `config.yaml`, a log's attachment.
+    """Check a dumped config: a run folder's `config.yaml` or a log's attachment.
 
     Args:
         tree: The loaded YAML.
-        source: What messages call it, or from a key path to where the key was set.
-        verb: Whose suggested values count, where keys are still null.
-        task_name: What the task is called; the tree does not say.
+        source: Its name in messages, or a function from a key path to where the key was set.
+        verb: The verb for which the task's suggestions are used, for null keys.
+        task_name: The task's name, which the tree does not contain.
         allow_import: Whether its ``package.module:function`` may be imported.
 
     Raises:
-        ConfigError: Holds every mistake as a `LocatedProblem`.
+        ConfigError: Lists every mistake with its place.
     """
-    found = check_tree(tree, verb, allow_import=allow_import)
     located = source if callable(source) else lambda path: source
+    found = check_tree(tree, located, verb, allow_import=allow_import)
+    return _resolved(found, verb, task_name, located)
+
+
+def _resolved(found: Check, verb: Verb, task_name: str, source: Callable[[str], str]) -> Resolved:
+    """The checked config; raises if it has mistakes."""
     if found.problems:
-        raise ConfigError([LocatedProblem.of(p, located(p.path)) for p in found.problems])
-    settled, raised = derive.with_armature(derive.settle(found.types.tree, verb), found.scene)
-    return Resolved(freeze(settled), (), task_name, raised, located, found.scene)
+        raise ConfigError(found.problems)
+    tree, notes = _with_armature(_with_defaults(found.types.tree, verb), found.scene)
+    return Resolved(freeze(tree), (), task_name, notes, source, found.scene)
+
+
+def _with_defaults(tree: Mapping[str, Any], verb: Verb) -> dict[str, Any]:
+    """A copy with defaults for null keys; a null seed is drawn, so that it can be recorded."""
+    filled = copy.deepcopy(dict(tree))
+    for key, default in _DEFAULTS[verb].items():
+        if filled.get(key) is None:
+            filled[key] = default
+    if filled.get("seed") is None:
+        filled["seed"] = secrets.randbits(_SEED_BITS)
+    return filled
+
+
+def _with_armature(
+    tree: Mapping[str, Any], prepared: PreparedScene
+) -> tuple[dict[str, Any], tuple[Problem, ...]]:
+    """A copy with default armature for joints without one; a note for each changed articulation.
+
+    Only joints for which the task gives no armature are changed; the articulations' configs in
+    `prepared` get the same change.
+    """
+    changed, notes = copy.deepcopy(dict(tree)), []
+    for path, raised in prepared.settle_armature().items():
+        entity = changed["task"]
+        for key in path.split("."):
+            entity = entity[key]
+        drives = entity["drive_pros"] = dict(entity.get("drive_pros") or {})
+        names = {exact_pattern(name): value for name, value in raised.items()}
+        drives["armature"] = {**(drives.get("armature") or {}), **names}
+        listed = ", ".join(f"{name}: {value:.4g}" for name, value in raised.items())
+        message = f"raised to {{{listed}}}, because limited drives would chatter at the time step"
+        notes.append(Problem(f"task.{path}.drive_pros.armature", message))
+    return changed, tuple(notes)
+
+
+def write_record(folder: Path, resolved: Resolved, argv: Sequence[str] | None = None) -> None:
+    """Write ``config.yaml``, ``overrides.yaml``, ``command.txt`` and ``versions.json``.
+
+    Args:
+        folder: A claimed folder.
+        resolved: The config of the run.
+        argv: The command line; None is that of this process.
+
+    Raises:
+        ConfigError: A file cannot be written (the disk is full); gives its name and the reason.
+    """
+    command = shlex.join(sys.argv if argv is None else argv)
+    files = {
+        CONFIG: dump_yaml(resolved.tree),
+        "overrides.yaml": dump_yaml(list(resolved.overrides)),
+        "command.txt": f"cd {shlex.quote(str(Path.cwd()))}\n{command}\n",
+        "versions.json": json.dumps(versions(), indent=2) + "\n",
+    }
+    for name, text in files.items():
+        try:
+            write_text(folder / name, text)
+        except OSError as error:
+            raise ConfigError(f"cannot write {folder / name}: {error}") from error
+
+
+def freeze(value: Any) -> Any:
+    """Return an immutable deep copy: read-only mappings, and tuples for lists."""
+    if isinstance(value, Mapping):
+        return MappingProxyType({key: freeze(item) for key, item in value.items()})
+    if isinstance(value, (list, tuple)):
+        return tuple(freeze(item) for item in value)
+    return value
+
+
+def thaw(value: Any) -> Any:
+    """Return a mutable deep copy of a result of `freeze`: dicts and lists."""
+    if isinstance(value, Mapping):
+        return {key: thaw(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [thaw(item) for item in value]
+    return value
+
+
+def dump_yaml(value: Any) -> str:
+    """Return a tree as YAML, with keys in order, no aliases, and lists of scalars on one line."""
+    text: str = yaml.dump(
+        thaw(value),
+        Dumper=_Dumper,
+        sort_keys=False,
+        allow_unicode=True,
+        width=100,
+        default_flow_style=None,
+    )
+    return text
+
+
+class _Dumper(yaml.SafeDumper):
+    """Writes shared parts in full: anchors would depend on how the tree was built."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        """Never write an alias."""
+        return True

@@ -1,61 +1,62 @@
-"""A run's own folder: claimed once, never shared, holding what it takes to do the run again.
+"""Run folders, each used by one run only, and found again by name.
 
-`OUTPUT/DATE/TIME_TASK` is made by an exclusive mkdir; `OUTPUT/latest` is a link to the newest. What
-a verb writes into it besides (log, summary, checkpoints) is the verb's.
+`OUTPUT/DATE/TIME_TASK` is made by an exclusive mkdir; `OUTPUT/latest` links to the newest.
 """
 
 from __future__ import annotations
 
 import contextlib
 import importlib.metadata
-import json
 import os
 import platform
 import re
-import shlex
-import sys
-from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
 
-from embodichain import __version__
-from embodichain.config.frozen import dump_yaml
-from embodichain.config.resolved import Resolved
-from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError
 
-__all__ = ["adopt", "claim", "find_run", "versions", "write_record"]
+__all__ = [
+    "CHECKPOINT",
+    "CONFIG",
+    "LOG",
+    "SUMMARY",
+    "adopt",
+    "claim",
+    "find_run",
+    "named_checkpoint",
+    "newest_run",
+    "versions",
+]
 
+CONFIG = "config.yaml"
+"""File name of a run's config in its folder."""
+LOG = "rollout.mcap"
+"""File name of a run's log."""
+CHECKPOINT = "checkpoints/final.zip"
+"""Path of a training's final policy in its folder."""
+SUMMARY = "summary.json"
+"""File name of a run's summary."""
 LATEST = "latest"
 _MOST_SUFFIXES = 10_000
 _PACKAGES = (
-    "mujoco",
-    "numpy",
-    "torch",
-    "tensordict",
-    "gymnasium",
-    "stable-baselines3",
-    "hydra-core",
-    "omegaconf",
-    "pydantic",
-    "mcap",
-    "protobuf",
+    *("embodichain", "mujoco", "numpy", "torch", "tensordict", "gymnasium", "stable-baselines3"),
+    *("hydra-core", "omegaconf", "pydantic", "mcap", "protobuf"),
 )
 
 
 def claim(output_root: str | Path, task: str, now: datetime | None = None) -> Path:
-    """Make a new folder for a run, and let ``latest`` point to it.
+    """Make a new folder for a run, and link ``latest`` to it.
 
     Args:
-        output_root: Made when missing.
-        task: Part of the name.
-        now: Its date and time; None is the present, local time.
+        output_root: The folder of runs, created if missing.
+        task: The task's name, part of the folder's name.
+        now: Date and time in the folder's name; None is the current local time.
 
     Returns:
-        ``output_root/YYYY-MM-DD/HH-MM-SS_task``, with ``_2``, ``_3``... where that is taken.
+        ``output_root/YYYY-MM-DD/HH-MM-SS_task``, with ``_2``, ``_3``... if that exists.
 
     Raises:
-        ConfigError: The folder cannot be made; says why.
+        ConfigError: The folder cannot be made; gives the reason.
     """
     root = Path(output_root)
     moment = now or datetime.now()
@@ -71,54 +72,29 @@ def claim(output_root: str | Path, task: str, now: datetime | None = None) -> Pa
 
 
 def adopt(folder: str | Path) -> Path:
-    """Take a folder of a fixed name, as a sweep's jobs have, for one run.
+    """Claim a folder with a given name for one run, as for the jobs of a sweep.
 
     Raises:
-        ConfigError: It holds a run already, or cannot be made.
+        ConfigError: The folder already contains a run, or cannot be made.
     """
     path = Path(folder)
     try:
         path.mkdir(parents=True, exist_ok=True)
-        with (path / "config.yaml").open("x"):
-            pass  # whoever makes this file owns the folder
+        with (path / CONFIG).open("x"):
+            pass  # the process that makes this file owns the folder
     except FileExistsError as error:
-        raise ConfigError(f"{path} holds a run already; it is never used again") from error
+        raise ConfigError(f"{path} has a run already; it is never used again") from error
     except OSError as error:
         raise ConfigError(f"cannot make the run folder {path}: {error}") from error
     return path
 
 
-def write_record(folder: Path, resolved: Resolved, argv: Sequence[str] | None = None) -> None:
-    """Write ``config.yaml``, ``overrides.yaml``, ``command.txt`` and ``versions.json``.
-
-    Args:
-        folder: A claimed folder.
-        resolved: The config of the run.
-        argv: The command line; None is this process's own.
-
-    Raises:
-        ConfigError: Something cannot be written (the disk is full); says what and why.
-    """
-    command = shlex.join(sys.argv if argv is None else argv)
-    files = {
-        "config.yaml": dump_yaml(resolved.tree),
-        "overrides.yaml": dump_yaml(list(resolved.overrides)),
-        "command.txt": f"cd {shlex.quote(str(Path.cwd()))}\n{command}\n",
-        "versions.json": json.dumps(versions(), indent=2) + "\n",
-    }
-    for name, text in files.items():
-        try:
-            write_text(folder / name, text)
-        except OSError as error:
-            raise ConfigError(f"cannot write {folder / name}: {error}") from error
-
-
 def find_run(name: str | Path, output_root: str | Path = "outputs") -> Path:
-    """Return the folder of a run that exists.
+    """Return the folder of an existing run.
 
     Args:
-        name: Its path, or ``last`` for what ``latest`` points to.
-        output_root: Where ``latest`` is.
+        name: Its path, or ``last`` for the run that ``latest`` links to.
+        output_root: The folder that contains ``latest``.
 
     Raises:
         ConfigError: There is no such run.
@@ -130,9 +106,35 @@ def find_run(name: str | Path, output_root: str | Path = "outputs") -> Path:
     return path.resolve()
 
 
+def newest_run(output_root: str | Path, holding: str) -> Path | None:
+    """Return the folder of the newest run that contains a file, or None.
+
+    Args:
+        output_root: The folder of runs; the jobs of sweeps are searched too.
+        holding: The file's path in a run's folder; may be a pattern (``*.zip``).
+    """
+    runs = [file.parent for file in Path(output_root).rglob(CONFIG)]
+    found = [run for run in runs if any(file.is_file() for file in run.glob(holding))]
+    return max(found, key=_began).resolve() if found else None
+
+
+def named_checkpoint(path: str | Path) -> Path:
+    """Return the path if it exists, else the checkpoint that it names without ``.zip``.
+
+    ``RUN/best`` and ``RUN/checkpoints/best`` are both ``RUN/checkpoints/best.zip``.
+
+    Args:
+        path: As typed; returned unchanged if none of these exist.
+    """
+    given = Path(path)
+    file = f"{given.name}.zip"
+    choices = (given, given.parent / file, given.parent / Path(CHECKPOINT).parent / file)
+    return next((choice for choice in choices if choice.exists()), given)
+
+
 def versions() -> dict[str, str | None]:
-    """Return the versions of everything that can change a result; None for what is not there."""
-    found: dict[str, str | None] = {"embodichain": __version__, "python": platform.python_version()}
+    """Return the versions of software that can change a result; None if it is not installed."""
+    found: dict[str, str | None] = {"python": platform.python_version()}
     for package in _PACKAGES:
         found[package] = None
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
@@ -157,3 +159,8 @@ def _point_latest(root: Path, folder: Path) -> None:
     temporary = root / f".{LATEST}.{folder.parent.name}.{folder.name}"
     temporary.symlink_to(folder.relative_to(root), target_is_directory=True)
     os.replace(temporary, link)
+
+
+def _began(run: Path) -> tuple[int, str]:
+    """Sort key by the time when a run began: its config is written once, at the start."""
+    return (run / CONFIG).stat().st_mtime_ns, str(run)

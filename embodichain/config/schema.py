@@ -1,7 +1,7 @@
-"""The root of a config as data classes: what YAML and the command line are checked against.
+"""The root of a config as data classes, against which YAML and the command line are checked.
 
-`task` is the very `EnvCfg` that the Python API uses; the keys of it that stand at the root here are
-refused below `task` (`ROOT_INSTEAD`). No torch, no Hydra.
+`task` is the same `EnvCfg` as in the Python API; those of its keys that are root keys here are
+refused below `task` (`ROOT_INSTEAD`). Imports neither torch nor Hydra.
 """
 
 from __future__ import annotations
@@ -18,42 +18,47 @@ __all__ = [
     "LARGEST_TRAINING_SEED",
     "ROOT_INSTEAD",
     "SUGGESTED_KEYS",
+    "VERBS",
     "CheckpointCfg",
     "EvalCfg",
     "PolicyCfg",
     "RecordCfg",
     "RootCfg",
     "SimCfg",
+    "Verb",
     "ViewerCfg",
     "WandbCfg",
 ]
 
 ROOT_INSTEAD = {
-    "num_envs": "it stands at the root: num_envs=N",
-    "seed": "it stands at the root: seed=N",
+    "num_envs": "it is a key of the root: num_envs=N",
+    "seed": "it is a key of the root: seed=N",
     "sim_cfg": "use task.physics for the physics and the group sim for how it runs",
 }
-"""Fields of `EnvCfg` that a task file must not set, and where their value goes instead."""
+"""Fields of `EnvCfg` that a task file must not set -> what to use instead."""
+
+Verb = Literal["run", "train"]
+VERBS: tuple[Verb, ...] = ("run", "train")
 
 LARGEST_TRAINING_SEED = 2**32 - 1
-"""Stable-Baselines3 seeds numpy's global generator, which takes no larger one."""
+"""Largest seed of numpy's global generator, which Stable-Baselines3 seeds."""
 
 PositiveInt = Annotated[int, Field(ge=1)]
 
 
 @configclass
 class SimCfg:
-    """How a scene is run; what it is stands in the task."""
+    """How the simulation runs; the scene itself is in the task."""
 
     engine: Literal["mujoco"] = "mujoco"
     """`mujoco.batch` on the CPU."""
     backend: Literal["local"] = "local"
-    """Where environments live: in this process."""
+    """Where environments run: in this process."""
     num_threads: Annotated[int, Field(ge=0)] = 0
-    """Physics threads; 0 is every core the process may use."""
+    """Physics threads; 0 is one for every core that the process may use."""
     persistent: bool | None = None
-    """One MjData an environment (True) or a thread (False); None is the former only for a model
-    that needs it (sleep, IPC, plugins)."""
+    """One MjData per environment (True) or per thread (False); None is True only for a model that
+    needs it (sleep, IPC, plugins)."""
 
 
 @configclass
@@ -62,30 +67,30 @@ class RecordCfg:
 
     format: Literal["mcap", "none"] = "mcap"
     state: Literal["all", "keyframes", "none"] = "all"
-    """`all` keeps what `replay --verify` needs of every environment; `keyframes` too, in less."""
+    """`all` and the smaller `keyframes` record all that `replay --verify` needs."""
     keyframe_every: Annotated[int, Field(ge=1)] = 100
-    """Control steps from one state to the next with `keyframes`."""
+    """With `keyframes`: control steps between two recorded states."""
     every: Annotated[int, Field(ge=1)] = 1
-    """k records every k-th episode of the first viewed environment, and all others meanwhile."""
+    """k records all environments during every k-th episode of the first viewed environment."""
     max_mb: Annotated[float, Field(gt=0)] | None = None
-    """Megabytes after which the log goes on in another file."""
+    """Megabytes after which the log continues in another file."""
     compression: Literal["zstd", "lz4", "none"] = "zstd"
     view_envs: list[Annotated[int, Field(ge=0)]] = [0]
-    """Environments that people look at: transforms, shapes, joint states."""
+    """Environments recorded for viewers: transforms, shapes, joint states."""
     view_hz: Annotated[float, Field(gt=0)] = 10.0
-    """Of simulated time."""
+    """Rate of these in simulated time, Hz."""
 
 
 @configclass
 class ViewerCfg:
-    """How people look on while it runs."""
+    """The viewer of a run."""
 
     name: Literal["none", "native", "web", "foxglove"] = "none"
     """`native` is MuJoCo's window; `web` and `foxglove` serve a page and a WebSocket."""
     host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
-    """The address that is listened on; nobody is asked for a password."""
+    """The address to listen on; there is no password."""
     port: Annotated[int, Field(ge=1, le=65535)] | None = None
-    """None is the viewer's own: the first free one from 8080 for `web`, 8765 for `foxglove`."""
+    """None is the viewer's default: the first free port from 8080 (`web`) or 8765 (`foxglove`)."""
     env: Annotated[int, Field(ge=0)] = 0
     """The environment that is shown first."""
 
@@ -101,27 +106,27 @@ class PolicyCfg:
 
 @configclass
 class CheckpointCfg:
-    """When a training writes checkpoints, besides the final one."""
+    """When a training writes checkpoints before the final one."""
 
     every_steps: PositiveInt | None = None
     """Environment steps between two, rounded up to whole rollouts; null is a tenth of all."""
     keep: Annotated[int, Field(ge=0)] = 3
-    """How many of these are kept; `best` and `final` are kept anyway."""
+    """How many of these are kept; `best` and `final` are always kept."""
     replay_buffer: bool = False
-    """Whether these and `final` have the replay buffer of algorithms that learn from one."""
+    """Whether checkpoints include the replay buffer, for algorithms that have one."""
 
 
 @configclass
 class EvalCfg:
-    """The evaluation that ends a training; `record` and `video` are of its episodes."""
+    """The evaluation at the end of a training; `record` and `video` apply to its episodes."""
 
     episodes: Annotated[int, Field(ge=0)] = 100
-    """Over all environments; 0 is no evaluation."""
+    """Episodes over all environments; 0 is no evaluation."""
 
 
 @configclass
 class WandbCfg:
-    """Whether the numbers of a training go to Weights & Biases as well (extra `wandb`)."""
+    """Logging of a training to Weights & Biases (extra `wandb`)."""
 
     mode: Literal["disabled", "online", "offline"] = "disabled"
     """`offline` only writes files, for `wandb sync`."""
@@ -129,14 +134,14 @@ class WandbCfg:
     entity: str | None = None
     """User or team; null is the user's default."""
     name: str | None = None
-    """Of the run; null is the name of its folder."""
+    """Name of the run; null is the name of its folder."""
     group: str | None = None
     tags: list[str] = []
 
 
 @configclass
 class RootCfg:
-    """Everything one execution is told. Null keys are filled by `derive`."""
+    """The root of a config. Null keys are filled from the task's suggestions, then defaults."""
 
     task: EnvCfg
     sim: SimCfg = SimCfg()
@@ -147,25 +152,25 @@ class RootCfg:
     seed: Annotated[int, Field(ge=0, lt=2**63)] | None = None
     device: str | None = None
     episodes: PositiveInt | None = None
-    """For each environment."""
+    """Episodes of each environment."""
     max_steps: PositiveInt | None = None
     """Control steps; None is no limit."""
     total_timesteps: PositiveInt | None = None
     """Control steps of training, summed over environments."""
     policy: str | PolicyCfg | None = None
     allow_changed: bool = False
-    """Whether a trained policy acts, and a training goes on, in a task that changed since."""
+    """Whether a policy or a resumed training may be used in a task that changed since training."""
     resume: str | None = None
     """A training run's folder, or ``last``."""
     checkpoint: CheckpointCfg = CheckpointCfg()
     eval: EvalCfg = EvalCfg()
     wandb: WandbCfg = WandbCfg()
     video: bool | None = None
-    """Whether the first environment of the log is filmed, too."""
+    """Whether a video of the log's first environment is written."""
     scene_png: bool = True
-    """Whether `run` draws the first environment as it starts."""
+    """Whether `run` writes a picture of the first environment at its start."""
     gym_config: str | None = None
-    """The file of EmbodiChain's that the task was converted from."""
+    """EmbodiChain's gym config that the task was converted from."""
     output_dir: str = "outputs"
     quiet: bool = False
     json: bool = False

@@ -1,15 +1,18 @@
 """All checks of a config in one report: types, values, terms, scene; each mistake with its place.
 
-The checks themselves live where their subjects do: types in `check_types`, terms in
-`lab.gym.envs.managers`, the scene in `lab.gym.envs.scene_check`.
+Types are checked by `check_types`, terms by `lab.gym.envs.managers.check`, the scene by
+`lab.gym.envs.scene_setup`; values of the root and of the task are checked here.
 """
 
 from __future__ import annotations
 
 import copy
+import dataclasses
 import re
-from collections.abc import Iterable, Mapping, Sequence
+import typing
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +20,8 @@ from hydra.core.override_parser.types import OverrideType
 
 from embodichain.config.check_types import TypeCheck, check_types
 from embodichain.config.composed import Composed
-from embodichain.config.derive import Chosen, Verb, fill
-from embodichain.config.introspect import is_named_map, type_at
-from embodichain.config.locate import COMMAND_LINE, LocatedProblem
-from embodichain.config.newest import CHECKPOINT, named_checkpoint, newest_run
-from embodichain.config.schema import LARGEST_TRAINING_SEED, SUGGESTED_KEYS, RootCfg
+from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
+from embodichain.config.schema import LARGEST_TRAINING_SEED, SUGGESTED_KEYS, VERBS, RootCfg, Verb
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.managers.check import check_terms
 from embodichain.lab.gym.envs.managers.registry import SECTIONS
@@ -31,22 +31,25 @@ from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 from embodichain.utils.type_errors import show_value, unknown_key
 
-__all__ = ["Check", "check", "check_tree", "source_of", "validate"]
+__all__ = ["Check", "check", "check_training_keys", "check_tree", "validate"]
+
+Chosen = Callable[[str, str], bool]
+"""``chosen(path, package)``: whether a key was set outside the group option at `package`."""
 
 _SAME = {"episode_length_s": "max_episode_steps", "decimation": "sim_steps_per_control"}
-"""Task keys that win over another one when given, see `EnvCfg`."""
+"""Task keys that override another key if set, see `EnvCfg`."""
 _ENTITY = re.compile(r"task(\.(robot|(robots|objects|articulations)(\.[^.]+)?)(\.(uid|fpath))?)?")
-"""Paths whose loss makes references to entities fail that are not wrong."""
+"""If such a key was pruned, references to entities may fail without being wrong."""
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """A config that was checked as a whole.
+    """The result of checking a whole config.
 
     Attributes:
-        problems: Every mistake; empty is good.
+        problems: Every mistake; empty if there is none.
         types: The config with the task's suggestions, as plain values and as data classes.
-        scene: The scene as it was read and compiled for the check.
+        scene: The scene that was compiled for the check.
     """
 
     problems: list[Problem]
@@ -54,61 +57,50 @@ class Check:
     scene: PreparedScene
 
 
-def validate(composed: Composed, verb: Verb = "run") -> list[LocatedProblem]:
-    """Return every mistake of a composed config, with those found while composing; empty is good.
+def validate(composed: Composed, verb: Verb = "run") -> list[Problem]:
+    """Return every mistake of a composed config, including those found while composing.
 
     Args:
-        composed: What `compose` returned.
-        verb: Whose suggested values count.
+        composed: The result of `compose`.
+        verb: The verb for which the task's suggestions are used.
     """
-    problems = check(composed, verb).problems
-    return [p if isinstance(p, LocatedProblem) else LocatedProblem.of(p, "") for p in problems]
+    return check(composed, verb).problems
 
 
 def check(composed: Composed, verb: Verb) -> Check:
-    """Check a composed config as a whole; its problems are `LocatedProblem`s.
-
-    Args:
-        composed: What `compose` returned.
-        verb: Whose suggested values count.
-    """
-    problems = list(composed.problems)
+    """Check a whole composed config, with the task's suggestions for a verb."""
+    unknown: list[Problem] = []
     if composed.usable:
         unknown = _unknown_entries(composed)
-        lost = [p.path for p in (*problems, *unknown)]
+        lost = [p.path for p in (*composed.problems, *unknown)]
         unknown += _said_twice(composed)
         chosen = composed.locator.chosen
-        found = check_tree(composed.tree, verb, chosen=chosen, lost=lost)
+        found = check_tree(composed.tree, composed.source, verb, chosen=chosen, lost=lost)
     else:
-        unknown, types = [], check_types({**composed.tree, "task": {}})
-        found = Check(types.problems, types, PreparedScene())
-    all_found = [*unknown, *found.problems]
-    located = [LocatedProblem.of(p, source_of(p.path, composed)) for p in all_found]
-    return replace(found, problems=[*problems, *located])
-
-
-def source_of(path: str, composed: Composed) -> str:
-    """Return where a key was set: ``FILE:LINE``, or the command line, also for a null root key."""
-    if "." not in path and composed.tree.get(path) is None:
-        return COMMAND_LINE
-    return composed.locator.source(path)
+        types = check_types({**composed.tree, "task": {}})
+        found = Check(_located(types.problems, composed.source), types, PreparedScene())
+    before = [*composed.problems, *_located(unknown, composed.source)]
+    return replace(found, problems=[*before, *found.problems])
 
 
 def check_tree(
     tree: Mapping[str, Any],
+    source: Callable[[str], str],
     verb: Verb = "run",
     *,
     chosen: Chosen | None = None,
     lost: Sequence[str] = (),
     allow_import: bool = True,
 ) -> Check:
-    """Check a plain tree; mistakes are found by key path.
+    """Check a plain tree.
 
     Args:
-        tree: A composed config, or one that was dumped.
-        verb: Whose suggested values count.
-        chosen: See `derive.fill`.
-        lost: Paths that are known to be wrong; nothing more is said of them.
+        tree: A composed or dumped config.
+        source: Function from a key path to where the key was set.
+        verb: The verb for which the task's suggestions are used.
+        chosen: Whether the user set a key of `algo`, which then overrides the task's suggestion.
+            None means that the user set all of them.
+        lost: Key paths known to be wrong; they are not reported again.
         allow_import: Whether ``package.module:function`` may be imported.
     """
     rest = copy.deepcopy(dict(tree))
@@ -117,13 +109,18 @@ def check_tree(
     problems = _check_suggested(rest)
     for problem in problems:
         _remove(rest, ".".join(problem.path.split(".")[:4]))  # task.suggested.VERB.KEY
-    types = check_types(fill(rest, verb, chosen))
+    types = check_types(_with_suggestions(rest, verb, chosen))
     problems += types.problems
     missing, scene = [*lost, *types.pruned], PreparedScene()
     if types.root is not None:
         further = _check_meaning(types.root, verb, missing, allow_import, scene)
         problems += [p for p in further if not _below(p.path, missing)]
-    return Check(list({p.path + p.message: p for p in problems}.values()), types, scene)
+    distinct = {p.path + p.message: p for p in problems}.values()
+    return Check(_located(distinct, source), types, scene)
+
+
+def _located(problems: Iterable[Problem], source: Callable[[str], str]) -> list[Problem]:
+    return [p.at(source(p.path)) for p in problems]
 
 
 def _check_meaning(
@@ -133,27 +130,35 @@ def _check_meaning(
     allow_import: bool,
     scene: PreparedScene,
 ) -> list[Problem]:
-    """Values, terms and scene, of what has the right types."""
-    problems = _check_root(root, allow_import=allow_import)
-    problems += _check_task(root.task, allow_import=allow_import)
-    if verb == "train" and root.total_timesteps is None:
-        message = "missing value: set it, or task.suggested.train.total_timesteps"
-        problems.append(Problem("total_timesteps", message))
-    if verb == "train" and root.seed is not None and root.seed > LARGEST_TRAINING_SEED:
-        message = f"training needs a seed from 0 to {LARGEST_TRAINING_SEED}, got {root.seed}"
-        problems.append(Problem("seed", message))
+    """Check values, terms and scene of the keys that have the right types."""
+    problems = _check_root(root, allow_import)
+    problems += _check_task(root.task, allow_import)
+    if verb == "train":
+        problems += check_training_keys(root)
     known = {p.path for p in problems}
     in_task = check_terms(root.task, allow_import=allow_import)
     if not any(_ENTITY.fullmatch(path) for path in missing):
-        from embodichain.lab.gym.envs.scene_check import describe  # imports MuJoCo
+        from embodichain.lab.gym.envs.scene_setup import describe  # imports MuJoCo
 
         in_task += describe(root.task, scene)
-    found = [Problem(_in_task(p.path), p.message, p.hint) for p in in_task]
+    found = [replace(p, path=f"task.{p.path}".rstrip(".")) for p in in_task]
     return problems + [p for p in found if p.path not in known]
 
 
+def check_training_keys(root: RootCfg) -> list[Problem]:
+    """Check the keys that only a training needs: its length, and a seed that SB3 accepts."""
+    problems = []
+    if root.total_timesteps is None:
+        message = "missing value: set it, or task.suggested.train.total_timesteps"
+        problems.append(Problem("total_timesteps", message))
+    if root.seed is not None and root.seed > LARGEST_TRAINING_SEED:
+        message = f"training needs a seed from 0 to {LARGEST_TRAINING_SEED}, got {root.seed}"
+        problems.append(Problem("seed", message))
+    return problems
+
+
 def _said_twice(composed: Composed) -> list[Problem]:
-    """Two names of one thing, both set: the one that would lose is usually the one just typed."""
+    """A problem for each pair of keys that set the same value: one of them would be ignored."""
     task = composed.tree.get("task")
     problems = []
     for name, other in _SAME.items():
@@ -166,18 +171,29 @@ def _said_twice(composed: Composed) -> list[Problem]:
 
 
 def _unknown_entries(composed: Composed) -> list[Problem]:
-    """Overrides that would make a new entity or term by misspelling one; `+` says it is meant."""
+    """Overrides without `+` for an entity or term that does not exist; `+` would add it."""
     problems: dict[str, Problem] = {}
     for override in composed.locator.overrides:
         parts = override.key_or_group.split(".")
         if override.type is not OverrideType.CHANGE:
             continue
-        for depth in range(1, len(parts)):
-            if is_named_map(type_at(RootCfg, parts[:depth], composed.tree)):
-                path = ".".join(parts[: depth + 1])
-                if not composed.locator.sets(path):
-                    problems[path] = _unknown_entry(path, composed)
+        for depth in range(2, len(parts)):
+            path = ".".join(parts[: depth + 1])
+            named = parts[0] == "task" and depth == 2 and parts[1] in _named_maps()
+            if named and not composed.locator.sets(path):
+                problems[path] = _unknown_entry(path, composed)
     return list(problems.values())
+
+
+@cache
+def _named_maps() -> set[str]:
+    """The keys of a task that are maps from names to entities or terms."""
+    hints = typing.get_type_hints(EnvCfg)
+    return {
+        key
+        for key, hint in hints.items()
+        if typing.get_origin(hint) is dict and dataclasses.is_dataclass(typing.get_args(hint)[1])
+    }
 
 
 def _unknown_entry(path: str, composed: Composed) -> Problem:
@@ -189,10 +205,6 @@ def _unknown_entry(path: str, composed: Composed) -> Problem:
     message = f"there is no {name!r} in {section}; there are: {', '.join(names) or 'none'}."
     hint = did_you_mean(name, names).strip() or f"Add one with +{path}={{...}}"
     return Problem(path, message, hint)
-
-
-def _in_task(path: str) -> str:
-    return f"task.{path}" if path else "task"
 
 
 def _below(path: str, ancestors: Iterable[str]) -> bool:
@@ -208,13 +220,8 @@ def _remove(tree: dict[str, Any], path: str) -> None:
         node.pop(name, None)
 
 
-def _check_root(root: RootCfg, *, allow_import: bool = True) -> list[Problem]:
-    """Check the everyday keys.
-
-    Args:
-        root: What passed the check of types.
-        allow_import: Whether a policy may be imported to read its signature.
-    """
+def _check_root(root: RootCfg, allow_import: bool) -> list[Problem]:
+    """Check the everyday keys; a policy is imported to read its signature, if that is allowed."""
     problems = _check_device(root.device) + _check_policy(root, allow_import)
     count = root.num_envs or 1
     beyond = [i for i in root.record.view_envs if i >= count]
@@ -230,13 +237,8 @@ def _check_root(root: RootCfg, *, allow_import: bool = True) -> list[Problem]:
     return problems
 
 
-def _check_task(task: EnvCfg, *, allow_import: bool = True) -> list[Problem]:
-    """Check values of a task that belong to no term and no entity.
-
-    Args:
-        task: What passed the check of types.
-        allow_import: Whether the module of an id ``package.module:id`` may be imported.
-    """
+def _check_task(task: EnvCfg, allow_import: bool) -> list[Problem]:
+    """Check values of a task outside its terms and entities."""
     problems = []
     steps = task.max_episode_steps
     if steps < 1 and steps != -1:
@@ -256,22 +258,19 @@ def _check_task(task: EnvCfg, *, allow_import: bool = True) -> list[Problem]:
 
 
 def _check_suggested(tree: Mapping[str, Any]) -> list[Problem]:
-    """Check `task.suggested.run` and `.train` as what they become: values of root keys."""
-    task = tree.get("task")
-    suggested = task.get("suggested") if isinstance(task, Mapping) else None
+    """Check `task.suggested.run` and `.train` as values of root keys."""
     problems: list[Problem] = []
-    for verb in ("run", "train"):
-        values = suggested.get(verb) if isinstance(suggested, Mapping) else None
-        if not isinstance(values, Mapping):
-            continue
+    for verb in VERBS:
+        values = _suggested(tree, verb)
         allowed = [*SUGGESTED_KEYS, *(["algo"] if verb == "train" else [])]
         path = f"task.suggested.{verb}"
         for name in values:
             if name not in allowed:
                 problems.append(Problem(f"{path}.{name}", *unknown_key(name, allowed)))
         known = {k: v for k, v in values.items() if k in allowed}
-        found = check_types({"task": {}, **known})
-        problems += [Problem(f"{path}.{p.path}", p.message, p.hint) for p in found.problems]
+        if known:
+            found = check_types({"task": {}, **known}).problems
+            problems += [replace(p, path=f"{path}.{p.path}") for p in found]
     return problems
 
 
@@ -286,13 +285,14 @@ def _check_device(device: str | None) -> list[Problem]:
 
 
 def _check_policy(root: RootCfg, allow_import: bool) -> list[Problem]:
-    """Check that a policy exists and takes its parameters; a trained one, that its path exists."""
+    """Check that a policy exists and accepts its parameters; for a trained one, that it exists."""
     policy = root.policy
     if policy is None:
         return []
     name = policy if isinstance(policy, str) else policy.func
     if ":" in name and not allow_import:
-        return [Problem("policy", f"{name!r} would be imported, which this config may not ask for")]
+        message = f"{name!r} would be imported, which is not allowed for this config"
+        return [Problem("policy", message)]
     try:
         params = {} if isinstance(policy, str) else {"params": policy.params}
         resolve_policy({"func": name, **params}, load_file=lambda path: _existing(root, path))
@@ -309,3 +309,39 @@ def _existing(root: RootCfg, path: Path) -> Any:
     elif not named_checkpoint(path).exists():
         raise ConfigError([Problem("policy", f"no such file or folder: {path}")])
     return lambda obs, env: None
+
+
+def _with_suggestions(tree: Mapping[str, Any], verb: Verb, chosen: Chosen | None) -> dict[str, Any]:
+    """A copy with the task's suggestions for null keys; see `check_tree`."""
+    filled = copy.deepcopy(dict(tree))
+    suggested = _suggested(filled, verb)
+    for key in SUGGESTED_KEYS:
+        if filled.get(key) is None and suggested.get(key) is not None:
+            filled[key] = suggested[key]
+    algo, mine = filled.get("algo"), suggested.get("algo")
+    if chosen is None or not (isinstance(algo, dict) and isinstance(mine, dict)):
+        return filled
+    if mine.get("name", algo.get("name")) == algo.get("name"):
+        filled["algo"] = _merge_suggested(algo, mine, "algo", chosen)
+    return filled
+
+
+def _suggested(tree: Mapping[str, Any], verb: Verb) -> dict[str, Any]:
+    node: Any = tree
+    for key in ("task", "suggested", verb):
+        node = node.get(key) if isinstance(node, Mapping) else None
+    return dict(node) if isinstance(node, Mapping) else {}
+
+
+def _merge_suggested(
+    algo: dict[str, Any], suggested: dict[str, Any], path: str, chosen: Chosen
+) -> Any:
+    """Merge suggestions over the group option's values, except for keys that the user set."""
+    merged = dict(algo)
+    for key, value in suggested.items():
+        where, mine = f"{path}.{key}", merged.get(key)
+        if isinstance(mine, dict) and isinstance(value, dict):
+            merged[key] = _merge_suggested(mine, value, where, chosen)
+        elif not chosen(where, "algo"):
+            merged[key] = value
+    return merged

@@ -1,6 +1,6 @@
-"""What there is to load: robots and other files of every place, by listing folders.
+"""Lists the robots and other files that can be loaded.
 
-Files are told apart by name and by their first bytes; none is parsed.
+Files are recognized by name and first bytes; none is parsed.
 """
 
 from __future__ import annotations
@@ -10,24 +10,30 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from embodichain.data.menagerie import PREFIX, main_file, menagerie_models, robot_files
-from embodichain.data.places import Place, places
+from embodichain.data.places import (
+    PREFIX,
+    Place,
+    main_file,
+    menagerie_models,
+    places,
+    robot_files,
+)
 
 __all__ = ["Asset", "list_assets", "list_robots"]
 
-_MODEL_DEPTH = 4  # folders below a place that are looked into: deeper ones hold meshes
+_MODEL_DEPTH = 4  # folder depth searched below a place: deeper folders contain meshes
 _MODEL_SUFFIXES = {".urdf", ".xml", ".mjcf"}
 _HEAD_BYTES = 4096
 
 
 @dataclass(frozen=True, slots=True)
 class Asset:
-    """One file that `get_data_path` finds.
+    """A file that `get_data_path` finds.
 
     Attributes:
-        name: What to write as ``fpath``.
+        name: The value for ``fpath``.
         path: The file.
-        source: The place it lies in: ``bundled``, ``example-robot-data``, ...
+        source: The place it is in: ``bundled``, ``example-robot-data``, ...
         format: ``urdf`` or ``mjcf`` for a model, else the suffix without its dot.
     """
 
@@ -38,23 +44,23 @@ class Asset:
 
 
 def list_robots() -> list[Asset]:
-    """Return every robot model (URDF or MJCF), sorted by place and name; Menagerie's come last.
+    """Return every robot model (URDF or MJCF), by place and name; Menagerie's come last.
 
-    A name that a place before it already has is left out, as `get_data_path` would not find it.
+    A model with the name of an earlier one is left out: `get_data_path` would not find it.
     """
     own = (_models(place) for place in places() if place.label != "mujoco_menagerie")
     return list(_unique(itertools.chain(own, [_menagerie()])))
 
 
 def list_assets() -> list[Asset]:
-    """Return every file of the data root and the bundled assets, and all robots of the packages."""
+    """Return all files of the data root and bundled assets, and all robots of packages."""
     own = [place for place in places() if not place.prefix]
     robots = [asset for asset in list_robots() if asset.source not in {p.label for p in own}]
     return [*_unique(_files(place) for place in own), *robots]
 
 
 def _unique(groups: Iterable[Iterable[Asset]]) -> Iterator[Asset]:
-    """Yield the assets of all groups, the first of each name."""
+    """Yield the first asset of each name in all groups."""
     seen: set[str] = set()
     for group in groups:
         for asset in group:
@@ -68,13 +74,13 @@ def _models(place: Place) -> Iterator[Asset]:
     for path in _walk(place.folder, _MODEL_DEPTH):
         if path.suffix.lower() in _MODEL_SUFFIXES:
             kind = _model_format(path)
-            # menagerie keeps scene.xml beside each robot: a floor and lights that include it
+            # Menagerie has a scene.xml beside each robot: the robot with floor and lights
             if kind and not path.stem.startswith("scene"):
                 yield Asset(path.relative_to(place.folder).as_posix(), path, place.label, kind)
 
 
 def _menagerie() -> Iterator[Asset]:
-    """Yield the robots of Menagerie: a model's main file by the model's name, others by theirs."""
+    """Yield Menagerie's robots: main files by the model's name, others also by file name."""
     for name, folder in menagerie_models().items():
         main = main_file(name, folder)
         for path in robot_files(folder):
@@ -92,7 +98,7 @@ def _files(place: Place) -> Iterator[Asset]:
 
 
 def _walk(folder: Path, depth: int) -> Iterator[Path]:
-    """Yield the files below `folder`, at most `depth` folders down, sorted, no hidden ones."""
+    """Yield the files at most `depth` folders below `folder`, sorted, without hidden ones."""
     if not folder.is_dir():
         return
     for entry in sorted(folder.iterdir()):
@@ -106,7 +112,7 @@ def _walk(folder: Path, depth: int) -> Iterator[Path]:
 
 
 def _model_format(path: Path) -> str:
-    """Return ``urdf``, ``mjcf``, or an empty string when the file is neither."""
+    """Return ``urdf`` or ``mjcf``; an empty string for other files."""
     if path.suffix.lower() == ".urdf":
         return "urdf"
     with path.open("rb") as file:

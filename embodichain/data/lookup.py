@@ -1,25 +1,33 @@
-"""Which file a name means: `get_data_path` for robots, `resolve_package_uri` for their meshes.
+"""Finds files by name: `get_data_path` for robots, `resolve_package_uri` for their meshes.
 
-The places themselves are in `places`. Order for a relative name: beside the file that names it, the
-working directory, the data root, bundled assets, installed packages, models in a cache.
+`places` defines the places. Order for a relative name: the folder of the file that refers to it,
+working directory, data root, bundled assets, installed packages, cached models.
 """
 
 from __future__ import annotations
 
 import os
 import re
+import xml.etree.ElementTree as ET
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
 from embodichain.data.catalog import list_robots
-from embodichain.data.errors import DataNotFoundError
-from embodichain.data.menagerie import HOW, PREFIX, find_model, menagerie_models
-from embodichain.data.places import package_parents, places, python_package
+from embodichain.data.places import (
+    HOW,
+    PREFIX,
+    DataNotFoundError,
+    find_model,
+    menagerie_models,
+    package_parents,
+    places,
+    python_package,
+)
 from embodichain.utils.suggest import closest
 
-__all__ = ["get_data_path", "resolve_package_uri"]
+__all__ = ["fault_of", "get_data_path", "resolve_package_uri"]
 
-# package:///NAME/x and package:/NAME/x are seen in the wild for package://NAME/x
+# Some files have package:///NAME/x or package:/NAME/x instead of package://NAME/x.
 _PACKAGE = re.compile(r"package:/+(?P<package>[^/]+)(?:/(?P<rest>.*))?$")
 
 Searched = list[tuple[str, str]]
@@ -28,21 +36,21 @@ Searched = list[tuple[str, str]]
 def get_data_path(name: str | os.PathLike[str], near: str | os.PathLike[str] | None = None) -> str:
     """Return the absolute path of a robot or object file (or folder).
 
-    The first that exists is taken of: an absolute path; ``package://NAME/...`` (see
-    `resolve_package_uri`); ``menagerie:NAME`` (see `menagerie.find_model`); the name beside `near`;
-    in the working directory; in ``$EMBODICHAIN_DATA_ROOT`` (``~/.cache/embodichain_data``); bundled
-    with this package; in example-robot-data, if installed; in a mujoco_menagerie that
-    robot_descriptions has cached.
+    `name` is an absolute path, ``package://NAME/...`` (see `resolve_package_uri`),
+    ``menagerie:NAME`` (see `places.find_model`), or a relative path. The latter is searched in the
+    folder of `near`, the working directory, ``$EMBODICHAIN_DATA_ROOT`` (by default
+    ``~/.cache/embodichain_data``), the assets bundled with this package, example-robot-data if
+    installed, and a mujoco_menagerie cached by robot_descriptions. The first match is returned.
 
     Args:
         name: E.g. ``UniversalRobots/UR10/UR10.urdf``, ``panda_description/urdf/panda.urdf``,
             ``~/robots/mine.urdf``.
-        near: The file that names it, or its folder; None for neither.
+        near: The file that refers to it, or its folder; or None.
 
     Raises:
-        DataNotFoundError: It is nowhere. The message lists the places searched, the closest names,
-            and how to get it.
-        ValueError: `name` is empty.
+        DataNotFoundError: If it is not found. The message lists the places searched, the closest
+            names, and how to get it.
+        ValueError: If `name` is empty.
     """
     text = os.fspath(name)
     if not text:
@@ -64,20 +72,20 @@ def get_data_path(name: str | os.PathLike[str], near: str | os.PathLike[str] | N
 
 
 def resolve_package_uri(uri: str, near: str | os.PathLike[str] | None = None) -> str:
-    """Return the absolute path of a file that a model names, such as a mesh.
+    """Return the absolute path of a file that a model refers to, such as a mesh.
 
     Accepts ``package://NAME/rest``, ``file:///abs``, absolute paths, and paths relative to `near`.
-    A package is looked for among the folders above `near` and beside those (a model in
-    ``NAME/urdf/`` means its own ``NAME``), in `embodichain.data.places.package_parents`, and as a
-    Python package. The first that has the file is taken.
+    A package is searched among the folders above `near` and their siblings (for a model in
+    ``NAME/urdf/``, its own ``NAME``), in `embodichain.data.places.package_parents`, and as a Python
+    package. The first that contains the file is used.
 
     Args:
-        uri: What the model says.
-        near: The model file, or its folder; None: the working directory.
+        uri: The reference in the model.
+        near: The model file, or its folder; None is the working directory.
 
     Raises:
-        DataNotFoundError: The file is in none of them.
-        ValueError: `uri` is empty, or has a scheme other than ``package`` or ``file``.
+        DataNotFoundError: If no place contains the file.
+        ValueError: If `uri` is empty or has a scheme other than ``package`` or ``file``.
     """
     if not uri:
         raise ValueError("empty file name: expected package://NAME/..., file:///... or a path")
@@ -94,7 +102,7 @@ def resolve_package_uri(uri: str, near: str | os.PathLike[str] | None = None) ->
 
 
 def _in_package(uri: str, package: str, rest: str, folder: Path) -> str:
-    """Return the file `rest` of a package, looked for above `folder` first."""
+    """Return the file `rest` of a package, searched above `folder` first."""
     tried = []
     for parent in (folder, *folder.parents):
         if parent.name == package:
@@ -108,13 +116,13 @@ def _in_package(uri: str, package: str, rest: str, folder: Path) -> str:
 
 
 def _folder_of(near: str | os.PathLike[str]) -> Path:
-    """Return the folder itself, or the folder of a file, absolute."""
+    """Return the absolute path of a folder, or of a file's folder."""
     path = Path(near).expanduser().absolute()
     return path if path.is_dir() else path.parent
 
 
 def _first_existing(name: str, tried: list[tuple[str, Path]]) -> str:
-    """Return the first path that exists, without ``..``; raise what was tried otherwise."""
+    """Return the first existing path, without ``..``; else raise with all that were tried."""
     for _, path in tried:
         if path.exists():
             return os.path.abspath(path)
@@ -123,7 +131,7 @@ def _first_existing(name: str, tried: list[tuple[str, Path]]) -> str:
 
 
 def _closest_names(name: str, tried: list[tuple[str, Path]]) -> list[str]:
-    """Return existing names like `name`: whole names, names of the same file, files beside it."""
+    """Return existing names similar to `name`, in full, by file name, or in its folder."""
     match = _PACKAGE.match(name)
     if match:
         return _closest_packages(match["package"], match["rest"] or "", tried)
@@ -139,7 +147,7 @@ def _closest_names(name: str, tried: list[tuple[str, Path]]) -> list[str]:
 
 
 def _closest_packages(package: str, rest: str, tried: list[tuple[str, Path]]) -> list[str]:
-    """Return existing URIs like ``package://<package>/<rest>``: another file, another package."""
+    """Return existing URIs similar to ``package://<package>/<rest>``."""
     base = f"package://{package}"
     found = [f"{base}/{Path(rest).parent / sibling}" for sibling in _siblings(tried)]
     if not found:
@@ -150,7 +158,7 @@ def _closest_packages(package: str, rest: str, tried: list[tuple[str, Path]]) ->
 
 
 def _siblings(tried: list[tuple[str, Path]]) -> list[str]:
-    """Return the names that lie where a path was tried and look like its own."""
+    """Return similar names in the folders of the tried paths."""
     folders = [path for _, path in tried if path.parent.is_dir()]
     return [
         name
@@ -160,7 +168,7 @@ def _siblings(tried: list[tuple[str, Path]]) -> list[str]:
 
 
 def _advice(name: str) -> str:
-    """Return the command that would provide `name`, as far as its name tells."""
+    """Return the command that would provide `name`, guessed from the name."""
     installed = {place.label: place for place in places()}
     if "menagerie" in name and not menagerie_models():
         return HOW
@@ -170,3 +178,42 @@ def _advice(name: str) -> str:
             "What is here: `embodichain list robots`."
         )
     return "What is here: `embodichain list robots`. Your own files: $EMBODICHAIN_DATA_ROOT."
+
+
+# -- why a model cannot load ----------------------------------------------------------------------
+
+
+def fault_of(path: Path) -> str:
+    """Return why a URDF or MJCF file cannot load, as far as its text shows, or ``""``."""
+    try:
+        root = ET.fromstring(path.read_bytes())
+    except ET.ParseError as error:
+        return f"not well-formed XML: {error}"
+    except OSError as error:
+        return f"cannot be read: {error.strerror}"
+    return _of_mjcf(root) if root.tag == "mujoco" else _of_urdf(path, root)
+
+
+def _of_mjcf(root: ET.Element) -> str:
+    whole = root.find("worldbody") is not None or root.find(".//include") is not None
+    return "" if whole else "it has no <worldbody>: a part that other files include"
+
+
+def _of_urdf(path: Path, root: ET.Element) -> str:
+    if any("xacro" in str(element.tag) for element in root.iter()):
+        return "xacro has to be expanded to URDF first"
+    if root.find("link") is None:
+        return "the robot has no <link>"
+    names = {mesh.get("filename", "") for mesh in root.iterfind("link/*/geometry/mesh")}
+    missing = sorted(name for name in names if not _exists(name, path))
+    if not missing:
+        return ""
+    return f"{len(missing)} of {len(names)} mesh files are missing, such as {missing[0]}"
+
+
+def _exists(name: str, path: Path) -> bool:
+    try:
+        resolve_package_uri(name, near=path)
+    except (DataNotFoundError, ValueError):
+        return False
+    return True

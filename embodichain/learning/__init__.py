@@ -1,8 +1,8 @@
-"""Stable-Baselines3 on the batched environment: vector environment, training, learned policies.
+"""Stable-Baselines3 for the batched environment: vector environment, training, learned policies.
 
-What a task is stands in `lab.gym`; which algorithm trains it, in the config. Names are found on
-first use: torch and Stable-Baselines3 come with the modules, not with this package. Training itself
-is `embodichain.learning.train.train`: a function of its module's name, here, would hide the module.
+Names are imported on first use, so that importing the package imports neither torch nor
+Stable-Baselines3. Train with `embodichain.learning.train.train`; a name `train` here would hide
+the module.
 """
 
 from __future__ import annotations

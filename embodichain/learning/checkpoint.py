@@ -1,7 +1,4 @@
-"""Checkpoints: zip files of Stable-Baselines3 with a note of what made them, written atomically.
-
-How a checkpoint acts is in `policy.py`. Finding one and reading its note runs no code of it.
-"""
+"""Checkpoints: zip files of Stable-Baselines3 with metadata (a note), written atomically."""
 
 from __future__ import annotations
 
@@ -11,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from embodichain.config.newest import named_checkpoint
+from embodichain.config.run_folder import named_checkpoint
 from embodichain.learning.task_digest import TaskDigest
 from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError, Problem
@@ -31,7 +28,7 @@ __all__ = [
 ]
 
 CHECKPOINTS = "checkpoints"
-"""Folder of checkpoints in a run folder."""
+"""The folder of checkpoints in a run folder."""
 FINAL = "final.zip"
 DIGEST = "trained_in"
 """Key of the note with the JSON of a `TaskDigest`."""
@@ -41,16 +38,15 @@ _MEMBERS = ("data", "policy.pth")
 
 
 def save_checkpoint(model: BaseAlgorithm, path: Path, note: Mapping[str, Any]) -> None:
-    """Write a model under a temporary name, then rename it: readers see all of it or none.
+    """Write a model atomically.
 
     Args:
         model: The model; gets the note as an attribute.
-        path: Where to; the folder is made.
-        note: What a reader must know before loading: plain JSON with ``algo`` and ``group``, and
-            what the task was (`DIGEST`).
+        path: The file; its folder is created.
+        note: Plain JSON with ``algo``, ``group``, and the task's digest (`DIGEST`).
 
     Raises:
-        OSError: It cannot be written (the disk is full); nothing is left behind.
+        OSError: The file cannot be written (the disk is full); no partial file remains.
     """
     setattr(model, NOTE, dict(note))
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -59,10 +55,10 @@ def save_checkpoint(model: BaseAlgorithm, path: Path, note: Mapping[str, Any]) -
 
 
 def find_checkpoint(path: str | Path) -> Path:
-    """Return the checkpoint that a path means: a file, ``RUN/best``, or a run's final one.
+    """Return the checkpoint of a path: a file, ``RUN/best``, or a run folder's final checkpoint.
 
     Raises:
-        ConfigError: If there is none; says what was looked for.
+        ConfigError: If there is none; lists the paths that were tried.
     """
     given = named_checkpoint(path)
     if given.is_file():
@@ -71,17 +67,17 @@ def find_checkpoint(path: str | Path) -> Path:
         found = given / CHECKPOINTS / FINAL
         if found.is_file():
             return found
-        message = f"{given} holds no {CHECKPOINTS}/{FINAL}: it is no finished training's folder"
+        message = f"{given} has no {CHECKPOINTS}/{FINAL}: it is no finished training's folder"
         raise ConfigError([Problem("policy", message)])
     raise ConfigError([Problem("policy", f"there is no file or folder {str(given)!r}")])
 
 
 def read_note(path: Path) -> dict[str, Any]:
-    """Read a checkpoint's note without running anything that the file holds.
+    """Read a checkpoint's note without running code of the file.
 
     Returns:
-        The note; for a file that Stable-Baselines3 itself wrote, ``algo`` told from the attributes
-        in it and ``group`` ``policy``.
+        The note; for a file that Stable-Baselines3 itself wrote, ``algo`` is found from the
+        attributes in it and ``group`` is ``policy``.
 
     Raises:
         ConfigError: If the file cannot be read or is no checkpoint of a known algorithm.
@@ -106,10 +102,10 @@ def read_note(path: Path) -> dict[str, Any]:
 
 
 def read_digest(note: Mapping[str, Any], path: Path) -> TaskDigest | None:
-    """Return what a checkpoint's task was in training; None where its note does not say it.
+    """Return the digest of a checkpoint's task in training; None if its note has none.
 
     Raises:
-        ConfigError: If what the note says is damaged.
+        ConfigError: If the digest is damaged.
     """
     text = note.get(DIGEST)
     try:
@@ -138,10 +134,10 @@ _MARKS: tuple[tuple[str, frozenset[str]], ...] = (
 
 
 def made_by(data: Mapping[str, Any]) -> str | None:
-    """Return the algorithm's name, as in ``algo.name``; None if it is none that is known.
+    """Return the algorithm's name, as in ``algo.name``; None for an unknown algorithm.
 
     Args:
-        data: The JSON of a zip of Stable-Baselines3: attributes of the model.
+        data: The JSON in a zip of Stable-Baselines3: attributes of the model.
     """
     policy = data.get("policy_class")
     if isinstance(policy, Mapping) and "recurrent" in str(policy.get("__module__")):

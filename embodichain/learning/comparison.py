@@ -1,7 +1,4 @@
-"""Finished trainings side by side: runs that differ by their seed only are one group.
-
-Reads files of run folders and runs nothing; drawing is in `plots.py`.
-"""
+"""Comparison of finished trainings; runs that differ only in their seed form a group."""
 
 from __future__ import annotations
 
@@ -11,12 +8,13 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from embodichain.config.run_folder import SUMMARY
 from embodichain.learning.statistics import Estimate, bootstrap, estimate
 from embodichain.utils.errors import ConfigError
 
@@ -33,30 +31,23 @@ __all__ = [
 ]
 
 PROGRESS = "progress.csv"
-SUMMARY = "summary.json"
 STEPS, RETURN, SUCCESS = "time/total_timesteps", "rollout/ep_rew_mean", "rollout/success_rate"
 LENGTH = "rollout/ep_len_mean"
 """Columns of Stable-Baselines3's logger."""
-# What runs of one group may differ in: the seed, and what changes no number. `hydra` is how a sweep
-# was done: launcher, sweeper, folders.
+# Keys that may differ in a group: the seed, and keys that change no number. `hydra` configures how
+# a sweep runs: launcher, sweeper, folders.
 _APART = (
     *("seed", "output_dir", "quiet", "json", "traceback", "record", "viewer", "resume"),
     *("eval", "video", "wandb", "checkpoint", "sim", "allow_changed", "hydra"),
 )
 _FIRST = re.compile(r"[./@]")
-"""What ends the first word of a key: ``hydra/launcher``, ``hydra.launcher.n_jobs``."""
+"""Separators after the first word of a key: ``hydra/launcher``, ``hydra.launcher.n_jobs``."""
 
 F64 = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Curve:
-    """One quantity of a training.
-
-    Attributes:
-        steps: (n,) environment steps, rising.
-        values: (n,) the quantity there.
-    """
+class Curve(NamedTuple):
+    """One quantity of a training: (n,) increasing environment steps, and (n,) values at these."""
 
     steps: F64
     values: F64
@@ -64,15 +55,15 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class TrainedRun:
-    """What is compared of one training.
+    """The results of one training.
 
     Attributes:
-        folder: Its run folder.
-        label: Task, algorithm and overrides besides the seed.
-        seed: Its seed.
+        folder: The run folder.
+        label: Task, algorithm and overrides without the seed.
+        seed: The training's seed.
         numbers: ``success_rate``, ``mean_return``, ``env_steps_per_second``, ``train_seconds``,
             ``env_steps``, ``eval_return``, ``eval_success``, as far as known.
-        curves: By column of `progress.csv`; empty without that file.
+        curves: Column of `progress.csv` -> curve; empty without that file.
     """
 
     folder: Path
@@ -84,35 +75,30 @@ class TrainedRun:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Runs that differ by their seed.
-
-    Attributes:
-        label: What they share.
-        runs: In the order given.
-    """
+    """Runs that differ only in their seed, in the order given."""
 
     label: str
     runs: tuple[TrainedRun, ...]
 
     def number(self, name: str) -> Estimate | None:
-        """Sum up a number over the runs; its intervals say how it varies with the seed."""
+        """Summarize a number over the runs; the intervals are over seeds."""
         return estimate([run.numbers[name] for run in self.runs if name in run.numbers])
 
 
 def is_training(folder: Path) -> bool:
-    """Whether a folder holds a training that has come to an end; a damaged summary counts as one.
+    """Whether a folder contains a finished training, possibly with a damaged summary.
 
-    `read_run` says what is wrong with it.
+    `read_run` reports the damage.
     """
     path = folder / SUMMARY
     return path.is_file() and "train_seconds" in path.read_text(encoding="utf-8", errors="replace")
 
 
 def trainings_in(folder: Path) -> list[Path]:
-    """The trainings that a folder means: itself, or those that are its subfolders, as of a sweep.
+    """The trainings of a folder: the folder itself, or its subfolders, as in a sweep.
 
     Returns:
-        Folders, jobs of a sweep in the order of their numbers; empty where there is no training.
+        Folders, the jobs of a sweep ordered by number; empty if there is no training.
     """
     if is_training(folder):
         return [folder]
@@ -121,22 +107,21 @@ def trainings_in(folder: Path) -> list[Path]:
 
 
 def read_run(folder: Path) -> TrainedRun:
-    """Read what a training left behind.
+    """Read the results of a training.
 
     Raises:
-        ConfigError: If the folder is no training's, or a file in it is damaged.
+        ConfigError: If the folder is not that of a training, or a file in it is damaged.
     """
     summary = _json(folder / SUMMARY)
     if summary is None or "train_seconds" not in summary:
-        raise ConfigError(f"{folder} holds no finished training: no summary.json of one")
+        raise ConfigError(f"{folder} has no finished training: no summary.json of one")
     names = ("success_rate", "mean_return", "env_steps_per_second", "train_seconds", "env_steps")
     numbers = {n: float(summary[n]) for n in names if summary.get(n) is not None}
-    evaluated = _evaluated(folder) or summary.get("eval")
-    if isinstance(evaluated, dict):
-        for name, key, value in (("return", "returns", "mean"), ("success", "success", "rate")):
-            part = evaluated.get(key)
-            if isinstance(part, dict) and part.get(value) is not None:
-                numbers[f"eval_{name}"] = float(part[value])
+    evaluated = _evaluated(folder) or summary.get("eval") or {}
+    for name, key, value in (("return", "returns", "mean"), ("success", "success", "rate")):
+        part = evaluated.get(key) or {}
+        if part.get(value) is not None:
+            numbers[f"eval_{name}"] = float(part[value])
     task, algo = str(summary.get("task")), str(summary.get("algo"))
     return TrainedRun(
         folder=folder,
@@ -148,11 +133,11 @@ def read_run(folder: Path) -> TrainedRun:
 
 
 def group_runs(runs: Iterable[TrainedRun]) -> list[Group]:
-    """Put runs with one label together, in the order of their first.
+    """Group runs by label, in the order of each group's first run.
 
     Raises:
-        ConfigError: If a folder is named twice, or two runs of a group have one seed: they are
-            repetitions of the same numbers, and an interval over them would be too narrow.
+        ConfigError: If a folder is given twice, or two runs of a group have the same seed: their
+            results are identical, and an interval over them would be too narrow.
     """
     found: dict[str, list[TrainedRun]] = {}
     for run in runs:
@@ -171,12 +156,12 @@ def band(curves: Sequence[Curve], points: int = 200) -> tuple[F64, F64, F64, F64
     """Average curves of several seeds.
 
     Args:
-        curves: At least one; compared over the steps that all of them have.
-        points: Where they are read off, in straight lines between their own.
+        curves: At least one; averaged over the range of steps that they share.
+        points: Number of steps at which the curves are linearly interpolated.
 
     Returns:
-        Steps, mean, and the bootstrap interval's low and high end at 95 %, each (points,). With
-        one curve both ends are the curve.
+        Steps, mean, and low and high end of the 95 % bootstrap interval, each (points,). With one
+        curve both ends equal the curve.
 
     Raises:
         ValueError: If the curves have no steps in common.
@@ -193,14 +178,14 @@ def band(curves: Sequence[Curve], points: int = 200) -> tuple[F64, F64, F64, F64
 
 
 def _overrides(folder: Path) -> list[str]:
-    """What was typed, without the task and what runs of a group may differ in."""
+    """The overrides, without the task and the keys that may differ in a group."""
     try:
         lines = yaml.safe_load((folder / "overrides.yaml").read_text(encoding="utf-8")) or []
     except FileNotFoundError:
         return []
     except (OSError, ValueError, yaml.YAMLError) as error:
         raise ConfigError(f"cannot read {folder / 'overrides.yaml'}: {error}") from error
-    # Without the +: a sweep's jobs have it in front of everything.
+    # Without the +, which a sweep's jobs have before every override.
     plain = [str(line).lstrip("+") for line in lines]
     keys = {line: line.partition("=")[0].lstrip("~") for line in plain}
     return sorted(
@@ -209,24 +194,20 @@ def _overrides(folder: Path) -> list[str]:
 
 
 def _evaluated(folder: Path) -> dict[str, Any] | None:
-    """The newest evaluation of this training among the runs beside it."""
-    found: tuple[int, dict[str, Any]] | None = None
+    """The newest evaluation of this training among the runs in the same folder."""
+    found: dict[int, dict[str, Any]] = {}
     for path in folder.parent.parent.glob("*/*/eval.json"):
-        data = _json(path)
-        policy = Path(str(data.get("policy"))) if data is not None else Path()
-        if data is None or not policy.is_relative_to(folder):
-            continue
-        when = path.stat().st_mtime_ns
-        if found is None or when > found[0]:
-            found = when, data
-    return found[1] if found is not None else None
+        data = _json(path) or {}
+        if Path(str(data.get("policy"))).is_relative_to(folder):
+            found[path.stat().st_mtime_ns] = data
+    return found[max(found)] if found else None
 
 
 def read_curves(path: Path) -> dict[str, Curve]:
     """Read return, success and length of episodes over steps from a `progress.csv`.
 
     Returns:
-        By column; a row counts where both of its cells are filled. Empty without the file.
+        Column -> curve, from rows with both cells filled. Empty without the file.
 
     Raises:
         ConfigError: The file is damaged.

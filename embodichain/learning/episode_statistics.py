@@ -1,6 +1,6 @@
-"""Episodes counted over a batch: returns, lengths, successes of the first few of each environment.
+"""Statistics of the first episodes of each environment in a batch: returns, lengths, successes.
 
-`play` is the loop of `run` and `evaluate`. Imports neither torch nor Stable-Baselines3.
+Imports neither torch nor Stable-Baselines3.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Flags = NDArray[np.bool_]
 
 
 class EpisodeStatistics:
-    """Counts what N environments finish.
+    """Counts the finished episodes of N environments.
 
     Args:
         num_envs: N.
@@ -34,7 +34,7 @@ class EpisodeStatistics:
         self.quota = np.broadcast_to(np.asarray(quota, np.int64), (num_envs,))
         """(N,) episodes that count."""
         self.wanted = int(self.quota.sum())
-        """Their sum."""
+        """Sum of the quotas."""
         self.counts = np.zeros(num_envs, np.int64)
         """(N,) episodes finished and counted."""
         self.steps = 0
@@ -58,9 +58,9 @@ class EpisodeStatistics:
         """Count one control step.
 
         Args:
-            reward: (N,) of the step.
-            done: (N,) whether the episode ended with it.
-            values: What to keep of an episode that ends now, each (N,).
+            reward: (N,) rewards of the step.
+            done: (N,) whether the episode ended in this step.
+            values: Name -> (N,) values to keep of episodes that end in this step.
         """
         self.steps += 1
         self._return += reward
@@ -81,28 +81,28 @@ class EpisodeStatistics:
         self._length[done] = 0
 
     def column(self, name: str) -> NDArray[Any]:
-        """(E,) one value of every counted episode, in the order they ended."""
+        """(E,) one value per counted episode, in the order of their ends."""
         parts = [record[name] for record in self._records if name in record]
         return np.concatenate(parts) if parts else np.zeros(0)
 
     def names(self) -> list[str]:
-        """What `column` can give."""
+        """The names that `column` accepts."""
         return list(dict.fromkeys(name for record in self._records for name in record))
 
     def mean(self, name: str) -> float | None:
-        """Mean over the counted episodes, None before the first."""
+        """Mean over the counted episodes; None before the first."""
         column = self.column(name)
         return float(column.mean()) if column.size else None
 
 
 def play(env: BaseEnv, policy: Policy, obs: Any, counted: EpisodeStatistics) -> Iterator[None]:
-    """Step an environment until every one has finished its quota; yields after each control step.
+    """Step a batch until every environment has finished its quota; yields after each control step.
 
     Args:
         env: A batched environment that was just reset and resets its environments itself.
-        policy: Acts; told when environments begin a new episode.
-        obs: What the reset returned.
-        counted: What is counted.
+        policy: The policy; it is reset for environments that begin a new episode.
+        obs: The observation that the reset returned.
+        counted: The statistics, updated in place.
     """
     has_success = env.judges_success
     while not counted.complete:
@@ -120,11 +120,11 @@ def play(env: BaseEnv, policy: Policy, obs: Any, counted: EpisodeStatistics) -> 
 def _ended_values(
     info: Mapping[str, Any], terminated: Flags, has_success: bool
 ) -> dict[str, NDArray[Any]]:
-    """Return what is kept of episodes that end in a step, by name, each (N,).
+    """Return the values kept of episodes that end in a step: name -> (N,).
 
     Args:
-        info: What the step returned; it is from before an automatic reset.
-        terminated: (N,) which ended by themselves.
+        info: The info of the step, from before an automatic reset.
+        terminated: (N,) whether each environment terminated.
         has_success: `BaseEnv.judges_success` of the task.
     """
     metrics = {name: as_array(value) for name, value in info["metrics"].items()}

@@ -1,8 +1,4 @@
-"""`TrainStatistics`: how a training goes, counted while it runs.
-
-Who counts is `watch.py`; what is kept of it in files is in `train.py`; how people see it, in the
-command line.
-"""
+"""`TrainStatistics`: statistics of a training while it runs."""
 
 from __future__ import annotations
 
@@ -15,20 +11,20 @@ import numpy as np
 __all__ = ["EPISODE_WINDOW", "TrainStatistics"]
 
 EPISODE_WINDOW = 200
-"""Episodes that `mean_return` and `success_rate` look back."""
+"""Number of last episodes that `mean_return` and `success_rate` are taken over."""
 
 
 class TrainStatistics:
-    """What a training has done so far.
+    """The progress of a training.
 
     Args:
-        total_timesteps: Environment steps wanted, summed over environments.
+        total_timesteps: Length of the training in environment steps, summed over environments.
 
     Attributes:
         env_steps: Environment steps taken.
         episodes: Episodes finished.
         fractions: Share of the wall time by part (`TimeSplit.fractions`); empty at first.
-        best: Environment steps and score of the best checkpoint; None yet.
+        best: Environment steps and score of the best checkpoint; None before the first.
     """
 
     def __init__(self, total_timesteps: int) -> None:
@@ -68,7 +64,7 @@ class TrainStatistics:
 
     @property
     def env_steps_per_second(self) -> float:
-        """Environment steps a second, learning included."""
+        """Environment steps per second, learning included."""
         return self.env_steps / self.seconds if self.seconds > 0 else 0.0
 
     @property
@@ -83,11 +79,11 @@ class TrainStatistics:
 
     @property
     def success_rate(self) -> float | None:
-        """Share of the last episodes; None before the first, or for a task without success."""
+        """Success rate of the last episodes; None before the first, or if success is undefined."""
         return float(np.mean(self._successes)) if self._successes else None
 
     def state_dict(self) -> dict[str, Any]:
-        """Return what was counted, for a training that goes on later."""
+        """Return the statistics, for resuming the training."""
         return {
             "episodes": self.episodes,
             "returns": list(self._returns),
@@ -97,7 +93,7 @@ class TrainStatistics:
         }
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Count on; the clock goes on from the seconds that were learned before."""
+        """Continue from saved statistics, including the seconds of learning."""
         self.episodes = saved["episodes"]
         self._returns.extend(saved["returns"])
         self._lengths.extend(saved["lengths"])
@@ -106,7 +102,7 @@ class TrainStatistics:
 
     @property
     def score(self) -> tuple[float, float] | None:
-        """What the best checkpoint is chosen by: success rate, then mean return; None yet."""
+        """Score of a checkpoint: success rate, then mean return; None before the first episode."""
         if self.mean_return is None:
             return None
         return (0.0 if self.success_rate is None else self.success_rate), self.mean_return

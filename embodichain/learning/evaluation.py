@@ -1,7 +1,4 @@
-"""`evaluate`: exactly N episodes of a policy, each as likely to count as any other.
-
-How numbers become intervals is in `statistics.py`, where policies come from in `policy.py`.
-"""
+"""`evaluate`: results of exactly N episodes of a policy, not biased towards short episodes."""
 
 from __future__ import annotations
 
@@ -27,26 +24,26 @@ if TYPE_CHECKING:
 __all__ = ["EVAL_SEED_OFFSET", "Evaluation", "evaluate", "quotas"]
 
 EVAL_SEED_OFFSET = LARGEST_TRAINING_SEED + 1
-"""Added to an evaluation's seed: no training can have the same streams, its seeds end below."""
+"""Added to the seed of an evaluation; it is above all seeds of trainings, so streams differ."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class Evaluation:
-    """What episodes of a policy were; `eval.json` has the same keys.
+    """The results of an evaluation; `eval.json` has the same keys.
 
     Attributes:
-        episodes: Episodes that count: as many as were asked for, unless it was stopped.
-        complete: Whether they are all there.
-        num_envs: Environments stepped together.
-        seed: As given; the environments' own is `EVAL_SEED_OFFSET` higher.
+        episodes: Number of counted episodes; fewer than requested if it was stopped.
+        complete: Whether all requested episodes were played.
+        num_envs: Number of environments in the batch.
+        seed: As given; the environments use this plus `EVAL_SEED_OFFSET`.
         env_steps: Control steps taken, summed over environments.
         seconds: Wall time of the loop.
-        confidence: Of every interval.
+        confidence: Confidence level of every interval.
         returns: Undiscounted sums of rewards; None without episodes.
         length: Control steps of an episode.
-        success: None where the task does not say what a success is.
-        terminated: Episodes that ended by themselves instead of by time.
-        diverged: Episodes whose physics diverged.
+        success: None if the task does not define success.
+        terminated: Number of episodes that were terminated, not truncated.
+        diverged: Number of episodes in which the physics diverged.
         rewards: Mean over episodes of each reward term's sum, weight included.
         metrics: Mean over episodes of each metric.
         per_episode: ``env``, ``return``, ``length`` and, where known, ``success`` of each episode,
@@ -83,26 +80,26 @@ def evaluate(
     deterministic: bool = True,
     watch: Callable[[EpisodeStatistics], bool | None] | None = None,
 ) -> Evaluation:
-    """Play a policy for exactly so many episodes.
+    """Run a policy for exactly `episodes` episodes.
 
-    Environment *i* plays a fixed number of episodes, its own first ones (`quotas`), and later ones
-    do not count. Taking the first N episodes to end, whosever they are, would favour short ones.
+    The first `quotas` episodes of each environment count, later ones do not. Counting the first N
+    episodes to end in any environment would favour short episodes.
 
     Args:
         env: A batched environment with ``autoreset_mode`` SAME_STEP; it is reset first.
-        policy: A policy, a file or folder of one, or whatever else a config may name.
-        episodes: How many, over all environments.
-        seed: Of the environments (`EVAL_SEED_OFFSET` is added) and of drawn actions.
+        policy: A policy, its file or folder, or any other value of the config key `policy`.
+        episodes: Number of episodes, over all environments.
+        seed: Seed of the environments (plus `EVAL_SEED_OFFSET`) and of drawn actions.
         deterministic: For files: the mean action; False draws from the policy's distribution.
         watch: Called after every control step; returns True to stop.
 
     Returns:
-        What the episodes were.
+        The results.
 
     Raises:
-        ConfigError: If there is no such policy or it does not fit.
+        ConfigError: If there is no such policy or it does not fit the environment.
         TypeError: If the environment is one of Gymnasium's with numpy arrays.
-        ValueError: If `episodes` or `seed` is out of range, or the environment resets otherwise.
+        ValueError: If `episodes` or `seed` is out of range, or the autoreset mode is another one.
     """
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
@@ -111,13 +108,19 @@ def evaluate(
     require_torch_batch(env, "evaluate")
     acting = _resolve(env, policy, deterministic)
     counted = EpisodeStatistics(env.num_envs, quotas(episodes, env.num_envs))
-    with torch.random.fork_rng(devices=()):  # the caller draws on as if nothing had been
-        seconds = _play(env, acting, counted, EVAL_SEED_OFFSET + seed, watch)
-    return _sum_up(counted, seed, seconds)
+    # Forked, so that the caller's random numbers do not change.
+    with torch.random.fork_rng(devices=()), torch.no_grad():
+        obs, _ = env.reset(seed=EVAL_SEED_OFFSET + seed)
+        acting.reset(None)
+        start = time.perf_counter()
+        for _ in play(env, acting, obs, counted):
+            if watch is not None and watch(counted):
+                break
+    return _summary(counted, seed, time.perf_counter() - start)
 
 
 def quotas(episodes: int, num_envs: int) -> NDArray[np.int64]:
-    """Return (N,) how many episodes each environment plays; the first ones play one more."""
+    """Return (N,) the number of episodes of each environment; the first may have one more."""
     rest = np.arange(num_envs) < episodes % num_envs
     return np.int64(episodes // num_envs) + rest.astype(np.int64)
 
@@ -131,25 +134,7 @@ def _resolve(env: BaseEnv, policy: Any, deterministic: bool) -> Policy:
     return load(policy) if isinstance(policy, Path) else resolve_policy(policy, load_file=load)
 
 
-def _play(
-    env: BaseEnv,
-    policy: Policy,
-    counted: EpisodeStatistics,
-    seed: int,
-    watch: Callable[[EpisodeStatistics], bool | None] | None,
-) -> float:
-    """Step until the quota is met; returns the seconds it took."""
-    obs, _ = env.reset(seed=seed)
-    policy.reset(None)
-    start = time.perf_counter()
-    with torch.no_grad():
-        for _ in play(env, policy, obs, counted):
-            if watch is not None and watch(counted):
-                break
-    return time.perf_counter() - start
-
-
-def _sum_up(counted: EpisodeStatistics, seed: int, seconds: float) -> Evaluation:
+def _summary(counted: EpisodeStatistics, seed: int, seconds: float) -> Evaluation:
     order = np.lexsort((counted.column("episode"), counted.column("env")))
 
     def column(name: str) -> NDArray[Any]:

@@ -1,11 +1,8 @@
-"""Policies from ONNX and TorchScript files: what `export` writes, and files of users' own.
-
-They take flat observations as the task gives them and return actions within the task's bounds;
-neither format holds Python code. Writing such files is in `exporting.py`.
-"""
+"""Policies in ONNX and TorchScript files, which contain no Python code."""
 
 from __future__ import annotations
 
+import importlib
 import json
 import warnings
 from collections.abc import Callable
@@ -17,15 +14,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.learning.columns import check_columns
-from embodichain.learning.spaces import flat_observation, observation_box
-from embodichain.learning.task_digest import Change, TaskDigest, check_unchanged
+from embodichain.learning.checkpoint import DIGEST, read_digest
+from embodichain.learning.spaces import observation_box
+from embodichain.learning.trained_policy import TrainedPolicy, check_columns
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
-    from embodichain.lab.sim.engine.base import EnvIndex
-    from embodichain.lab.sim.types import EnvObs
+    from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = [
     "INPUT",
@@ -39,7 +35,7 @@ __all__ = [
 ]
 
 METADATA = "embodichain.json"
-"""Key of the metadata: an extra file of TorchScript, a custom property of ONNX."""
+"""Key of the metadata: an extra file in TorchScript, a custom property in ONNX."""
 INPUT, OUTPUT = "observation", "action"
 """Names of an ONNX file's input (N, K) and output (N, A)."""
 ONNX = (".onnx",)
@@ -51,17 +47,10 @@ F32 = NDArray[np.float32]
 
 @dataclass(frozen=True, slots=True)
 class PolicyMetadata:
-    """What an exported file says of itself.
+    """The metadata of an exported file.
 
-    Attributes:
-        task: The task it was trained in.
-        algo: The algorithm.
-        group: The observation group it sees.
-        columns: Name of each column of its input.
-        action_low: Smallest action of each column of its output.
-        action_high: Largest action.
-        embodichain: The version that wrote the file.
-        trained_in: The JSON of a `TaskDigest`: what the task was in training, where it is known.
+    `columns` names the input columns; `action_low` and `action_high` are the bounds of the output
+    columns; `embodichain` is the version that wrote it, `trained_in` a `TaskDigest` as JSON.
     """
 
     task: str
@@ -79,10 +68,10 @@ class PolicyMetadata:
 
     @classmethod
     def from_json(cls, text: str | bytes, path: Path) -> PolicyMetadata | None:
-        """Read it back; None for nothing, as in files that others wrote.
+        """Parse JSON; None for empty text, as in files of other programs.
 
         Raises:
-            ConfigError: If it is damaged.
+            ConfigError: If the text is damaged.
         """
         if not text:
             return None
@@ -95,40 +84,39 @@ class PolicyMetadata:
             raise _wrong(path, f"its metadata are damaged: {error}") from error
 
 
-class ExportedPolicy:
-    """A function of flat observations that acts in batched environments.
+class ExportedPolicy(TrainedPolicy):
+    """A policy from an exported file.
 
     Args:
-        act: (N, K) float32 observations to (N, A) float32 actions in the task's units.
-        metadata: What the file says of itself, if anything.
-        name: What messages call it.
+        network: Maps (N, K) float32 observations to (N, A) float32 actions in the task's units.
+        metadata: The file's metadata; None for files of other programs.
+        name: Its name in messages.
+
+    Raises:
+        ConfigError: The metadata are damaged.
     """
 
     def __init__(
-        self, act: Callable[[F32], F32], metadata: PolicyMetadata | None, name: str
+        self, network: Callable[[F32], F32], metadata: PolicyMetadata | None, name: str
     ) -> None:
-        self.act = act
+        group = metadata.group if metadata is not None else "policy"
+        note = {} if metadata is None else {DIGEST: metadata.trained_in}
+        super().__init__(name, group, read_digest(note, Path(name)))
         self.metadata = metadata
-        self.name = name
-        self.group = metadata.group if metadata is not None else "policy"
-        self.trained_in = _digest(metadata, name)
-        self.allow_changed = False
-        """Whether it acts in a task that has changed since training."""
-        self.changed: tuple[Change, ...] = ()
-        """What of the task that it was last checked against is another than in training."""
-        self._env: BaseEnv | None = None
+        self._network = network
 
-    def check(self, env: BaseEnv) -> None:
-        """Check that the policy fits an environment, by its columns and by trying it once.
+    def act(self, obs: F32) -> F32:
+        """Return (N, A) actions for (N, K) observations, both in the task's units."""
+        return self._network(obs)
 
-        Raises:
-            ConfigError: If it does not take the task's observations or give its actions, or the
-                task changed since training and `allow_changed` is not set.
-        """
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Do nothing: the policy has no state."""
+
+    def _fit(self, env: BaseEnv) -> None:
+        """Check the columns, and try the policy once."""
         if self.metadata is not None:
             check_columns(self.name, self.metadata.columns, env, self.group)
-        width = observation_box(env, self.group).shape[0]
-        shape = (env.num_envs, width)
+        shape = (env.num_envs, *observation_box(env, self.group).shape)
         try:
             found = np.shape(self.act(np.zeros(shape, np.float32)))
         except Exception as error:
@@ -140,40 +128,13 @@ class ExportedPolicy:
         if found != wanted:
             message = f"{self.name} gives actions {found}, this task needs {wanted}"
             raise ConfigError([Problem("policy", message)])
-        self.changed = check_unchanged(
-            self.name, self.trained_in, env, self.group, allow=self.allow_changed
-        )
-        self._env = env
-
-    def __call__(self, obs: EnvObs, env: BaseEnv) -> torch.Tensor:
-        """Return (N, A) float32 actions for an observation.
-
-        Raises:
-            ConfigError: At the first call in an environment, if the policy does not fit it.
-        """
-        if env is not self._env:
-            self.check(env)
-        actions = self.act(flat_observation(env, obs, self.group))
-        return torch.from_numpy(np.array(actions, np.float32)).to(env.device)
-
-    def reset(self, env_ids: EnvIndex | None) -> None:
-        """Nothing is kept from step to step."""
-
-
-def _digest(metadata: PolicyMetadata | None, name: str) -> TaskDigest | None:
-    if metadata is None or metadata.trained_in is None:
-        return None
-    try:
-        return TaskDigest.from_json(metadata.trained_in)
-    except ValueError as error:
-        raise _wrong(Path(name), f"its digest of the task is damaged: {error}") from error
 
 
 def load_exported(path: Path) -> ExportedPolicy:
-    """Read a policy from a file whose suffix is one of `SUFFIXES`; runs no Python of it.
+    """Read a policy from a file with a suffix in `SUFFIXES`; runs no Python code of the file.
 
     Raises:
-        ConfigError: If it cannot be read, is no such file, or onnxruntime is missing.
+        ConfigError: If the file cannot be read, has another format, or onnxruntime is missing.
     """
     if path.suffix in ONNX:
         return _load_onnx(path)
@@ -186,8 +147,6 @@ def need_onnx(package: str) -> Any:
     Raises:
         ConfigError: If it is not installed; names the extra.
     """
-    import importlib
-
     try:
         return importlib.import_module(package)
     except ImportError as error:
@@ -206,7 +165,7 @@ def _load_onnx(path: Path) -> ExportedPolicy:
         )
     except OSError as error:
         raise ConfigError([Problem("policy", f"cannot read {path}: {error}")]) from error
-    except Exception as error:  # its exceptions share no base class
+    except Exception as error:  # onnxruntime's exceptions have no common base class
         raise _wrong(path, f"it is no ONNX file: {_first_line(error)}") from error
     names = [entry.name for entry in session.get_inputs()]
     if len(names) != 1 or not session.get_outputs():

@@ -1,7 +1,6 @@
-"""`export_policy`: a model of Stable-Baselines3 as one ONNX or TorchScript file that needs neither.
+"""`export_policy`: writes a model of Stable-Baselines3 as one ONNX or TorchScript file.
 
-The file takes flat observations as the task gives them: normalization, clipping and scaling to the
-task's bounds are part of the network. Reading such files is in `exported.py`.
+Normalization, clipping and scaling to the task's bounds are part of the exported network.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain import __version__
-from embodichain.learning.columns import observation_columns
 from embodichain.learning.exported import (
     INPUT,
     METADATA,
@@ -29,6 +27,7 @@ from embodichain.learning.exported import (
 )
 from embodichain.learning.normalization import NormalizeStatistics
 from embodichain.learning.policy import LearnedPolicy
+from embodichain.learning.spaces import observation_columns
 from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -39,10 +38,10 @@ __all__ = ["FORMATS", "TOLERANCE", "Format", "export_policy"]
 
 Format = Literal["onnx", "torchscript"]
 FORMATS: dict[Format, str] = {"onnx": ".onnx", "torchscript": ".pt"}
-"""Formats, with the suffix of their files."""
+"""Format -> suffix of its files."""
 TOLERANCE = 1e-5
-"""Most that an exported action may differ, in units of half the action's range, at least of 1."""
-_CHECKED = 256  # observations that the file is compared on
+"""Largest allowed difference of exported actions, in units of max(1, half the action's range)."""
+_CHECKED = 256  # number of observations on which the file is compared
 _OPSET = 17
 F32 = NDArray[np.float32]
 
@@ -50,30 +49,30 @@ F32 = NDArray[np.float32]
 def export_policy(
     policy: LearnedPolicy, env: BaseEnv, path: str | Path, form: Format, *, task: str | None = None
 ) -> float:
-    """Write a policy's deterministic action into a new file, and check the file.
+    """Write a policy's deterministic action as a new file, and check the file.
 
     Args:
-        policy: What `load_policy` returned for a zip; takes its mean action.
-        env: An environment of its task: columns of observations, bounds of actions.
+        policy: The result of `load_policy` for a zip, with deterministic actions.
+        env: An environment of its task, for the observation columns and the action bounds.
         path: A file that does not exist yet.
         form: ``onnx`` or ``torchscript``.
-        task: What the file says; None takes what the checkpoint says.
+        task: The task's name in the metadata; None takes it from the checkpoint.
 
     Returns:
-        The largest difference of actions from Stable-Baselines3's own, in the task's units.
+        The largest difference from Stable-Baselines3's actions, in the task's units.
 
     Raises:
         ConfigError: If the policy does not fit, was trained in another task (and its
-            `allow_changed` is not set), remembers (it is recurrent), draws its actions, or the file
-            exists or cannot be written, or a package is missing.
-        RuntimeError: If the written file acts otherwise; it is removed.
+            `allow_changed` is not set), is recurrent, or draws its actions; if the file exists or
+            cannot be written; or if a package is missing.
+        RuntimeError: If the actions of the written file differ; the file is removed.
     """
     path = Path(path)
     _refuse(policy, path)
     if form == "onnx":
         for package in ("onnx", "onnxruntime"):
             need_onnx(package)
-    scale = policy.check(env)
+    policy.check(env)
     network = _Network(policy, env)
     metadata = PolicyMetadata(
         task=task or policy.task or "unknown",
@@ -86,7 +85,7 @@ def export_policy(
         trained_in=policy.trained_in.to_json() if policy.trained_in is not None else None,
     )
     observations = _observations(policy)
-    wanted = scale(policy.predict(observations))
+    wanted = policy.act(observations)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(path, new=True) as temporary:
@@ -100,7 +99,7 @@ def export_policy(
 
 
 class _Network(torch.nn.Module):
-    """Observations (N, K) of the task to actions (N, A) of the task."""
+    """Maps observations (N, K) of the task to actions (N, A) of the task."""
 
     mean: torch.Tensor
     deviation: torch.Tensor
@@ -121,7 +120,7 @@ class _Network(torch.nn.Module):
     def _buffers_of(self, statistics: NormalizeStatistics | None) -> None:
         if statistics is None:
             return
-        # float64, as `VecNormalize` computes: a large mean would cost digits otherwise.
+        # float64, as in `VecNormalize`: a large mean would lose digits in float32.
         deviation = np.sqrt(statistics.obs_var + statistics.epsilon)
         self.register_buffer("mean", torch.from_numpy(statistics.obs_mean.copy()))
         self.register_buffer("deviation", torch.from_numpy(deviation))
@@ -146,26 +145,26 @@ def _refuse(policy: LearnedPolicy, path: Path) -> None:
 
 
 def _observations(policy: LearnedPolicy) -> F32:
-    """(n, K) observations about where the policy has seen them, some far off."""
+    """(n, K) observations distributed as in training, some of them far outside."""
     space: Any = policy.model.observation_space
     drawn = np.random.default_rng(0).normal(size=(_CHECKED, *space.shape))
-    drawn[::4] *= 20.0  # beyond what clips
+    drawn[::4] *= 20.0  # outside the clipping range
     if policy.statistics is not None:
         drawn = policy.statistics.obs_mean + drawn * np.sqrt(policy.statistics.obs_var)
     return drawn.astype(np.float32)
 
 
 def _compare(written: ExportedPolicy, observations: F32, wanted: F32, network: _Network) -> float:
-    """The largest difference; one row and all rows must agree with the model.
+    """The largest difference from the model's actions, for one row and for all rows.
 
     Raises:
-        RuntimeError: If it is too large.
+        RuntimeError: If the difference is too large.
     """
     found = written.act(observations)
     single = written.act(observations[-1:])
     half = np.maximum((network.high - network.low).numpy() / 2, 1.0)
     error = np.abs(np.concatenate([found - wanted, single - wanted[-1:]]))
-    # `not <=`: NaN is no agreement.
+    # `not <=`, so that NaN fails.
     if not (error <= TOLERANCE * half).all():
         raise RuntimeError(
             f"the exported policy differs from the model by {np.max(error):.3g}, more than "
@@ -177,7 +176,7 @@ def _compare(written: ExportedPolicy, observations: F32, wanted: F32, network: _
 def _write_onnx(network: _Network, example: F32, path: Path, metadata: PolicyMetadata) -> None:
     onnx = need_onnx("onnx")
     with warnings.catch_warnings(), torch.no_grad():
-        # The exporter by tracing: the other one needs a compiler package for the same graph.
+        # The tracing exporter: the other one needs one more package for the same graph.
         warnings.simplefilter("ignore")
         torch.onnx.export(
             network,
@@ -200,7 +199,7 @@ def _write_torchscript(
     network: _Network, example: F32, path: Path, metadata: PolicyMetadata
 ) -> None:
     with warnings.catch_warnings(), torch.no_grad():
-        warnings.simplefilter("ignore")  # deprecated, and still what C++ programs load
+        warnings.simplefilter("ignore")  # deprecated, but C++ programs load this format
         traced: Any = torch.jit.trace(network, torch.from_numpy(example))  # type: ignore[no-untyped-call]
         torch.jit.save(traced, str(path), _extra_files={METADATA: metadata.to_json()})
 

@@ -1,7 +1,4 @@
-"""`CheckpointKeeper`: which checkpoints of a training there are, and `find_resumable` among them.
-
-How one is written is in `checkpoint.py`, `normalization.py` and `plain_state.py`.
-"""
+"""`CheckpointKeeper` writes the checkpoints of a training; `find_resumable` finds the newest."""
 
 from __future__ import annotations
 
@@ -14,9 +11,14 @@ from typing import Any
 from embodichain.learning.checkpoint import CHECKPOINTS, FINAL, read_note, save_checkpoint
 from embodichain.learning.normalization import save_statistics, statistics_path
 from embodichain.learning.plain_state import read_tree, write_tree
-from embodichain.learning.replay_buffer import buffer_of, buffer_path, full_size, save_buffer
 from embodichain.learning.session import Session
-from embodichain.learning.training_state import capture
+from embodichain.learning.training_state import (
+    buffer_of,
+    buffer_path,
+    capture,
+    full_size,
+    save_buffer,
+)
 from embodichain.utils.errors import ConfigError, EmbodichainError, Problem
 
 __all__ = [
@@ -35,16 +37,16 @@ _log = logging.getLogger(__name__)
 
 
 class CheckpointKeeper:
-    """Writes checkpoints of one training: every so many steps, the best of these, the final one.
+    """Writes checkpoints of one training: periodic ones, the best of these, and the final one.
 
-    Files of a checkpoint are each written as a whole, the zip last: where it is, the others are.
+    The files of a checkpoint are written atomically, the zip last: if it exists, the others do.
 
     Args:
         session: The training.
-        note: What the zips say of themselves; gets ``env_steps``.
-        every: Environment steps between two.
-        keep: How many are kept.
-        replay_buffer: Whether those that a training can go on from have the replay buffer.
+        note: Metadata of the zips; gets ``env_steps``.
+        every: Environment steps between two periodic checkpoints.
+        keep: Number of periodic checkpoints to keep.
+        replay_buffer: Whether resumable checkpoints include the replay buffer.
     """
 
     def __init__(
@@ -66,18 +68,17 @@ class CheckpointKeeper:
             _log.info("each checkpoint has the replay buffer, %.0f MB when it is full", size)
         self._written: list[Path] = []
         self._next: int | None = None
-        self._best: tuple[float, float] | None = None
 
     @property
     def best(self) -> str | None:
-        """The best checkpoint's path, relative to the run's folder; None without."""
+        """Path of the best checkpoint, relative to the run's folder; None if there is none."""
         path = self._folder / BEST
         return f"{CHECKPOINTS}/{BEST}" if path.is_file() else None
 
     def boundary(self) -> None:
-        """Write a checkpoint where a rollout begins, if one is due; the oldest goes."""
+        """Write a checkpoint if one is due, and delete the oldest; call it before each rollout."""
         steps = self._session.model.num_timesteps
-        if self._next is None:  # where the training begins, or goes on
+        if self._next is None:  # the first rollout, or the first after a resume
             self._next = steps + self._every
         if steps < self._next:
             return
@@ -93,8 +94,8 @@ class CheckpointKeeper:
         """Write the final checkpoint.
 
         Args:
-            resumable: Whether the model is between two rollouts, where a training can go on.
-            rolling: Whether the next of these has begun.
+            resumable: Whether the model is between two rollouts, so that training can be resumed.
+            rolling: Whether the next rollout has begun.
 
         Returns:
             Its path, relative to the run's folder.
@@ -104,10 +105,11 @@ class CheckpointKeeper:
         return f"{CHECKPOINTS}/{FINAL}"
 
     def _judge(self) -> None:
-        score = self._session.statistics.score
-        if score is not None and (self._best is None or score > self._best):
-            self._best = score
-            self._session.statistics.best = (self._session.model.num_timesteps, score)
+        """Write the best checkpoint if the current model has the best score."""
+        statistics, steps = self._session.statistics, self._session.model.num_timesteps
+        score = statistics.score
+        if score is not None and (statistics.best is None or score > statistics.best[1]):
+            statistics.best = steps, score
             self._write(BEST, resumable=False)
 
     def _write(self, name: str, *, resumable: bool, rolling: bool = True) -> Path:
@@ -117,30 +119,24 @@ class CheckpointKeeper:
         if normalizer is not None:
             save_statistics(statistics_path(path), normalizer)
         steps = model.num_timesteps
-        if resumable and self._buffer is not None:
-            save_buffer(buffer_path(path), self._buffer, steps)
         if resumable:
-            write_tree(
-                state_path(path),
-                {
-                    "env_steps": steps,
-                    "replay_buffer": self._buffer is not None,
-                    "training": capture(model, self._session.vec_env, rolling=rolling),
-                    "statistics": self._session.statistics.state_dict(),
-                },
-            )
+            if self._buffer is not None:
+                save_buffer(buffer_path(path), self._buffer, steps)
+            state: dict[str, Any] = {"env_steps": steps, "replay_buffer": self._buffer is not None}
+            state["training"] = capture(model, self._session.vec_env, rolling=rolling)
+            state["statistics"] = self._session.statistics.state_dict()
+            write_tree(state_path(path), state)
         save_checkpoint(model, path, {**self._note, "env_steps": steps})
         return path
 
 
 def find_resumable(run: Path) -> tuple[Path, dict[str, Any]]:
-    """Return the newest checkpoint of a run that a training can go on from, and its state.
+    """Return the newest checkpoint of a run from which training can be resumed, and its state.
 
-    A zip whose state is missing or of another step (the process was killed in between) is passed
-    over.
+    A zip is skipped if its state is missing or of another step (the process was killed in between).
 
     Raises:
-        ConfigError: If there is none; says what was looked for.
+        ConfigError: If there is none; lists the paths that were tried.
     """
     folder = run / CHECKPOINTS
     paths = [*folder.glob("step_*.zip"), *folder.glob(FINAL)]
@@ -150,12 +146,12 @@ def find_resumable(run: Path) -> tuple[Path, dict[str, Any]]:
             state = read_tree(state_path(path))
             if state.get("env_steps") == steps[path]:
                 return path, state
-    message = f"{run} holds no checkpoint that a training can go on from"
+    message = f"{run} has no checkpoint that a training can go on from"
     raise ConfigError([Problem("resume", message)])
 
 
 def state_path(checkpoint: Path) -> Path:
-    """Return where the training's state of ``NAME.zip`` is: ``NAME.state.npz`` beside it."""
+    """Return the file with the training state of ``NAME.zip``: ``NAME.state.npz`` beside it."""
     return checkpoint.with_name(checkpoint.stem + _STATE)
 
 
@@ -166,18 +162,18 @@ def _remove(checkpoint: Path) -> None:
 
 
 class WriteError(EmbodichainError):
-    """A training's folder cannot be written; says what is in it and how to go on."""
+    """A training's folder cannot be written; reports its contents and how to resume."""
 
 
 @contextmanager
 def telling_where(run_dir: Path) -> Iterator[None]:
-    """Turn the system's errors into one that names the folder and its newest checkpoint.
+    """Convert OS errors to an error that names the folder and its newest checkpoint.
 
     Args:
         run_dir: The training's folder.
 
     Raises:
-        WriteError: Something could not be written.
+        WriteError: A file could not be written.
     """
     try:
         yield
@@ -190,6 +186,6 @@ def _what_remains(run_dir: Path) -> str:
     try:
         checkpoint, _ = find_resumable(run_dir)
     except (ConfigError, OSError):
-        return "it holds no checkpoint to go on from yet"
+        return "it has no checkpoint to go on from yet"
     command = f"embodichain train resume={run_dir}"
     return f"with room again, `{command}` goes on from its {checkpoint.name}"

@@ -1,7 +1,4 @@
-"""Trees of plain values and arrays in one npz file, without pickle, to the bit.
-
-What a training's state is made of stands in `training_state.py`.
-"""
+"""Trees of plain values and arrays in one npz file, without pickle and without loss."""
 
 from __future__ import annotations
 
@@ -25,16 +22,16 @@ _KIND = "__kind__"
 
 
 def write_tree(path: Path, tree: Mapping[str, Any]) -> None:
-    """Write a tree, as a whole or not at all.
+    """Write a tree atomically.
 
     Args:
-        path: Where to.
-        tree: Maps with text as keys, lists, tuples, arrays, tensors, numbers, text, None. Numbers
-            come back to the bit: JSON's digits are those of `repr`, integers have any size.
+        path: The file.
+        tree: Maps with strings as keys, lists, tuples, arrays, tensors, numbers, strings, None.
+            Numbers are stored exactly: floats as their `repr`, integers of any size.
 
     Raises:
-        TypeError: Something else is in it; says where.
-        OSError: It cannot be written; nothing is left behind.
+        TypeError: The tree contains another type; names its path.
+        OSError: The file cannot be written; no partial file remains.
     """
     arrays: dict[str, NDArray[Any]] = {}
     text = json.dumps(_pack(tree, "state", arrays))
@@ -43,21 +40,25 @@ def write_tree(path: Path, tree: Mapping[str, Any]) -> None:
         np.savez(stream, allow_pickle=False, **entries)
 
 
-def read_tree(path: Path) -> dict[str, Any]:
-    """Read what `write_tree` wrote; runs nothing of the file.
+def read_tree(path: Path, key: str = "resume", what: str = "state of a training") -> dict[str, Any]:
+    """Read a file written by `write_tree`; runs no code of the file.
+
+    Args:
+        path: The file.
+        key: Config key to name in the error about a damaged file.
+        what: Name of the content in messages.
 
     Raises:
-        ConfigError: If the file is missing or is no such file.
+        ConfigError: If the file is missing or has another format.
     """
     try:
         with np.load(path, allow_pickle=False) as archive:
             arrays = {name: archive[name] for name in archive.files}
         tree = _unpack(json.loads(str(arrays[_TREE])), arrays)
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        message = f"{path} holds no state of a training: {error}"
-        raise ConfigError([Problem("resume", message)]) from error
+        raise ConfigError([Problem(key, f"{path} has no {what}: {error}")]) from error
     if not isinstance(tree, dict):
-        raise ConfigError([Problem("resume", f"{path} holds no state of a training")])
+        raise ConfigError([Problem(key, f"{path} has no {what}")])
     return tree
 
 
@@ -72,7 +73,7 @@ def _pack(value: Any, path: str, arrays: dict[str, NDArray[Any]]) -> Any:
             kind = "scalar" if isinstance(value, np.generic) else "array"
             arrays[name] = np.asarray(value)
         if arrays[name].dtype.hasobject:
-            raise TypeError(f"{path} holds objects: they cannot be written")
+            raise TypeError(f"{path} contains objects: they cannot be written")
         return {_KIND: kind, "name": name}
     if isinstance(value, Mapping):
         items = [(k, _pack(v, f"{path}.{k}", arrays)) for k, v in value.items()]

@@ -1,4 +1,4 @@
-"""Learning curves as pictures: of one training, and of several side by side. Extra `plot`."""
+"""Plots of learning curves, of one training or of several. Needs the extra `plot`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _TITLES = {
 _LINE = 90  # characters that fit the picture's width
 _MARGIN = 0.05
 _LEAST = 0.05
-"""Least height of an axis, as a share of the largest value on it: smaller changes look flat."""
+"""Smallest range of an axis, as a share of its largest value, so that small changes look flat."""
 _log = logging.getLogger(__name__)
 
 
@@ -44,7 +44,7 @@ def draw_curves(run_dir: Path) -> Path | None:
         run_dir: A training's folder with `progress.csv`.
 
     Returns:
-        The picture; None where matplotlib is not installed or no episode ended.
+        The picture's path; None if matplotlib is not installed or no episode ended.
     """
     curves = read_curves(run_dir / PROGRESS)
     if not curves:
@@ -70,8 +70,8 @@ def plot_curves(groups: Sequence[Group], path: Path) -> None:
     """Draw the curves of every group with 95 % intervals over its seeds, into a new file.
 
     Args:
-        groups: What is compared.
-        path: A new file; its suffix says the format (``.png``, ``.svg``, ``.pdf``).
+        groups: The groups to compare.
+        path: A new file; the suffix is the format (``.png``, ``.svg``, ``.pdf``).
 
     Raises:
         ConfigError: If the file exists or cannot be written, a run has no curves, or matplotlib is
@@ -98,7 +98,7 @@ def plot_curves(groups: Sequence[Group], path: Path) -> None:
     figure = Figure(figsize=(7.0, 3.0 * len(names) + 0.2 * lines), layout="constrained")
     for axes, name in zip(figure.subplots(len(names), squeeze=False)[:, 0], names, strict=True):
         _draw(axes, groups, name)
-    # Once, below: what groups are called is as long as their overrides.
+    # One legend, below the axes: labels of groups are as long as their overrides.
     colours = [Line2D([], [], color=f"C{i}") for i in range(len(groups))]
     figure.legend(colours, labels, loc="outside lower left", fontsize="small", frameon=False)
     try:
@@ -136,13 +136,13 @@ def _wrapped(label: str) -> str:
 
 
 def set_axes(axes: Any, last_step: float, values: Iterable[float], *, share: bool) -> None:
-    """Set the limits and the numbers of an axes with a curve.
+    """Set the limits and tick labels of axes with curves.
 
     Args:
-        axes: Of matplotlib.
-        last_step: The last environment step of any curve in it.
-        values: All that is drawn.
-        share: Whether they are shares, such as success rates.
+        axes: Axes of matplotlib.
+        last_step: The last environment step of any curve.
+        values: All values drawn.
+        share: Whether the values are shares, such as success rates.
     """
     from matplotlib.ticker import EngFormatter
 

@@ -1,12 +1,9 @@
-"""`load_policy`: a trained policy's file as something that acts in an environment.
-
-Models of Stable-Baselines3 act here, ONNX and TorchScript in `exported.py`; policies without
-learning are in `embodichain.lab.gym.policies`.
-"""
+"""`load_policy`, and `LearnedPolicy`: a model of Stable-Baselines3 as a policy."""
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +14,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 
+from embodichain.config.run_folder import CONFIG
 from embodichain.learning.algorithms import algorithm_class
 from embodichain.learning.checkpoint import find_checkpoint, read_digest, read_note
 from embodichain.learning.exported import SUFFIXES, ExportedPolicy, load_exported
@@ -25,20 +23,20 @@ from embodichain.learning.normalization import (
     load_statistics,
     statistics_path,
 )
-from embodichain.learning.spaces import ActionScale, flat_observation, observation_box
-from embodichain.learning.task_digest import Change, TaskDigest, check_unchanged
+from embodichain.learning.spaces import ActionScale, observation_box
+from embodichain.learning.trained_policy import TrainedPolicy
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
-    from embodichain.lab.sim.engine.base import EnvIndex
-    from embodichain.lab.sim.types import EnvObs
+    from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["LearnedPolicy", "load_model", "load_policy"]
 
-# What acting does not need; a replay buffer for a million steps above all.
+# Not needed for acting; above all a replay buffer for a million steps.
 _UNUSED = {"seed": None, "buffer_size": 1, "learning_starts": 0, "tensorboard_log": None}
 _OBS_NORMALIZED = ("obs", "both", True)
+F32 = NDArray[np.float32]
 _log = logging.getLogger(__name__)
 
 
@@ -49,27 +47,28 @@ def load_policy(
     deterministic: bool = True,
     allow_changed: bool = False,
 ) -> LearnedPolicy | ExportedPolicy:
-    """Load a policy that `embodichain train` or `export`, or Stable-Baselines3 itself, has saved.
+    """Load a policy saved by `embodichain train` or `export`, or by Stable-Baselines3 itself.
 
     Loading a zip runs code from the file: Stable-Baselines3 stores Python objects in it with
-    cloudpickle. **Load only zips that you trust**, as you would run only programs that you trust;
-    one that lies in no run folder is warned about. ONNX and TorchScript files hold no Python.
+    cloudpickle. **Load only zips that you trust**, as you would run only programs that you trust; a
+    zip outside a run folder causes a warning. ONNX and TorchScript files contain no Python.
 
     Args:
-        path: A zip file with, where observations were normalized, ``NAME.normalize.npz`` beside it;
-            an ``.onnx``, ``.pt`` or ``.ts`` file; or a run folder with ``checkpoints/final.zip``.
-        env: Where it will act; given, that it fits is checked now instead of at the first action.
+        path: A zip file, with ``NAME.normalize.npz`` beside it if observations were normalized; an
+            ``.onnx``, ``.pt`` or ``.ts`` file; or a run folder with ``checkpoints/final.zip``.
+        env: The environment that it will act in; if given, the policy is checked against it now
+            instead of at the first action.
         deterministic: The mean action; otherwise actions are drawn from torch's global generator.
-        allow_changed: Whether it also acts in a task that is another than in training, as far as
-            the file's `TaskDigest` tells; what changed is then a warning. A file without a digest
-            (of Stable-Baselines3 itself, of another program) is not compared, which is a warning.
+        allow_changed: Whether to accept, with a warning, a task that differs from that of training
+            by the file's `TaskDigest`. A file without a digest (of Stable-Baselines3 itself or
+            another program) is not compared, with a warning.
 
     Returns:
         The policy: ``policy(obs, env) -> (N, A)``.
 
     Raises:
-        ConfigError: If there is no such file, if it is no policy, if its statistics are missing, or
-            if it does not fit, or was trained in another task; names what differs.
+        ConfigError: If the file does not exist or is not a policy, if its statistics are missing,
+            if it does not fit, or if it was trained in another task; names the differences.
     """
     file = find_checkpoint(path)
     policy: LearnedPolicy | ExportedPolicy
@@ -89,46 +88,44 @@ def load_policy(
 
 
 def load_model(file: Path, *, deterministic: bool = True) -> LearnedPolicy:
-    """Load a zip of Stable-Baselines3 with its statistics; see `load_policy` on trust.
+    """Load a zip of Stable-Baselines3 with its statistics; only one that you trust (`load_policy`).
 
     Raises:
-        ConfigError: If it is no policy, or its statistics are missing.
+        ConfigError: If the file is not a policy, or its statistics are missing.
     """
     note = read_note(file)
     algorithm = algorithm_class(str(note.get("algo")))
     statistics = _statistics(file)
-    if not _in_run_folder(file):
+    if not _config_path(file).is_file():
         _log.warning(
             "loading %s runs code from it: trust it as you would a program "
             "(embodichain export policy writes files that run none)",
             file,
         )
     try:
-        # Without its seed, and aside: nothing that runs in this process draws other numbers.
+        # Without its seed and in a fork of the generators, whose state here does not change.
         with torch.random.fork_rng(devices=()):
             model = algorithm.load(file, device="cpu", custom_objects=dict(_UNUSED))
     except Exception as error:  # a damaged pickle may raise anything
         message = f"{file} cannot be loaded: {type(error).__name__}: {error}"
         raise ConfigError([Problem("policy", message)]) from error
     group = str(note.get("group", "policy"))
-    policy = LearnedPolicy(model, group, str(file), deterministic, statistics)
-    policy.algo, policy.task = str(note.get("algo")), note.get("task")
-    policy.trained_in = read_digest(note, file)
-    return policy
+    return LearnedPolicy(model, group, str(file), deterministic, statistics, note)
 
 
-class LearnedPolicy:
+class LearnedPolicy(TrainedPolicy):
     """A model of Stable-Baselines3 that acts in batched environments.
 
     Args:
         model: The model, trained on an `SB3VecEnv`.
         group: The observation group it was trained on.
-        name: What messages call it.
-        deterministic: Whether it takes the mean action.
-        statistics: What normalizes observations for it; None where nothing did in training.
+        name: Its name in messages.
+        deterministic: Whether it returns the mean action.
+        statistics: Statistics to normalize observations; None if training did not normalize.
+        note: Metadata of its checkpoint: ``algo``, ``task`` and the digest of the task.
 
     Raises:
-        ConfigError: If the model sees or does something else than an `SB3VecEnv` has.
+        ConfigError: If the model's spaces are not those of an `SB3VecEnv`.
     """
 
     def __init__(
@@ -138,35 +135,47 @@ class LearnedPolicy:
         name: str = "policy",
         deterministic: bool = True,
         statistics: NormalizeStatistics | None = None,
+        note: Mapping[str, Any] | None = None,
     ) -> None:
+        note = note or {}
+        super().__init__(name, group, read_digest(note, Path(name)))
         self.model = model
-        self.group = group
-        self.name = name
         self.deterministic = deterministic
         self.statistics = statistics
-        self.algo: str | None = None
-        """The algorithm's name, where the file says it."""
-        self.task: str | None = None
-        """The task's, likewise."""
-        self.trained_in: TaskDigest | None = None
-        """What its task was in training, likewise."""
-        self.allow_changed = False
-        """Whether it acts in a task that has changed since."""
-        self.changed: tuple[Change, ...] = ()
-        """What of the task that it was last checked against is another than in training."""
-        self._env: BaseEnv | None = None
+        self.algo: str | None = note.get("algo")
+        self.task: str | None = note.get("task")
         self._scale: ActionScale | None = None
         self._state: tuple[NDArray[Any], ...] | None = None
         self._starts: NDArray[np.bool_] | None = None
         self._check_spaces()
 
-    def check(self, env: BaseEnv) -> ActionScale:
-        """Check that the policy fits an environment.
+    def predict(self, flat: F32) -> F32:
+        """Return (N, A) actions in [-1, 1] for flat, unnormalized observations (N, K)."""
+        seen: Any = flat if self.statistics is None else self.statistics.normalize(flat)
+        actions, self._state = self.model.predict(
+            seen, state=self._state, episode_start=self._starts, deterministic=self.deterministic
+        )
+        if self._starts is not None:
+            self._starts[:] = False
+        result: F32 = np.asarray(actions, np.float32)
+        return result
+
+    def act(self, obs: F32) -> F32:
+        """Return (N, A) actions for (N, K) observations, in units of the task last checked.
 
         Raises:
-            ConfigError: If observation or action have another width than in training, or the task
-                changed since and `allow_changed` is not set.
+            RuntimeError: If the policy was not checked against an environment.
         """
+        if self._scale is None:
+            raise RuntimeError("the policy was checked against no environment yet")
+        return self._scale(self.predict(obs))
+
+    def reset(self, env_ids: EnvIndex | None) -> None:
+        """Reset the state of a recurrent policy for these environments; None is all."""
+        if self._starts is not None:
+            self._starts[... if env_ids is None else env_ids] = True
+
+    def _fit(self, env: BaseEnv) -> None:
         scale = ActionScale(env.single_action_space)
         pairs = (
             ("observations", self.model.observation_space, observation_box(env, self.group)),
@@ -179,41 +188,8 @@ class LearnedPolicy:
         ]
         if differences:
             raise ConfigError([Problem("policy", f"{self.name} {'; '.join(differences)}")])
-        self.changed = check_unchanged(
-            self.name, self.trained_in, env, self.group, allow=self.allow_changed
-        )
-        self._env, self._scale = env, scale
+        self._scale = scale
         self._state, self._starts = None, np.ones(env.num_envs, np.bool_)
-        return scale
-
-    def predict(self, flat: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return (N, A) actions in [-1, 1] for flat observations (N, K) as the task gives them."""
-        seen: Any = flat if self.statistics is None else self.statistics.normalize(flat)
-        actions, state = self.model.predict(
-            seen, state=self._state, episode_start=self._starts, deterministic=self.deterministic
-        )
-        self._state = state
-        if self._starts is not None:
-            self._starts[:] = False
-        result: NDArray[np.float32] = np.asarray(actions, np.float32)
-        return result
-
-    def __call__(self, obs: EnvObs, env: BaseEnv) -> torch.Tensor:
-        """Return (N, A) float32 actions for an observation.
-
-        Raises:
-            ConfigError: At the first call in an environment, if the policy does not fit it.
-        """
-        scale = self._scale if env is self._env else None
-        if scale is None:
-            scale = self.check(env)
-        actions = self.predict(flat_observation(env, obs, self.group))
-        return torch.from_numpy(scale(actions)).to(env.device)
-
-    def reset(self, env_ids: EnvIndex | None) -> None:
-        """Forget what a recurrent policy remembers of these environments' episodes."""
-        if self._starts is not None:
-            self._starts[... if env_ids is None else env_ids] = True
 
     def _check_spaces(self) -> None:
         seen, done = self.model.observation_space, self.model.action_space
@@ -231,21 +207,20 @@ class LearnedPolicy:
 
 
 def _statistics(file: Path) -> NormalizeStatistics | None:
-    """The statistics beside a checkpoint; required where its run normalized observations."""
-    path = statistics_path(file)
-    return load_statistics(path) if path.exists() or _was_normalized(file) else None
+    """The statistics beside a checkpoint; required if its run normalized observations."""
+    path, config = statistics_path(file), _run_config(file)
+    algo = config.get("algo") if isinstance(config, dict) else None
+    normalized = isinstance(algo, dict) and algo.get("normalize") in _OBS_NORMALIZED
+    return load_statistics(path) if path.exists() or normalized else None
 
 
-def _was_normalized(file: Path) -> bool:
-    config = file.resolve().parent.parent / "config.yaml"
+def _run_config(file: Path) -> Any:
+    """The config of the run that a checkpoint belongs to; None if it cannot be read."""
     try:
-        tree = yaml.safe_load(config.read_text(encoding="utf-8"))
+        return yaml.safe_load(_config_path(file).read_text(encoding="utf-8"))
     except (OSError, ValueError, yaml.YAMLError):
-        return False
-    algo = tree.get("algo") if isinstance(tree, dict) else None
-    return isinstance(algo, dict) and algo.get("normalize") in _OBS_NORMALIZED
+        return None
 
 
-def _in_run_folder(file: Path) -> bool:
-    """Whether a file is a checkpoint of a run that somebody made here."""
-    return (file.resolve().parent.parent / "config.yaml").is_file()
+def _config_path(file: Path) -> Path:
+    return file.resolve().parent.parent / CONFIG

@@ -1,33 +1,45 @@
-"""`Session`: a model, its environment and its statistics, from the first step or from a checkpoint.
+"""`Session`: trains a model in this process, from the first step or from a checkpoint.
 
-What is written of it is `keeper.py`'s; what happens in every step, `watch.py`'s.
+A callback counts and logs, and on rollout boundaries writes checkpoints and stops. `TimeSplit`
+divides the wall time into physics, environment, policy and update.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import KVWriter
 
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.normalization import load_statistics, statistics_path
-from embodichain.learning.replay_buffer import buffer_of, buffer_path, load_buffer
-from embodichain.learning.train_logs import log_interval, make_logger
+from embodichain.learning.train_logs import log_episode, log_interval, make_logger
 from embodichain.learning.training_state import (
+    buffer_of,
+    buffer_path,
+    load_buffer,
     load_parameters,
     restore,
     restore_exploration,
     restore_generators,
 )
 from embodichain.learning.vec_env import SB3VecEnv
-from embodichain.learning.watch import Progress, Watch
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["Session"]
+__all__ = ["PARTS", "Progress", "Session", "TimeSplit"]
+
+Progress = Callable[[TrainStatistics], None]
+"""Called after every control step; KeyboardInterrupt stops at the next rollout boundary."""
+PARTS = ("physics", "environment", "policy", "update")
+"""Physics steps; the rest of `env.step` (observations, rewards, resets); the rest of a rollout
+(actions of the policy, buffers, statistics); the time between two rollouts (the algorithm's
+update, logs, checkpoints)."""
 
 
 @dataclass
@@ -35,11 +47,11 @@ class Session:
     """One training in this process.
 
     Attributes:
-        model: What learns.
-        vec_env: What it learns in, without wrappers.
-        statistics: How it goes.
+        model: The model to train.
+        vec_env: Its environment, without wrappers.
+        statistics: The progress of the training.
         run_dir: The run's folder.
-        writers: Who is told the logged numbers besides the files in it.
+        writers: Further outputs of the logged numbers.
     """
 
     model: BaseAlgorithm
@@ -50,14 +62,15 @@ class Session:
     _restored: dict[str, Any] | None = None
 
     def resume(self, checkpoint: Path, state: dict[str, Any]) -> None:
-        """Put the new model where a checkpoint was written.
+        """Restore a new model to the state of a checkpoint.
 
         Args:
             checkpoint: The zip.
-            state: What lies beside it, see `find_resumable`.
+            state: The training state from the file beside it, see `find_resumable`.
 
         Raises:
-            ConfigError: The checkpoint is damaged, of another network, or of code that kept less.
+            ConfigError: The checkpoint is damaged, of another network, or of an older version that
+                saved less.
         """
         load_parameters(self.model, checkpoint)
         try:
@@ -82,15 +95,15 @@ class Session:
     def learn(
         self, on_boundary: Callable[[], None], progress: Progress | None
     ) -> tuple[KeyboardInterrupt | None, bool]:
-        """Learn until all steps are taken or somebody stops it.
+        """Learn until all steps are taken or the training is stopped.
 
         Args:
-            on_boundary: Called as each rollout begins.
+            on_boundary: Called at the beginning of each rollout.
             progress: See `train`.
 
         Returns:
-            What stopped it, None for its end; and whether the model is between two rollouts:
-            a Ctrl-C that Python itself raised may have come in the middle of an update.
+            The exception that stopped it, or None; and whether the model is between two rollouts,
+            since a Ctrl-C raised by Python may come in the middle of an update.
         """
         model, total = self.model, self.statistics.total_timesteps
 
@@ -98,7 +111,7 @@ class Session:
             self._restore_exploration()
             on_boundary()
 
-        watch = Watch(self.vec_env, self.statistics, progress, boundary)
+        watch = _Watch(self.vec_env, self.statistics, progress, boundary)
         logger = make_logger(self.run_dir, self.writers)
         model.set_logger(logger)
         interval, new = log_interval(model, total), self._restored is None
@@ -117,9 +130,108 @@ class Session:
         return None, True
 
     def _restore_exploration(self) -> None:
-        """Undo, once, what the first rollout of a resumed training drew anew as it began."""
+        """Restore, once, the exploration that the first rollout after a resume drew anew."""
         saved, self._restored = self._restored, None
         if saved is not None:
             restore_exploration(self.model, saved)
         if saved is not None and saved["exploration"]:
             restore_generators(self.model, saved)
+
+
+class _Watch(BaseCallback):
+    """Counts steps and episodes; calls `on_boundary` between an update and the next rollout."""
+
+    def __init__(
+        self,
+        env: SB3VecEnv,
+        statistics: TrainStatistics,
+        progress: Progress | None,
+        on_boundary: Callable[[], None],
+    ) -> None:
+        super().__init__()
+        # The exception that `progress` raised to stop the training.
+        self.stopped: KeyboardInterrupt | None = None
+        self._env = env
+        self._split = TimeSplit()
+        self._statistics = statistics
+        self._progress = progress
+        self._on_boundary = on_boundary
+
+    def _on_rollout_start(self) -> None:
+        self._on_boundary()
+        self._split.rollout_begins(self._env)
+        if self.stopped is not None:
+            raise self.stopped
+
+    def _on_step(self) -> bool:
+        statistics = self._statistics
+        statistics.env_steps = self.num_timesteps
+        infos = self.locals["infos"]
+        for i in np.flatnonzero(self.locals["dones"]).tolist():
+            statistics.add(infos[i])
+            log_episode(self.logger, infos[i])
+        if self._progress is not None and self.stopped is None:
+            try:
+                self._progress(statistics)
+            except KeyboardInterrupt as error:
+                self.stopped = error  # after the rollout and its update, so that nothing is lost
+        return True
+
+    def _on_rollout_end(self) -> None:
+        self._split.rollout_ends(self._env)
+        self._statistics.fractions = self._split.fractions
+        for name, value in self._split.fractions.items():
+            self.logger.record(f"time/{name}_fraction", round(value, 4))
+        for name, value in self._env.base.curriculum_manager.values.items():
+            self.logger.record(f"Curriculum/{name}", value)
+
+    def end(self) -> None:
+        """Called when learning ended, normally or not: counts the time since the last rollout."""
+        self._split.end()
+        self._statistics.fractions = self._split.fractions
+
+
+class TimeSplit:
+    """Wall time by part; its methods are called at the beginning and end of rollouts.
+
+    Attributes:
+        seconds: Seconds of each of `PARTS` so far.
+    """
+
+    def __init__(self) -> None:
+        self.seconds = dict.fromkeys(PARTS, 0.0)
+        self._mark: float | None = None
+        self._before = (0.0, 0.0)
+
+    @property
+    def fractions(self) -> dict[str, float]:
+        """Share of each part in the total, 0 to 1; empty before the end of the first rollout."""
+        total = sum(self.seconds.values())
+        return {name: value / total for name, value in self.seconds.items()} if total > 0 else {}
+
+    def rollout_begins(self, env: SB3VecEnv) -> None:
+        """Count the time since the last rollout as the update's."""
+        self.end()
+        self._before = _spent(env)
+
+    def rollout_ends(self, env: SB3VecEnv) -> None:
+        """Count the time of a rollout that ended; the algorithm's update begins."""
+        whole = self._lap()
+        physics, steps = (
+            now - before for now, before in zip(_spent(env), self._before, strict=True)
+        )
+        for part, seconds in zip(PARTS, (physics, steps - physics, whole - steps), strict=False):
+            self.seconds[part] += seconds
+
+    def end(self) -> None:
+        """Count the time since the last call of any method as the update's."""
+        self.seconds["update"] += self._lap()
+
+    def _lap(self) -> float:
+        """Seconds since the last call; 0 in the first."""
+        before, self._mark = self._mark, time.perf_counter()
+        return 0.0 if before is None else self._mark - before
+
+
+def _spent(env: SB3VecEnv) -> tuple[float, float]:
+    return env.base.sim.physics_seconds, env.step_seconds

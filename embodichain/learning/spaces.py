@@ -1,10 +1,8 @@
-"""What a learner sees of an environment: observations flat or by name, actions within [-1, 1].
-
-The environment's own spaces are built in `lab.gym`.
-"""
+"""Spaces for learners: observations as a flat vector or by name, actions in [-1, 1]."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +24,7 @@ __all__ = [
     "ActionScale",
     "flat_observation",
     "observation_box",
+    "observation_columns",
     "observation_dict",
     "require_torch_batch",
 ]
@@ -34,20 +33,19 @@ F32 = NDArray[np.float32]
 
 
 class ActionScale:
-    """Maps actions in [-1, 1] to the bounds of an action space, end to end.
+    """Maps actions linearly from [-1, 1] to the bounds of an action space.
 
-    Learners want bounds that are finite, symmetric and of the size of their noise. The ends are
-    met exactly: -1 is `low` and 1 is `high`, to the bit. Where the bounds are [-1, 1] already,
-    nothing is computed.
+    Learners need bounds that are finite, symmetric and of the size of their noise. -1 maps exactly
+    to `low` and 1 exactly to `high`. If the bounds are [-1, 1] already, nothing is computed.
 
     Args:
         space: Action space of one environment.
 
     Attributes:
-        space: Box of the learner, (A,) in [-1, 1].
+        space: The learner's Box, (A,) in [-1, 1].
 
     Raises:
-        ConfigError: If the space is no Box (A,) with finite bounds.
+        ConfigError: If the space is not a Box (A,) with finite bounds.
     """
 
     def __init__(self, space: Any) -> None:
@@ -63,10 +61,10 @@ class ActionScale:
         self.space = spaces.Box(-1.0, 1.0, space.shape, np.float32)
 
     def __call__(self, actions: ArrayLike) -> F32:
-        """Return (N, A) actions of the environment, in memory of their own.
+        """Return (N, A) actions of the environment, as a new array.
 
         Args:
-            actions: (N, A), meant to lie in [-1, 1]; what lies outside is scaled like the rest.
+            actions: (N, A), in [-1, 1]; values outside are scaled, not clipped.
 
         Raises:
             ValueError: If the shape is wrong.
@@ -76,7 +74,7 @@ class ActionScale:
             raise ValueError(f"actions must have shape (N, {len(self._low)}), got {scaled.shape}")
         if self._identity:
             return scaled
-        # low + (a + 1) * (high - low) / 2 would miss `high` by a rounding.
+        # low + (a + 1) * (high - low) / 2 would miss `high` by a rounding error.
         half = np.float32(0.5)
         result: F32 = half * ((1 - scaled) * self._low + (1 + scaled) * self._high)
         return result
@@ -84,10 +82,6 @@ class ActionScale:
 
 def observation_box(env: BaseEnv, group: str) -> spaces.Box:
     """Return the space of one environment's flat observation: (K,), unbounded.
-
-    Args:
-        env: The environment.
-        group: The observation group.
 
     Raises:
         ConfigError: If no observation is in the group; lists the groups.
@@ -99,10 +93,6 @@ def observation_box(env: BaseEnv, group: str) -> spaces.Box:
 def observation_dict(env: BaseEnv, group: str) -> spaces.Dict:
     """Return the spaces of one environment's observations by name, in the order of the task.
 
-    Args:
-        env: The environment.
-        group: The observation group.
-
     Raises:
         ConfigError: If no observation is in the group; lists the groups.
     """
@@ -113,22 +103,38 @@ def observation_dict(env: BaseEnv, group: str) -> spaces.Dict:
     return entry_spaces(env.single_observation_space, names)
 
 
+def observation_columns(env: BaseEnv, group: str) -> tuple[str, ...]:
+    """Return a name for each column of a group's flat vector: ``robot/qpos[0]``.
+
+    Raises:
+        ValueError: If no observation is in the group.
+    """
+    columns: list[str] = []
+    for name in env.observation_manager.group_terms(group):
+        space: Any = env.single_observation_space
+        for key in name.split("/"):
+            space = space[key]
+        for index in itertools.product(*map(range, space.shape)):
+            columns.append(f"{name}[{','.join(map(str, index))}]" if index else name)
+    return tuple(columns)
+
+
 def flat_observation(env: BaseEnv, obs: Any, group: str) -> F32:
-    """Return (N, K) an observation's group as one vector a row, in memory of its own."""
+    """Return a group of an observation as a new (N, K) array, one flat vector per environment."""
     flat: F32 = env.observation_manager.flatten(obs, group).numpy(force=True)
     return flat
 
 
 def require_torch_batch(env: gym.Env[Any, Any], caller: str) -> None:
-    """Refuse what is no batch of tensors that resets in the same step.
+    """Check that an environment is a batch with torch tensors that resets in the same step.
 
     Args:
         env: An environment, wrapped or not.
-        caller: What needs one, for the message.
+        caller: The caller's name, for the message.
 
     Raises:
         TypeError: If it is one of `gymnasium.make` or `gymnasium.make_vec` with numpy arrays.
-        ValueError: If it resets otherwise.
+        ValueError: If its autoreset mode is not SAME_STEP.
     """
     if isinstance(env.unwrapped, (NumpyVectorEnv, SingleEnv)):
         raise TypeError(

@@ -1,6 +1,6 @@
-"""Numbers that say how far to trust a mean: interquartile mean, bootstrap and Wilson intervals.
+"""Statistics of evaluations: interquartile mean, bootstrap and Wilson intervals.
 
-scipy computes them. It is imported when they are: that takes as long as half of torch.
+scipy computes them. It is imported at the first use, since that takes half as long as torch.
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ from numpy.typing import ArrayLike, NDArray
 __all__ = ["CONFIDENCE", "Estimate", "Rate", "bootstrap", "estimate", "iqm", "rate"]
 
 CONFIDENCE = 0.95
-"""Share of repetitions in which an interval holds the true value, about."""
+"""Confidence level: approximate share of repetitions whose interval contains the true value."""
 RESAMPLES = 2000
-"""Resamples of a bootstrap: its ends then move by a few percent of its width."""
-_SEED = 0  # of the bootstrap's own generator: the same values always give the same interval
-_MOST_VALUES = 4_000_000  # drawn at once: 32 MB, however many episodes there are
+"""Resamples of a bootstrap; its ends then vary by a few percent of its width."""
+_SEED = 0  # of the bootstrap's separate generator: the same values give the same interval
+_MOST_VALUES = 4_000_000  # drawn at once: 32 MB for any number of episodes
 
 F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A quantity of which several values were seen.
+    """A summary of several values of a quantity.
 
     Attributes:
         mean: Arithmetic mean.
-        median: The value in the middle.
+        median: Median.
         iqm: Interquartile mean, see `iqm`.
         std: Standard deviation of the values (divided by their number).
         min: The smallest.
         max: The largest.
         mean_interval: Bootstrap interval of the mean, (low, high); None with a single value.
-        iqm_interval: Likewise of the interquartile mean.
+        iqm_interval: Bootstrap interval of the interquartile mean, likewise.
     """
 
     mean: float
@@ -51,12 +51,12 @@ class Estimate:
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """How often something happened.
+    """The rate of an event, such as success.
 
     Attributes:
-        rate: Share of the trials.
-        count: Trials in which it happened.
-        trials: All of them.
+        rate: Share of the trials with the event.
+        count: Number of trials with the event.
+        trials: Number of trials.
         interval: Wilson's score interval of the rate, (low, high).
     """
 
@@ -73,7 +73,7 @@ def iqm(values: ArrayLike, axis: int = -1) -> F64:
 
     Args:
         values: At least one along `axis`.
-        axis: Which is reduced.
+        axis: The axis to reduce.
     """
     from scipy.stats import trim_mean
 
@@ -86,8 +86,8 @@ def bootstrap(
 ) -> tuple[F64, F64] | None:
     """Percentile bootstrap interval of a statistic over the first axis (Efron, 1979).
 
-    Draws come from a generator of its own with a fixed seed: the same values give the same
-    interval, and no other random numbers change.
+    Draws come from a separate generator with a fixed seed: the same values give the same interval,
+    and no other random numbers change.
 
     Args:
         values: (n, ...).
@@ -95,7 +95,7 @@ def bootstrap(
         confidence: Between 0 and 1.
 
     Returns:
-        (low, high), each (...); None for fewer than two values, which say nothing about spread.
+        (low, high), each (...); None for fewer than two values.
     """
     from scipy.stats import bootstrap as scipy_bootstrap
 
@@ -117,7 +117,7 @@ def bootstrap(
 
 
 def estimate(values: ArrayLike) -> Estimate | None:
-    """Sum up values; None for none.
+    """Summarize values; None if there are none.
 
     Args:
         values: (n,).
@@ -143,12 +143,12 @@ def _interval(data: F64, statistic: Callable[..., Any]) -> tuple[float, float] |
 
 
 def rate(happened: ArrayLike) -> Rate | None:
-    """Sum up yes-or-no values with Wilson's score interval at 95 % (Wilson, 1927); None for none.
+    """Summarize booleans with Wilson's 95 % score interval (Wilson, 1927); None if there are none.
 
-    Unlike a bootstrap it does not shrink to a point where all trials agree.
+    Unlike a bootstrap interval, it does not shrink to a point if all trials agree.
 
     Args:
-        happened: (n,) truth values.
+        happened: (n,) booleans.
     """
     from scipy.stats import binomtest
 

@@ -1,7 +1,7 @@
-"""`TaskDigest`: what a policy was trained in, model and MDP, and what of it is another elsewhere.
+"""`TaskDigest`: model and MDP that a policy was trained in, to be compared with another task.
 
-It lies in checkpoints and in exported policies, as plain values rather than as a hash: a difference
-has a name and two values. The values are `physics_values`'s and `mdp_values`'s.
+It is saved in checkpoints and exported policies, as plain values instead of a hash, so that a
+difference has a name and two values. The values come from `physics_values` and `mdp_values`.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ if TYPE_CHECKING:
 __all__ = ["ALLOW", "Change", "TaskDigest", "check_unchanged"]
 
 ALLOW = "allow_changed=true"
-"""What the command line takes to go on in a task that has changed."""
+"""Override of the command line that accepts a changed task."""
 
 TOLD = ("rewards", "corruption", "curriculum", "mujoco")
-"""Parts in which a policy acts as before: that they changed is told, and refused nowhere."""
+"""Parts that do not affect a policy's actions; a change only causes a warning."""
 
 _FORMAT = 1
 _RELATIVE, _ABSOLUTE = 1e-6, 1e-12
-"""Differences of numbers that are none: a model compiled elsewhere may round otherwise."""
+"""Tolerance for numbers: a model compiled on another machine may be rounded differently."""
 _MOST_SHOWN = 12
 _NAMES = {
     "timing": "task.",
@@ -43,18 +43,18 @@ _NAMES = {
     "id": "task.id",
     "mujoco": "MuJoCo",
 }
-"""What the names of a part's values begin with; else ``task.PART.``."""
+"""Part -> prefix of the names of its values; the default is ``task.PART.``."""
 _Difference = tuple[str, Any, Any]
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One thing that is another than in training.
+    """One difference from the task in training.
 
     Attributes:
         part: The part of the digest: ``model``, ``observations``...
-        name: What it is called: ``joint panda/panda_joint7: damping``, ``task.events.push.mode``.
+        name: Its name: ``joint panda/panda_joint7: damping``, ``task.events.push.mode``.
         before: Its value in training, as text.
         now: Its value here, as text.
     """
@@ -66,7 +66,7 @@ class Change:
 
     @property
     def refused(self) -> bool:
-        """Whether the policy meets another task for it than it learned."""
+        """Whether the change is an error, because it affects the policy."""
         return self.part not in TOLD
 
     def __str__(self) -> str:
@@ -79,19 +79,19 @@ class TaskDigest:
     """Plain values of a task, by part.
 
     Attributes:
-        parts: ``model`` (element -> field -> value), the sections of `mdp_values`, and ``mujoco``,
-            the version.
+        parts: ``model`` (element -> field -> value), the sections of `mdp_values`, and ``mujoco``
+            (its version).
     """
 
     parts: Mapping[str, Any]
 
     @classmethod
     def of(cls, env: BaseEnv, group: str = "policy") -> TaskDigest:
-        """Describe a built environment; neither its number of environments nor its seed counts.
+        """Describe a built environment; independent of the number of environments and the seed.
 
         Args:
             env: The environment.
-            group: The observation group that the policy sees.
+            group: The policy's observation group.
 
         Raises:
             ValueError: If no observation is in the group.
@@ -105,7 +105,7 @@ class TaskDigest:
 
     @classmethod
     def from_json(cls, text: str) -> TaskDigest | None:
-        """Read it back; None where another version of the format was written.
+        """Parse JSON; None if it has another version of the format.
 
         Raises:
             ValueError: If the text is damaged.
@@ -116,7 +116,7 @@ class TaskDigest:
         return cls(found) if found.pop("format", None) == _FORMAT else None
 
     def changes(self, now: TaskDigest) -> list[Change]:
-        """Return what is another in `now`: the model first, then the MDP by section."""
+        """Return the differences in `now`: first the model, then the MDP by section."""
         found: list[Change] = []
         for part in dict.fromkeys([*self.parts, *now.parts]):
             before, after = self.parts.get(part), now.parts.get(part)
@@ -131,17 +131,17 @@ def check_unchanged(
     """Compare the task that a policy was trained in with the one where it is to act.
 
     Args:
-        name: What messages call the policy.
-        trained_in: What lies beside the policy; None compares nothing.
-        env: Where it will act.
-        group: The observation group that it sees.
-        allow: Whether it acts there all the same; what changed is then a warning.
+        name: The policy's name in messages.
+        trained_in: The digest in the policy's file; None compares nothing.
+        env: The environment that it will act in.
+        group: The policy's observation group.
+        allow: Whether to accept changes, with a warning.
 
     Returns:
-        What changed.
+        The changes.
 
     Raises:
-        ConfigError: If something changed that the policy meets, and `allow` is not set.
+        ConfigError: If a change affects the policy and `allow` is not set.
     """
     if trained_in is None:
         return ()
@@ -163,7 +163,7 @@ def _shown(changes: list[Change]) -> list[str]:
 
 
 def _model(before: Any, now: Any) -> Iterator[_Difference]:
-    """Differences of two models: elements that are gone or new, and fields of the others."""
+    """Differences of two models: removed and new elements, and fields of the others."""
     for element in dict.fromkeys([*before, *now]):
         if element in before and element in now:
             for field in dict.fromkeys([*before[element], *now[element]]):
@@ -176,7 +176,7 @@ def _model(before: Any, now: Any) -> Iterator[_Difference]:
 
 
 def _section(part: str, before: Any, now: Any) -> Iterator[_Difference]:
-    """Differences of two sections, by the keys that the config has for them."""
+    """Differences of two sections, named by config keys."""
     name = _NAMES.get(part, f"task.{part}.")
     if not isinstance(before or now, Mapping):
         yield from _walk(name, before, now)
@@ -187,7 +187,7 @@ def _section(part: str, before: Any, now: Any) -> Iterator[_Difference]:
 
 
 def _walk(name: str, before: Any, now: Any) -> Iterator[_Difference]:
-    """The smallest things that differ within two values."""
+    """The innermost values that differ within two values."""
     if isinstance(before, Mapping) and isinstance(now, Mapping):
         for key in dict.fromkeys([*before, *now]):
             yield from _walk(f"{name}.{key}", before.get(key), now.get(key))
@@ -206,11 +206,11 @@ def _same(a: Any, b: Any) -> bool:
         return math.isclose(a, b, rel_tol=_RELATIVE, abs_tol=_ABSOLUTE)
     if isinstance(a, list) and isinstance(b, list):
         return len(a) == len(b) and all(map(_same, a, b))
-    return bool(a == b) or not (a or b)  # what is zero, false or empty is not written
+    return bool(a == b) or not (a or b)  # zero, false and empty values are not written
 
 
 def _text(value: Any, other: Any) -> str:
-    """A value in a line; one that is not there, as what it means beside the other."""
+    """A value on one line; a missing value as the default implied by the other one."""
     if value is None or value == 0:
         nothing = {bool: "false", int: "0", float: "0"}
         return nothing.get(type(other), "none" if value is None else "0")

@@ -1,9 +1,4 @@
-"""`train`: from one config to a checkpoint and a summary. The story of a training, top to bottom.
-
-The environment's vector interface is `vec_env.py`, algorithms `algorithms.py`, checkpoints
-`keeper.py`, learning itself `session.py`. What people see while it runs is the command
-line's.
-"""
+"""`train`: runs a training from its config to the final checkpoint and the summary."""
 
 from __future__ import annotations
 
@@ -15,36 +10,28 @@ from pathlib import Path
 from typing import Any, Literal
 
 import torch
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.logger import KVWriter
-from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from embodichain.config import Resolved, make_env
-from embodichain.config.algorithms import DEFAULT_ALGORITHM, OffPolicyCfg, PpoCfg
-from embodichain.config.frozen import thaw
-from embodichain.config.schema import LARGEST_TRAINING_SEED
+from embodichain.config.algorithms import DEFAULT_ALGORITHM, AlgoCfg
+from embodichain.config.resolved import thaw
+from embodichain.config.run_folder import SUMMARY
+from embodichain.config.validation import check_training_keys
 from embodichain.lab.gym.envs.base_env import BaseEnv
-from embodichain.learning.algorithms import (
-    action_noise,
-    build_algorithm,
-    check_arguments,
-    check_normalize,
-)
+from embodichain.learning.algorithms import Algorithm
 from embodichain.learning.checkpoint import DIGEST, read_digest, read_note
 from embodichain.learning.episodes import TrainStatistics
 from embodichain.learning.evaluation import Evaluation
 from embodichain.learning.keeper import CheckpointKeeper, find_resumable, telling_where
 from embodichain.learning.plots import draw_curves
-from embodichain.learning.session import Session
+from embodichain.learning.session import Progress, Session
 from embodichain.learning.task_digest import TaskDigest, check_unchanged
 from embodichain.learning.train_logs import check_wandb, wandb_writers
 from embodichain.learning.vec_env import SB3VecEnv
-from embodichain.learning.watch import Progress
 from embodichain.utils.atomic import write_text
 from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = [
-    "SUMMARY_FILE",
     "TORCH_THREADS",
     "TrainSummary",
     "add_evaluation",
@@ -53,37 +40,28 @@ __all__ = [
     "train",
 ]
 
-SUMMARY_FILE = "summary.json"
 GROUP = "policy"
 _EVAL_KEYS = {field.name for field in dataclasses.fields(Evaluation)} - {"per_episode"}
 TORCH_THREADS = 1
-"""Threads of torch while learning: networks are small, and the cores belong to physics."""
+"""Threads of torch while learning: one, as networks are small and physics needs the cores."""
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
 class TrainSummary:
-    """What a training was; `summary.json` has the same keys.
+    """The results of a training; `summary.json` has the same keys.
 
     Attributes:
-        task: The task's name.
-        algo: The algorithm's name.
-        seed: The seed of everything drawn.
-        num_envs: Environments stepped together.
-        env_steps: Environment steps taken, summed over environments, with those before a resume.
+        env_steps: Environment steps, summed over environments, including those before a resume.
         train_seconds: Wall time of learning, without start-up.
-        env_steps_per_second: Their ratio.
-        time_fractions: Shares of the wall time since the start or the resume, by part: ``physics``,
-            ``environment``, ``policy``, ``update`` (see `time_split.PARTS`).
-        episodes: Episodes finished.
-        success_rate: Share of the last 200 episodes that were a success; None without any.
-        mean_return: Mean return of the last 200 episodes; None without any.
-        status: ``finished`` or ``interrupted``.
+        time_fractions: Shares of the wall time since the start or the resume, see `session.PARTS`.
+        success_rate: Success rate of the last 200 episodes; None without episodes.
+        mean_return: Mean return of the last 200 episodes; None without episodes.
         checkpoint: Path of the final checkpoint, relative to the run folder.
-        best: That of the best one; None where no episode ended.
-        resumed_from: The checkpoint that this training went on from; None for a new one.
-        eval: What the evaluation at the end found, see `add_evaluation`; None without one.
-        objective: What a sweeper optimises: the evaluation's success rate, or its mean return for a
-            task without success; without an evaluation, the training's own.
+        best: Path of the best checkpoint; None if no episode ended.
+        resumed_from: The checkpoint that this training was resumed from; None for a new one.
+        eval: Results of the evaluation at the end, see `add_evaluation`; None without one.
+        objective: The objective for a sweeper: the evaluation's success rate, or its mean return
+            for a task without success; without an evaluation, that of the training.
     """
 
     task: str
@@ -105,52 +83,33 @@ class TrainSummary:
     objective: float | None = None
 
 
-@dataclasses.dataclass(frozen=True, slots=True)
-class _Plan:
-    """What a training does, checked."""
-
-    task: str
-    algo: str
-    arguments: dict[str, object]
-    seed: int
-    total_timesteps: int
-    normalize: dict[str, Any] | None
-    noise: tuple[str, float | None] | None
-    every_steps: int
-    keep: int
-    replay_buffer: bool
-    resume: Path | None
-    allow_changed: bool
-
-
 def train(
     resolved: Resolved,
     run_dir: Path,
     progress: Progress | None = None,
     attach: Callable[[BaseEnv], None] | None = None,
 ) -> TrainSummary:
-    """Learn a task in this process.
+    """Train a policy in this process.
 
-    Writes checkpoints and ``summary.json`` into the run folder, each as a whole or not at all, and
-    logs. With ``resume`` in the config it goes on from the newest checkpoint of that run's folder.
+    Writes checkpoints, ``summary.json`` (both atomically) and logs into the run folder. With
+    ``resume`` in the config, training continues from the newest checkpoint of that run's folder.
 
     Args:
         resolved: A config of the verb `train`.
-        run_dir: The run's own folder, which exists.
+        run_dir: The run's folder, which exists.
         progress: Called after every control step with `TrainStatistics`; may raise
-            KeyboardInterrupt to stop: the rollout and its update are finished first.
-        attach: Called with the environment once it is built, to attach observers: viewers.
+            KeyboardInterrupt to stop after the current rollout and its update.
+        attach: Called with the built environment, to attach observers such as viewers.
 
     Returns:
-        What the training was.
+        The results.
 
     Raises:
         ConfigError: If the task cannot be learned or an argument is wrong; nothing was written.
-        KeyboardInterrupt: `progress` raised it, or Ctrl-C came; what was learned until then is
-            saved first.
-        WriteError: The folder cannot be written; checkpoints that were whole still are.
+        KeyboardInterrupt: Raised by `progress` or Ctrl-C; the model is saved first.
+        WriteError: The folder cannot be written; complete checkpoints remain.
     """
-    plan = _plan(resolved)
+    algorithm = _checked_algorithm(resolved)
     env = make_env(resolved)
     try:
         env.run_dir = run_dir
@@ -162,22 +121,22 @@ def train(
             wandb_writers(resolved.root.wandb, run_dir, thaw(resolved.tree)) as writers,
             telling_where(run_dir),
         ):
-            return _learn(plan, vec_env, run_dir, progress, writers)
+            return _learn(resolved, algorithm, vec_env, run_dir, progress, writers)
     finally:
         env.close()
 
 
 def add_evaluation(run_dir: Path, found: Mapping[str, Any]) -> dict[str, Any]:
-    """Put an evaluation of the final checkpoint into a training's `summary.json`.
+    """Add an evaluation of the final checkpoint to a training's `summary.json`.
 
     Args:
         run_dir: The training's folder.
-        found: `Evaluation.as_dict()`; the list of episodes is left out.
+        found: `Evaluation.as_dict()`; `per_episode` is left out.
 
     Returns:
         The summary.
     """
-    summary: dict[str, Any] = json.loads((run_dir / SUMMARY_FILE).read_text(encoding="utf-8"))
+    summary: dict[str, Any] = json.loads((run_dir / SUMMARY).read_text(encoding="utf-8"))
     summary["eval"] = {name: value for name, value in found.items() if name in _EVAL_KEYS}
     success, returns = found["success"], found["returns"]
     if found["complete"]:
@@ -187,19 +146,19 @@ def add_evaluation(run_dir: Path, found: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def check_training(resolved: Resolved) -> None:
-    """Check what `train` would refuse before it builds anything.
+    """Run the checks of `train` that need no environment.
 
     Args:
         resolved: A config of the verb `train`.
 
     Raises:
-        ConfigError: Every mistake.
+        ConfigError: Lists every mistake.
     """
-    _plan(resolved)
+    _checked_algorithm(resolved)
 
 
 def check_algorithm(resolved: Resolved, env: BaseEnv) -> None:
-    """Build the algorithm of a training on its environment, and leave it at that.
+    """Build the algorithm of a training on its environment, as a check, without training.
 
     Args:
         resolved: A config of the verb `train`.
@@ -208,86 +167,62 @@ def check_algorithm(resolved: Resolved, env: BaseEnv) -> None:
     Raises:
         ConfigError: If the task cannot be learned or an argument is wrong.
     """
-    _build(_plan(resolved), SB3VecEnv(env, GROUP))
+    _checked_algorithm(resolved).build(SB3VecEnv(env, GROUP), resolved.root.seed)
 
 
-def _plan(resolved: Resolved) -> _Plan:
-    """Check what the config says about learning before anything is built."""
+def _checked_algorithm(resolved: Resolved) -> Algorithm:
+    """Check the config keys for learning, before building."""
     root = resolved.root
-    problems: list[Problem] = []
-    if root.total_timesteps is None:
-        message = "needs the number of environment steps; this task suggests none"
-        problems.append(Problem("total_timesteps", message))
-    if root.seed is None or not 0 <= root.seed <= LARGEST_TRAINING_SEED:
-        message = f"training needs a seed from 0 to {LARGEST_TRAINING_SEED}, got {root.seed}"
-        problems.append(Problem("seed", message))
+    problems = check_training_keys(root) + check_wandb(root.wandb)
     if root.resume is not None and not Path(root.resume).is_dir():
         problems.append(Problem("resume", f"there is no run folder {root.resume!r}"))
     if root.video and not root.eval.episodes:
         problems.append(Problem("video", "there is no evaluation to film: eval.episodes is 0"))
-    problems += check_wandb(root.wandb)
-    name = root.algo.name if root.algo is not None else DEFAULT_ALGORITHM
-    arguments: dict[str, object] = {}
-    normalize: dict[str, Any] | None = None
-    algo = root.algo if root.algo is not None else PpoCfg()
     try:
-        arguments = check_arguments(name, algo.arguments())
+        algorithm = Algorithm.of(root.algo or AlgoCfg(name=DEFAULT_ALGORITHM))
     except ConfigError as error:
-        problems += error.problems
-    try:
-        normalize = check_normalize(algo.normalize, algo.normalize_kwargs, algo.gamma)
-    except ConfigError as error:
-        problems += error.problems
-    if root.checkpoint.replay_buffer and not isinstance(algo, OffPolicyCfg):
-        problems.append(Problem("checkpoint.replay_buffer", f"{name} learns from no replay buffer"))
-    if problems or root.total_timesteps is None or root.seed is None:
+        raise ConfigError([*problems, *error.problems]) from error
+    if root.checkpoint.replay_buffer and not algorithm.has_replay_buffer:
+        message = f"{algorithm.name} learns from no replay buffer"
+        problems.append(Problem("checkpoint.replay_buffer", message))
+    if problems:
         raise ConfigError(problems)
-    kind = getattr(algo, "noise_type", None)
-    return _Plan(
-        task=resolved.task_name,
-        algo=name,
-        arguments=arguments,
-        seed=root.seed,
-        total_timesteps=root.total_timesteps,
-        normalize=normalize,
-        noise=None if kind is None else (kind, getattr(algo, "noise_std", None)),
-        every_steps=root.checkpoint.every_steps or max(1, root.total_timesteps // 10),
-        keep=root.checkpoint.keep,
-        replay_buffer=root.checkpoint.replay_buffer,
-        resume=None if root.resume is None else Path(root.resume),
-        allow_changed=root.allow_changed,
-    )
+    return algorithm
 
 
 def _learn(
-    plan: _Plan,
+    resolved: Resolved,
+    algorithm: Algorithm,
     vec_env: SB3VecEnv,
     run_dir: Path,
     progress: Progress | None,
     writers: tuple[KVWriter, ...],
 ) -> TrainSummary:
-    found = None if plan.resume is None else find_resumable(plan.resume)
-    if found is not None and found[1]["env_steps"] >= plan.total_timesteps:
+    root, task = resolved.root, resolved.task_name
+    total, seed = root.total_timesteps or 0, root.seed or 0
+    found = None if root.resume is None else find_resumable(Path(root.resume))
+    if found is not None and found[1]["env_steps"] >= total:
         message = f"{found[0]} has {found[1]['env_steps']} steps already: give more than these"
         raise ConfigError([Problem("total_timesteps", message)])
     if found is not None:
         before = read_digest(read_note(found[0]), found[0])
-        check_unchanged(str(found[0]), before, vec_env.base, GROUP, allow=plan.allow_changed)
+        check_unchanged(str(found[0]), before, vec_env.base, GROUP, allow=root.allow_changed)
     digest = TaskDigest.of(vec_env.base, GROUP)
-    statistics = TrainStatistics(plan.total_timesteps)
-    session = Session(_build(plan, vec_env), vec_env, statistics, run_dir, writers)
+    statistics = TrainStatistics(total)
+    session = Session(algorithm.build(vec_env, seed), vec_env, statistics, run_dir, writers)
     if found is not None:
         session.resume(*found)
-    note = {"algo": plan.algo, "group": GROUP, "task": plan.task, DIGEST: digest.to_json()}
+    note = {"algo": algorithm.name, "group": GROUP, "task": task, DIGEST: digest.to_json()}
+    every = root.checkpoint.every_steps or max(1, total // 10)
     keeper = CheckpointKeeper(
-        session, note, plan.every_steps, plan.keep, replay_buffer=plan.replay_buffer
+        session, note, every, root.checkpoint.keep, replay_buffer=root.checkpoint.replay_buffer
     )
     interrupt, resumable = session.learn(keeper.boundary, progress)
     checkpoint = keeper.final(resumable=resumable, rolling=interrupt is not None)
     summary = TrainSummary(
-        task=plan.task,
-        algo=plan.algo,
-        seed=plan.seed,
+        task=task,
+        algo=algorithm.name,
+        seed=seed,
         num_envs=vec_env.num_envs,
         env_steps=statistics.env_steps,
         train_seconds=statistics.seconds,
@@ -312,24 +247,12 @@ def _learn(
 
 
 def _write(run_dir: Path, summary: Mapping[str, Any]) -> None:
-    write_text(run_dir / SUMMARY_FILE, json.dumps(summary, indent=2) + "\n")
-
-
-def _build(plan: _Plan, vec_env: SB3VecEnv) -> BaseAlgorithm:
-    """The algorithm on the environment, normalized where that is wanted."""
-    wrapped: VecEnv = vec_env
-    if plan.normalize is not None:
-        wrapped = VecNormalize(vec_env, **plan.normalize)
-    arguments = dict(plan.arguments)
-    if plan.noise is not None:
-        width = int(vec_env.action_space.shape[0]) if vec_env.action_space.shape else 0
-        arguments["action_noise"] = action_noise(*plan.noise, width, vec_env.num_envs)
-    return build_algorithm(plan.algo, arguments, wrapped, plan.seed)
+    write_text(run_dir / SUMMARY, json.dumps(summary, indent=2) + "\n")
 
 
 @contextmanager
 def _torch_threads(count: int) -> Iterator[None]:
-    """Set the threads of torch's operators for a while; they belong to the whole process."""
+    """Set the number of torch's threads inside the context; it applies to the whole process."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:

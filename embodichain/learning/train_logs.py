@@ -1,4 +1,4 @@
-"""`progress.csv`, TensorBoard and Weights & Biases: where the numbers of a training go."""
+"""Logging of a training's numbers: `progress.csv`, TensorBoard, Weights & Biases."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from stable_baselines3.common.logger import (
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from embodichain.config.schema import WandbCfg
+from embodichain.learning.comparison import PROGRESS
 from embodichain.learning.vec_env import ENDS
 from embodichain.utils.errors import EmbodichainError, Problem
 
@@ -27,32 +28,28 @@ if TYPE_CHECKING:
     import wandb
 
 __all__ = [
-    "PROGRESS_FILE",
     "TENSORBOARD",
     "WandbWriter",
     "check_wandb",
-    "log_curriculum",
     "log_episode",
-    "log_fractions",
     "log_interval",
     "make_logger",
     "wandb_writers",
 ]
 
-PROGRESS_FILE = "progress.csv"
 TENSORBOARD = "tensorboard"
 _MOST_ROWS = 200
 _log = logging.getLogger(__name__)
 
 
 def make_logger(run_dir: Path, writers: Sequence[KVWriter] = ()) -> Logger:
-    """Return a logger into a run's folder; event files only where `tensorboard` is installed.
+    """Return a logger for a run's folder; event files need an installed `tensorboard`.
 
     Args:
         run_dir: The folder.
-        writers: Who is told the same numbers besides.
+        writers: Further outputs of the same numbers.
     """
-    formats: list[KVWriter] = [CSVOutputFormat(str(run_dir / PROGRESS_FILE))]
+    formats: list[KVWriter] = [CSVOutputFormat(str(run_dir / PROGRESS))]
     if importlib.util.find_spec("tensorboard") is not None:
         formats.append(TensorBoardOutputFormat(str(run_dir / TENSORBOARD)))
     else:
@@ -61,9 +58,9 @@ def make_logger(run_dir: Path, writers: Sequence[KVWriter] = ()) -> Logger:
 
 
 def log_interval(model: BaseAlgorithm, total_timesteps: int) -> int:
-    """Return Stable-Baselines3's `log_interval` that makes at most about 200 rows.
+    """Return the `log_interval` for Stable-Baselines3 that gives at most about 200 rows.
 
-    It counts rollouts for on-policy algorithms, episodes for the others.
+    It is in rollouts for on-policy algorithms, in episodes for the others.
     """
     if isinstance(model, OnPolicyAlgorithm):
         rollouts = total_timesteps // (model.n_steps * model.n_envs)
@@ -72,12 +69,12 @@ def log_interval(model: BaseAlgorithm, total_timesteps: int) -> int:
 
 
 def log_episode(logger: Logger, info: Mapping[str, Any]) -> None:
-    """Take in the info of an environment whose episode ended, averaged until a row is written.
+    """Log the info of an environment at the end of its episode, averaged until a row is written.
 
     ``Episode_Reward/TERM`` is the sum of a reward term over an episode, ``Episode_Metrics/NAME`` a
-    metric at its end; ``Episode_Termination/`` are shares of episodes: ``success``, ``fail``,
-    ``time_out``, ``diverged`` say what ended them (the first that applies), the names of
-    termination terms at the end of how many each was true.
+    metric at its end. ``Episode_Termination/`` are shares of episodes: ``success``, ``fail``,
+    ``time_out`` or ``diverged`` is the cause of the end (the first that applies); for the name of a
+    termination term, the share of episodes at whose end the term was true.
     """
     for name, value in info["reward_sums"].items():
         logger.record_mean(f"Episode_Reward/{name}", value)
@@ -91,23 +88,11 @@ def log_episode(logger: Logger, info: Mapping[str, Any]) -> None:
         logger.record_mean(f"Episode_Termination/{name}", float(true))
 
 
-def log_fractions(logger: Logger, fractions: Mapping[str, float]) -> None:
-    """Take in where the wall time went so far: ``time/physics_fraction`` and the like."""
-    for name, value in fractions.items():
-        logger.record(f"time/{name}_fraction", round(value, 4))
-
-
-def log_curriculum(logger: Logger, values: Mapping[str, float]) -> None:
-    """Take in what curricula have set, as it stands: ``Curriculum/TERM``."""
-    for name, value in values.items():
-        logger.record(f"Curriculum/{name}", value)
-
-
 class WandbWriter(KVWriter):
     """Writes rows of Stable-Baselines3's logger into a run of Weights & Biases.
 
     Args:
-        run: The run; whoever opened it finishes it.
+        run: The run; this class does not finish it.
     """
 
     def __init__(self, run: wandb.Run) -> None:
@@ -128,7 +113,7 @@ class WandbWriter(KVWriter):
 
 
 def check_wandb(cfg: WandbCfg) -> list[Problem]:
-    """Return what is wrong if Weights & Biases is asked for but not installed."""
+    """Return a problem if Weights & Biases is configured but not installed."""
     if cfg.mode == "disabled" or importlib.util.find_spec("wandb") is not None:
         return []
     message = "needs the package wandb: pip install 'embodichain[wandb]'"
@@ -139,15 +124,15 @@ def check_wandb(cfg: WandbCfg) -> list[Problem]:
 def wandb_writers(
     cfg: WandbCfg, run_dir: Path, config: Mapping[str, Any]
 ) -> Iterator[tuple[KVWriter, ...]]:
-    """Open a run for a training; nothing without one. It is finished, or failed, with the block.
+    """Open a run of Weights & Biases if configured; the context marks it finished or failed.
 
-    Its files are in the folder `wandb` of the run's folder: `wandb sync` sends those of a run that
-    was offline.
+    Its files are in the folder `wandb` of the run's folder; `wandb sync` uploads those of an
+    offline run.
 
     Args:
-        cfg: Whether and where to. With ``online`` the environment variable ``WANDB_MODE`` counts.
+        cfg: The config; with ``online`` the environment variable ``WANDB_MODE`` is respected.
         run_dir: The training's folder.
-        config: The resolved config, which is kept with the run.
+        config: The resolved config, saved with the run.
 
     Raises:
         EmbodichainError: The run cannot be opened: not logged in, no network, no such entity.
@@ -167,7 +152,7 @@ def wandb_writers(
             group=cfg.group,
             tags=list(cfg.tags),
             config=dict(config),
-            reinit="create_new",  # the jobs of a sweep are runs of their own
+            reinit="create_new",  # each job of a sweep is a separate run
             settings=wandb.Settings(console="off", silent=True),
         )
     except wandb.errors.Error as error:
@@ -186,5 +171,5 @@ def wandb_writers(
 
 
 def _mode(cfg: WandbCfg) -> Any:
-    """Read the variable here: the package does it only once a process."""
+    """Read the variable here, because the package reads it only once per process."""
     return os.environ.get("WANDB_MODE", "online") if cfg.mode == "online" else cfg.mode

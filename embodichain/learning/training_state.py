@@ -1,8 +1,7 @@
-"""What a training needs besides its model to go on as if it had never stopped.
+"""The state of a training besides its networks, so that a resumed training gives the same numbers.
 
-Taken and put back on rollout boundaries; the file is `plain_state.py`'s, the model's own
-`checkpoint.py`'s. For on-policy algorithms nothing else decides how learning goes on; off-policy
-ones also have a replay buffer (`replay_buffer.py`).
+It is captured and restored on rollout boundaries, without pickle (`plain_state`); so is the replay
+buffer of off-policy algorithms, in a separate file.
 """
 
 from __future__ import annotations
@@ -14,30 +13,47 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise, VectorizedActionNoise
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file, recursive_setattr
 from stable_baselines3.common.vec_env import VecEnv
 
+from embodichain.learning.plain_state import read_tree, write_tree
 from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["capture", "load_parameters", "restore", "restore_exploration", "restore_generators"]
+__all__ = [
+    "buffer_of",
+    "buffer_path",
+    "capture",
+    "full_size",
+    "load_buffer",
+    "load_parameters",
+    "restore",
+    "restore_exploration",
+    "restore_generators",
+    "save_buffer",
+]
 
 _COUNTERS = ("num_timesteps", "_n_updates", "_episode_num", "_n_calls")
 _LAST = ("_last_obs", "_last_episode_starts", "_last_original_obs")
 _MEMORY = "_last_lstm_states"
 _BUFFERS = ("ep_info_buffer", "ep_success_buffer")
+_REPLAY = ".replay.npz"
+_ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 _EXPLORATION = ("exploration_mat", "exploration_matrices")
 
 
 def capture(model: BaseAlgorithm, vec_env: SB3VecEnv, *, rolling: bool) -> dict[str, Any]:
-    """Return plain values and arrays, copied: environment, model's counters, generators.
+    """Return a copy, as plain values and arrays, of environment state, counters and generators.
 
     Args:
-        model: On a rollout boundary.
-        vec_env: What it learns in, without wrappers.
-        rolling: Whether a rollout has begun, and drawn its exploration.
+        model: The model, on a rollout boundary.
+        vec_env: Its environment, without wrappers.
+        rolling: Whether a rollout has begun and has drawn its exploration.
     """
     return {
         "env": vec_env.base.state_dict(),
@@ -58,17 +74,17 @@ def capture(model: BaseAlgorithm, vec_env: SB3VecEnv, *, rolling: bool) -> dict[
 
 
 def restore(model: BaseAlgorithm, vec_env: SB3VecEnv, saved: dict[str, Any]) -> None:
-    """Put everything but the generators back into a model and an environment just built.
+    """Restore everything but the generators into a new model and a new environment.
 
     Args:
-        model: Of the same algorithm, arguments and number of environments.
-        vec_env: What it learns in, without wrappers.
-        saved: What `capture` returned.
+        model: A model with the same algorithm, arguments and number of environments.
+        vec_env: Its environment, without wrappers.
+        saved: The result of `capture`.
     """
     env: VecEnv | None = model.env
     if env is None:
         raise ValueError("a model without environment cannot go on")
-    env.reset()  # builds what is built late; all of it is overwritten now
+    env.reset()  # creates lazily built state, which is overwritten below
     vec_env.base.load_state_dict(saved["env"])
     vec_env.load_state_dict(saved["vec_env"])
     for name, value in (saved["counters"] | saved["last"]).items():
@@ -80,7 +96,7 @@ def restore(model: BaseAlgorithm, vec_env: SB3VecEnv, saved: dict[str, Any]) -> 
 
 
 def restore_generators(model: BaseAlgorithm, saved: dict[str, Any]) -> None:
-    """Put the generators back that learning draws from; nothing may draw in between."""
+    """Restore the generators used by learning; call it last, as any draw would change them."""
     generators = saved["generators"]
     random.setstate(generators["python"])
     np.random.set_state(generators["numpy"])  # noqa: NPY002
@@ -89,9 +105,9 @@ def restore_generators(model: BaseAlgorithm, saved: dict[str, Any]) -> None:
 
 
 def restore_exploration(model: BaseAlgorithm, saved: dict[str, Any]) -> None:
-    """Put back what noise on actions remembers, which Stable-Baselines3 clears as it begins.
+    """Restore the state of action noise, which Stable-Baselines3 clears at the start of learning.
 
-    And what state-dependent exploration drew as the rollout began (`use_sde`).
+    Restores also the draws of state-dependent exploration for the current rollout (`use_sde`).
     """
     for noise, value in zip(_noises(model), saved.get("noise", ()), strict=False):
         noise.noise_prev = value
@@ -101,19 +117,19 @@ def restore_exploration(model: BaseAlgorithm, saved: dict[str, Any]) -> None:
 
 
 def load_parameters(model: BaseAlgorithm, path: Path) -> None:
-    """Load networks and optimizers from a checkpoint, and run nothing else of it.
+    """Load networks and optimizers from a checkpoint, without running code of the file.
 
     Raises:
-        ConfigError: The checkpoint is damaged, or of another network.
+        ConfigError: The checkpoint is damaged, or has another network.
     """
     try:
         _, params, variables = load_from_zip_file(path, device="cpu", load_data=False)
-    except Exception as error:  # torch's readers raise anything
+    except Exception as error:  # torch's readers may raise any exception
         raise _wrong(f"{path} cannot be loaded", error) from error
     try:
         model.set_parameters(params, exact_match=True, device="cpu")
     except (ValueError, KeyError, RuntimeError) as error:
-        what = f"{path} does not fit the network that the run's config asks for"
+        what = f"{path} does not fit the network of the run's config"
         raise _wrong(what, error) from error
     for name, value in (variables or {}).items():
         if value is not None:
@@ -133,13 +149,13 @@ def _exploration(model: BaseAlgorithm) -> dict[str, torch.Tensor]:
 
 
 def _distribution(model: BaseAlgorithm) -> Any:
-    """Where state-dependent exploration keeps what it drew: on the policy, or its actor's."""
+    """The distribution of the policy or its actor, with draws of state-dependent exploration."""
     owner = getattr(model.policy, "actor", model.policy)
     return getattr(owner, "action_dist", None)
 
 
 def _memory(model: BaseAlgorithm) -> tuple[Any, ...] | None:
-    """What a recurrent policy and its critic remember of the episodes that go on, copied."""
+    """A copy of the states of a recurrent policy and its critic in the current episodes."""
     states = getattr(model, _MEMORY, None)
     if states is None:
         return None
@@ -147,7 +163,7 @@ def _memory(model: BaseAlgorithm) -> tuple[Any, ...] | None:
 
 
 def _noises(model: BaseAlgorithm) -> list[OrnsteinUhlenbeckActionNoise]:
-    """Noise on actions that remembers: one for each environment."""
+    """Action noise with state, one for each environment."""
     noise = getattr(model, "action_noise", None)
     parts = noise.noises if isinstance(noise, VectorizedActionNoise) else [noise]
     return [part for part in parts if isinstance(part, OrnsteinUhlenbeckActionNoise)]
@@ -155,3 +171,69 @@ def _noises(model: BaseAlgorithm) -> list[OrnsteinUhlenbeckActionNoise]:
 
 def _copy(value: Any) -> Any:
     return None if value is None else value.copy()
+
+
+def buffer_path(checkpoint: Path) -> Path:
+    """Return the file with the replay buffer of ``NAME.zip``: ``NAME.replay.npz`` beside it."""
+    return checkpoint.with_name(checkpoint.stem + _REPLAY)
+
+
+def buffer_of(model: BaseAlgorithm) -> ReplayBuffer | None:
+    """Return a model's replay buffer; None for algorithms that have none."""
+    return model.replay_buffer if isinstance(model, OffPolicyAlgorithm) else None
+
+
+def full_size(buffer: ReplayBuffer) -> int:
+    """Return the size of the buffer's file in bytes when the buffer is full."""
+    return sum(array.nbytes for array in _arrays(buffer).values())
+
+
+def save_buffer(path: Path, buffer: ReplayBuffer, env_steps: int) -> None:
+    """Write the steps in a buffer atomically.
+
+    Args:
+        path: The file, see `buffer_path`.
+        buffer: The buffer.
+        env_steps: Environment steps of its training, to recognize another checkpoint's buffer.
+
+    Raises:
+        OSError: The file cannot be written (the disk is full); no partial file remains.
+    """
+    # One more row: with optimize_memory_usage it contains the last observation.
+    rows = buffer.buffer_size if buffer.full else min(buffer.pos + 1, buffer.buffer_size)
+    arrays = {name: array[:rows] for name, array in _arrays(buffer).items()}
+    kept = {"env_steps": env_steps, "pos": buffer.pos, "full": bool(buffer.full), "arrays": arrays}
+    write_tree(path, kept)
+
+
+def load_buffer(path: Path, buffer: ReplayBuffer, env_steps: int) -> None:
+    """Fill a new buffer from a file of `save_buffer`; runs no code of the file.
+
+    Raises:
+        ConfigError: The file is missing, damaged, of another checkpoint, or does not fit.
+    """
+    kept = read_tree(path)
+    if kept.get("env_steps") != env_steps:
+        raise _wrong_buffer(
+            path, f"it is of {kept.get('env_steps')} steps, the checkpoint of {env_steps}"
+        )
+    arrays, wanted = kept.get("arrays", {}), _arrays(buffer)
+    for name, target in wanted.items():
+        found = arrays.get(name)
+        if not isinstance(found, np.ndarray) or len(found) > len(target):
+            raise _wrong_buffer(path, f"its {name} do not fit in algo.buffer_size")
+        if found.shape[1:] != target.shape[1:] or found.dtype != target.dtype:
+            have, want = f"{found.dtype} {found.shape[1:]}", f"{target.dtype} {target.shape[1:]}"
+            raise _wrong_buffer(path, f"its {name} are {have}, this training has {want}")
+    for name, target in wanted.items():
+        target[: len(arrays[name])] = arrays[name]
+    buffer.pos, buffer.full = kept["pos"], kept["full"]
+
+
+def _arrays(buffer: ReplayBuffer) -> dict[str, NDArray[Any]]:
+    found = {name: getattr(buffer, name, None) for name in _ARRAYS}
+    return {name: array for name, array in found.items() if array is not None}
+
+
+def _wrong_buffer(path: Path, why: str) -> ConfigError:
+    return ConfigError([Problem("resume", f"{path} is not this training's replay buffer: {why}")])

@@ -1,6 +1,6 @@
-"""`SB3VecEnv`: the batched environment as Stable-Baselines3 wants it, without a loop over it.
+"""`SB3VecEnv`: a Stable-Baselines3 `VecEnv` over the batched environment.
 
-Spaces are in `spaces.py`; what trains on it, in `train.py`.
+Spaces are in `spaces.py`, training is in `train.py`.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 __all__ = ["ENDS", "SB3VecEnv"]
 
 ENDS = ("diverged", "success", "fail", "time_out")
-"""What ends an episode, the first that applies."""
+"""Causes of the end of an episode; the first that applies is reported."""
 
 F32 = NDArray[np.float32]
 Bool = NDArray[np.bool_]
@@ -50,7 +50,7 @@ class SB3VecEnv(VecEnv):
     step; its info then has
 
     * ``terminal_observation``: the observation before the reset, (K,) or a dict;
-    * ``TimeLimit.truncated``: cut off and not terminated, so that its value may be bootstrapped;
+    * ``TimeLimit.truncated``: truncated and not terminated, so that its value may be bootstrapped;
     * ``episode``: return ``r``, length ``l`` and seconds since construction ``t``, as `Monitor`'s;
     * ``is_success``: whether the episode was a success, for tasks that have a success;
     * ``reward_sums``: the sum of each reward term over the episode, by name;
@@ -58,13 +58,14 @@ class SB3VecEnv(VecEnv):
     * ``terminations``: whether each termination term was true at its end, by name;
     * ``ended_by``: ``diverged``, ``success``, ``fail``, or ``time_out``.
 
-    The infos of all others are empty dicts. Every array and dict returned belongs to the caller.
+    The infos of all other environments are empty dicts. Returned arrays and dicts are owned by the
+    caller.
 
     Args:
         env: A batched environment (wrapped or not) with ``autoreset_mode`` SAME_STEP.
-        group: The observation group that the policy sees.
-        flatten: Whether it is one vector; otherwise a dict for policies of the name
-            ``MultiInputPolicy``, with an entry of its own shape and type for each observation.
+        group: The policy's observation group.
+        flatten: Whether the observation is one vector; otherwise it is a dict, for policies named
+            ``MultiInputPolicy``, with an entry for each observation in its shape and type.
 
     Raises:
         ConfigError: If the group is empty or the action space has no finite bounds.
@@ -96,13 +97,13 @@ class SB3VecEnv(VecEnv):
     # -- stepping ------------------------------------------------------------------------------
 
     def reset(self) -> Observed:
-        """Reset every environment; a seed and options given before are used once.
+        """Reset every environment; a seed and options set before are used once.
 
         Returns:
             Observations (N, K), or a dict of (N, ...).
 
         Raises:
-            ValueError: If environments were given different options: they are reset together.
+            ValueError: If environments have different options, as they are reset together.
         """
         options = self._options[0]
         if any(other != options for other in self._options[1:]):
@@ -126,12 +127,12 @@ class SB3VecEnv(VecEnv):
         """Step all environments.
 
         Returns:
-            Observations as of `reset`, those after the reset where an episode ended; rewards (N,);
+            Observations as of `reset`, from after the reset if an episode ended; rewards (N,);
             dones (N,); N infos.
 
         Raises:
             RuntimeError: If `step_async` was not called before.
-            ValueError: If the shape of the actions is wrong or one of them is not finite.
+            ValueError: If the shape of the actions is wrong or an action is not finite.
         """
         if self._action is None:
             raise RuntimeError("step_wait needs the actions that step_async takes")
@@ -144,8 +145,8 @@ class SB3VecEnv(VecEnv):
         dones = ended | _numpy(truncated)
         self._returns += rewards
         self._lengths += 1
-        # Fresh dicts: a shared empty one would carry what a callback writes from one environment
-        # and step to all others. 20 ns each, well below 1 % of a step.
+        # New dicts: if they shared one, a callback's write to it would appear in all environments
+        # and steps. 20 ns each, well below 1 % of a step.
         infos: Infos = [{} for _ in range(self.num_envs)]
         if dones.any():
             self._finish(infos, np.flatnonzero(dones), ended, info)
@@ -188,11 +189,11 @@ class SB3VecEnv(VecEnv):
         self._lengths[ids] = 0
 
     def state_dict(self) -> dict[str, Any]:
-        """Return copies of what is counted here; the environment has its own `state_dict`."""
+        """Return copies of this object's counters; the environment has a separate `state_dict`."""
         return {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
-        """Count on from where `state_dict` was taken."""
+        """Restore the counters from a `state_dict`."""
         self._returns[:] = saved["returns"]
         self._lengths[:] = saved["lengths"]
 
@@ -203,7 +204,7 @@ class SB3VecEnv(VecEnv):
             seed: The batch's seed: environment *i* draws from streams of (seed, i). None draws one.
 
         Returns:
-            ``[seed, seed + 1, ...]``: one entry for each environment, as others return.
+            ``[seed, seed + 1, ...]``: one entry per environment, as in other vector environments.
         """
         if seed is None:
             seed = int(np.random.default_rng().integers(2**32))
@@ -217,25 +218,25 @@ class SB3VecEnv(VecEnv):
         """Return a picture (H, W, 3) of each environment; None without ``render_mode``.
 
         Raises:
-            RenderError: If no OpenGL library works here; names the package.
+            RenderError: If no OpenGL library works; names the package to install.
         """
         if self.render_mode != "rgb_array":
             return [None] * self.num_envs
         return [self.base.sim.render(i) for i in range(self.num_envs)]
 
-    # -- one object for many -------------------------------------------------------------------
+    # -- attributes and methods of the batched environment -------------------------------------
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """Return an attribute for each environment asked for.
+        """Return an attribute for each selected environment.
 
         Args:
-            attr_name: An attribute of the batched environment. The spaces are those of one
-                environment, as the learner sees them.
-            indices: Which environments; None is all.
+            attr_name: An attribute of the batched environment. Spaces are the learner's, of one
+                environment.
+            indices: The environments; None is all.
 
         Returns:
-            Rows of what has one row for each environment (arrays and tensors (N, ...)); anything
-            else, which the environments share, repeated.
+            The rows of an array or tensor (N, ...); any other value, which the environments share,
+            repeated.
         """
         owner = self if attr_name in ("observation_space", "action_space") else self.env
         return self._split(_lookup(owner, attr_name), self._ids(indices))
@@ -244,12 +245,12 @@ class SB3VecEnv(VecEnv):
         """Set an attribute of the batched environment.
 
         Args:
-            attr_name: Its name.
-            value: Its value; with `indices`, that of each row.
+            attr_name: The attribute's name.
+            value: The value; with `indices`, that of each row.
             indices: Rows of an existing array (N, ...); None sets the attribute itself.
 
         Raises:
-            ValueError: If some environments are given but they share the attribute.
+            ValueError: If `indices` are given for an attribute that environments share.
         """
         ids = self._ids(indices)
         if len(ids) == self.num_envs:
@@ -266,16 +267,16 @@ class SB3VecEnv(VecEnv):
         """Call a method of the batched environment once.
 
         Args:
-            method_name: Its name.
-            *method_args: Its arguments.
-            indices: Which environments, for methods with a parameter ``env_ids``; None is all.
-            **method_kwargs: Its arguments.
+            method_name: The method's name.
+            *method_args: Positional arguments.
+            indices: The environments, for methods with a parameter ``env_ids``; None is all.
+            **method_kwargs: Keyword arguments.
 
         Returns:
-            One result for each environment asked for, see `get_attr`.
+            One result for each selected environment, see `get_attr`.
 
         Raises:
-            ValueError: If some environments are given but the method acts on all.
+            ValueError: If `indices` are given but the method acts on all environments.
         """
         method = _lookup(self.env, method_name)
         ids = self._ids(indices)
@@ -290,7 +291,7 @@ class SB3VecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Indices = None
     ) -> list[bool]:
-        """Return whether each environment is wrapped; `Monitor` counts: its infos are here."""
+        """Return whether each environment is wrapped; True for `Monitor`, whose infos are here."""
         found = issubclass(wrapper_class, Monitor) or is_wrapped(self.env, wrapper_class)
         return [found] * len(self._ids(indices))
 
@@ -306,12 +307,12 @@ class SB3VecEnv(VecEnv):
 
 
 def _lookup(owner: Any, name: str) -> Any:
-    """An attribute of an environment or of what it wraps."""
+    """An attribute of an environment or of the environment that it wraps."""
     return owner.get_wrapper_attr(name) if isinstance(owner, gym.Env) else getattr(owner, name)
 
 
 def _rows(observed: Observed, ids: NDArray[np.int64]) -> Iterable[Any]:
-    """The observation of each environment of `ids`, apart."""
+    """The observations of the environments `ids`, one by one."""
     if not isinstance(observed, dict):
         return observed[ids]
     parts = {name: part[ids] for name, part in observed.items()}
@@ -330,13 +331,13 @@ def _success(info: dict[str, Any]) -> Bool:
 
 
 def _by_name(values: Mapping[str, torch.Tensor], ids: NDArray[np.int64]) -> list[dict[str, Any]]:
-    """Plain values (N,) of several names, as a dict for each environment of `ids`."""
+    """Convert name -> (N,) values to one dict of plain values for each environment of `ids`."""
     found = {name: _numpy(value)[ids].tolist() for name, value in values.items()}
     return [{name: column[k] for name, column in found.items()} for k in range(len(ids))]
 
 
 def _ended_by(info: dict[str, Any], ids: NDArray[np.int64]) -> list[str]:
-    """What ended the episode of each environment of `ids`; an end without a flag is the time."""
+    """The cause of the end for each environment of `ids`; ``time_out`` if no flag is set."""
     flags = {name: _numpy(info[name])[ids] for name in ENDS[:-1]}
     kinds: list[str] = np.select(list(flags.values()), list(flags), ENDS[-1]).tolist()
     return kinds

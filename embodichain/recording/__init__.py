@@ -1,6 +1,6 @@
-"""The log: one MCAP file a run, written while it runs, read, replayed and verified.
+"""The log of a run: an MCAP file (or several) that is recorded, read, replayed and verified.
 
-Names are found on first use, so that importing this package costs nothing.
+Names are imported on first use, so importing this package is cheap.
 """
 
 import lazy_loader

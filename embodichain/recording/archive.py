@@ -1,7 +1,7 @@
-"""The scene as MJZ, an archive of XML and the files it names, for any MuJoCo to open.
+"""The scene as MJZ, an archive of the XML and the files it names, for any version of MuJoCo.
 
-Written here rather than by MuJoCo's encoder, which keeps absolute paths of the machine it ran on.
-The XML has 6 digits: good to look at and to simulate approximately. `model.mjb` is the exact one.
+MuJoCo's encoder is not used because it keeps absolute paths of the recording machine. The XML has
+6 digits, enough for viewing and approximate simulation; `model.mjb` is exact.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ __all__ = ["load_mjz", "scene_archive"]
 _FOLDERS = ("assetdir", "meshdir", "texturedir")
 _ROOT = "model.xml"
 _MOST_BYTES = 2**29
-"""Unpacked, an archive of more is not believed."""
+"""Limit of the unpacked size; larger archives are refused."""
 
 
 def scene_archive(spec: mujoco.MjSpec) -> bytes:
     """Pack a compiled spec and every file it names; paths inside are relative.
 
     Raises:
-        OSError: If a file is gone.
+        OSError: If a file is missing.
     """
     root = ElementTree.fromstring(spec.to_xml())
     folders = _take_folders(root)
@@ -69,7 +69,7 @@ def _content(spec: mujoco.MjSpec, tag: str, name: str, folders: dict[str, str]) 
 
 
 def load_mjz(data: bytes) -> mujoco.MjModel:
-    """Compile what `scene_archive` made.
+    """Compile an archive from `scene_archive`.
 
     Raises:
         ValueError: If it is not such an archive, or does not compile.

@@ -1,15 +1,22 @@
-"""`LogArrays`: what was read from a log, as numpy, torch or a pandas frame. Reads no file."""
+"""`LogArrays`: arrays read from a log, as numpy, torch or a pandas frame; `gather` reads them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import sys
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.recording.model_columns import Column
+from embodichain.lab.sim.engine.api import F64
+from embodichain.recording.block import CallKind, Run
+from embodichain.recording.chunks import LogReader
+from embodichain.recording.columns import Column
+from embodichain.recording.log_error import LogError
+from embodichain.recording.simulation import Simulation
+from embodichain.recording.trajectory import Rows, Span, changes, outcomes, runs, stacked, steps_of
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -17,7 +24,20 @@ if TYPE_CHECKING:
     import pandas as pd
     import torch
 
-__all__ = ["LogArrays"]
+__all__ = ["OUTCOMES", "LogArrays", "first_step", "gather"]
+
+
+OUTCOMES = {
+    "actions": ("action", np.float64),
+    "rewards": ("reward", np.float64),
+    "terminated": ("terminated", np.bool_),
+    "truncated": ("truncated", np.bool_),
+    "episodes": ("episode_ids", np.int64),
+}
+"""Field to its array in a ``step`` call, and its type."""
+
+_Part = tuple[Run, NDArray[np.int64], Mapping[str, F64]]
+"""A run, indices of T of its steps, and components of their rows: (T, n, k)."""
 
 
 @dataclass(frozen=True)
@@ -29,8 +49,8 @@ class LogArrays:
     Attributes:
         steps: (T,) control steps, counted from the start of the recording.
         env_ids: (N,) environments.
-        control_dt: Seconds a control step.
-        columns: Field to name and unit of its columns; one of them for fields that are (T, N).
+        control_dt: Length of a control step in seconds.
+        columns: Field to name and unit of its columns; a single one for fields of shape (T, N).
         values: Field to array, time first, environments second.
     """
 
@@ -44,7 +64,7 @@ class LogArrays:
         """The array of a field.
 
         Raises:
-            ConfigError: If it was not read.
+            ConfigError: If the field was not read.
         """
         if field not in self.values:
             hint = did_you_mean(field, self.values)
@@ -56,7 +76,7 @@ class LogArrays:
         return iter(self.values)
 
     def __len__(self) -> int:
-        """T."""
+        """Number of control steps T."""
         return len(self.steps)
 
     def names(self, field: str) -> list[str]:
@@ -69,7 +89,7 @@ class LogArrays:
         return self.steps.astype(np.float64) * np.float64(self.control_dt)
 
     def torch(self) -> dict[str, torch.Tensor]:
-        """The same arrays as tensors, which share their memory."""
+        """The arrays as tensors that share their memory."""
         import torch
 
         return {field: torch.from_numpy(values) for field, values in self.values.items()}
@@ -96,3 +116,119 @@ class LogArrays:
         except ImportError as error:
             raise ConfigError("a frame needs pandas: pip install 'embodichain[pandas]'") from error
         return pd.DataFrame({column.name: values for column, values in self.flat()})
+
+
+def gather(
+    reader: LogReader,
+    rows: Rows,
+    span: Span,
+    names: Sequence[str],
+    columns: Mapping[str, Sequence[Column]],
+) -> LogArrays:
+    """Read some fields of some steps.
+
+    Args:
+        reader: The log.
+        rows: Rows of the selected environments; followed only if a component of rows is read.
+        span: The control steps. If a component of rows is read, steps with unknown rows are left
+            out.
+        names: Components of rows, and keys of `OUTCOMES`.
+        columns: Columns of each field.
+
+    Raises:
+        LogError: If the log is inconsistent.
+    """
+    layout, ids = reader.require_header().layout, rows.env_ids
+    slices = {name: slice(*layout[name]) for name in names if name in layout}
+    steps: list[NDArray[np.int64]] = []
+    pieces: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
+    everyone = len(ids) == reader.require_header().num_envs
+    for run, index, states in _parts(reader, rows, span, slices, len(slices) < len(names)):
+        steps.append(run.first + index)
+        outcome = run.calls[-1].arrays
+        for name in names:
+            if name in slices:
+                pieces[name].append(states[name])
+            else:
+                key, dtype = OUTCOMES[name]
+                found = outcome[key][index]
+                pieces[name].append((found if everyone else found[:, ids]).astype(dtype))
+    values: dict[str, NDArray[Any]] = {}
+    named = {name: list(columns[name]) for name in names}
+    for name in names:
+        shape = (0, len(ids), len(named[name])) if name in (*slices, "actions") else (0, len(ids))
+        empty: NDArray[Any] = np.empty(shape, OUTCOMES[name][1] if name in OUTCOMES else np.float64)
+        try:
+            values[name] = np.concatenate(pieces.pop(name) or [empty])
+        except ValueError as error:
+            raise LogError(f"{reader.path}: steps differ in their {name}: {error}") from error
+    if "actions" in values:  # the first step of a damaged log may be unknown
+        named["actions"] = [Column(str(i), "") for i in range(values["actions"].shape[-1])]
+    control_dt = reader.require_header().control_dt
+    every_step = np.concatenate([np.empty(0, np.int64), *steps])
+    return LogArrays(every_step, ids, control_dt, named, values)
+
+
+def _parts(
+    reader: LogReader, rows: Rows, span: Span, slices: Mapping[str, slice], with_outcomes: bool
+) -> Iterator[_Part]:
+    """The steps of a span, grouped by run; reads only the needed components."""
+    if not slices:
+        for run in runs(reader, span, outcomes):
+            index = _within(run, span)
+            if len(index):
+                yield run, index, {}
+        return
+
+    def wanted(kind: CallKind) -> bool:
+        if outcomes(kind):
+            return with_outcomes
+        if kind.kind != "write" or isinstance(rows, Simulation):
+            return changes(kind)
+        return kind.mode == "reset" or (kind.mode == "state" and kind.name in {*slices, "row"})
+
+    for run in runs(reader, span, wanted):
+        if run.of_kind("start"):
+            rows.begin(run)
+            continue
+        index, states = _received(reader, rows, run, span, slices)
+        if len(index):
+            yield run, index, states
+
+
+def _received(
+    reader: LogReader, rows: Rows, run: Run, span: Span, slices: Mapping[str, slice]
+) -> tuple[NDArray[np.int64], Mapping[str, F64]]:
+    """Indices of a run's known steps within the span, and the input of their physics."""
+    together = None
+    if run.steps > 1 and not isinstance(rows, Simulation):
+        together = stacked(reader, rows, run, slices)
+    if together is not None:
+        index = _within(run, span)
+        return index, {name: values[index] for name, values in together.items()}
+    steps: list[int] = []
+    states: dict[str, list[F64]] = {name: [] for name in slices}
+    for t in steps_of(reader, rows, run, span):
+        steps.append(t)
+        for name, columns in slices.items():
+            states[name].append(rows.rows[:, columns].copy())
+    return np.array(steps, np.int64), {n: np.array(values) for n, values in states.items()}
+
+
+def _within(run: Run, span: Span) -> NDArray[np.int64]:
+    """Indices of the steps of a run that are in the span."""
+    last = sys.maxsize if span.last is None else span.last
+    return np.arange(max(span.first - run.first, 0), min(last - run.first + 1, run.steps))
+
+
+def first_step(reader: LogReader, span: Span) -> int | None:
+    """Return the first step of a span that is in a log; None if there is none.
+
+    Raises:
+        LogError: If a message is damaged.
+    """
+    for run in runs(reader, span, outcomes):
+        step = max(run.first, span.first)
+        if step < run.first + run.steps:
+            return step if step in span else None
+    return None

@@ -1,13 +1,13 @@
-"""A run of control steps with the same calls, and the `embodichain.Steps` message that holds it.
+"""A run of control steps with the same calls, and the `embodichain.Steps` message of a run.
 
-What happens in a control step is a list of calls, in the order in which they happened:
+A control step is recorded as a list of calls, in the order in which they happened:
 
 ========= ========================= ======================= =======================================
 kind      name                      mode                    arrays
 ========= ========================= ======================= =======================================
 write     field of the write        op of the write:        ``env_ids`` (n,) i8 if not all N,
-                                    state, model, reset,    ``values`` (n, k) f8 but for set_const;
-                                    set_const               of a reset the (n, nstate) rows it left
+                                    state, model, reset,    ``values`` (n, k) f8, not in set_const;
+                                    set_const               in reset the resulting (n, nstate) rows
 physics                                                     ``env_ids`` (n,) i8 if not all N,
                                                             ``rows`` (n, moved) f8 as returned, or
                                                             ``hashes`` (n,) u8 of them, ``failed``
@@ -21,17 +21,17 @@ start                                                       ``row`` (N, nstate) 
                                                             randomized model field, (N, size) f8
 ========= ========================= ======================= =======================================
 
-`nstep` is the number of physics steps of a physics call, `columns` those of a write within the
-flattened field (None: all). `moved` are the columns of a row that physics writes
-(`columns.moved_ranges`); the others, its inputs, change by writes alone. Everything that happens
-after a control step belongs to the next one: its calls come first there. The last call of a step
-is ``step``; only what follows the last step of a recording ends without it. A ``start`` stands
-alone in a message of its own on `START_TOPIC`, and says what the simulation is before control step
-`first`: no message before it is needed to follow those after it.
+`nstep` is the number of physics steps of a physics call. `columns` are the columns of the flattened
+field that a write changes (None: all). `moved` is the number of columns of a row that physics
+writes (`columns.moved_ranges`); the other columns are inputs and change only by writes. Calls after
+a control step are the first calls of the next one. The last call of a step is ``step``; only the
+calls after the last step of a recording end without it. A ``start`` is a separate message on
+`START_TOPIC` with the state of the simulation before control step `first`: replaying the messages
+after it needs none before it.
 
-Steps with equal calls (names, columns, dtypes, shapes) make one message on `STEPS_TOPIC`: steps
-`first` to `first + count - 1`. The array `name` of a call lies in `data` at `offset`, as `count`
-arrays of `shape` one after another, little-endian, by rows; `packing` may store it in less.
+Consecutive steps with equal calls (names, columns, dtypes, shapes) form one message on
+`STEPS_TOPIC`: steps `first` to `first + count - 1`. The array `name` of a call is in `data` at
+`offset`: `count` arrays of `shape`, little-endian, row-major; `packing` may store it compactly.
 """
 
 from __future__ import annotations
@@ -51,30 +51,30 @@ from embodichain.recording.schema import message_class
 __all__ = ["DRAWN", "ArrayKind", "Call", "CallKind", "Run", "pack_run", "unpack_run"]
 
 DRAWN = "drawn."
-"""Names of arrays that an event drew begin so."""
+"""Prefix of the names of arrays that an event drew."""
 
 MOST_STEPS = 2**12
 MOST_PHYSICS_STEPS = 1_000_000
-"""Larger counts in a file are not believed."""
+"""Larger counts in a file are refused."""
 
 _IDS = frozenset({"env_ids", "failed"})
-"""Arrays that name environments."""
+"""Arrays of environment indices."""
 _FIRST, _COUNT, _CALLS, _DATA = 0x08, 0x10, 0x1A, 0x22
 """Keys of the fields of `embodichain.Steps`: number and wire type."""
 _LARGEST_CACHED = 4096
-"""Bytes of a call's declaration that is kept for the next message."""
+"""Size limit in bytes of a call's declaration that is cached for later messages."""
 _KINDS = {"write", "physics", "event", "step", "start"}
 _WRITES = {"state": True, "model": True, "reset": True, "set_const": False}
-"""Operation of a write: whether it has values."""
+"""Operation of a write to whether it has values."""
 
 
 class ArrayKind(NamedTuple):
-    """What every array of this name in a run is like.
+    """Name, dtype and shape of an array of a call, the same in every step of a run.
 
     Attributes:
         name: See the table above.
         dtype: ``<f8``, ``<f4``, ``<i8``, ``<u8`` or ``|b1``.
-        shape: In one control step.
+        shape: Shape in one control step.
     """
 
     name: str
@@ -83,7 +83,7 @@ class ArrayKind(NamedTuple):
 
 
 class CallKind(NamedTuple):
-    """What is the same in a call of every step of a run: see the table above.
+    """The properties of a call that are the same in every step of a run: see the table above.
 
     Attributes:
         kind: ``write``, ``physics``, ``event``, ``step`` or ``start``.
@@ -91,7 +91,7 @@ class CallKind(NamedTuple):
         mode: Operation of a write, mode of an event.
         nstep: Physics steps of a physics call.
         columns: Columns of a write; None is all of them.
-        arrays: What the call carries.
+        arrays: Kinds of its arrays.
     """
 
     kind: str
@@ -107,7 +107,7 @@ class Call:
     """A call in every step of a run.
 
     Attributes:
-        kind: What it is.
+        kind: Its properties.
         arrays: Name to (count, ...) values, read-only.
     """
 
@@ -117,12 +117,12 @@ class Call:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Steps with the same calls.
+    """Consecutive control steps with the same calls.
 
     Attributes:
-        first: Control step of the first.
-        count: How many.
-        calls: In the order in which they happened in each step.
+        first: Number of the first control step.
+        count: Number of steps.
+        calls: The calls, in the order in which they happened in each step.
     """
 
     first: int
@@ -131,7 +131,7 @@ class Run:
 
     @property
     def steps(self) -> int:
-        """Control steps that were finished: `count`, or 0 where the run ends within a step."""
+        """Number of finished control steps: `count`, or 0 if the run has no ``step`` call."""
         return self.count if self.calls and self.calls[-1].kind.kind == "step" else 0
 
     def of_kind(self, kind: str) -> list[Call]:
@@ -140,14 +140,14 @@ class Run:
 
 
 def pack_run(
-    first: int, kinds: Sequence[CallKind], steps: Sequence[Sequence[Sequence[NDArray[Any]]]]
+    first: int, kinds: Sequence[CallKind], steps: Sequence[Sequence[Sequence[Any]]]
 ) -> bytes:
     """Serialize a run as `embodichain.Steps`.
 
     Args:
-        first: Control step of the first.
+        first: Number of the first control step.
         kinds: The calls of every step.
-        steps: For each step, for each call, its arrays in the order of the kind: contiguous, of
+        steps: For each step and each call, its arrays, in the order of the kind: contiguous, with
             the kind's dtype and shape.
     """
     message = message_class("Steps")(first=first, count=len(steps))
@@ -159,14 +159,14 @@ def pack_run(
             call.some_columns = True
             call.columns.extend(kind.columns)
         for j, array in enumerate(kind.arrays):
-            contents.append((array.dtype, b"".join([step[i][j].data for step in steps])))
+            contents.append((array.dtype, b"".join([step[i][j] for step in steps])))
             described.append(call.arrays.add(name=array.name, dtype=array.dtype, shape=array.shape))
     places, parts = store(contents)
     for array, place in zip(described, places, strict=True):
         array.offset, array.single = place.offset, place.single
         if place.base is not None:
             array.differs, array.base, array.base_single = True, place.base, place.base_single
-    # Protobuf concatenates: the key of field 4 and its length, without copying the bytes again.
+    # Append field 4 (its key, length and bytes) by hand: protobuf would copy the bytes again.
     head = message.SerializeToString()
     return b"".join([head, b"\x22", _varint(sum(map(len, parts))), *parts])
 
@@ -187,20 +187,21 @@ def unpack_run(
     nstate: int,
     wanted: Callable[[CallKind], bool] | None = None,
 ) -> Run:
-    """Read `embodichain.Steps`; no length, index or shape in it is believed unchecked.
+    """Read an `embodichain.Steps` message; every length, index and shape in it is checked.
 
     Args:
         data: The message.
         num_envs: N of the log.
-        moved: Columns that physics writes.
-        nstate: Columns of a whole row.
-        wanted: Whether a call is read; None reads all.
+        moved: Number of columns that physics writes.
+        nstate: Number of columns of a full row.
+        wanted: Whether a call is read; None reads all. A ``step`` that is not read is kept without
+            arrays.
 
     Returns:
         The run; most of its arrays share the message's bytes.
 
     Raises:
-        DamageError: If the message is not a run of such a log.
+        DamageError: If the message is not a valid run of this log.
     """
     first, count, declared_calls, blob = _split(memoryview(data))
     if not 0 < count <= MOST_STEPS or first >= 2**62:
@@ -210,6 +211,8 @@ def unpack_run(
         declaration = _declaration if len(declared) < _LARGEST_CACHED else _declaration.__wrapped__
         kind, places, why = declaration(declared, num_envs, moved, nstate)
         if wanted is not None and not wanted(kind):
+            if kind.kind == "step":
+                calls.append(Call(kind, {}))
             continue
         if why:
             raise DamageError(f"step {first}: {why}")
@@ -224,7 +227,7 @@ def unpack_run(
 
 
 def _split(data: memoryview) -> tuple[int, int, list[bytes], memoryview]:
-    """The fields of a serialized `embodichain.Steps`; `data` is not copied, as protobuf would."""
+    """The fields of a serialized `embodichain.Steps`; unlike protobuf, it does not copy `data`."""
     numbers = {_FIRST: 0, _COUNT: 0}
     calls: list[bytes] = []
     blob, at = data[:0], 0
@@ -257,7 +260,7 @@ def _read_varint(data: memoryview, at: int) -> tuple[int, int]:
 def _declaration(
     data: bytes, num_envs: int, moved: int, nstate: int
 ) -> tuple[CallKind, tuple[Place, ...], str]:
-    """A serialized `embodichain.Call`: its kind, where its arrays are, and what is wrong."""
+    """Parse a serialized `embodichain.Call`: its kind, the places of its arrays, and the error."""
     try:
         call = message_class("Call").FromString(data)
     except DecodeError as error:
@@ -272,7 +275,7 @@ def _declaration(
 
 
 def _wrong(kind: CallKind, num_envs: int, moved: int, nstate: int) -> str:
-    """What is wrong with a call; empty if nothing is."""
+    """The error in a call; empty if there is none."""
     what = f"{kind.kind} {kind.name}".rstrip()
     if kind.kind not in _KINDS:
         return f"unknown call {kind.kind!r}"
@@ -335,7 +338,7 @@ def _wrong_write(
 
 
 def _ascending(ids: NDArray[Any], num_envs: int) -> bool:
-    """Whether each of (count, n) rows names environments in ascending order."""
+    """Whether each of the (count, n) rows has valid environment indices in ascending order."""
     if not ids.size:
         return True
     inside = int(ids[:, 0].min()) >= 0 and int(ids[:, -1].max()) < num_envs

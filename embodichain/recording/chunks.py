@@ -1,8 +1,8 @@
 """`LogReader`: the chunks, attachments and metadata of a log, in one file or several.
 
-The file may be broken, or grow meanwhile: it is read up to the first damage, and `damage` says
-why. No length that a file states is believed before it is compared with what is there, so memory
-stays below a few times `LARGEST_CHUNK` and every loop ends with the bytes.
+The file may be broken, or still growing: it is read up to the first damage, and `damage` gives the
+reason. Every length in a file is checked against the bytes that are present, so memory stays below
+a few times `LARGEST_CHUNK` and every loop ends at the end of the file.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any, BinaryIO, Self
 
 from mcap.opcode import Opcode
@@ -37,7 +36,7 @@ MAGIC = b"\x89MCAP0\r\n"
 CUT = "the file ends early: it was not closed, or cut"
 _KEPT = (Opcode.METADATA, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS)
 _KEPT_LIMIT = 2**29
-"""Bytes of the largest attachment or metadata record that is believed."""
+"""Bytes of the largest attachment or metadata record that is accepted."""
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
@@ -48,13 +47,13 @@ Found = tuple[str, int, memoryview]
 
 @dataclass(frozen=True, slots=True)
 class ChunkPlace:
-    """Where a chunk lies.
+    """The place of a chunk.
 
     Attributes:
         start_ns: Smallest log time in it.
-        offset: Where its record begins, after opcode and length.
+        offset: Position of its record, after opcode and length.
         length: Bytes of the record.
-        part: Number of the file it lies in, of those that were opened.
+        part: Index of the file that contains it, among those that were opened.
     """
 
     start_ns: int
@@ -64,25 +63,26 @@ class ChunkPlace:
 
 
 class LogReader:
-    """What a log consists of; its messages stay in the file until they are asked for.
+    """Index and metadata of a log; messages are read from the file on demand.
 
     Args:
-        path: The file, the manifest of several, or a run's folder. The first file of several stands
-            for all of them; any other is read alone.
+        path: The file, the manifest of several files, or a run's folder. The first of several
+            files opens all of them; any other is read alone.
 
     Attributes:
         path: The first file that is read.
         chunks: Places of the chunks, in the order of the files.
-        channels: Channel id to channel: those of the index, and of the chunks read so far.
+        channels: Channel id to channel, from the index and the chunks read so far.
         schemas: Schema id to schema, likewise.
-        metadata: Name to content of the metadata records; of the last file, but for `METADATA`.
+        metadata: Name to content of the metadata records; `METADATA` is that of the first file,
+            all others those of the last file.
         header: The metadata of the recording; None if there is none.
-        finished: Whether the recorder closed the log itself.
-        recovered: Why the log ends where it does, if it was recovered from a broken one.
+        finished: Whether the recorder closed the log.
+        recovered: Why the log ends early, if it was recovered from a broken one.
         complete: Whether the file has its end, and all that was read is undamaged.
-        damage: Why reading ends before that; changes when a damaged chunk is met.
-        alone: Why this file is only a part of a log, where nothing of it is lost.
-        good_bytes: Bytes up to the end of the last record that is good.
+        damage: Why reading stops early; set when a damaged chunk is read.
+        alone: Why this file is only a part of a log, if no part is lost.
+        good_bytes: Number of bytes up to the end of the last undamaged record.
         total_bytes: Bytes of all files that were opened.
         compressions: Compressions of the chunks read so far.
 
@@ -108,7 +108,7 @@ class LogReader:
         self._attachments: dict[str, tuple[int, int]] = {}
         self._announced = 0  # messages, by the files' own statistics
         self._next = ""  # the file that continues the last one
-        self._introduced = -1  # the last file that has said what it is
+        self._introduced = -1  # the last file with the metadata of a part
         self._unpacked: tuple[ChunkPlace, list[Found] | None] | None = None  # the last
         self._streams: list[BinaryIO] = []
         self._begins: list[int] = []  # bytes of the files before each
@@ -140,19 +140,14 @@ class LogReader:
         """Return the reader."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        tb: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close the files."""
         self.close()
 
     # -- the container -----------------------------------------------------------------------------
 
     def _go_on(self) -> bool:
-        """Open the file that continues the log, if this is to be read as a whole."""
+        """Open the file that continues the log, if the log is read as a whole."""
         name, self._next = Path(self._next).name, ""
         if self.require_header().part:
             self.alone = f"it goes on in {name}"
@@ -169,7 +164,7 @@ class LogReader:
         return False
 
     def _walk(self) -> bool:
-        """Note what the last of the files holds; whether it has its end."""
+        """Index the records of the last file; return whether it has its end."""
         part = len(self._streams) - 1
         magic = self._streams[-1].read(len(MAGIC))
         if magic != MAGIC:
@@ -197,7 +192,7 @@ class LogReader:
             if len(head) < _HEAD.size:
                 raise DamageError(CUT)
             opcode, length = _HEAD.unpack(head)
-            if not opcode:  # zeros would take minutes, nine bytes at a time
+            if not opcode:  # skipping zeros nine bytes at a time would take minutes
                 raise DamageError("what follows is no record: zeros, perhaps after a power cut")
             at += _HEAD.size
             if length > size - at:
@@ -213,7 +208,7 @@ class LogReader:
                 summary_at = at
 
     def _note(self, opcode: int, at: int, length: int, part: int, first: bool) -> None:
-        """Take over what the record at `at` says; `first` while no chunk of its file is known."""
+        """Index the record at `at`; `first` is True before the first chunk of its file."""
         stream = self._streams[part]
         if opcode == Opcode.CHUNK:
             if first and part and self._introduced < part:
@@ -230,7 +225,7 @@ class LogReader:
             self._take(parse(opcode, stream.read(length)), part)
 
     def _take(self, record: Any, part: int) -> None:
-        if isinstance(record, Channel):  # the index repeats those of the chunks
+        if isinstance(record, Channel):  # the index repeats the channels of the chunks
             self.channels.setdefault(record.id, record)
         elif isinstance(record, Schema):
             self.schemas.setdefault(record.id, record)
@@ -255,7 +250,7 @@ class LogReader:
             self.recovered = record.metadata.get("why", "") or "no reason is given"
 
     def _damaged(self, part: int, why: str) -> None:
-        """Reading ends here."""
+        """Note that reading ends here, and why."""
         where = f"{self.files[part].name}: " if part else ""
         self.complete, self.damage = False, f"{where}{why}"
 
@@ -263,7 +258,7 @@ class LogReader:
         """The metadata of the recording.
 
         Raises:
-            LogError: If there is none: another program's MCAP, or a file cut before it.
+            LogError: If there is none: another program's MCAP file, or a truncated one.
         """
         if self.header is None:
             why = f" ({self.damage})" if self.damage else ""
@@ -272,14 +267,14 @@ class LogReader:
 
     @property
     def cut(self) -> str:
-        """Why the log may go on beyond what can be read; empty if it does not."""
+        """Why the end of the log may be missing; empty if it is not."""
         if not self.complete:
             return self.damage or "its end is missing"
         return "" if self.finished or self.recovered else "the recorder did not close it"
 
     @property
     def part_note(self) -> str:
-        """Which part of a log this is, if it is not all of it and nothing is lost."""
+        """Which part of a log this is; empty if it is all of it, or if a part is lost."""
         return self.require_header().part_note(self.alone)
 
     @property
@@ -291,7 +286,7 @@ class LogReader:
         """An attachment with its media type and times.
 
         Raises:
-            LogError: If there is none of that name, or it is damaged.
+            LogError: If there is no attachment of this name, or it is damaged.
         """
         if name not in self._attachments:
             there = ", ".join(self._attachments) or "none"
@@ -312,7 +307,7 @@ class LogReader:
         """Content of an attachment.
 
         Raises:
-            LogError: If there is none of that name, or it is damaged.
+            LogError: If there is no attachment of this name, or it is damaged.
         """
         content: bytes = self.attachment_record(name).data
         return content
@@ -320,12 +315,12 @@ class LogReader:
     # -- messages ----------------------------------------------------------------------------------
 
     def messages(self, chunks: list[ChunkPlace] | None = None) -> Iterator[Found]:
-        """Messages of some chunks, or of all, in file order; what is damaged ends iteration."""
+        """Messages of some chunks, or of all, in file order; iteration ends at damage."""
         for found in self.blocks(chunks):
             yield from found
 
     def blocks(self, chunks: list[ChunkPlace] | None = None) -> Iterator[list[Found]]:
-        """The same, a list for each chunk; of all chunks, their messages are counted."""
+        """Like `messages`, as one list for each chunk; if all are read, checks their number."""
         if chunks and not self.channels:  # no index; channels are declared when they are first used
             for chunk in self.chunks[: self.chunks.index(chunks[0])]:
                 self._unpack(chunk)
@@ -378,8 +373,8 @@ class LogReader:
                     self.channels[record.id], topics[record.id] = record, record.topic
                 else:
                     self.schemas[record.id] = record
-            else:  # zeros of a forged chunk would take minutes, nine bytes at a time
-                raise DamageError(f"a chunk is damaged: it holds a record of kind {opcode}")
+            else:  # skipping a chunk of zeros nine bytes at a time would take minutes
+                raise DamageError(f"a chunk is damaged: it contains a record of kind {opcode}")
             at += length
         return found
 

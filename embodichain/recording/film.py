@@ -1,6 +1,6 @@
-"""`film_log`: a recorded environment as an MP4; needs the extra `video` and OpenGL (EGL).
+"""`film_log`: renders a recorded environment to an MP4; needs the extra `video` and OpenGL (EGL).
 
-The states are drawn as they were recorded; nothing is simulated.
+It draws the recorded states; only states between keyframes are simulated.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from embodichain.utils.video import VideoFile, need_encoder
 __all__ = ["FASTEST", "Filmed", "film_log"]
 
 FASTEST = 60.0
-"""Pictures a second at most; of what is faster, steps are left out."""
+"""Largest frame rate (1/s); above it, control steps are skipped."""
 _CAMERA = "default"
 _SHADOW = 2048
-"""Pixels along an edge of a shadow map at most; enough for a film."""
+"""Maximum width of a shadow map in pixels; enough for a film."""
 _FRONT = (1.0, -0.8, 0.6)
-"""From the scene's middle towards the eye where the scene has no camera."""
+"""Direction from the scene's centre to the eye if the scene has no camera."""
 
 
 @dataclass(frozen=True, slots=True)
 class Filmed:
-    """A film that was drawn.
+    """Result or progress of a film.
 
     Attributes:
-        pictures: In the file.
-        step: The control step of the last one; -1 without any.
-        whole: Whether it is all that was asked for.
+        pictures: Number of pictures in the file.
+        step: Control step of the last picture; -1 if there is none.
+        whole: Whether all requested steps were drawn.
     """
 
     pictures: int
@@ -62,28 +62,28 @@ def film_log(
     progress: Callable[[Filmed], None] | None = None,
     stop: Callable[[], bool] | None = None,
 ) -> Filmed:
-    """Draw an environment of a log into an MP4, a picture for each control step.
+    """Render an environment of a log to an MP4 with one picture for each control step.
 
     Args:
         log: A log, its file, or the folder of a run.
-        out: The file, which must not exist; it has its name once it is whole.
+        out: A new file; it gets this name when it is complete.
         env: The environment.
         episode: One of its episodes; None is all.
         first: First control step, counted from the start of the log; None is the first.
         last: Last control step, included; None is the last.
-        speed: 2 is twice as fast as it was simulated. Above `FASTEST` pictures a second every
-            second step is drawn, or every third, and so on.
+        speed: Multiple of simulated time. If that gives more than `FASTEST` pictures per second,
+            only every second step is drawn, or every third, and so on.
         size: Width and height in pixels, both even.
-        camera: A camera of the scene; None is its ``default``, or else a view from the front.
+        camera: A camera of the scene; None is its ``default`` if it exists, else a front view.
         progress: Called after each picture.
-        stop: Asked before each picture; where it returns True, the film ends there, and is whole.
+        stop: Called before each picture; if it returns True, the film ends there and is saved.
 
     Returns:
-        What was drawn; nothing was written where that is no picture.
+        What was drawn; without pictures, no file was written.
 
     Raises:
-        ConfigError: If the file exists, or the environment, episode, steps or camera do not; if a
-            number makes no sense, or the encoder is not installed.
+        ConfigError: If the file exists; if the environment, episode, steps or camera do not exist;
+            if a number is out of range; or if the encoder is not installed.
         LogError: If the log has no states, or its model cannot be loaded.
         RenderError: If no OpenGL library works here.
     """
@@ -124,14 +124,14 @@ def film_log(
 
 
 def _quick(model: mujoco.MjModel) -> mujoco.MjModel:
-    """A copy whose shadows have fewer pixels: that is half of a picture's time without a GPU."""
+    """A copy with smaller shadow maps, which take half of the rendering time without a GPU."""
     model = copy.copy(model)
     model.vis.quality.shadowsize = min(model.vis.quality.shadowsize, _SHADOW)
     return model
 
 
 def _look(model: mujoco.MjModel, camera: str | None) -> str | View:
-    """Where to look from.
+    """The camera or view to render.
 
     Raises:
         ConfigError: If there is no such camera.

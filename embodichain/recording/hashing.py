@@ -1,4 +1,4 @@
-"""A 64-bit hash of each environment's row as physics returned it.
+"""A 64-bit hash of each environment's row after physics.
 
 For words w_j (the bits of column j of the row) and fixed odd coefficients c_j:
 
@@ -6,8 +6,8 @@ For words w_j (the bits of column j of the row) and fixed odd coefficients c_j:
 
 Any single changed bit changes h: xor-shift, multiplication by an odd number and `mix` (SplitMix64's
 finalizer) are bijections of 64-bit words. The xor-shift comes first because a product alone keeps
-only parity of the top bit: two changed signs (a negated quaternion) would cancel. Not
-cryptographic: it finds accidents, not forgers.
+only parity of the top bit: two changed signs (a negated quaternion) would cancel. The hash is not
+cryptographic: it detects accidental changes, not forged ones.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The metadata record `embodichain`: what a reader must know before the first message."""
+"""The metadata record `embodichain`: what a reader needs before the first message."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 
 from embodichain.lab.sim.engine.api import row_layout
-from embodichain.recording.columns import moved_ranges, width_of
+from embodichain.recording.columns import moved_ranges
 from embodichain.recording.log_error import LARGEST_CHUNK, DamageError, LogError
-from embodichain.recording.options import RecordLike
+from embodichain.recording.options import RecordOptions
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -35,39 +35,39 @@ __all__ = [
 METADATA = "embodichain"
 METADATA_END = "embodichain.end"
 METADATA_RECOVERED = "embodichain.recovered"
-"""In a file that was saved from a broken one: from which, and why it ends where it does."""
+"""Record of a file that was recovered from a broken one: the source, and why the log ends."""
 FORMAT_VERSION = 3
-"""A log of another version is refused."""
+"""Logs of other versions are refused."""
 _LONGEST_STEP = 1e5
-"""Seconds; a longer step is not believed."""
+"""Seconds; longer steps are refused."""
 
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What was recorded, and how to read its rows.
+    """What was recorded, and how to read its rows (full states).
 
     Attributes:
         task: Name of the task.
         seed: The environment's seed.
-        num_envs: N.
-        control_dt: Seconds a control step.
-        physics_dt: Seconds a physics step.
-        substeps: Physics steps a control step.
+        num_envs: Number of environments N.
+        control_dt: Length of a control step in seconds.
+        physics_dt: Length of a physics step in seconds.
+        substeps: Physics steps per control step (decimation).
         start_ns: Wall clock of the run's start; log time is this + control step x period.
-        mujoco_version: Version whose physics this is.
+        mujoco_version: Version of MuJoCo that simulated the run.
         model: Digest of the attachment model.mjb.
         state: ``all``, ``keyframes`` or ``none``.
-        nstate: Columns of a whole row (`mjSTATE_INTEGRATION`).
-        moved: Columns that a physics step may write, as half-open ranges: what is recorded of rows
-            that physics returned.
+        nstate: Number of columns of a full row (`mjSTATE_INTEGRATION`).
+        moved: Columns that a physics step may write, as half-open ranges; only these are recorded
+            after physics.
         layout: Component of the row to its (start, stop) columns.
         view_envs: Environments shown to viewers.
         unverifiable: Why this log cannot be verified; empty if it can.
-        keyframe_every: Control steps from one state to the next, where `state` is ``keyframes``.
-        every: k, where only every k-th episode is in the log; else 1.
-        log_id: Names the recording; the same in all files of a log.
-        part: Number of the file within its log, from 0.
-        first_step: Control step with which the file begins.
+        keyframe_every: Control steps between states if `state` is ``keyframes``.
+        every: k if only every k-th episode is in the log; else 1.
+        log_id: Identifier of the recording; the same in all files of a log.
+        part: Index of the file within its log, from 0.
+        first_step: First control step of the file.
     """
 
     task: str
@@ -92,7 +92,7 @@ class Header:
     first_step: int = 0
 
     def to_metadata(self) -> dict[str, str]:
-        """As strings: plain for text, JSON for everything else."""
+        """Return the fields as strings: text as it is, everything else as JSON."""
         out = {"format_version": str(FORMAT_VERSION)}
         for name in self.__slots__:
             value = getattr(self, name)
@@ -104,7 +104,7 @@ class Header:
         """Read the record.
 
         Raises:
-            LogError: If it was written by another version, or lacks something.
+            LogError: If it was written by another version, or is incomplete.
         """
         version = values.get("format_version", "")
         if version != str(FORMAT_VERSION):
@@ -112,7 +112,7 @@ class Header:
                 f"the log has format version {version or 'none'!r}; this reads {FORMAT_VERSION}"
             )
         text = {"task", "mujoco_version", "model", "state", "unverifiable", "log_id"}
-        # What has a default came later than the first logs.
+        # Fields with a default were added later and may be missing in older logs.
         names = [f.name for f in fields(cls) if f.default is MISSING or f.name in values]
         try:
             found: dict[str, Any] = {
@@ -127,7 +127,7 @@ class Header:
         return header
 
     def _check(self) -> None:
-        """Raise ValueError unless arrays of these sizes can be made and filled."""
+        """Raise ValueError unless the sizes are consistent and arrays of them can be allocated."""
         whole = ("seed", "num_envs", "substeps", "start_ns", "nstate")
         counts = ("keyframe_every", "every", "part", "first_step")
         wrong = [name for name in (*whole, *counts) if type(getattr(self, name)) is not int]
@@ -154,6 +154,12 @@ class Header:
         if wrong:
             raise ValueError(f"impossible values of {', '.join(dict.fromkeys(wrong))}")
 
+    def check_env(self, env: int) -> None:
+        """Raise `ConfigError` unless the log has the environment."""
+        if not 0 <= env < self.num_envs:
+            there = f"there are 0 to {self.num_envs - 1}"
+            raise ConfigError(f"no environment {env} in the log: {there}")
+
     def require_states(self, path: Path) -> None:
         """Refuse a log without states.
 
@@ -161,29 +167,29 @@ class Header:
             path: The log, for the message.
 
         Raises:
-            LogError: It is one.
+            LogError: If the log has no states.
         """
         if self.state == "none":
             raise LogError(f"{path} has no states: it was recorded with record.state=none")
 
     @property
     def period_ns(self) -> int:
-        """Nanoseconds a control step."""
+        """Length of a control step in nanoseconds."""
         return round(self.control_dt * 1e9)
 
     @property
     def every_note(self) -> str:
-        """What is left out on purpose; empty for nothing."""
+        """What `record.every` left out; empty if nothing."""
         if self.every <= 1:
             return ""
         lead = next(iter(self.view_envs), 0)
         return f"only one in {self.every} episodes of environment {lead} is in the log"
 
     def part_note(self, alone: str) -> str:
-        """Which part of a log a file is; empty for the last word of a whole log.
+        """Which part of a log a file is; empty for a whole log.
 
         Args:
-            alone: What is said of its continuation, if it was not read; else empty.
+            alone: The text about the next file if that was not read; else empty.
         """
         if not self.part and not alone:
             return ""
@@ -192,8 +198,8 @@ class Header:
 
     @property
     def moved_width(self) -> int:
-        """How many columns physics writes."""
-        return width_of(self.moved)
+        """Number of columns that physics writes."""
+        return sum(stop - start for start, stop in self.moved)
 
     def slices(self) -> dict[str, slice]:
         """The layout as slices."""
@@ -201,12 +207,12 @@ class Header:
 
 
 def check_part(first: Header, values: Mapping[str, str], part: int) -> None:
-    """Raise `DamageError` unless a file is a certain part of a log.
+    """Raise `DamageError` unless a file is the given part of a log.
 
     Args:
-        first: Of the log's first file.
+        first: Header of the log's first file.
         values: The metadata record of the file.
-        part: Which part it ought to be.
+        part: The expected index of the file.
     """
     try:
         header = Header.from_metadata(values)
@@ -220,21 +226,21 @@ def check_part(first: Header, values: Mapping[str, str], part: int) -> None:
 
 
 def header_of(
-    env: ObservedEnv, options: RecordLike, model_digest: str, task: str, start_ns: int
+    env: ObservedEnv, options: RecordOptions, model_digest: str, task: str, start_ns: int
 ) -> Header:
-    """The metadata of a recording that begins.
+    """The metadata of a new recording.
 
     Args:
-        env: What is recorded.
-        options: How it is recorded.
+        env: The environment that is recorded.
+        options: The recorder's options.
         model_digest: Digest of the compiled model.
         task: The task's name.
-        start_ns: Wall clock.
+        start_ns: Wall clock in ns.
     """
     model = env.sim.engine.model
     layout = row_layout(model)
     nstate = max(columns.stop for columns in layout.values())
-    # MuJoCo's own reset in the middle of a step, and plugins, write inputs too.
+    # MuJoCo's automatic reset within a step, and plugins, write inputs too.
     resets = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_AUTORESET
     moved = [(0, nstate)] if resets or model.nplugin else moved_ranges(layout)
     return Header(
@@ -260,18 +266,18 @@ def header_of(
 
 
 def why_unverifiable(model: mujoco.MjModel, state: str) -> str:
-    """Why rows do not hold all that physics depends on; empty if they do."""
+    """Why rows do not contain everything that physics depends on; empty if they do."""
     if state == "none":
         return "no states were recorded (record.state: none)"
     if int(model.opt.enableflags) & int(mujoco.mjtEnableBit.mjENBL_SLEEP):
-        return "the model lets bodies sleep, which the state rows do not hold"
+        return "the model lets bodies sleep, which the state rows do not contain"
     if model.nplugin:
         return "the model has plugins, which may keep state outside the state rows"
     return ""
 
 
-def check_keyframes(options: RecordLike, model: mujoco.MjModel) -> None:
-    """Raise `ConfigError` where what lies between keyframes could not be simulated again."""
+def check_keyframes(options: RecordOptions, model: mujoco.MjModel) -> None:
+    """Raise `ConfigError` if states between keyframes could not be simulated again."""
     why = why_unverifiable(model, "all") if options.state == "keyframes" else ""
     if why:
         message = f"keyframes cannot be replayed: {why}; use record.state=all"

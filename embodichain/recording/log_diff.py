@@ -1,8 +1,8 @@
-"""`diff`: the first place where two logs part, in the order in which things happened.
+"""`diff`: the first difference between two logs, in the order in which calls happened.
 
-Control steps are compared bit for bit, call by call: draws of events, writes, what physics
-returned, actions, rewards and flags. How many steps lie in a message, wall clock, compression,
-channels for viewers and threads take no part.
+Control steps are compared bit for bit, call by call: draws of events, writes, results of physics,
+actions, rewards and flags. Grouping of steps in messages, wall clock, compression, channels for
+viewers and numbers of threads are not compared.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from numpy.typing import NDArray
 
 from embodichain.recording.api import Log
 from embodichain.recording.block import DRAWN, Call, CallKind, Run
+from embodichain.recording.columns import Moved, state_columns
 from embodichain.recording.hashing import row_hashes
 from embodichain.recording.log_error import LogError
-from embodichain.recording.model_columns import state_columns
 from embodichain.recording.trajectory import runs
 
 __all__ = ["DiffReport", "LogDifference", "diff"]
 
 _HEADER = ("task", "num_envs", "control_dt", "physics_dt", "substeps", "layout")
-"""What must agree for rows to be compared."""
+"""Fields that must be equal for rows to be comparable."""
 
 
 @dataclass(frozen=True, slots=True)
 class LogDifference:
-    """Where two logs part.
+    """The first difference between two logs.
 
     Attributes:
-        step: Control step; None for what is of the whole log.
-        env: Environment; None where it is not one's.
+        step: Control step; None if the difference concerns the whole log.
+        env: Environment; None if it does not concern a single one.
         field: What differs: ``qpos``, ``reward``, ``event move_cube``, ``write body_mass``, ...
-        column: Its column: a joint, a body's coordinate, an index; empty where there is none.
+        column: Its column: a joint, a coordinate of a body, an index; empty if it has none.
         a: Value in the first log.
         b: Value in the second log.
     """
@@ -48,7 +48,7 @@ class LogDifference:
     b: Any
 
     def __str__(self) -> str:
-        """One line."""
+        """Return one line."""
         where = "" if self.step is None else f"step {self.step}, "
         where += "" if self.env is None else f"environment {self.env}, "
         name = f"{self.field}[{self.column}]" if self.column else self.field
@@ -57,14 +57,14 @@ class LogDifference:
 
 @dataclass(frozen=True, slots=True)
 class DiffReport:
-    """What comparing two logs gave.
+    """Result of comparing two logs.
 
     Attributes:
         a: The first log.
         b: The second log.
-        steps: Control steps that are the same in both, from the first on.
+        steps: Number of control steps that are equal in both, from the first on.
         difference: The first difference; None if there is none.
-        notes: What else is not the same: seeds, versions, a log that was cut.
+        notes: Other differences: seeds, versions, a log that was cut.
     """
 
     a: Path
@@ -88,7 +88,7 @@ def diff(a: str | Path, b: str | Path) -> DiffReport:
 
     Raises:
         ConfigError: If a file is missing, empty or not MCAP.
-        LogError: If one is not a log of embodichain's, or has no states.
+        LogError: If one is not an embodichain log, or has no states.
     """
     with Log(a) as first, Log(b) as second:
         for log in (first, second):
@@ -121,22 +121,22 @@ def _notes(a: Log, b: Log) -> list[str]:
 
 
 class _Cursor:
-    """Goes through the control steps of a log."""
+    """A position among the control steps of a log."""
 
     def __init__(self, log: Log) -> None:
         self._runs = runs(log.reader)
-        self.start: Run | None = None  # the first
+        self.start: Run | None = None  # the first start
         self.run: Run | None = None
         self.at = 0
         self.move(0)
 
     @property
     def step(self) -> int:
-        """The control step that comes next."""
+        """The next control step."""
         return 0 if self.run is None else self.run.first + self.at
 
     def move(self, steps: int) -> None:
-        """Go on by so many steps, at most those that are left of the run."""
+        """Advance by a number of steps, at most to the end of the run."""
         self.at += steps
         while self.run is None or self.at >= self.run.count:
             run = next(self._runs, None)
@@ -149,7 +149,7 @@ class _Cursor:
 
 
 def _of_steps(a: Log, b: Log) -> tuple[int, LogDifference | None]:
-    """Steps that are the same, and the first difference."""
+    """Number of equal steps, and the first difference."""
     steps, left, right, compare = 0, _Cursor(a), _Cursor(b), _Comparison(a)
     if left.start is not None and right.start is not None:
         found = compare.calls(left.start, 0, right.start, 0)
@@ -175,7 +175,7 @@ def _of_steps(a: Log, b: Log) -> tuple[int, LogDifference | None]:
 
 
 def _same(a: Run, at: int, b: Run, bt: int, count: int) -> bool:
-    """Whether so many steps have the same bytes."""
+    """Whether `count` steps have the same bytes."""
     if [call.kind for call in a.calls] != [call.kind for call in b.calls]:
         return False
     pairs = (
@@ -190,15 +190,15 @@ def _named(kind: CallKind) -> str:
 
 
 class _Comparison:
-    """Names the first difference of two control steps.
+    """Finds and names the first difference of two control steps.
 
     Args:
-        log: One of the two logs; both have rows of the same layout.
+        log: One of the two logs; their rows have the same layout.
     """
 
     def __init__(self, log: Log) -> None:
         self._log = log
-        self._moved = np.concatenate([np.r_[a:b] for a, b in log.header.moved])
+        self._moved = Moved(log.header.moved).columns
 
     def calls(self, a: Run, at: int, b: Run, bt: int) -> LogDifference | None:
         """Compare a step of a run with one of another."""
@@ -228,7 +228,7 @@ class _Comparison:
             mine, other = getattr(a.kind, what), getattr(b.kind, what)
             if mine != other:
                 return LogDifference(step, None, name, what, mine, other)
-        if "hashes" in left or "hashes" in right:  # of keyframes
+        if "hashes" in left or "hashes" in right:  # recorded with keyframes
             for arrays in (left, right):
                 if "rows" in arrays:
                     arrays["hashes"] = row_hashes(np.ascontiguousarray(arrays.pop("rows")))
@@ -271,7 +271,7 @@ class _Comparison:
         )
 
     def _name(self, kind: CallKind, array: str, column: int) -> tuple[str, str]:
-        """What an array contains, and what its column is called."""
+        """Name of an array's content, and name of its column."""
         if array == "hashes":
             return "result of physics", "hash"
         if array in ("rows", "row") or kind.mode == "reset" and kind.kind == "write":
@@ -285,7 +285,7 @@ class _Comparison:
         )
 
     def _component(self, column: int) -> tuple[str, str]:
-        """Component and name of a column of whole rows."""
+        """Component and name of a column of full rows."""
         layout = self._log.header.layout
         for name, named in state_columns(self._log.model, layout).items():
             start, stop = layout[name]

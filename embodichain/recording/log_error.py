@@ -1,4 +1,4 @@
-"""Errors of reading a log, and the size beyond which nothing in a file is believed."""
+"""Errors of reading a log, and the size limit of chunks."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from embodichain.utils.errors import ConfigError
 __all__ = ["LARGEST_CHUNK", "DamageError", "LogError"]
 
 LARGEST_CHUNK = 2**27
-"""Bytes of a chunk's content, at most: nothing larger is written, or unpacked when read."""
+"""Size limit of a chunk's content in bytes: larger chunks are neither written nor unpacked."""
 
 
 class LogError(ConfigError):
-    """A file is MCAP, but not a log that this version can replay."""
+    """An MCAP file is not a log that this version can read or replay."""
 
 
 class DamageError(Exception):

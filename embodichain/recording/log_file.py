@@ -1,11 +1,10 @@
-"""`LogFile`: a log's MCAP file in progress, which may go on in another one."""
+"""`LogFile`: the MCAP file that a log is being written to; it may continue in another file."""
 
 from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,13 +37,13 @@ _FAST = zstandard.ZstdCompressionParameters(
 
 
 class _FastZstd:
-    """What `mcap.writer` uses of zstandard; its level 3 takes nine times as long on float64."""
+    """The part of zstandard that `mcap.writer` uses; its level 3 is 9 times slower on float64."""
 
     compress = staticmethod(zstandard.ZstdCompressor(compression_params=_FAST).compress)
 
 
 _library: Any = mcap.writer
-_library.zstandard = _FastZstd  # it takes no level
+_library.zstandard = _FastZstd  # `mcap.writer` has no parameter for the level
 
 
 _CHUNK = b"\x06"
@@ -52,50 +51,55 @@ _CHUNK = b"\x06"
 
 
 class _Appended:
-    """A new file that is written without a buffer: what fails to be written must not come again.
+    """A new file, unbuffered: bytes that could not be written must not be written again later.
+
+    Args:
+        descriptor: The open file.
+        on_chunk: Called after a chunk was written completely.
 
     Attributes:
         descriptor: The open file.
-        size: Bytes in it.
-        chunks: Chunks that are in it as a whole.
+        size: Size of the file in bytes.
     """
 
-    def __init__(self, descriptor: int) -> None:
+    def __init__(self, descriptor: int, on_chunk: Callable[[], None]) -> None:
         self.descriptor = descriptor
-        self.size = self.chunks = 0
+        self.size = 0
+        self._on_chunk = on_chunk
 
     def write(self, data: bytes) -> int:
         """Append all bytes.
 
         Raises:
-            OSError: If not all of them could be written; `size` says how many bytes the file has.
+            OSError: If not all of them could be written; `size` is the size of the file.
         """
         left = memoryview(data)
         while left:
-            done = os.write(self.descriptor, left)  # a disk that is nearly full takes a part
+            done = os.write(self.descriptor, left)  # writes less if the disk is nearly full
             self.size += done
             left = left[done:]
-        self.chunks += data[:1] == _CHUNK
+        if data[:1] == _CHUNK:
+            self._on_chunk()
         return len(data)
 
     def tell(self) -> int:
         return self.size
 
     def flush(self) -> None:
-        """Everything is in the file."""
+        """Do nothing: the file is unbuffered."""
 
 
 class LogFile:
-    """A log's file in progress.
+    """The file that a log is being written to.
 
     Args:
-        path: A new file. Later files go into the same folder, also if it is renamed meanwhile.
+        path: A new file. Later files are created in the same folder, even if it was renamed.
         compression: ``zstd``, ``lz4`` or ``none``.
 
     Attributes:
         name: The first file's name.
         folder: Descriptor of the folder.
-        part: How many files were finished before this one.
+        part: Number of files finished before this one.
 
     Raises:
         FileExistsError: If `path` exists.
@@ -106,7 +110,7 @@ class LogFile:
         self._compression = _COMPRESSIONS[compression]
         self.folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         self.part = 0
-        self._before = 0  # bytes of finished files
+        self._before = 0  # size of the finished files in bytes
         self._last_step = self._readable_step = -1
         self._declared: dict[str, tuple[str, bytes]] = {}
         try:
@@ -117,7 +121,8 @@ class LogFile:
 
     def _open(self, name: str) -> None:
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
-        self._stream = _Appended(os.open(name, flags, 0o666, dir_fd=self.folder))
+        descriptor = os.open(name, flags, 0o666, dir_fd=self.folder)
+        self._stream = _Appended(descriptor, self._on_chunk)
         stream: Any = self._stream
         self._writer: Any = Writer(stream, _CHUNK_BYTES, self._compression)
         self._writer.start(library=_LIBRARY)
@@ -128,17 +133,17 @@ class LogFile:
 
     @property
     def size(self) -> int:
-        """Bytes of the file in progress."""
+        """Size of the current file in bytes."""
         return self._stream.size
 
     @property
     def nbytes(self) -> int:
-        """Bytes of all files so far."""
+        """Size of all files so far in bytes."""
         return self._before + self._stream.size
 
     @property
     def where_it_ends(self) -> str:
-        """Where the log ends if nothing more is written, in words."""
+        """Text that says where the log ends if nothing more is written."""
         step = self._readable_step
         return f"it ends after control step {step}" if step >= 0 else "no control step is in it"
 
@@ -148,7 +153,7 @@ class LogFile:
         Args:
             topic: Its name.
             schema: ``embodichain.NAME`` or ``foxglove.NAME``.
-            data: The schema's FileDescriptorSet, where it is this run's own.
+            data: The schema's FileDescriptorSet if it is specific to this run.
         """
         if topic not in self._declared:
             declared = self._declared[topic] = schema, data or descriptor_set(schema)
@@ -175,48 +180,35 @@ class LogFile:
             topic: The channel.
             time_ns: Log time.
             data: The message.
-            last_step: Newest control step that is finished with it.
+            last_step: The last control step that this message completes.
 
         Raises:
-            OSError: If it cannot be written, or is larger than a chunk may be.
+            OSError: If it cannot be written, or exceeds the size limit of a chunk.
         """
         if len(data) > _LARGEST_MESSAGE:
             raise OSError(errno.EMSGSIZE, f"a message of {len(data)} bytes fits into no chunk")
         if last_step is not None:
             self._last_step = last_step
-        with self._counting_chunks():
-            self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
-
-    def send(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> None:
-        """Write messages of one moment, each with its topic."""
-        for topic, data in messages:
-            self.write(topic, time_ns, data)
+        self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
 
     def flush(self) -> None:
-        """Make everything readable in the file.
+        """Write everything to the file, so that it can be read.
 
         Raises:
             OSError: If it cannot be written, or was removed.
         """
-        with self._counting_chunks():
-            self._writer.flush()
+        self._writer.flush()
         self._check_place()
 
-    @contextmanager
-    def _counting_chunks(self) -> Iterator[None]:
-        """Within it, a chunk that is written whole makes everything so far readable.
+    def _on_chunk(self) -> None:
+        """After a chunk was written: all messages added so far are readable.
 
-        What fails to be written after the chunk, such as its index, does not change that.
+        A later failure, such as in writing the chunk's index, does not change that.
         """
-        stream, chunks = self._stream, self._stream.chunks
-        try:
-            yield
-        finally:
-            if stream.chunks != chunks:
-                self._readable_step = self._last_step
+        self._readable_step = self._last_step
 
     def put_beside(self, name: str, text: str) -> None:
-        """Write a small file beside the log, unless there is one of that name."""
+        """Write a small file next to the log, unless a file of that name exists."""
         flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
         try:
             descriptor = os.open(name, flags, 0o666, dir_fd=self.folder)
@@ -226,13 +218,13 @@ class LogFile:
             stream.write(text)
 
     def roll(self, name: str, finish: Callable[[], None]) -> int:
-        """Finish the file and go on in another one with the same channels.
+        """Finish the file and continue in a new one with the same channels.
 
-        The new file exists before the old one names it: a reader finds both.
+        The new file is created before the old one names it, so readers always find it.
 
         Args:
-            name: The new file, in the same folder.
-            finish: Called for what the old file ends with.
+            name: Name of the new file, in the same folder.
+            finish: Called to write the last records of the old file.
 
         Returns:
             Size of the finished file.
@@ -240,7 +232,7 @@ class LogFile:
         old, writer = self._stream, self._writer
         try:
             self._open(name)
-        finally:  # what `finish` adds belongs to the old file
+        finally:  # records that `finish` adds belong to the old file
             new, self._stream = self._stream, old
             new_writer, self._writer = self._writer, writer
         try:
@@ -256,8 +248,7 @@ class LogFile:
         return old.size
 
     def _finish(self) -> None:
-        with self._counting_chunks():
-            self._writer.finish()
+        self._writer.finish()
         self._check_place()
 
     def finish(self) -> int:
@@ -270,11 +261,11 @@ class LogFile:
         return self._stream.size
 
     def close(self) -> None:
-        """Close the file as it is. Some file systems report only here that they could not write."""
+        """Close the file without an index. Some file systems report write errors only here."""
         os.close(self.folder)
         os.close(self._stream.descriptor)
 
     def _check_place(self) -> None:
-        """Raise if the file was removed: what is written then is gone with this process."""
+        """Raise if the file was removed: the data would be lost when this process ends."""
         if not os.fstat(self._stream.descriptor).st_nlink:
             raise FileNotFoundError(errno.ENOENT, "the file was removed while it was written")

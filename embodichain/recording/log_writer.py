@@ -1,10 +1,10 @@
-"""`LogWriter`: what a log consists of, in its file: head, starts, runs, ends of episodes, parts."""
+"""`LogWriter`: writes the content of a log: header, starts, runs, ends of episodes, parts."""
 
 from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from embodichain.recording.attachments import Attachment
 from embodichain.recording.block import ArrayKind, CallKind, pack_run
-from embodichain.recording.episode_ends import TOPIC as EPISODE_TOPIC
-from embodichain.recording.episode_ends import Ends, EpisodeSums, encode_ends
+from embodichain.recording.episodes import EPISODE_TOPIC, Ends, EpisodeSums, encode_ends
 from embodichain.recording.header import METADATA, METADATA_END, Header
 from embodichain.recording.log_file import LogFile
 from embodichain.recording.parts import Manifest, part_name
@@ -31,13 +30,13 @@ Recorded = tuple[CallKind, tuple[NDArray[Any], ...]]
 
 @dataclass(slots=True)
 class PendingRun:
-    """Steps with the same calls that are not written yet.
+    """Control steps with the same calls that are not written yet.
 
     Attributes:
-        first: Control step of the first.
+        first: Number of the first control step.
         kinds: The calls of every step.
         begun: When the first step was added, on the monotonic clock.
-        step_bytes: Bytes of a step's arrays.
+        step_bytes: Size of a step's arrays in bytes.
         steps: The calls of each step.
     """
 
@@ -54,29 +53,31 @@ class PendingRun:
 
 
 class Queue:
-    """Messages of viewers' channels that wait for the run in which they were made.
+    """Messages for viewers that are written together with the next runs.
 
     It is the sink of `views.Views`.
     """
 
     def __init__(self) -> None:
-        self._waiting: deque[tuple[int, Sequence[tuple[str, bytes]]]] = deque()
+        self._waiting: deque[tuple[int, Iterable[tuple[str, bytes]]]] = deque()
         self._channels: deque[tuple[str, str, bytes | None]] = deque()
 
     def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
         """Declare a channel: see `LogFile.channel`."""
         self._channels.append((topic, schema, data))
 
-    def send(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> None:
-        """Have messages of one moment written, each with its topic."""
+    def send(self, time_ns: int, messages: Iterable[tuple[str, bytes]]) -> None:
+        """Queue messages of one time, each with its topic."""
         self._waiting.append((time_ns, messages))
 
     def write(self, file: LogFile) -> None:
-        """Write everything that waits."""
+        """Write all queued messages."""
         while self._channels:
             file.channel(*self._channels.popleft())
         while self._waiting:
-            file.send(*self._waiting.popleft())
+            time_ns, messages = self._waiting.popleft()
+            for topic, data in messages:
+                file.write(topic, time_ns, data)
 
 
 class LogWriter:
@@ -86,8 +87,8 @@ class LogWriter:
         path: A new file.
         compression: As in `RecordOptions`.
         header: Metadata of the first file.
-        attachments: Of every file.
-        layout: The viewers' layout, for a file beside the log.
+        attachments: Attachments of every file.
+        layout: The viewers' layout, for a file next to the log.
     """
 
     def __init__(
@@ -124,7 +125,7 @@ class LogWriter:
         return self._header.start_ns + step * self._header.period_ns
 
     def start(self, step: int, row: NDArray[Any], fields: Mapping[str, NDArray[Any]]) -> int:
-        """Write what the simulation is before a control step; return the size of the message.
+        """Write the state of the simulation before a control step; return the message's size.
 
         Args:
             step: The control step.
@@ -141,11 +142,11 @@ class LogWriter:
         return len(data)
 
     def end_episodes(self, step: int, ends: Ends) -> None:
-        """Have the ends of episodes written with the run of their control step."""
+        """Queue the ends of episodes; they are written with the run of their control step."""
         self._ends[step] = ends
 
     def skip(self, step: int, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
-        """A control step ended that is not recorded: write how episodes ended in it."""
+        """After a control step that is not recorded: write only the ends of its episodes."""
         self._add(step, reward, episode_ids)
 
     def _add(self, step: int, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
@@ -155,22 +156,22 @@ class LogWriter:
             data = encode_ends(step, ends, self._sums, episode_ids)
             self.file.write(EPISODE_TOPIC, self._time_of(step), data)
 
-    def run(self, run: PendingRun) -> None:
-        """Write a run, with the ends of episodes and what viewers show of its time."""
-        if run.kinds and self._header.state != "none":
-            steps = [[arrays for _, arrays in step] for step in run.steps]
-            data = pack_run(run.first, run.kinds, steps)
-            whole = run.kinds[-1].kind == "step"
-            last = run.end - 1 if whole else None
-            self.file.write(STEPS_TOPIC, self._time_of(run.first), data, last)
-        for number, calls in enumerate(run.steps, run.first):
-            kind, arrays = calls[-1]
-            if kind.kind == "step":
-                self._add(number, arrays[1], arrays[4])
+    def write(self, runs: Sequence[PendingRun]) -> None:
+        """Write runs, with the ends of episodes and the viewers' messages of these steps."""
+        for run in runs:
+            if run.kinds and self._header.state != "none":
+                steps = [[arrays for _, arrays in step] for step in run.steps]
+                data = pack_run(run.first, run.kinds, steps)
+                last = run.end - 1 if run.kinds[-1].kind == "step" else None
+                self.file.write(STEPS_TOPIC, self._time_of(run.first), data, last)
+            for number, calls in enumerate(run.steps, run.first):
+                kind, arrays = calls[-1]
+                if kind.kind == "step":
+                    self._add(number, arrays[1], arrays[4])
         self.views.write(self.file)
 
     def flush(self) -> None:
-        """Make everything readable in the file.
+        """Write everything to the file, so that it can be read.
 
         Raises:
             OSError: If it cannot be written, or was removed.
@@ -179,16 +180,16 @@ class LogWriter:
         self.file.flush()
 
     def began(self) -> None:
-        """The head and the start of this file are written: make them readable."""
+        """Flush the header and the start of this file, so that they can be read."""
         self.flush()
         self._head_bytes = self.file.size
 
     def is_full(self, max_bytes: float) -> bool:
-        """Whether the file in progress has this size, and twice that of its head."""
+        """Whether the current file has reached this size, and twice the size of its header."""
         return self.file.size > max(max_bytes, 2 * self._head_bytes)
 
     def roll(self, step: int) -> None:
-        """Go on in another file with this control step; a start has to follow."""
+        """Continue in a new file from this control step; the caller writes a start next."""
         part = self.file.part + 1
         name = part_name(self.file.name, part)
         self.views.write(self.file)
@@ -201,7 +202,7 @@ class LogWriter:
         self._manifest.write(complete=False)
 
     def finish(self, steps: int) -> None:
-        """Write the end of a log of so many control steps, and close the file.
+        """Write the end of a log with this number of control steps, and close the file.
 
         Raises:
             OSError: If it could not be written.

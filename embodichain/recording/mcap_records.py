@@ -1,4 +1,4 @@
-"""Records of an MCAP file: parsed, and unpacked, with every failure as `DamageError`."""
+"""Parses and unpacks records of an MCAP file; every failure is a `DamageError`."""
 
 from __future__ import annotations
 
@@ -33,10 +33,10 @@ _PARSERS: dict[int, Any] = {
 
 
 def chunk_content(data: bytes) -> tuple[str, bytes]:
-    """Compression and unpacked records of a chunk's record.
+    """Compression and decompressed records of a chunk.
 
     Raises:
-        DamageError: If it cannot be unpacked, or is larger than any recorder makes it.
+        DamageError: If it cannot be decompressed, or exceeds `LARGEST_CHUNK`.
     """
     chunk: Chunk = parse(Opcode.CHUNK, data)
     name, size, packed = chunk.compression, chunk.uncompressed_size, chunk.data
@@ -56,7 +56,7 @@ def chunk_content(data: bytes) -> tuple[str, bytes]:
 
 
 def _unpacked(name: str, packed: bytes, size: int) -> bytes:
-    """Decompress to at most `size` bytes, whatever the compressed data say of themselves."""
+    """Decompress to at most `size` bytes, whatever size the compressed data declare."""
     if name == "":
         return packed
     stated = -1
@@ -75,10 +75,10 @@ def _unpacked(name: str, packed: bytes, size: int) -> bytes:
 
 
 def parse(opcode: int, data: bytes) -> Any:
-    """The record of an opcode.
+    """Parse a record of this opcode.
 
     Raises:
-        DamageError: If it is not what its opcode says.
+        DamageError: If the bytes are not a record of this kind.
     """
     try:
         return _PARSERS[opcode].read(ReadDataStream(BytesIO(data)))
@@ -87,6 +87,6 @@ def parse(opcode: int, data: bytes) -> Any:
 
 
 def reason_of(error: BaseException) -> str:
-    """Kind and text of an exception, shortened."""
+    """Type and text of an exception, shortened."""
     text = " ".join(str(error).split())[:100]
     return f"{type(error).__name__}: {text}" if text else type(error).__name__

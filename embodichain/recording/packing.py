@@ -1,9 +1,9 @@
-"""How the arrays of a run are stored one after another, without what can be told from others.
+"""Stores the arrays of a run one after another, without redundancy.
 
-* Arrays of one type with equal bytes are stored once.
-* float64 arrays whose values are all float32 ones (actions of a policy) are stored as float32.
-* A float64 array that differs from such a one, or from any other, in a few numbers only (controls
-  from the actions they follow) is stored as the exclusive or of both: zeros, mostly.
+* Arrays of the same type with equal bytes are stored once.
+* float64 arrays of values that float32 can represent (a policy's actions) are stored as float32.
+* A float64 array that differs from another one in a few numbers only (ctrl and the actions it
+  follows) is stored as the exclusive or of both, which is mostly zeros.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ DTYPES = {name: np.dtype(name) for name in ("<f8", "<f4", "<i8", "<u8", "|b1")}
 _F4, _F8 = DTYPES["<f4"], DTYPES["<f8"]
 _SMALLEST = 64
 """Bytes; smaller arrays are stored as they are."""
-_SAMPLE = 32
-_NOT_SINGLE = np.uint64(2**29 - 1)
-"""Bits of the mantissa that a float32 has not."""
+_MANTISSA_REST = 2**29 - 1
+"""Mask of the mantissa bits that float32 does not have."""
+_NOT_SINGLE = np.uint64(_MANTISSA_REST)
 
 
 class Place(NamedTuple):
     """Where an array is stored, and how.
 
     Attributes:
-        offset: Of its bytes.
+        offset: Offset of its bytes.
         single: Whether they are float32.
-        base: Offset of the array that it differs from; None if the bytes are its own.
-        base_single: Whether those are float32.
+        base: Offset of the array to combine them with by exclusive or; None if there is none.
+        base_single: Whether the bytes at `base` are float32.
     """
 
     offset: int
@@ -50,7 +50,7 @@ def store(arrays: Sequence[tuple[str, bytes]]) -> tuple[list[Place], list[bytes]
         arrays: dtype and bytes of each.
 
     Returns:
-        Where each is, and the bytes that are stored.
+        The place of each array, and the stored bytes.
     """
     places: list[Place | None] = [None] * len(arrays)
     stored: dict[int, list[tuple[int, Place]]] = {}  # by size: number of the array, and its place
@@ -88,11 +88,12 @@ def _words(data: bytes) -> NDArray[np.uint64]:
 
 
 def _single(dtype: str, data: bytes) -> bytes | None:
-    """The array as float32, if that keeps every bit of it."""
+    """The array as float32 if the conversion is exact; else None."""
     if dtype != "<f8" or len(data) < _SMALLEST:
         return None
     words = _words(data)
-    if (words[:_SAMPLE] & _NOT_SINGLE).any() or (words & _NOT_SINGLE).any():
+    few = words[:: max(1, len(words) // 4)].tolist()  # a few values nearly always decide
+    if any(word & _MANTISSA_REST for word in few) or (words & _NOT_SINGLE).any():
         return None
     with np.errstate(over="ignore", invalid="ignore"):
         single = np.frombuffer(data, _F8).astype(_F4)
@@ -100,7 +101,7 @@ def _single(dtype: str, data: bytes) -> bytes | None:
 
 
 def load(name: str, dtype: str, shape: tuple[int, ...], place: Place, data: memoryview) -> Any:
-    """An array out of the stored bytes, which it shares if they are its own.
+    """Read an array from the stored bytes; a view of them where possible.
 
     Args:
         name: For messages.
@@ -110,7 +111,7 @@ def load(name: str, dtype: str, shape: tuple[int, ...], place: Place, data: memo
         data: What was stored.
 
     Raises:
-        DamageError: If it is not there.
+        DamageError: If its place is outside the stored bytes.
     """
     if (place.single or place.base is not None) and dtype != "<f8":
         raise DamageError(f"array {name!r} of type {dtype!r} is stored as float64")
@@ -125,11 +126,11 @@ def _load(
     name: str, dtype: str, shape: tuple[int, ...], offset: int, single: bool, data: memoryview
 ) -> NDArray[Any]:
     kind, size = _F4 if single else DTYPES[dtype], 1
-    for length in shape:  # Python's numbers: no product overflows
+    for length in shape:  # Python integers do not overflow
         size *= length
     if offset + size * kind.itemsize > min(len(data), LARGEST_CHUNK):
         raise DamageError(f"array {name!r} of shape {shape} is not in the message")
     flat = np.frombuffer(data, kind, size, offset)
     if dtype == "|b1":
-        flat = flat.view(np.uint8) != 0  # whatever byte is there
+        flat = flat.view(np.uint8) != 0  # any non-zero byte is True
     return flat.astype(_F8) if single else flat

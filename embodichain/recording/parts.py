@@ -1,8 +1,8 @@
-"""A log in several files: their names, the manifest beside them, and which belongs to which.
+"""A log in several files: their names, their order, and the manifest that lists them.
 
-`rollout.mcap` goes on in `rollout_0001.mcap`, that in `rollout_0002.mcap`. Every file names its
-successor when it is closed, so the chain holds without the manifest; the manifest says at a glance
-which steps lie where, and which files there ought to be.
+`rollout.mcap` continues in `rollout_0001.mcap`, then in `rollout_0002.mcap`. Every file names its
+successor when it is closed, so the files can be read without the manifest. The manifest lists the
+expected files and the steps in each.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ def part_name(first: str, part: int) -> str:
 
 @dataclass(slots=True)
 class PartEntry:
-    """What the manifest says of a file; what is not known yet is None.
+    """The manifest's entry of a file; values that are not known yet are None.
 
     Attributes:
-        name: In the manifest's folder.
-        first_step: Control step it begins with.
-        steps: Control steps in it.
+        name: File name in the manifest's folder.
+        first_step: Its first control step.
+        steps: Number of control steps in it.
         start_s: Simulated seconds from the start of the recording to its first step.
-        stop_s: And to the end of its last.
+        stop_s: Simulated seconds from the start of the recording to the end of its last step.
         nbytes: Its size.
         complete: Whether it was closed.
     """
@@ -54,13 +54,13 @@ class PartEntry:
 
 
 class Manifest:
-    """The list of a log's files; written anew whenever it changes, under another name first.
+    """The list of a log's files, rewritten atomically whenever it changes.
 
     Args:
-        folder: Descriptor of the folder: it holds when the folder is renamed meanwhile.
+        folder: Descriptor of the folder: it stays valid if the folder is renamed.
         first: Name of the first file.
-        log_id: What all files of this log have in common.
-        period_s: Seconds a control step.
+        log_id: Identifier that all files of this log share.
+        period_s: Length of a control step in seconds.
     """
 
     def __init__(self, folder: int, first: str, log_id: str, period_s: float) -> None:
@@ -69,18 +69,18 @@ class Manifest:
         self.files = [PartEntry(first, 0, 0.0)]
 
     def closed(self, last_step: int, nbytes: int) -> None:
-        """The newest file is whole; it ends before control step `last_step`."""
+        """Note that the newest file is complete; it ends before control step `last_step`."""
         entry = self.files[-1]
         entry.steps = last_step - entry.first_step
         entry.stop_s = last_step * self._period
         entry.nbytes, entry.complete = nbytes, True
 
     def begun(self, name: str, first_step: int) -> None:
-        """Another file has begun."""
+        """Note that a new file was begun."""
         self.files.append(PartEntry(name, first_step, first_step * self._period))
 
     def write(self, complete: bool) -> None:
-        """Write it; at no moment is there half a manifest."""
+        """Write the manifest atomically, so that readers never find half of it."""
         content = {
             "log_id": self._id,
             "complete": complete,
@@ -94,10 +94,10 @@ class Manifest:
 
 
 def first_file(path: str | Path) -> Path:
-    """The file that a log begins with.
+    """The first file of a log.
 
     Args:
-        path: A file of a log, the manifest of one, or a run's folder.
+        path: A file of a log, the manifest of a log, or a run's folder.
 
     Raises:
         ConfigError: If a manifest cannot be read.
@@ -132,15 +132,15 @@ def _names(manifest: Mapping[str, Any]) -> list[str]:
 
 
 def missing_part(first: Path, name: str) -> tuple[str, bool]:
-    """What to say of a file that the one before it names, but that is not there.
+    """Describe a missing file that its predecessor names.
 
     Args:
-        first: The file the log begins with.
-        name: The file that is missing.
+        first: The first file of the log.
+        name: The missing file.
 
     Returns:
-        One line, and whether it is lost: the manifest or a later file shows that others are here.
-        Else the file before it was taken out of its log, and is read alone.
+        One line, and whether the file counts as lost: if the manifest or later files are present.
+        Otherwise the file before it was copied alone, and is read alone.
     """
     folder = first.parent
     manifest = first.with_name(first.stem + MANIFEST_SUFFIX)

@@ -1,7 +1,6 @@
-"""`Playback`: one environment of a log, step after step, on an engine of its own.
+"""`Playback`: one environment of a log, step after step, on a separate engine.
 
-Recorded rows are shown as they are, on the model as the environment had it; only what lies between
-keyframes is simulated.
+The engine has the recorded rows and model fields; only states between keyframes are simulated.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ def span_of(
     first: int | None = None,
     last: int | None = None,
 ) -> Span:
-    """The control steps that are meant.
+    """The selected control steps.
 
     Args:
         log: The log.
@@ -37,11 +36,9 @@ def span_of(
         last: Last control step, included; None is the last.
 
     Raises:
-        ConfigError: If the environment or the episode does not exist, or the range is none.
+        ConfigError: If the environment or the episode does not exist, or the range is empty.
     """
-    if not 0 <= env < log.num_envs:
-        there = f"there are 0 to {log.num_envs - 1}"
-        raise ConfigError(f"no environment {env} in the log: {there}")
+    log.header.check_env(env)
     start, end = first or 0, last
     if episode is not None:
         found = episode_of(log.episodes, env, episode)
@@ -53,15 +50,13 @@ def span_of(
 
 
 def follower_of(log: RecordedLog, env: int) -> Simulation:
-    """One environment of a log on an engine, which simulates only what lies between keyframes.
+    """One environment of a log on an engine, which simulates only states between keyframes.
 
     Raises:
         ConfigError: If there is no such environment.
         LogError: If the log has no states, or its model cannot be loaded.
     """
-    if not 0 <= env < log.num_envs:
-        there = f"there are 0 to {log.num_envs - 1}"
-        raise ConfigError(f"no environment {env} in the log: {there}")
+    log.header.check_env(env)
     log.header.require_states(log.path)
     simulates = log.header.keyframe_every > 0
     model = log.model_to_simulate if simulates else log.model
@@ -70,14 +65,14 @@ def follower_of(log: RecordedLog, env: int) -> Simulation:
 
 
 class Playback:
-    """One environment as it was recorded.
+    """Plays back one recorded environment.
 
     Args:
         log: The log; it must have states.
         env: The environment.
 
     Attributes:
-        engine: Has the state of the step that was last reached: one environment, number 0.
+        engine: The engine with the state of the current step; it has one environment, 0.
 
     Raises:
         ConfigError: If there is no such environment.
@@ -92,21 +87,21 @@ class Playback:
 
     @property
     def changes(self) -> int:
-        """How often the environment's model was written to so far."""
+        """Number of writes to the environment's model so far."""
         return self._simulation.changes
 
     def steps(self, span: Span, every: int = 1) -> Iterator[int]:
-        """Yield control steps; the engine then has what physics received in them.
+        """Yield control steps; at each, the engine has the input state of its physics.
 
         Can be called once.
 
         Args:
-            span: Which steps.
-            every: 2 leaves out every second, and so on; the first is always there.
+            span: The control steps.
+            every: Yield every `every`-th step, beginning with the first.
 
         Raises:
-            LogError: If a message is damaged, or does not fit the model, or the log does not
-                simulate to what it says.
+            LogError: If a message is damaged or does not match the model, or simulating between
+                keyframes does not give the recorded states.
         """
         for run, t in follow(self.log.reader, self._simulation, span):
             step = run.first + t

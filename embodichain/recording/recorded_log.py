@@ -1,4 +1,4 @@
-"""`RecordedLog`: metadata, config, model, episodes and arrays of a log, read when asked for."""
+"""`RecordedLog`: metadata, config, model, episodes and arrays of a log, read on demand."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import json
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 import mujoco
@@ -14,26 +13,32 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.base import EnvIndex
-from embodichain.recording.arrays import LogArrays
-from embodichain.recording.attachments import MODEL
+from embodichain.lab.sim.engine.api import EnvIndex
+from embodichain.recording.arrays import OUTCOMES, LogArrays, first_step, gather
+from embodichain.recording.attachments import (
+    MODEL,
+    approximate_model,
+    exact_model,
+    model_to_simulate,
+)
 from embodichain.recording.chunks import LogReader
-from embodichain.recording.episode_ends import TOPIC as EPISODE_TOPIC
-from embodichain.recording.episode_ends import EndedEpisode, by_episode, decode_ends
+from embodichain.recording.columns import Column, state_columns
 from embodichain.recording.episodes import (
+    EPISODE_TOPIC,
     LogEpisode,
+    decode_ends,
     episode_of,
     find_episodes,
-    of_ended,
-    with_unrecorded,
 )
-from embodichain.recording.events import LogEvent, LogWrite, read_events, read_writes
-from embodichain.recording.gather import OUTCOMES, first_step, gather
+from embodichain.recording.events import (
+    LogEvent,
+    LogWrite,
+    read_events,
+    read_metrics,
+    read_writes,
+)
 from embodichain.recording.header import Header
 from embodichain.recording.log_error import DamageError, LogError
-from embodichain.recording.metrics import read_metrics
-from embodichain.recording.model_columns import Column, state_columns
-from embodichain.recording.recorded_model import approximate_model, exact_model, model_to_simulate
 from embodichain.recording.simulation import Simulation
 from embodichain.recording.trajectory import Rows, Span, outcomes, runs
 from embodichain.utils.errors import ConfigError
@@ -48,7 +53,7 @@ class RecordedLog:
     Attributes:
         path: The file.
         reader: The file's chunks, channels and messages.
-        header: What was recorded and how: task, seed, num_envs, time steps, layout of states.
+        header: Metadata: task, seed, num_envs, time steps, layout of states, options.
     """
 
     def __init__(self, path: str | Path, simulate: bool = False) -> None:
@@ -64,19 +69,14 @@ class RecordedLog:
             raise
 
     def close(self) -> None:
-        """Close the file; what was read stays."""
+        """Close the file; arrays that were read stay valid."""
         self.reader.close()
 
     def __enter__(self) -> Self:
         """Return the log."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        tb: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         """Close the file."""
         self.close()
 
@@ -98,22 +98,22 @@ class RecordedLog:
 
     @property
     def num_envs(self) -> int:
-        """N."""
+        """Number of environments N."""
         return self.header.num_envs
 
     @property
     def dt(self) -> float:
-        """Seconds a control step."""
+        """Length of a control step in seconds."""
         return self.header.control_dt
 
     @property
     def complete(self) -> bool:
-        """Whether the recorder closed the file and nothing damaged was met so far."""
+        """Whether the recorder closed the file and no damage was found so far."""
         return self.reader.complete and self.reader.finished
 
     @property
     def warnings(self) -> list[str]:
-        """What is missing or damaged, as far as it was met; empty for a complete log."""
+        """What was found missing or damaged so far; empty for a complete log."""
         if not self.reader.complete:
             return [f"incomplete: {self.reader.cut}; only what precedes can be read"]
         if self.reader.recovered:
@@ -124,7 +124,7 @@ class RecordedLog:
 
     @cached_property
     def versions(self) -> dict[str, str]:
-        """Versions of what decides a run's bytes."""
+        """Versions of the software that determines a run's results."""
         try:
             found: dict[str, str] = json.loads(self.attachment("versions.json"))
         except ValueError as error:
@@ -133,8 +133,15 @@ class RecordedLog:
 
     @property
     def config_yaml(self) -> str:
-        """The resolved config, as it was written."""
-        return self.attachment("config.yaml").decode()
+        """The resolved config, as it was written.
+
+        Raises:
+            LogError: If it is missing or damaged.
+        """
+        try:
+            return self.attachment("config.yaml").decode()
+        except UnicodeDecodeError as error:
+            raise LogError(f"{self.path}: config.yaml is damaged: {error}") from error
 
     @cached_property
     def config(self) -> dict[str, Any]:
@@ -150,7 +157,7 @@ class RecordedLog:
         """The recorded model: exact with the same MuJoCo, else compiled from the scene's XML.
 
         Raises:
-            LogError: If it is missing, or this MuJoCo does not read it.
+            LogError: If it is missing, or this version of MuJoCo cannot read it.
         """
         same = self.header.mujoco_version == mujoco.__version__
         data = self.attachment(MODEL if same else "scene.mjz")
@@ -168,7 +175,7 @@ class RecordedLog:
         """Content of an attachment.
 
         Raises:
-            LogError: If there is none of that name, or it is damaged.
+            LogError: If there is no attachment of this name, or it is damaged.
         """
         return self.reader.attachment(name)
 
@@ -176,7 +183,7 @@ class RecordedLog:
 
     @cached_property
     def columns(self) -> dict[str, list[Column]]:
-        """Every field that `read` takes, with name and unit of its columns."""
+        """Every field that `read` accepts, with the name and unit of each column."""
         single = ("rewards", "terminated", "truncated", "episodes")
         found = {name: [Column(name, "")] for name in single}
         if self.header.state != "none":
@@ -185,13 +192,13 @@ class RecordedLog:
         return found
 
     def _action_width(self) -> int:
-        """Columns of an action; 0 if no step is in the log."""
+        """Number of columns of an action; 0 if the log has no steps."""
         first = next((run for run in runs(self.reader, wanted=outcomes) if run.steps), None)
         return 0 if first is None else first.calls[-1].arrays["action"].shape[-1]
 
     @property
     def _usual(self) -> list[str]:
-        """Fields that are read when none are named: no hidden inputs of physics."""
+        """Fields that are read by default: all but hidden inputs of physics."""
         hidden = {"time", "qacc_warmstart", "qfrc_applied", "xfrc_applied", "eq_active"}
         return [name for name in self.columns if name not in hidden]
 
@@ -203,24 +210,24 @@ class RecordedLog:
         start: int = 0,
         stop: int | None = None,
     ) -> LogArrays:
-        """Arrays of some fields, environments and steps; only the chunks they lie in are read.
+        """Arrays of some fields, environments and steps; reads only the chunks that contain them.
 
-        States are as physics received them: after every write of the step, controls included. Only
-        complete steps are read. (The times of a step's state and reward differ by a step's length:
-        the reward is of the state that followed.)
+        A step's state is the input of its physics: after all writes of the step, including ctrl.
+        Its reward is that of the following state, one control step later. Only complete steps are
+        read.
 
         Args:
             fields: Components of the state (`qpos`, `qvel`, `ctrl`, `mocap_pos`, ...), `actions`,
-                `rewards`, `terminated`, `truncated`, `episodes`; None is all but `time`, applied
-                forces and the solver's warm start.
-            env: An environment, or several in ascending order; None is all.
-            episode: Only this episode of the one environment that `env` names.
+                `rewards`, `terminated`, `truncated`, `episodes`; None reads all but `time`,
+                `eq_active`, applied forces and the solver's warm start.
+            env: An environment, or several in ascending order; None reads all.
+            episode: Only this episode; `env` must be a single environment.
             start: First control step.
-            stop: Control step that is no longer read; None is the end.
+            stop: End of the control steps, exclusive; None is the end of the log.
 
         Raises:
             ConfigError: If a field, environment or episode does not exist.
-            LogError: If the log has no states, or says what cannot be.
+            LogError: If the log has no states, or is inconsistent.
         """
         self.header.require_states(self.path)
         names, ids = self._fields(fields), self._envs(env)
@@ -237,10 +244,10 @@ class RecordedLog:
 
     @property
     def model_to_simulate(self) -> mujoco.MjModel:
-        """The model, where states between keyframes can be simulated to the bit.
+        """The model, if states between keyframes can be simulated bit for bit on this machine.
 
         Raises:
-            LogError: If they cannot be here.
+            LogError: If they cannot.
         """
         try:
             return model_to_simulate(self.header, self.attachment)
@@ -256,7 +263,7 @@ class RecordedLog:
         stop: int | None = None,
         steps: int = 1000,
     ) -> Iterator[LogArrays]:
-        """What `read` gives, `steps` control steps at a time: for what does not fit into memory."""
+        """Like `read`, but `steps` control steps at a time, for data larger than memory."""
         if steps < 1:
             raise ConfigError(f"parts of {steps} control steps: give 1 or more")
         names = self._fields(fields)
@@ -270,7 +277,7 @@ class RecordedLog:
             part = self.read(names, env, None, at, end)
             if len(part):
                 yield part
-            # Behind a gap of any length it goes on where there is a step.
+            # After a gap, continue at the next step that was recorded.
             last = None if stop is None else stop - 1
             at = end if len(part) else first_step(self.reader, Span(end, last))
 
@@ -282,17 +289,15 @@ class RecordedLog:
             if name not in self.columns:
                 hint = did_you_mean(name, self.columns)
                 raise ConfigError(f"no field {name!r}.{hint} Fields: {', '.join(self.columns)}")
-        # Components first, as they are in `columns`.
+        # Components of the state first, as in `columns`.
         return sorted(dict.fromkeys(names), key=lambda name: name in OUTCOMES)
 
     def _envs(self, env: int | Sequence[int] | None) -> EnvIndex:
         if env is None:
             return np.arange(self.num_envs)
         ids = np.atleast_1d(np.asarray(env, np.int64))
-        wrong = ids[(ids < 0) | (ids >= self.num_envs)]
-        if len(wrong):
-            there = f"there are 0 to {self.num_envs - 1}"
-            raise ConfigError(f"no environment {wrong[0]} in the log: {there}")
+        for one in ids.tolist():
+            self.header.check_env(one)
         if (np.diff(ids) <= 0).any():
             raise ConfigError(f"environments must be in ascending order, not {ids.tolist()}")
         return ids
@@ -308,26 +313,24 @@ class RecordedLog:
 
     @cached_property
     def episodes(self) -> list[LogEpisode]:
-        """Every episode, whole or not, by environment; found in one pass over the log.
+        """Every episode, complete or not, by environment; found in one pass over the log.
 
-        A log with `record.state=none` tells only of those that ended. With `record.every` those
-        that were not recorded are there too, with everything but their steps.
+        With `record.state=none`, only episodes that ended are listed. With `record.every`,
+        episodes that were not recorded are listed too, without their steps.
         """
-        ended = by_episode(self._ended())
         if self.header.state == "none":
-            return of_ended(ended)
+            return find_episodes(self._ended(), None)
         data = self.read(["episodes", "rewards", "terminated", "truncated"])
-        found = find_episodes(data, ended)
-        return found if self.header.every == 1 else with_unrecorded(found, ended)
+        return find_episodes(self._ended(), data, self.header.every)
 
     def metrics(self, env: int) -> tuple[NDArray[np.int64], dict[str, NDArray[np.float64]]]:
-        """Numbers of a viewed environment: rewards of each term, metrics, sums of the episode.
+        """Values of a viewed environment: rewards of each term, metrics, sums over the episode.
 
         Args:
             env: One of `header.view_envs`.
 
         Returns:
-            (S,) sampled control steps, and name to (S,) values.
+            (S,) sampled control steps, and a dict from name to (S,) values.
 
         Raises:
             ConfigError: If the environment was not viewed.
@@ -338,21 +341,21 @@ class RecordedLog:
         return read_metrics(self.reader, env)
 
     def events(self) -> Iterator[LogEvent]:
-        """Yield what the event manager did: terms, environments, what they drew."""
+        """Yield the events of the event manager: term, environments and drawn values."""
         return read_events(self.reader)
 
     def writes(self) -> Iterator[LogWrite]:
-        """Yield every write to the simulation outside physics, model fields included."""
+        """Yield every write to the simulation outside physics, including model fields."""
         return read_writes(self.reader)
 
     def raw_messages(self) -> Iterator[tuple[str, int, memoryview]]:
         """Yield topic, log time in ns and bytes of every message, in file order."""
         return self.reader.messages()
 
-    def _ended(self) -> Iterator[list[EndedEpisode]]:
+    def _ended(self) -> Iterator[LogEpisode]:
         for topic, _, payload in self.reader.messages():
             if topic == EPISODE_TOPIC:
                 try:
-                    yield decode_ends(payload)
+                    yield from decode_ends(payload)
                 except DamageError as error:
                     raise LogError(f"{self.path}: a message is damaged: {error}") from error

@@ -1,7 +1,7 @@
-"""`McapRecorder`: watches an environment and writes its log.
+"""`McapRecorder`: observes an environment and writes its log.
 
-It collects the calls of each control step, gathers steps with the same calls in a run, and writes
-a run, in the stepping thread, when the calls change or the run is large or old enough.
+It collects the calls of each control step and groups consecutive steps with the same calls into a
+run. Runs are written when they are large or old enough.
 """
 
 from __future__ import annotations
@@ -19,16 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
-from embodichain.lab.sim.engine.base import EnvIndex, PhysicsEvent, Write
+from embodichain.lab.sim.engine.api import EnvIndex, PhysicsEvent, Write
 from embodichain.recording.attachments import attachments_of, model_bytes, model_digest
 from embodichain.recording.block import DRAWN, ArrayKind, CallKind
-from embodichain.recording.columns import take
-from embodichain.recording.episode_ends import Ends
-from embodichain.recording.episode_gate import EpisodeGate
+from embodichain.recording.columns import Moved
+from embodichain.recording.episodes import Ends
 from embodichain.recording.hashing import row_hashes
 from embodichain.recording.header import check_keyframes, header_of
 from embodichain.recording.log_writer import LogWriter, PendingRun, Recorded
-from embodichain.recording.options import RecordLike, RecordOptions, check_options
+from embodichain.recording.options import RecordOptions, check_options
 from embodichain.recording.views.layout import foxglove_layout
 from embodichain.recording.views.views import Views
 from embodichain.recording.writing import Writing
@@ -39,12 +38,12 @@ if TYPE_CHECKING:
 __all__ = ["McapRecorder", "RecordStats"]
 
 RUN_STEPS, RUN_BYTES, RUN_SECONDS = 256, 2**20, 0.25
-"""A run is written when it has so many steps, or bytes, or has waited so long."""
+"""Runs are written when they reach this many steps or bytes, or this age."""
 FLUSH_SECONDS = 0.5
-"""What is written is readable in the file after so long; with `RUN_SECONDS`, and the time between
-two calls of the timer, at most a second is lost when the process is killed."""
+"""Interval between flushes. With `RUN_SECONDS` and the timer's interval, at most one second is
+lost when the process is killed."""
 START_SHARE = 128
-"""A start is written after so many times its bytes of other data."""
+"""A start is written after other data of this many times its size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,8 +51,8 @@ class RecordStats:
     """What a recorder has written.
 
     Attributes:
-        path: The file; the first one, if the log goes on in others.
-        steps: Control steps.
+        path: The file; the first one if the log has several.
+        steps: Number of control steps.
         nbytes: Size of the log so far.
     """
 
@@ -63,13 +62,13 @@ class RecordStats:
 
 
 class McapRecorder(StepObserver):
-    """Records an environment from now on; attach it with `env.add_observer` at once.
+    """Records an environment; attach it with `env.add_observer` right after it is built.
 
-    Build it before the first `env.reset()`. The simulation's state at that moment, its randomized
-    model fields included, is written first, so a log that starts later verifies as well.
+    Build it before the first `env.reset()`. The current state of the simulation, including
+    randomized model fields, is written first, so a log that starts later can be verified too.
 
     Args:
-        path: A new file. Its folder must exist; ``foxglove_layout.json`` is put beside it.
+        path: A new file in an existing folder; ``foxglove_layout.json`` is written next to it.
         env: The environment.
         config: The resolved config as YAML text.
         overrides: The command line's overrides.
@@ -87,7 +86,7 @@ class McapRecorder(StepObserver):
         env: ObservedEnv,
         config: str = "",
         overrides: str | Sequence[str] = (),
-        options: RecordLike | None = None,
+        options: RecordOptions | None = None,
         task: str = "",
     ) -> None:
         options = RecordOptions() if options is None else options
@@ -98,15 +97,16 @@ class McapRecorder(StepObserver):
         self._start_ns = time.time_ns()
         mjb = model_bytes(self._engine.model)
         header = header_of(env, options, model_digest(mjb), task, self._start_ns)
-        self._moved, self._period_ns = header.moved, header.period_ns
+        self._moved, self._period_ns = Moved(header.moved), header.period_ns
         self._substeps, self._keyframe_every = header.substeps, header.keyframe_every
         self._keeps_state = options.state != "none"
-        self._gate = EpisodeGate(options.every, next(iter(options.view_envs), 0))
+        self._gate = _EpisodeGate(options.every, next(iter(options.view_envs), 0))
         self._max_bytes = 0.0 if options.max_mb is None else options.max_mb * 1e6
         self._view_envs = header.view_envs
         self._step = 0
         self._calls: list[Recorded] = []  # since the last control step
-        self._run = PendingRun(0, [], 0.0, 0)
+        self._runs: list[PendingRun] = []  # not written yet
+        self._waiting = 0  # bytes in `_runs`
         self._kinds: dict[object, CallKind] = {}
         self._since_start = self._start_bytes = 0
         self._flushed = time.monotonic()
@@ -120,7 +120,7 @@ class McapRecorder(StepObserver):
         self._log.began()
         file = self._log.file
         self._writing = Writing(self._path, lambda: file.where_it_ends, self._tick)
-        # A program that ends without closing still leaves a whole log.
+        # A program that exits without closing the recorder still leaves a complete log.
         self._at_exit = partial(_close_if_alive, weakref.ref(self))
         atexit.register(self._at_exit)
 
@@ -129,13 +129,13 @@ class McapRecorder(StepObserver):
 
     @property
     def stats(self) -> RecordStats:
-        """What has been written so far."""
+        """What has been recorded so far."""
         return RecordStats(self._path, self._step, self._log.file.nbytes)
 
-    # -- what happens ------------------------------------------------------------------------------
+    # -- callbacks of the environment --------------------------------------------------------------
 
     def on_write(self, env: ObservedEnv, write: Write) -> None:
-        """Record a write outside physics, and of a reset the rows that it left."""
+        """Record a write outside physics; for a reset, the resulting rows."""
         op, field, ids, columns, values = write
         if op == "model":
             self._views.on_model_write(write)
@@ -167,7 +167,7 @@ class McapRecorder(StepObserver):
         return CallKind("write", write.field, write.op, 0, named, _of(write.env_ids) + values)
 
     def _width_of(self, write: Write) -> int:
-        """Columns of the flattened field that is written."""
+        """Number of columns of the flattened field that is written."""
         if write.op == "state":
             if write.field == "row":
                 return int(self._engine.rows.shape[1])
@@ -179,11 +179,11 @@ class McapRecorder(StepObserver):
         return int(np.size(owner))
 
     def _records(self, ids: EnvIndex | None) -> bool:
-        """Whether something that happens in these environments is recorded."""
+        """Whether calls for these environments are recorded."""
         return self._gate.open and self._keeps_state and (ids is None or len(ids) > 0)
 
     def on_physics(self, env: ObservedEnv, event: PhysicsEvent) -> None:
-        """Show what physics receives; record what it returned."""
+        """Pass the rows before physics to the views; record the rows after it."""
         phase, nstep, ids, rows, failed = event
         if phase == "before":
             if ids is None:
@@ -194,7 +194,7 @@ class McapRecorder(StepObserver):
             return
         if not self._records(ids):
             return
-        result: NDArray[Any] = take(self._moved, rows if ids is None else rows[ids])
+        result: NDArray[Any] = self._moved.take(rows if ids is None else rows[ids])
         if self._keyframe_every:
             result = row_hashes(result)
         failures = None if failed is None else len(failed)
@@ -212,7 +212,7 @@ class McapRecorder(StepObserver):
             self._calls.append((kind, tuple(np.ascontiguousarray(a) for a in more)))
 
     def on_event(self, env: ObservedEnv, event: EventRecord) -> None:
-        """Record that a term of the event manager fired, and what it drew."""
+        """Record that a term of the event manager fired, and the values it drew."""
         if not self._gate.open:
             self._gate.hold(event)
             return
@@ -230,17 +230,17 @@ class McapRecorder(StepObserver):
             self._calls.append((kind, tuple(values if ids is None else (ids.copy(), *values))))
 
     def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
-        """Show environments that were reset; begin or pause recording there (`record.every`)."""
+        """Update the views after a reset; start or pause recording (`record.every`)."""
         if self._gate.open:
             self._views.on_reset(env_ids)
         was_open = self._gate.open
         self._switched(env, was_open, self._gate.on_reset(env_ids))
 
     def on_step(self, env: ObservedEnv, step: StepRecord) -> None:
-        """Record that a control step ended.
+        """Record the end of a control step.
 
         Raises:
-            LogWriteError: If the log could not be written; it ends there.
+            LogWriteError: If the log could not be written; recording has stopped.
         """
         self._writing.check()
         number = self._step
@@ -250,7 +250,7 @@ class McapRecorder(StepObserver):
         was_open = self._gate.open
         if was_open:
             self._views.on_step(number, step, ended=ends is not None)
-            # Copies: the caller of `step` may write into what it received.
+            # Copies: the caller of `step` may write into the arrays it received.
             arrays = (
                 np.array(step.action, np.float64, order="C"),
                 np.array(step.reward, np.float32, order="C"),
@@ -272,16 +272,16 @@ class McapRecorder(StepObserver):
             self._write_when_due()
 
     def _switched(self, env: ObservedEnv, was_open: bool, held: list[EventRecord] | None) -> None:
-        """Between two steps: recording may have been paused, or goes on.
+        """Between two steps: apply a pause or a resumption of recording.
 
         Args:
             env: The environment.
             was_open: Whether it was recorded before.
-            held: Events that led here, if recording goes on; else None.
+            held: If recording resumes, the deferred events of this step; else None.
         """
         if was_open and not self._gate.open:
             with self._writing.writes():
-                self._write_run()
+                self._write_runs()
                 self._write_rest()
         if held is not None:
             with self._writing.writes():
@@ -293,31 +293,33 @@ class McapRecorder(StepObserver):
     # -- runs --------------------------------------------------------------------------------------
 
     def _add_step(self) -> None:
-        """Add a finished step to the run; write the run before, if its calls are others."""
+        """Add a finished step to the last run, or begin a new run if its calls differ."""
         kinds = [kind for kind, _ in self._calls]
         with self._writing.lock:
-            run = self._run
-            alike = bool(run.steps) and kinds == run.kinds
-            if alike:
-                # One statement takes the step over: an interrupt loses none, and repeats none.
+            run = self._runs[-1] if self._runs else None
+            # A single statement adds the step, so an interrupt neither loses nor repeats it.
+            if run is not None and kinds == run.kinds:
                 run.steps.append(self._calls)
-        if not alike:
-            size = sum(array.nbytes for _, arrays in self._calls for array in arrays)
-            with self._writing.writes():
-                self._write_run()
-                self._run = PendingRun(self._step, kinds, time.monotonic(), size, [self._calls])
+            else:
+                size = sum(array.nbytes for _, arrays in self._calls for array in arrays)
+                now = time.monotonic()
+                run = PendingRun(self._step, kinds, now, size, [self._calls])
+                self._runs.append(run)
+            self._waiting += run.step_bytes
         self._calls = []
 
     def _write_when_due(self) -> None:
-        """Write the run if it is large or old, then a start, the next file, or flush, when due."""
-        run, now = self._run, time.monotonic()
-        step_bytes, count = run.step_bytes, len(run.steps)
-        begins = self._start_is_due(self._since_start + step_bytes * count)
+        """Write the runs if they are large or old; then start the next file, or write a start."""
+        runs, now = self._runs, time.monotonic()
+        begins = self._start_is_due(self._since_start + self._waiting)
         full = self._max_bytes > 0 and self._log.is_full(self._max_bytes)
-        old = run.steps and now - run.begun > RUN_SECONDS
-        if begins or full or old or count >= RUN_STEPS or step_bytes * count >= RUN_BYTES:
+        due = self._waiting >= RUN_BYTES
+        if runs:
+            steps = runs[-1].end - runs[0].first
+            due = due or steps >= RUN_STEPS or now - runs[0].begun > RUN_SECONDS
+        if begins or full or due:
             with self._writing.writes():
-                self._write_run()
+                self._write_runs()
                 if full:
                     self._log.roll(self._step)
                     self._write_start()
@@ -333,18 +335,17 @@ class McapRecorder(StepObserver):
             return self._step % self._keyframe_every == 0 and self._keeps_state
         return nbytes > START_SHARE * self._start_bytes > 0
 
-    def _write_run(self) -> None:
-        run = self._run
-        self._run = PendingRun(run.end, [], 0.0, 0)
-        if run.steps:
-            self._since_start += run.step_bytes * len(run.steps)
-            self._log.run(run)
+    def _write_runs(self) -> None:
+        runs, self._runs = self._runs, []
+        self._since_start, self._waiting = self._since_start + self._waiting, 0
+        self._log.write(runs)
 
     def _write_rest(self) -> None:
-        """Write calls that no control step follows."""
+        """Write the calls after the last control step."""
         calls, self._calls = self._calls, []
         if calls:
-            self._log.run(PendingRun(self._step, [kind for kind, _ in calls], 0.0, 0, [calls]))
+            kinds = [kind for kind, _ in calls]
+            self._log.write([PendingRun(self._step, kinds, 0.0, 0, [calls])])
 
     def _write_start(self) -> None:
         if self._keeps_state:
@@ -357,35 +358,35 @@ class McapRecorder(StepObserver):
         self._log.flush()
 
     def _tick(self) -> None:
-        """On the timer's thread: write and flush what no further step does."""
+        """On the timer's thread: write and flush data that is waiting while no steps are made."""
         if time.monotonic() - self._flushed >= FLUSH_SECONDS:
-            self._write_run()
+            self._write_runs()
             self._flush()
 
     # -- the end -----------------------------------------------------------------------------------
 
     def on_close(self, env: ObservedEnv) -> None:
-        """The environment closes."""
+        """Close the log with the environment."""
         self.close()
 
     def flush(self) -> None:
-        """Write everything recorded so far into the file, where readers find it.
+        """Write everything recorded so far to the file, so that readers find it.
 
-        The recorder does so by itself within a second. After `close` it does nothing.
+        The recorder does this itself at least once a second. After `close` it does nothing.
 
         Raises:
             LogWriteError: If the file could not be written.
         """
         if not self._closed:
             with self._writing.writes():
-                self._write_run()
+                self._write_runs()
                 self._flush()
 
     def close(self) -> None:
         """Write the last rows and finish the file. A second call does nothing.
 
         Raises:
-            LogWriteError: If the file could not be written, and no step raised it before.
+            LogWriteError: If the file could not be written and no step has raised this error yet.
         """
         if self._closed:
             return
@@ -395,18 +396,64 @@ class McapRecorder(StepObserver):
         if self._writing.told:
             return
         with self._writing.writes():
-            if self._run.steps and self._calls is self._run.steps[-1]:
-                self._calls = []  # an interrupt came right after the step was taken over
-            self._step = max(self._step, self._run.end)
-            self._write_run()
+            if self._runs:
+                run = self._runs[-1]
+                if self._calls is run.steps[-1]:
+                    self._calls = []  # an interrupt came right after the step was added
+                self._step = max(self._step, run.end)
+            self._write_runs()
             if self._gate.open:
                 self._write_rest()
             self._views.close(self._step, self._engine.rows)
             self._log.finish(self._step)
 
 
+class _EpisodeGate:
+    """Open during every k-th episode of the leading environment, beginning with the first.
+
+    A reset opens the gate, and the reset's events belong to the new episode. So the events of a
+    step are held back until it is known whether they are recorded.
+
+    Args:
+        every: k; 1 keeps the gate open.
+        lead: The leading environment.
+
+    Attributes:
+        open: Whether calls are currently recorded.
+    """
+
+    def __init__(self, every: int, lead: int) -> None:
+        self._every, self._lead = every, lead
+        self.open = True
+        self._episodes = self._steps = 0
+        self._in_step = False
+        self._held: list[EventRecord] = []
+
+    def on_physics(self) -> None:
+        """Count a control step; its physics begins."""
+        self._steps += 1
+        self._in_step = True
+
+    def hold(self, event: EventRecord) -> None:
+        """Keep an event that fired while the gate was closed."""
+        self._held.append(event)
+
+    def on_reset(self, env_ids: EnvIndex) -> list[EventRecord] | None:
+        """Count an episode if the leading environment was reset; outside a step, call `switch`."""
+        if (env_ids == self._lead).any():
+            self._episodes += self._steps > 0  # an episode without steps does not count
+            self._steps = 0
+        return None if self._in_step else self.switch()
+
+    def switch(self) -> list[EventRecord] | None:
+        """Between two steps: open or close; if it opens, return the events that were held."""
+        held, self._held, self._in_step = self._held, [], False
+        before, self.open = self.open, self._episodes % self._every == 0
+        return held if self.open and not before else None
+
+
 def _of(ids: EnvIndex | None, name: str = "env_ids") -> tuple[ArrayKind, ...]:
-    """The kind of an array of environments; None for nothing."""
+    """The kind of an array of environment indices; empty if `ids` is None."""
     return () if ids is None else (ArrayKind(name, "<i8", ids.shape),)
 
 

@@ -1,6 +1,6 @@
-"""`recover`: what can be read of a broken log, as a clean file with an index.
+"""`recover`: copies the readable part of a broken log to a new file with an index.
 
-The broken file is only read, and nothing that exists is overwritten.
+The broken file is not changed, and no existing file is overwritten.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from embodichain.recording.log_error import DamageError, LogError
 from embodichain.recording.parts import first_file
 from embodichain.recording.schema import STEPS_TOPIC
 from embodichain.recording.trajectory import outcomes
+from embodichain.utils.atomic import atomic_file
 from embodichain.utils.errors import ConfigError
 
 __all__ = ["Recovery", "recover"]
@@ -26,17 +27,17 @@ __all__ = ["Recovery", "recover"]
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What was saved.
+    """Result of `recover`.
 
     Attributes:
         source: The broken file.
-        path: The new one.
-        messages: Messages in it.
-        steps: Whole control steps in it.
+        path: The new file.
+        messages: Number of messages in the new file.
+        steps: Number of complete control steps in it.
         attachments: Names of its attachments.
         nbytes: Its size.
-        damage: Why the source ends there; empty if it was whole.
-        lost_bytes: Bytes of the source behind the last block that was read.
+        damage: Why the source could not be read further; empty if it was complete.
+        lost_bytes: Bytes of the source after the last block that was read.
     """
 
     source: Path
@@ -50,35 +51,32 @@ class Recovery:
 
 
 def recover(source: str | Path, target: str | Path) -> Recovery:
-    """Copy a log up to where it is good: messages, attachments and metadata, with a new index.
+    """Copy a log up to the first damage: messages, attachments and metadata, with a new index.
 
-    One that lies in several files becomes one file.
+    A log in several files becomes one file.
 
     Args:
-        source: A log that was cut or damaged; a whole one is copied.
-        target: A new file. It appears under this name when it is complete.
+        source: A log that was cut or damaged; a complete one is copied.
+        target: A new file. It gets this name when it is complete.
 
     Raises:
-        ConfigError: If `source` is no log, or `target` exists or cannot be made.
-        LogError: If not even the metadata of `source` can be read.
-        OSError: If the new file cannot be written; nothing is left of it.
+        ConfigError: If `source` is not a log, or `target` exists or cannot be created.
+        LogError: If the metadata of `source` cannot be read.
+        OSError: If the new file cannot be written; the partial file is removed.
     """
     source, target = first_file(source), Path(target)
     with LogReader(source) as reader:
+        taken = f"{target} exists; recover writes a new file"
         if os.path.lexists(target):
-            raise ConfigError(f"{target} exists; recover writes a new file")
+            raise ConfigError(taken)
         if not target.parent.is_dir():
             raise ConfigError(f"the folder {target.parent} does not exist")
-        temporary = target.with_name(f".{target.name}.{os.getpid()}")
         try:
-            with temporary.open("xb") as stream:
+            with atomic_file(target, new=True) as temporary, temporary.open("xb") as stream:
                 copy = _Copy(reader, Writer(stream, compression=CompressionType.LZ4))
                 copy.all_records()
-                stream.flush()
-                os.fsync(stream.fileno())
-            _publish(temporary, target)
-        finally:
-            temporary.unlink(missing_ok=True)
+        except FileExistsError:
+            raise ConfigError(taken) from None
         lost = 0 if reader.complete else reader.total_bytes - reader.good_bytes
         names = copy.attachments
         nbytes = target.stat().st_size
@@ -86,7 +84,7 @@ def recover(source: str | Path, target: str | Path) -> Recovery:
 
 
 class _Copy:
-    """Writes what a reader finds."""
+    """Copies what a reader finds to a new file."""
 
     def __init__(self, reader: LogReader, writer: Any) -> None:
         self._reader, self._writer = reader, writer
@@ -100,7 +98,7 @@ class _Copy:
         """Copy up to the first damage, and close the file.
 
         Raises:
-            LogError: If there is no metadata, or a channel is not a log's.
+            LogError: If there is no metadata, or a channel does not belong to a log.
         """
         reader, writer = self._reader, self._writer
         header = reader.require_header()
@@ -129,7 +127,7 @@ class _Copy:
         writer.finish()
 
     def _attach(self, name: str) -> bool:
-        """Copy an attachment; whether it is good."""
+        """Copy an attachment; return whether it is undamaged."""
         try:
             found = self._reader.attachment_record(name)
         except LogError:
@@ -143,7 +141,7 @@ class _Copy:
         """The new file's channel of a topic.
 
         Raises:
-            LogError: If it is not one of a log.
+            LogError: If it is not a topic of a log.
         """
         if topic not in self._channels:
             channel = next(c for c in self._reader.channels.values() if c.topic == topic)
@@ -156,17 +154,3 @@ class _Copy:
             declared_as = self._schemas[schema.id]
             self._channels[topic] = self._writer.register_channel(topic, "protobuf", declared_as)
         return self._channels[topic]
-
-
-def _publish(temporary: Path, target: Path) -> None:
-    """Give a file its name, unless that is taken by now."""
-    try:
-        os.link(temporary, target)
-    except FileExistsError:
-        raise ConfigError(f"{target} exists; recover writes a new file") from None
-    except OSError:  # a file system without links: claim the name, then take its place
-        try:
-            target.open("xb").close()
-        except FileExistsError:
-            raise ConfigError(f"{target} exists; recover writes a new file") from None
-        temporary.replace(target)

@@ -1,7 +1,7 @@
 """Schemas of the channels as protobuf descriptors: the log's own messages, and Foxglove's.
 
-The log's own messages are declared here without protoc. A file carries the descriptors of its
-channels, so any MCAP reader decodes it from itself.
+The log's own messages are declared here without protoc. A file contains the descriptors of its
+channels, so any MCAP reader can decode it.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ __all__ = [
 STEPS_TOPIC = "/sim/steps"
 """Control steps, as `embodichain.Steps`."""
 START_TOPIC = "/sim/start"
-"""What the simulation is between two control steps, as `embodichain.Steps` with one call."""
+"""State of the simulation between two control steps, as `embodichain.Steps` with one call."""
 
 _F = descriptor_pb2.FieldDescriptorProto
 _KINDS = {
@@ -43,7 +43,7 @@ _PACKAGE = "embodichain"
 _FILE = "embodichain/log.proto"
 
 MESSAGES: Mapping[str, Sequence[str]] = {
-    # `block` defines what the calls of a run are, and how their arrays lie in `data`.
+    # `block` defines the calls of a run, and the places of their arrays in `data`.
     "Array": (
         "string name = 1",
         "string dtype = 2",
@@ -67,10 +67,10 @@ MESSAGES: Mapping[str, Sequence[str]] = {
         "uint64 first = 1",
         "uint32 count = 2",
         "repeated Call calls = 3",
-        "bytes data = 4",  # last in number and in the bytes: see `block.pack_run`
+        "bytes data = 4",  # must be the last field: see `block.pack_run`
     ),
-    # Episodes that ended in a control step, one entry each. Flags are a byte each, tables are
-    # (n, names) by rows. `success` is absent where the task does not define it.
+    # Episodes that ended in a control step, one entry each. Flags are one byte each, tables are
+    # (n, names), row-major. `success` is empty if the task does not define it.
     "Episodes": (
         "uint64 step = 1",
         "repeated uint32 env_ids = 2",
@@ -95,18 +95,13 @@ def _add_field(message: descriptor_pb2.DescriptorProto, declaration: str) -> Non
     words = left.split()
     repeated = words[0] == "repeated"
     kind, name = words[-2:]
-    field = message.field.add(name=name, number=int(number), json_name=_json_name(name))
+    field = message.field.add(name=name, number=int(number))
     field.label = _F.LABEL_REPEATED if repeated else _F.LABEL_OPTIONAL
     if kind in _KINDS:
         field.type = _KINDS[kind]
     else:
         field.type = _F.TYPE_MESSAGE
         field.type_name = f".{_PACKAGE}.{kind}"
-
-
-def _json_name(name: str) -> str:
-    head, *tail = name.split("_")
-    return head + "".join(word.capitalize() for word in tail)
 
 
 @cache
@@ -127,7 +122,7 @@ def _class(file: descriptor_pb2.FileDescriptorProto, name: str) -> Any:
 
 @cache
 def message_class(name: str) -> Any:
-    """Protobuf's class of one of the log's own messages (``Steps``, ``Episodes``)."""
+    """The protobuf class of one of the log's own messages (``Steps``, ``Episodes``)."""
     return _class(_own_file(), name)
 
 
@@ -169,11 +164,11 @@ def _scalars_file(message: str, names: Sequence[str]) -> descriptor_pb2.FileDesc
 
 
 def scalars_descriptor_set(message: str, names: Sequence[str]) -> bytes:
-    """Schema of a message of this run's own scalars: one double field a name, numbered from 1."""
+    """Schema of a message of a run's scalars: a double field for each name, numbered from 1."""
     result = descriptor_pb2.FileDescriptorSet(file=[_scalars_file(message, names)])
     return result.SerializeToString(deterministic=True)
 
 
 def scalars_class(message: str, names: Sequence[str]) -> Any:
-    """Protobuf's class of the message that `scalars_descriptor_set` declares."""
+    """The protobuf class of the message that `scalars_descriptor_set` declares."""
     return _class(_scalars_file(message, names), message)

@@ -1,4 +1,4 @@
-"""`Simulation`: a log followed on an engine, its physics simulated again and compared."""
+"""`Simulation`: follows a log on an engine; simulates its physics again and compares it."""
 
 from __future__ import annotations
 
@@ -11,34 +11,34 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.base import F64, EnvIndex
+from embodichain.lab.sim.engine.api import F64, EnvIndex
 from embodichain.lab.sim.engine.cpu import CpuEngine
 from embodichain.lab.sim.engine.model_fields import DERIVED_FIELDS
+from embodichain.recording.attachments import check_rows
 from embodichain.recording.block import Call, Run
 from embodichain.recording.chunks import LogReader
-from embodichain.recording.columns import column_name, take
+from embodichain.recording.columns import column_name
 from embodichain.recording.hashing import row_hashes
 from embodichain.recording.log_error import LogError
-from embodichain.recording.recorded_model import check_rows
 from embodichain.recording.trajectory import Rows, columns_of
 
 __all__ = ["Active", "Difference", "DifferenceFound", "Simulation", "always", "never"]
 
 Active = Callable[[int], NDArray[np.bool_]]
-"""Control step to an (n,) mask of the chosen environments that are compared in it."""
+"""Control step to an (n,) mask of the selected environments that are compared in it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The first place where the log and the simulation part.
+    """The first difference between the log and the simulation.
 
     Attributes:
         step: Control step, from 0.
         env: The environment.
-        field: Component and index, ``qpos[3]``; ``hash`` where the log has only the hash of what
-            physics returned.
+        field: Component and index, ``qpos[3]``; ``hash`` if the log has only a hash of the result
+            of physics.
         recorded: The value in the log.
-        simulated: The value that physics and the recorded writes give.
+        simulated: The simulated value.
     """
 
     step: int
@@ -57,11 +57,11 @@ class Difference:
 
 
 class DifferenceFound(LogError):
-    """A log does not simulate to what it says.
+    """Simulating a log does not give the recorded states.
 
     Args:
         path: The log.
-        difference: Where they part first.
+        difference: The first difference.
     """
 
     def __init__(self, path: Path, difference: Difference) -> None:
@@ -76,32 +76,32 @@ def always(n: int) -> Active:
 
 
 def never(n: int) -> Active:
-    """None of n environments: what physics returned is taken from the log."""
+    """None of n environments: all results of physics are taken from the log."""
     mask = np.zeros(n, np.bool_)
     return lambda step: mask
 
 
 class Simulation(Rows):
-    """Chosen environments of a log on an engine of their own.
+    """Selected environments of a log on a separate engine.
 
-    What physics returned is simulated where that is compared, or where the log does not have it;
-    else it is taken from the log.
+    Physics is simulated where it is compared, or where the log has no states; otherwise its result
+    is taken from the log.
 
     Args:
         reader: The log.
         model: The model.
         env_ids: (n,) environments, ascending; None is all.
-        active: Which of them are compared in which step; None is all.
-        exact: Compare bits; else measure errors, and go on with what was recorded.
+        active: Which environments are compared in which step; None is all.
+        exact: Compare bit for bit; else measure errors, and continue from the recorded states.
         num_threads: Physics threads; 0 is all cores.
 
     Attributes:
-        engine: Environment i is the i-th of those chosen.
-        changes: How often model fields were written.
-        largest_error: Where it is not exact: component to largest absolute difference.
+        engine: The engine; its environment i is the i-th selected one.
+        changes: Number of writes to model fields.
+        largest_error: If not `exact`: component to largest absolute difference.
 
     Raises:
-        LogError: If the log's rows are not those of the model.
+        LogError: If the log's rows do not match the model.
     """
 
     def __init__(
@@ -126,11 +126,11 @@ class Simulation(Rows):
         self._exact = exact
 
     def begin(self, run: Run) -> None:
-        """Go on from a start of the log; compare it, where what precedes leads there.
+        """Continue from a start of the log; compare it if the preceding steps were simulated.
 
         Raises:
-            DifferenceFound: If it leads elsewhere.
-            LogError: If the start does not fit the model.
+            DifferenceFound: If the simulated state differs from the start.
+            LogError: If the start does not match the model.
         """
         _, take_rows = self.chosen(None)
         fields = {name: values[0][take_rows] for name, values in run.calls[0].arrays.items()}
@@ -157,10 +157,10 @@ class Simulation(Rows):
         self.changes += bool(fields)
 
     def write(self, step: int, call: Call, local: EnvIndex | None, values: F64 | None) -> None:
-        """Do what a write outside physics did.
+        """Apply a write outside physics.
 
         Raises:
-            DifferenceFound: If a reset leaves another row here.
+            DifferenceFound: If a reset gives other rows than recorded.
         """
         engine, mode = self.engine, call.kind.mode
         if mode == "set_const":
@@ -177,10 +177,10 @@ class Simulation(Rows):
     def physics(
         self, step: int, call: Call, t: int, local: EnvIndex | None, take: EnvIndex | slice
     ) -> None:
-        """Step physics and compare what it returns.
+        """Step physics and compare the result.
 
         Raises:
-            DifferenceFound: If it is not what was recorded.
+            DifferenceFound: If it differs from the recorded one.
         """
         engine, nstep = self.engine, call.kind.nstep
         if "hashes" in call.arrays:
@@ -194,12 +194,12 @@ class Simulation(Rows):
         if active.any():
             ids = np.arange(len(active)) if local is None else local
             engine.step(nstep, None if local is None and active.all() else ids[active])
-        self._settle(step, local, recorded, self._moved)
+        self._settle(step, local, recorded, self.moved.columns)
 
     def _settle(
         self, step: int, local: EnvIndex | None, recorded: F64, columns: NDArray[np.int64] | slice
     ) -> None:
-        """Compare rows with recorded ones, and take these over where they are not compared."""
+        """Compare rows with the recorded ones; copy the recorded ones if not all are compared."""
         self._compare(step, local, recorded, columns)
         active = self._active(step)
         if not self._exact or not active.all():
@@ -227,19 +227,17 @@ class Simulation(Rows):
         self._differ(step, local, row, name, float(recorded[row, at]), float(here[row, at]))
 
     def _taken(self, local: EnvIndex | None, columns: NDArray[np.int64] | slice) -> F64:
-        """(n, k) columns of the rows here, side by side."""
+        """(n, k) columns of the simulated rows, contiguous."""
         rows = self.rows if local is None else self.rows[local]
         if isinstance(columns, slice):
             return np.ascontiguousarray(rows[:, columns])
-        return take(self.header.moved, rows)
+        return self.moved.take(rows)
 
     def _compare_hashes(
         self, step: int, local: EnvIndex | None, recorded: NDArray[np.uint64]
     ) -> None:
         active = self._active(step)
-        hashes = row_hashes(
-            take(self.header.moved, self.rows if local is None else self.rows[local])
-        )
+        hashes = row_hashes(self.moved.take(self.rows if local is None else self.rows[local]))
         wrong = np.flatnonzero((hashes != recorded) & (active if local is None else active[local]))
         if len(wrong):
             row = int(wrong[0])
@@ -252,7 +250,7 @@ class Simulation(Rows):
         raise DifferenceFound(self.path, Difference(step, env, field, *values))
 
     def _measure(self, here: F64, there: F64, columns: NDArray[np.int64] | slice) -> None:
-        """Note the largest errors of positions and velocities."""
+        """Update the largest errors of positions and velocities."""
         index = np.arange(self.header.nstate)[columns]
         for name in ("qpos", "qvel"):
             component = self._layout[name]

@@ -1,4 +1,4 @@
-"""`inspect`: what is in a log, gathered in one pass over it."""
+"""`inspect`: a summary of a log, gathered in one pass over it."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ import numpy as np
 from embodichain.recording.attachments import MODEL, model_digest, unpack_model
 from embodichain.recording.block import unpack_run
 from embodichain.recording.chunks import LogReader
-from embodichain.recording.episode_ends import TOPIC as EPISODE_TOPIC
-from embodichain.recording.episode_ends import EndedEpisode, decode_ends
+from embodichain.recording.episodes import EPISODE_TOPIC, LogEpisode, decode_ends
 from embodichain.recording.header import Header
 from embodichain.recording.log_error import DamageError, LogError
 from embodichain.recording.schema import STEPS_TOPIC
 from embodichain.recording.trajectory import outcomes
 
-__all__ = ["ChannelInfo", "Episode", "LogSummary", "inspect"]
+__all__ = ["ChannelInfo", "LogSummary", "inspect"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,50 +31,21 @@ class ChannelInfo:
 
 
 @dataclass(frozen=True, slots=True)
-class Episode:
-    """An episode that ended within the log.
-
-    Attributes:
-        env: The environment.
-        episode: Its episode id, from 0 within the environment.
-        steps: Control steps of it that the recorder saw.
-        total_reward: Sum of rewards over them, undiscounted.
-        terminated: Whether it ended by itself; else by a limit.
-        last_step: Control step that ended it.
-        success: Whether it was one; None where the task does not say.
-    """
-
-    env: int
-    episode: int
-    steps: int
-    total_reward: float
-    terminated: bool
-    last_step: int
-    success: bool | None = None
-
-    @classmethod
-    def of(cls, end: EndedEpisode) -> Episode:
-        """What `/episode` tells."""
-        total = end.total_reward
-        return cls(end.env, end.episode, end.steps, total, end.terminated, end.step, end.success)
-
-
-@dataclass(frozen=True, slots=True)
 class LogSummary:
-    """What is in a log.
+    """Summary of a log.
 
     Attributes:
         path: The file.
-        nbytes: Its size, that of all its files.
-        header: What was recorded and how.
-        channels: By topic.
-        steps: Control steps.
+        nbytes: Size of all its files.
+        header: Metadata of the recording.
+        channels: Topic to channel.
+        steps: Number of control steps.
         episodes: Episodes that ended, in order of their ends.
         attachments: Name to size in bytes.
         compressions: Compressions of its chunks.
-        complete: Whether the file has its end and everything that was announced.
+        complete: Whether the file has its end, and the number of messages that it announces.
         warnings: What is missing or damaged, one line each; empty for a complete log.
-        files: Names of the files it lies in.
+        files: Names of the files that contain it.
     """
 
     path: Path
@@ -83,7 +53,7 @@ class LogSummary:
     header: Header
     channels: list[ChannelInfo]
     steps: int
-    episodes: list[Episode]
+    episodes: list[LogEpisode]
     attachments: dict[str, int]
     compressions: list[str]
     complete: bool
@@ -92,32 +62,32 @@ class LogSummary:
 
     @property
     def messages(self) -> int:
-        """Messages in all channels."""
+        """Number of messages in all channels."""
         return sum(channel.messages for channel in self.channels)
 
     @property
     def duration_s(self) -> float:
-        """Simulated seconds."""
+        """Simulated time in seconds."""
         return self.steps * self.header.control_dt
 
     @property
     def mean_reward(self) -> float | None:
-        """Mean over ended episodes of their summed reward; None without one."""
+        """Mean return of the episodes that ended; None if there is none."""
         if not self.episodes:
             return None
         return float(np.mean([episode.total_reward for episode in self.episodes]))
 
 
 def inspect(path: str | Path) -> LogSummary:
-    """Read a log once and return what is in it; a broken one up to where it is readable.
+    """Read a log once and return its summary; a broken log is read up to the first damage.
 
     Raises:
         ConfigError: If the file is missing, empty or not MCAP.
-        LogError: If it is not a log of embodichain's.
+        LogError: If it is not an embodichain log.
     """
     counts: Counter[str] = Counter()
     steps, last_step = 0, -1
-    episodes: list[Episode] = []
+    episodes: list[LogEpisode] = []
     with LogReader(path) as reader:
         header = reader.require_header()
         sizes = header.num_envs, header.moved_width, header.nstate
@@ -129,10 +99,10 @@ def inspect(path: str | Path) -> LogSummary:
                     if run.steps:
                         steps, last_step = steps + run.steps, run.first + run.count - 1
                 elif topic == EPISODE_TOPIC:
-                    episodes += map(Episode.of, decode_ends(data))
+                    episodes += decode_ends(data)
         except DamageError as error:
             reader.complete, reader.damage = False, f"a message is damaged: {error}"
-        # Of a log that ends early, an episode may be told whose last steps are missing.
+        # A log that ends early may list an episode although its last steps are missing.
         cut = not reader.complete and header.state != "none" and header.every == 1
         attachments, warnings = _attachments(reader)
         channels = []
@@ -156,7 +126,7 @@ def inspect(path: str | Path) -> LogSummary:
 
 
 def _attachments(reader: LogReader) -> tuple[dict[str, int], list[str]]:
-    """Sizes of the attachments, and what is wrong with them."""
+    """Sizes of the attachments, and warnings about damaged ones."""
     sizes, warnings, model = {}, [], b""
     for name in reader.attachments:
         try:
@@ -177,7 +147,7 @@ def _attachments(reader: LogReader) -> tuple[dict[str, int], list[str]]:
 
 
 def _end(reader: LogReader, last_step: int) -> list[str]:
-    """Where a log ends, if that is not as it should be."""
+    """Warnings about where a log ends, if it is incomplete."""
     warnings = []
     if not reader.complete:
         missing = f"what followed step {last_step} is missing"

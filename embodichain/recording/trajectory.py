@@ -1,7 +1,7 @@
-"""Follows a log: its runs of control steps in order, and the rows that physics received in each.
+"""Follows a log: its runs of control steps in order, and the input rows of each step's physics.
 
-`Rows` takes every row from the log, so it needs no model. `simulation.Simulation` is the same on an
-engine, which also has the model fields, and can simulate what the log says.
+`Rows` takes every row from the log, so it needs no model. `simulation.Simulation` does the same on
+an engine, which also has the model fields and can simulate the physics again.
 """
 
 from __future__ import annotations
@@ -14,9 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.api import F64, EnvIndex, entries
+from embodichain.lab.sim.engine.api import F64, EnvIndex
+from embodichain.lab.sim.engine.cpu import entries
 from embodichain.recording.block import Call, CallKind, Run, unpack_run
 from embodichain.recording.chunks import ChunkPlace, LogReader
+from embodichain.recording.columns import Moved
 from embodichain.recording.header import Header
 from embodichain.recording.log_error import DamageError, LogError
 from embodichain.recording.schema import START_TOPIC, STEPS_TOPIC
@@ -35,17 +37,17 @@ __all__ = [
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """Control steps, both included; `last` None is the end of the log."""
+    """A range of control steps, both ends included; `last` None is the end of the log."""
 
     first: int = 0
     last: int | None = None
 
     def __contains__(self, step: int) -> bool:
-        """Whether a step is one of them."""
+        """Whether a step is in the range."""
         return self.first <= step and not self.ends_before(step)
 
     def ends_before(self, step: int) -> bool:
-        """Whether a step comes after the last."""
+        """Whether a step is after the range."""
         return self.last is not None and step > self.last
 
 
@@ -53,7 +55,7 @@ Wanted = Callable[[CallKind], bool]
 
 
 def outcomes(kind: CallKind) -> bool:
-    """Whether a call is needed for what steps gave: only ``step`` itself."""
+    """Whether a call has actions, rewards and flags of a step: only ``step`` has."""
     return kind.kind == "step"
 
 
@@ -66,22 +68,24 @@ _ALL = Span()
 
 
 def runs(reader: LogReader, span: Span = _ALL, wanted: Wanted | None = None) -> Iterator[Run]:
-    """Yield the starts and runs that following some steps needs: from the last start before them.
+    """Yield the starts and runs needed to follow some steps, from the last start before them.
 
     Args:
-        reader: The log; its `damage` tells of what is met.
-        span: The control steps; None is all.
-        wanted: Whether a call is read; ``start`` and ``step`` are always; None reads all.
+        reader: The log; its `damage` describes damage that is found.
+        span: The control steps.
+        wanted: Whether a call is read; None reads all. A ``start`` is always read; a ``step`` that
+            is not read has no arrays.
 
     Raises:
-        LogError: If a message is damaged, or a chunk lies where it does not belong.
+        LogError: If a message is damaged, or a chunk is in the wrong place.
     """
     header = reader.require_header()
     sizes = header.num_envs, header.moved_width, header.nstate
     expected: int | None = None
-    reads = None
-    if wanted is not None:
-        reads = _also_starts_and_steps(wanted)
+
+    def reads(kind: CallKind) -> bool:
+        return wanted is None or kind.kind == "start" or wanted(kind)
+
     for topic, time_ns, payload in reader.messages(_needed(reader, span)):
         is_start = topic == START_TOPIC
         if not is_start and (topic != STEPS_TOPIC or expected is None):
@@ -105,12 +109,8 @@ def runs(reader: LogReader, span: Span = _ALL, wanted: Wanted | None = None) -> 
             return
 
 
-def _also_starts_and_steps(wanted: Wanted) -> Wanted:
-    return lambda kind: kind.kind in ("start", "step") or wanted(kind)
-
-
 def _wrong(run: Run, time_ns: int, is_start: bool, header: Header) -> str:
-    """What does not fit the rest of the log; empty if all does."""
+    """How a run is inconsistent with the rest of the log; empty if it is not."""
     if time_ns != header.start_ns + run.first * header.period_ns:
         return f"step {run.first} has another's time"
     if bool(run.of_kind("start")) != is_start:
@@ -121,7 +121,7 @@ def _wrong(run: Run, time_ns: int, is_start: bool, header: Header) -> str:
 
 
 def _needed(reader: LogReader, span: Span) -> list[ChunkPlace] | None:
-    """The chunks from the one with the last start before some steps; None for all chunks."""
+    """The chunks from that of the last start before the steps; None for all chunks."""
     header, chunks = reader.require_header(), reader.chunks
     time_ns = header.start_ns + span.first * header.period_ns
     at = max((i for i, c in enumerate(chunks) if c.start_ns <= time_ns), default=0)
@@ -134,13 +134,13 @@ def _needed(reader: LogReader, span: Span) -> list[ChunkPlace] | None:
 
 
 def own_physics(reader: LogReader, run: Run) -> int:
-    """Which call of a run is the physics of the control step itself.
+    """Index of the call of a run that is the physics of the control step.
 
-    It is the first of all environments with the step's number of physics steps. Before the first
-    step of a file, where a reset may let things settle for as long, it is the last.
+    It is the first physics call for all environments with the decimation as its number of steps.
+    In the first step of a file, where a reset may settle for as many steps, it is the last one.
 
     Raises:
-        LogError: If none is.
+        LogError: If there is none.
     """
     header = reader.require_header()
     found = [i for i, call in enumerate(run.calls) if _is_whole_step(call, header)]
@@ -157,7 +157,7 @@ def _is_whole_step(call: Call, header: Header) -> bool:
 
 @lru_cache(maxsize=256)
 def columns_of(columns: tuple[int, ...] | None) -> NDArray[np.int64] | slice:
-    """Columns of a call as an index: a slice where they are neighbours (views, no copies)."""
+    """Columns of a call as an index: a slice if they are adjacent, to get views, not copies."""
     if columns is None:
         return slice(None)
     found = np.array(columns, np.int64)
@@ -167,7 +167,7 @@ def columns_of(columns: tuple[int, ...] | None) -> NDArray[np.int64] | slice:
 
 
 class Rows:
-    """The rows of chosen environments, as the log has them.
+    """The recorded rows of selected environments.
 
     Args:
         reader: The log.
@@ -176,9 +176,10 @@ class Rows:
     Attributes:
         header: The log's metadata.
         path: The log, for messages.
-        env_ids: (n,) those environments.
-        known: Whether `rows` are the log's: between keyframes they are not.
-        next_step: The control step that comes next.
+        env_ids: (n,) selected environments.
+        known: Whether `rows` are recorded ones; between keyframes they are not.
+        next_step: The next control step.
+        moved: The columns that physics writes.
     """
 
     def __init__(self, reader: LogReader, env_ids: EnvIndex | None = None) -> None:
@@ -192,31 +193,30 @@ class Rows:
         self._local = np.full(n, -1, np.int64)
         self._local[self.env_ids] = np.arange(len(self.env_ids))
         self._rows: F64 = np.zeros((len(self.env_ids), header.nstate))
-        self._moved = columns_of(tuple(np.concatenate([np.r_[a:b] for a, b in header.moved])))
-        self._ranges = _side_by_side(header.moved)
+        self.moved = Moved(header.moved)
 
     @property
     def rows(self) -> F64:
-        """(n, nstate) live rows. Do not write."""
+        """(n, nstate) current rows, not a copy. Do not write."""
         return self._rows
 
     def begin(self, run: Run) -> None:
-        """Go on from a start of the log.
+        """Continue from a start of the log.
 
         Raises:
-            LogError: If it does not fit.
+            LogError: If its shape is wrong.
         """
         _, take = self.chosen(None)
         self._rows[:] = run.calls[0].arrays["row"][0][take]
         self.known, self.next_step = True, run.first
 
     def apply(self, step: int, call: Call, t: int) -> None:
-        """Do what a call did.
+        """Apply a call.
 
         Args:
             step: The control step.
-            call: The call, of every step of its run.
-            t: Number of the step within the run.
+            call: The call, with the values of every step of its run.
+            t: Index of the step within the run.
 
         Raises:
             LogError: If it does not fit the log's rows.
@@ -245,7 +245,7 @@ class Rows:
             ) from error
 
     def chosen(self, ids: EnvIndex | None) -> tuple[EnvIndex | None, EnvIndex | slice]:
-        """Which rows here a call means, None for all, and which rows of the call they are."""
+        """Indices of a call's environments in `rows` (None for all), and in the call's arrays."""
         if ids is None:
             return None, slice(None) if self._all else self.env_ids
         local = self._local[ids]
@@ -256,7 +256,7 @@ class Rows:
         return (None if len(local) == len(self.env_ids) else local), take
 
     def write(self, step: int, call: Call, local: EnvIndex | None, values: F64 | None) -> None:
-        """Do what a write outside physics did."""
+        """Apply a write outside physics."""
         if values is None or call.kind.mode == "model":
             return
         rows: Any = slice(None) if local is None else local
@@ -270,49 +270,32 @@ class Rows:
             view = self._rows[:, start:stop]
         view[entries(local, columns_of(call.kind.columns))] = values
 
-    def moved(self, columns: slice) -> slice | None:
-        """Where columns of whole rows lie in what physics returned; None for its inputs."""
-        for here, there in self._ranges:
-            if here.start <= columns.start and columns.stop <= here.stop:
-                at = there.start - here.start
-                return slice(columns.start + at, columns.stop + at)
-        return None
-
     def physics(
         self, step: int, call: Call, t: int, local: EnvIndex | None, take: EnvIndex | slice
     ) -> None:
-        """Take what physics returned."""
+        """Apply the recorded result of physics."""
         if "rows" not in call.arrays:
             self.known = False
             return
         returned, rows = call.arrays["rows"][t], self._rows
         whole = isinstance(take, slice)
-        for here, there in self._ranges:
+        for here, there in self.moved.spans:
             found = returned[:, there]
             rows[entries(local, here)] = found if whole else found[take]
 
 
-def _side_by_side(ranges: list[tuple[int, int]]) -> list[tuple[slice, slice]]:
-    """Columns of whole rows, and where they lie in rows that have only these columns."""
-    found, at = [], 0
-    for a, b in ranges:
-        found.append((slice(a, b), slice(at, at + b - a)))
-        at += b - a
-    return found
-
-
 def follow(reader: LogReader, rows: Rows, span: Span = _ALL) -> Iterator[tuple[Run, int]]:
-    """Yield each finished control step, while `rows` are those that its physics received.
+    """Yield each finished control step, while `rows` are the input of its physics.
 
-    Steps whose rows are not known are left out.
+    Steps with unknown rows are left out.
 
     Args:
         reader: The log.
-        rows: What is kept up to date.
+        rows: The rows that are updated.
         span: The control steps.
 
     Returns:
-        A run, and the number of the step within it.
+        A run, and the index of the step within it.
 
     Raises:
         LogError: If a message is damaged.
@@ -325,7 +308,7 @@ def follow(reader: LogReader, rows: Rows, span: Span = _ALL) -> Iterator[tuple[R
 
 
 def steps_of(reader: LogReader, rows: Rows, run: Run, span: Span) -> Iterator[int]:
-    """The same for the steps of one run, as numbers within it."""
+    """Like `follow`, for the steps of one run; yields indices within it."""
     own = own_physics(reader, run) if run.steps else len(run.calls)
     for t in range(run.count):
         step = run.first + t
@@ -342,17 +325,17 @@ def steps_of(reader: LogReader, rows: Rows, run: Run, span: Span) -> Iterator[in
 def stacked(
     reader: LogReader, rows: Rows, run: Run, components: Mapping[str, slice]
 ) -> dict[str, F64] | None:
-    """Components of the rows that physics received in each step of a run, all at once.
+    """Components of the input rows of physics for all steps of a run at once.
 
     Args:
         reader: The log.
-        rows: As the log has them before the run; afterwards these components are as after it.
+        rows: The rows before the run; afterwards these components are those after it.
         run: Finished steps.
-        components: Name to columns of whole rows.
+        components: Name to columns of full rows.
 
     Returns:
-        Name to (count, n, k) values; None where steps must be followed one by one: where calls
-        reach only some environments, or physics runs more than once.
+        Name to (count, n, k) values; None if steps must be followed one by one, because calls
+        concern only some environments, or physics runs more than once.
     """
     own = own_physics(reader, run)
     calls = [call for call in run.calls if call.kind.mode != "model" and changes(call.kind)]
@@ -369,13 +352,13 @@ def stacked(
     for name, columns in components.items():
         values = np.empty((run.count + 1, len(rows.env_ids), columns.stop - columns.start))
         values[0] = rows.rows[:, columns]
-        moved = rows.moved(columns)
+        moved = rows.moved.find(columns)
         values[1:] = values[0] if moved is None else physics.arrays["rows"][:, take, moved]
         before, after = (
             [c for c in part if c.kind.name == name and c.kind.kind == "write"]
             for part in (run.calls[:own], run.calls[own:])
         )
-        # What was written before physics is still there after it, unless physics writes it.
+        # Values written before physics are kept after it, except in columns that physics writes.
         for target, part in (
             *([] if moved else [(values[1:], before)]),
             *[(values[1:], after), (values[:-1], before)],

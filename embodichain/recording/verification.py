@@ -1,7 +1,7 @@
-"""`verify` simulates a log again from the file alone, and compares every bit.
+"""`verify` simulates a log again from the file alone, and compares the states bit for bit.
 
-No term, no task and no user's code takes part: the model is in the file, and so is everything that
-was written to the simulation.
+It runs no terms, tasks or user code: the file contains the model and everything that was written
+to the simulation.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.api import EnvIndex
-from embodichain.recording.chunks import LogReader
-from embodichain.recording.header import Header
-from embodichain.recording.log_error import LogError
-from embodichain.recording.provenance import what_can_be_played, what_differs
-from embodichain.recording.recorded_model import (
+from embodichain.recording.attachments import (
     approximate_model,
     check_rows,
     model_to_simulate,
+    what_differs,
 )
+from embodichain.recording.chunks import LogReader
+from embodichain.recording.header import Header
+from embodichain.recording.log_error import LogError
 from embodichain.recording.simulation import (
     Active,
     Difference,
@@ -41,18 +41,18 @@ Progress = Callable[[int], None]
 
 @dataclass(frozen=True, slots=True)
 class VerifyReport:
-    """Whether a log is what physics makes of it.
+    """Result of `verify`: whether simulating a log again gives the recorded states.
 
     Attributes:
         path: The file.
-        ok: Every state, bit for bit, to the end of a complete log.
-        steps: Control steps simulated and compared.
-        envs: Environments simulated.
+        ok: Whether the log is complete and every state is identical bit for bit.
+        steps: Number of control steps simulated and compared.
+        envs: Number of environments simulated.
         difference: The first difference, or None.
-        problems: Why `ok` is False otherwise, one line each.
+        problems: Other reasons why `ok` is False, one line each.
         largest_error: Approximate mode: component to largest absolute difference after one step.
-        notes: What is no mistake but should be known: where a recovered log ends, what is another
-            here than where the log was made.
+        notes: Remarks that are not errors: where a recovered log ends, how this machine differs
+            from the one that recorded the log.
     """
 
     path: Path
@@ -65,7 +65,7 @@ class VerifyReport:
     notes: list[str] = field(default_factory=list)
 
     def __str__(self) -> str:
-        """Return the verdict, and every reason on its own line."""
+        """Return the result, and every reason on its own line."""
         count = f"{self.steps} steps of {self.envs} environment{'s' if self.envs != 1 else ''}"
         if self.ok:
             return "\n".join([f"verified: {count} are identical to the bit", *self.notes])
@@ -90,15 +90,15 @@ def verify(
     """Simulate a log again and compare every row, bit for bit.
 
     Args:
-        path: The log: a file, the manifest of several, or a run's folder.
+        path: The log: a file, the manifest of several files, or a run's folder.
         env: Only this environment; None is all.
-        episode: Only this episode of every environment looked at; None is all.
-        num_threads: Physics threads; 0 is all cores. No result depends on it.
+        episode: Only this episode of the selected environments; None is all.
+        num_threads: Physics threads; 0 is all cores. The result does not depend on it.
         progress: Called with the number of control steps done.
 
     Raises:
         ConfigError: If the file is missing, empty or not MCAP, or `env` or `episode` is not in it.
-        LogError: If it is not a log of embodichain's.
+        LogError: If it is not an embodichain log.
     """
     with LogReader(path) as reader:
         header = reader.require_header()
@@ -119,7 +119,7 @@ def verify(
 
 
 def _with_notes(report: VerifyReport, reader: LogReader) -> VerifyReport:
-    """Say what is another here, where physics differs, and what the log is still good for."""
+    """If physics differs, add notes on how this machine differs, and how the log can be used."""
     header = reader.require_header()
     if report.difference is None and header.mujoco_version == mujoco.__version__:
         return report
@@ -129,19 +129,26 @@ def _with_notes(report: VerifyReport, reader: LogReader) -> VerifyReport:
         found = what_differs(header, None)
     if not found:
         found = ["MuJoCo, processor and platform are the recorded ones: the file was changed"]
-    return replace(report, notes=[*report.notes, *found, what_can_be_played(header)])
+    return replace(report, notes=[*report.notes, *found, _still_good_for(header)])
+
+
+def _still_good_for(header: Header) -> str:
+    """What the log can still be used for if physics differs."""
+    if header.keyframe_every and header.mujoco_version != mujoco.__version__:
+        what = f"every {header.keyframe_every}th state, which was recorded, can be read"
+        return f"{what} (recording.open); those between need mujoco=={header.mujoco_version}"
+    return "its recorded states can be played all the same: replay --view, replay --video, export"
 
 
 def _select(header: Header, env: int | None) -> EnvIndex:
     if env is None:
         return np.arange(header.num_envs, dtype=np.int64)
-    if not 0 <= env < header.num_envs:
-        raise ConfigError(f"no environment {env} in the log: there are 0 to {header.num_envs - 1}")
+    header.check_env(env)
     return np.array([env], np.int64)
 
 
 def _model(reader: LogReader) -> tuple[mujoco.MjModel | None, bool, list[str]]:
-    """The model to simulate, whether it is the recorded one to the bit, and what is wrong."""
+    """The model to simulate, whether it is exactly the recorded one, and the problems."""
     header = reader.require_header()
     exact = header.mujoco_version == mujoco.__version__
     problems = []
@@ -164,7 +171,7 @@ def _model(reader: LogReader) -> tuple[mujoco.MjModel | None, bool, list[str]]:
 
 
 def _episode(reader: LogReader, selected: EnvIndex, episode: int) -> Active:
-    """Steps that belong to an episode of the selected environments, found in a pass of its own."""
+    """Steps of an episode of the selected environments, found in a separate pass over the log."""
     masks: dict[int, NDArray[np.bool_]] = {}
     last = -1
     try:
@@ -174,7 +181,7 @@ def _episode(reader: LogReader, selected: EnvIndex, episode: int) -> Active:
                 masks |= zip(range(run.first, run.first + run.count), ids == episode, strict=True)
                 last = max(last, int(ids.max()))
     except LogError:
-        pass  # following it will end there too, and say so
+        pass  # `_follow` will report it
     if not any(mask.any() for mask in masks.values()):
         raise ConfigError(f"no episode {episode} in the log: there are 0 to {last}")
     nothing = np.zeros(len(selected), np.bool_)
@@ -187,14 +194,14 @@ def _follow(
     report: VerifyReport,
     progress: Progress | None,
 ) -> VerifyReport:
-    """Simulate and compare up to the first difference or the end; `how` is `Simulation`'s."""
+    """Simulate and compare up to the first difference or the end; `how`: `Simulation`'s args."""
     steps, last_step = 0, reader.require_header().first_step - 1
     difference, error, active = None, "", how[2]
     largest: dict[str, float] = {}
     simulation = None
     try:
-        for run in runs(reader, wanted=changes):
-            if simulation is None:  # a start: so many environments are really in the file
+        for run in runs(reader, wanted=lambda kind: changes(kind) or outcomes(kind)):
+            if simulation is None:  # the first run is a start, which proves the header's num_envs
                 simulation = Simulation(reader, *how)
                 largest = simulation.largest_error
             if run.of_kind("start"):
@@ -219,7 +226,7 @@ def _follow(
 
 
 def _at_the_end(reader: LogReader, report: VerifyReport, last_step: int) -> VerifyReport:
-    """Say what is missing at the end of a log, and what should be known of it."""
+    """Add to the report what is missing at the end of the log, and its notes."""
     ends = f"the log ends after step {last_step}"
     if last_step < 0:
         ends = "the log ends before its first step was complete"

@@ -1,6 +1,6 @@
-"""`Writing`: writes to a log one at a time, whole, from the stepping thread and from a timer.
+"""`Writing`: a lock for writes to a log from the stepping thread and from a timer.
 
-What fails to be written ends the log: the first error is kept, and each later use raises it.
+A failed write ends the log: the first error is kept, and each later use raises it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from types import FrameType
 __all__ = ["LogWriteError", "Writing"]
 
 TICK_SECONDS = 0.25
-"""The timer calls so often, while the simulation does not step as well."""
+"""Interval of the timer, which also runs while the simulation does not step."""
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
@@ -28,17 +28,17 @@ class LogWriteError(OSError):
 
 
 class Writing:
-    """A lock around a log's file, and what went wrong with it.
+    """A lock around a log's file, and the first error of writing it.
 
     Args:
         path: The log, for messages.
-        where_it_ends: Says where the log ends if nothing more is written.
-        tick: Called every `TICK_SECONDS` on another thread under the lock, as long as its owner
-            lives and nothing went wrong. A bound method; its owner is not kept alive.
+        where_it_ends: Returns a text that says where the log ends if nothing more is written.
+        tick: A bound method, called every `TICK_SECONDS` on another thread under the lock until an
+            error occurs or its owner is deleted; its owner is not kept alive.
 
     Attributes:
-        lock: Held while the file, or what waits for it, is changed.
-        told: Whether an error was raised to the program.
+        lock: Held while the file, or the data waiting for it, is changed.
+        told: Whether the error was raised to the program.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Writing:
 
     @contextmanager
     def writes(self) -> Iterator[None]:
-        """Around code that writes: under the lock, with signals of the program held back.
+        """Context for code that writes: takes the lock and delays signal handlers.
 
         Raises:
             LogWriteError: If the log could not be written, now or before.
@@ -72,10 +72,10 @@ class Writing:
                 raise
 
     def check(self) -> None:
-        """Raise if something went wrong.
+        """Raise if a write has failed.
 
         Raises:
-            LogWriteError: If so.
+            LogWriteError: If a write has failed.
         """
         if self._cause is not None:
             raise self._error() from self._cause
@@ -87,7 +87,7 @@ class Writing:
             self._thread.join()
 
     def forked(self) -> None:
-        """This is a forked process: the log belongs to the one it was forked from."""
+        """In a forked process: stop writing; the log belongs to the parent process."""
         self.lock = threading.Lock()
         why = "the process this one was forked from writes it"
         self._cause = self._cause or ChildProcessError(errno.EPERM, why)
@@ -122,10 +122,10 @@ class Writing:
 
 @contextmanager
 def _signals_held_back() -> Iterator[None]:
-    """Hold back handlers of SIGINT and SIGTERM: an exception out of one would tear a chunk.
+    """Delay handlers of SIGINT and SIGTERM: an exception from one could leave half a chunk.
 
-    Python runs handlers in the main thread, whichever thread receives the signal, so that masking
-    signals there would not be enough.
+    Python runs handlers in the main thread, whichever thread receives the signal, so masking
+    signals in this thread would not be enough.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

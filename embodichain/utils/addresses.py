@@ -1,4 +1,4 @@
-"""Addresses that servers of people's viewers listen on."""
+"""Addresses that viewers listen on."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["is_loopback"]
 
 
 def is_loopback(host: str) -> bool:
-    """Whether nobody on another machine reaches an address: ``127.0.0.1``, ``localhost``."""
+    """Whether an address is reachable from this machine only, such as ``127.0.0.1``."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:

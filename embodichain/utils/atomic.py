@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all: written beside their place, then renamed or linked."""
+"""Atomic file writes: written under a temporary name, then renamed or linked."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ __all__ = ["atomic_file", "write_text"]
 
 @contextmanager
 def atomic_file(path: Path, *, new: bool = False) -> Iterator[Path]:
-    """Give a name to write a file under; at the end the file gets its own name in one step.
+    """Yield a temporary path to write to; at the end the file is renamed to `path` in one step.
 
-    Nothing is left behind where writing fails.
+    If writing fails, the temporary file is removed.
 
     Args:
-        path: The file; its folder exists. The name to write under ends as `path` does.
-        new: Whether a file of that name is kept instead of replaced.
+        path: The file; its folder must exist. The temporary name has the same suffix.
+        new: If true, an existing file is not replaced.
 
     Raises:
-        FileExistsError: `new`, and the name is taken.
-        OSError: The file cannot be written.
+        FileExistsError: If `new` and the file exists.
+        OSError: If the file cannot be written.
     """
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.{threading.get_ident()}{path.suffix}")
     try:
@@ -34,10 +34,10 @@ def atomic_file(path: Path, *, new: bool = False) -> Iterator[Path]:
             os.replace(temporary, path)
             return
         try:
-            os.link(temporary, path)  # unlike a rename, it refuses a name that is taken
+            os.link(temporary, path)  # unlike a rename, it fails if the name exists
         except FileExistsError:
             raise
-        except OSError:  # a file system without links: claim the name, then take its place
+        except OSError:  # a file system without links: create the file, then replace it
             path.open("xb").close()
             os.replace(temporary, path)
     finally:
@@ -45,16 +45,16 @@ def atomic_file(path: Path, *, new: bool = False) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str, *, new: bool = False) -> None:
-    """Write a text file; readers see the old content or the new one, never a part.
+    """Write a text file atomically: readers get the old content or the new, never a part.
 
     Args:
-        path: The file; its folder exists.
+        path: The file; its folder must exist.
         text: Its content.
-        new: Whether a file of that name is kept instead of replaced.
+        new: If true, an existing file is not replaced.
 
     Raises:
-        FileExistsError: `new`, and the name is taken.
-        OSError: The file cannot be written; nothing is left behind.
+        FileExistsError: If `new` and the file exists.
+        OSError: If the file cannot be written; no partial file remains.
     """
     with atomic_file(path, new=new) as temporary:
         temporary.write_text(text, encoding="utf-8")

@@ -1,8 +1,8 @@
-"""`@configclass`: dataclasses whose mutable defaults are safe to write inline.
+"""`@configclass`: dataclasses with inline mutable defaults.
 
-The surface follows EmbodiChain's decorator of the same name: un-annotated members become fields,
+The interface follows EmbodiChain's decorator of the same name: un-annotated members become fields,
 mutable defaults are deep-copied per instance, and `to_dict`, `from_dict`, `replace`, `copy` and
-`validate` are added. Checking YAML against these classes lives in `embodichain.config`, not here.
+`validate` are added. `embodichain.config` checks YAML against these classes.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ __all__ = ["MISSING", "config_to_dict", "configclass", "is_configclass"]
 T = TypeVar("T")
 
 MISSING: Any = dataclasses.MISSING
-"""Marks a field that the user must set; `validate()` lists the ones still unset."""
+"""Marks a required field; `validate()` lists those that are unset."""
 
-# Keys of a config are closed: pydantic reads this when it validates YAML against the class.
+# Unknown keys are errors: pydantic reads this when it validates YAML against the class.
 _PYDANTIC_CONFIG = {"extra": "forbid", "arbitrary_types_allowed": True}
 _PLAIN = (int, float, complex, str, bytes, bool, type(None), tuple, frozenset, type, FunctionType)
 
@@ -59,7 +59,7 @@ def _process(cls: type[T], kw_only: bool) -> type[T]:
             if callable(value) or isinstance(value, dataclasses.Field):
                 continue
             annotations[name] = "Any" if value is None else type(value).__name__
-        if value is MISSING:  # stays unset until the user sets it: `validate` finds it
+        if value is MISSING:  # unset until the user sets it: reported by `validate`
             setattr(cls, name, dataclasses.field(default_factory=lambda: MISSING))
         elif not isinstance(value, (*_PLAIN, dataclasses.Field)):
             setattr(cls, name, dataclasses.field(default_factory=_copier(value)))
@@ -89,7 +89,7 @@ def config_to_dict(cfg: object) -> dict[str, Any]:
 
 
 def is_configclass(value: object) -> bool:
-    """Whether a class or an instance is made by `configclass`."""
+    """Whether this is a configclass or an instance of one."""
     return dataclasses.is_dataclass(value) and hasattr(value, "__pydantic_config__")
 
 
@@ -109,7 +109,7 @@ def _replace(self: Any, **changes: Any) -> Any:
 
 
 def _validate(self: Any, prefix: str = "") -> None:
-    """Raise TypeError listing every field that is still MISSING, nested ones included."""
+    """Raise TypeError that lists every MISSING field, nested ones included."""
     missing = list(_missing(self, prefix or type(self).__name__))
     if missing:
         raise TypeError(f"Missing values: {', '.join(missing)}")
@@ -129,7 +129,7 @@ def _missing(value: Any, path: str) -> list[str]:
 
 def _from_dict(cls: type[Any], init_dict: dict[str, Any]) -> Any:
     """Build a config from nested plain values; ConfigError lists every mistake."""
-    from embodichain.utils.from_dict import from_dict  # pydantic: only when it is called
+    from embodichain.utils.type_errors import from_dict  # pydantic: only when it is called
 
     return from_dict(cls, init_dict)
 

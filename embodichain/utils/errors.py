@@ -1,15 +1,14 @@
-"""The exceptions users see, and the `Problem` records that configuration checks collect.
+"""Exceptions for users, and the `Problem` records that configuration checks collect.
 
-Nothing here formats a whole report: `ConfigError.__str__` lists its problems, and the command line
-adds files and lines.
+`ConfigError.__str__` lists its problems, each in one line.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
-__all__ = ["ConfigError", "DeviceError", "EmbodichainError", "Problem", "RenderError"]
+__all__ = ["ConfigError", "DeviceError", "EmbodichainError", "Problem", "RenderError", "below"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,27 +16,42 @@ class Problem:
     """One mistake in a configuration.
 
     Attributes:
-        path: Dotted key path from the root of what was checked, e.g. ``robot.init_qpos``.
+        path: Dotted key path from the root of the checked config, e.g. ``robot.init_qpos``.
         message: One line: what was found and what is allowed.
         hint: The closest match as a sentence (``Did you mean 'x'?``), or empty.
+        source: Its origin: ``FILE:LINE``, ``FILE``, ``command line``; or empty.
     """
 
     path: str
     message: str
     hint: str = ""
+    source: str = ""
+
+    def at(self, source: str, path: str | None = None) -> Problem:
+        """Return a copy with this source, and this key path if given."""
+        message = self.message.rstrip()
+        if self.hint and not message.endswith((".", "?", "!")):
+            message += "."  # the hint is a separate sentence
+        path = self.path if path is None else path
+        return replace(self, path=path, message=message, hint=self.hint.strip(), source=source)
 
     def __str__(self) -> str:
-        """Return ``path: message hint``."""
-        text = f"{self.path}: {self.message}" if self.path else self.message
-        return f"{text} {self.hint}".rstrip()
+        """Return ``source: path: message hint``."""
+        parts = (part for part in (self.source, self.path, self.message) if part)
+        return f"{': '.join(parts)} {self.hint}".rstrip()
+
+
+def below(path: str, problems: Iterable[Problem]) -> list[Problem]:
+    """Return problems with `path` put before their key paths."""
+    return [replace(p, path=f"{path}.{p.path}" if path else p.path) for p in problems]
 
 
 class EmbodichainError(Exception):
-    """Base of all errors this package raises on purpose."""
+    """Base of all errors that this package raises deliberately."""
 
 
 class ConfigError(EmbodichainError, ValueError):
-    """The user's configuration is wrong; holds every mistake found, not only the first.
+    """The user's configuration is wrong; lists all mistakes found.
 
     Args:
         problems: The mistakes, or one line that describes a single one.
@@ -55,4 +69,4 @@ class DeviceError(ConfigError):
 
 
 class RenderError(EmbodichainError, RuntimeError):
-    """No picture can be made here; the message names the package that would help."""
+    """No picture can be rendered on this machine; the message names the missing package."""

@@ -1,6 +1,6 @@
-"""EmbodiChain's functions for messages, on Python's `logging`: the logger is ``embodichain.user``.
+"""EmbodiChain's message functions on Python's `logging`, with the logger ``embodichain.user``.
 
-`log_error` raises, as it does there.
+`log_error` raises, as in EmbodiChain.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ def format_message(level: str, message: Any) -> str:
 
 
 def set_log_level(level: str) -> None:
-    """Leave out messages below a level.
+    """Suppress messages below a level.
 
     Raises:
-        ValueError: If it is none of DEBUG, INFO, WARNING, ERROR (in any case).
+        ValueError: If it is not DEBUG, INFO, WARNING or ERROR (in upper or lower case).
     """
     name = level.upper()
     if name not in _LEVELS:

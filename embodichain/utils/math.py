@@ -1,9 +1,8 @@
 """Quaternions (wxyz), rotation matrices and 7-vector poses: float64 arrays, batched.
 
-Every function is elementwise arithmetic in a fixed order over leading dimensions, so a row's result
-does not depend on how many rows there are; there is no matrix product here on purpose. Products of
-all pairs of components are computed at once and then picked: few calls, which is what a few
-environments pay for.
+All functions use elementwise arithmetic in a fixed order, without matrix products, so that a row's
+result does not depend on the number of rows. Products of all pairs of components are computed in
+one call and then selected: with few environments the number of numpy calls determines the cost.
 """
 
 from __future__ import annotations
@@ -28,24 +27,24 @@ __all__ = [
 
 F64 = NDArray[np.float64]
 
-# Places of products among the 16 a[i] b[j] of two quaternions (4 i + j), and their signs. A row is
-# a component of the Hamilton product.
+# Indices (4 i + j) and signs of products a[i] b[j] of two quaternions; each row is a component of
+# the Hamilton product.
 _HAMILTON = np.array([[0, 5, 10, 15], [1, 4, 11, 14], [2, 7, 8, 13], [3, 6, 9, 12]])
 _HAMILTON_SIGNS = np.array([[1.0, -1, -1, -1], [1, 1, 1, -1], [1, -1, 1, 1], [1, 1, -1, 1]])
 _CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
-# Row by row, an entry of the matrix is a constant plus a factor times the sum or difference of two
-# of the products of a quaternion with itself.
+# Each matrix entry is a constant plus a factor times the sum or difference of two products of a
+# quaternion's components.
 _FIRST = np.array([10, 6, 7, 6, 5, 11, 7, 11, 5])
 _SECOND = np.array([15, 3, 2, 3, 15, 1, 2, 1, 10])
 _SECOND_SIGN = np.array([1.0, -1, 1, 1, 1, -1, -1, 1, 1])
 _FACTOR = np.array([-2.0, 2, 2, 2, -2, 2, 2, 2, -2])
 _IDENTITY = np.eye(3).reshape(9)
-# Of the 9 products a[i] b[j] of two vectors.
+# Likewise for the 9 products a[i] b[j] of two vectors.
 _CROSS_PLUS, _CROSS_MINUS = np.array([5, 6, 1]), np.array([7, 2, 3])
 
 
 def _products(a: F64, b: F64) -> F64:
-    """a[i] b[j], (..., n^2), of vectors (..., n)."""
+    """All products a[i] b[j], (..., n^2), of vectors (..., n)."""
     pairs = a[..., :, None] * b[..., None, :]
     found: F64 = pairs.reshape(*pairs.shape[:-2], -1)
     return found
@@ -100,7 +99,7 @@ def normalize_quat(q: F64) -> F64:
     """
     s = q * q
     norm = np.sqrt(s[..., 0] + s[..., 1] + s[..., 2] + s[..., 3])
-    # Not finite: the smallest or the largest is not (a NaN is both).
+    # If a value is not finite, the smallest or the largest is not (NaN is both).
     if norm.size and not 1e-9 < norm.min() <= norm.max() < np.inf:
         raise ValueError("a quaternion is zero or not finite; wxyz with unit length is wanted")
     return q / norm[..., None]
@@ -115,7 +114,7 @@ def quat_to_matrix(q: F64) -> F64:
 
 
 # 4 q q^T of a rotation matrix: each entry is a constant plus three entries of the matrix, at these
-# places of its nine and with these signs (4 qw qx = m21 - m12, 4 qw qw = 1 + m00 + m11 + m22...).
+# indices and with these signs (4 qw qx = m21 - m12, 4 qw qw = 1 + m00 + m11 + m22...).
 _PLACES = np.array(
     [
         [[0, 4, 8], [7, 5, 0], [2, 6, 0], [3, 1, 0]],
@@ -147,7 +146,7 @@ def matrix_to_quat(m: F64) -> F64:
     """
     flat = np.asarray(m, np.float64).reshape(-1, 9)
     count = len(flat)
-    if flat.tobytes() == _UNTURNED * count:  # as most poses written from Python are: a tenth
+    if flat.tobytes() == _UNTURNED * count:  # most poses set from Python: 10 times faster
         q = np.zeros((count, 4))
         q[:, 0] = 1.0
         return q.reshape(*m.shape[:-2], 4)

@@ -1,6 +1,6 @@
-"""Modules that the package's own root adds to a registry below it.
+"""Term modules registered by the package's root, `embodichain/__init__.py`.
 
-Lower layers import no higher one; the root, `embodichain/__init__.py`, knows both and names them.
+The root lists them here because lower layers may not import higher ones.
 """
 
 from __future__ import annotations
@@ -8,4 +8,4 @@ from __future__ import annotations
 __all__ = ["TERM_MODULES"]
 
 TERM_MODULES: list[str] = []
-"""Modules that are imported with the built-in terms: importing one registers its terms."""
+"""Modules imported with the built-in terms; importing one registers its terms."""

@@ -1,9 +1,9 @@
-"""Random numbers that depend only on (seed, environment, stream name, how many were drawn before).
+"""Random numbers that depend only on seed, environment, stream name and number of earlier draws.
 
-A stream is a counter per environment; a draw hashes (key, counter) with SplitMix64's finalizer
+A stream has one counter per environment; a draw hashes (key, counter) with SplitMix64's finalizer
 (Steele, Lea and Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014). There is
-no generator object per environment and no global state, so environment *i* sees the same numbers
-whatever the number of environments is and whichever of them draw.
+no generator object per environment and no global state, so environment *i* gets the same numbers
+for any number of environments and regardless of which others draw.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["RandomStreams"]
+__all__ = ["RandomStreams", "constant", "first_seed"]
 
 U64 = NDArray[np.uint64]
 _GAMMA = np.uint64(0x9E3779B97F4A7C15)
@@ -24,7 +24,7 @@ _MIX2 = np.uint64(0x94D049BB133111EB)
 _S30, _S27, _S31, _S11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
 _UNIT = 2.0**-53
 _BLOCK = 8192
-"""Numbers computed ahead at most: one small draw costs as much as a thousand numbers."""
+"""Maximum of numbers computed ahead; a small draw costs as much as a thousand numbers."""
 
 
 def _mix(z: U64) -> U64:
@@ -38,17 +38,24 @@ def _mix(z: U64) -> U64:
 
 
 def _unit(bits: U64) -> NDArray[np.float64]:
-    """The upper 53 bits as a number in [0, 1)."""
+    """Convert the upper 53 bits to a number in [0, 1)."""
     return (bits >> _S11).astype(np.float64) * _UNIT
 
 
 def _fixed(bound: Any) -> bool:
-    """Whether a bound is the same numbers as long as it is the same object."""
+    """Whether a bound is immutable."""
     return isinstance(bound, np.ndarray) and not bound.flags.writeable
 
 
+def constant(values: Any) -> NDArray[np.float64]:
+    """A read-only float64 copy: for immutable bounds, streams scale many draws at once."""
+    array = np.array(values, np.float64)
+    array.setflags(write=False)
+    return array
+
+
 class _Block:
-    """Numbers of one stream for several draws of all environments, (draws, N, width)."""
+    """Numbers of one stream for several draws in all environments, (draws, N, width)."""
 
     __slots__ = ("high", "low", "unit", "used", "values", "width")
 
@@ -69,7 +76,7 @@ class _Block:
     def take_within(self, low: Any, high: Any) -> NDArray[np.float64]:
         """The next draw, (N, width) in [low, high); read only.
 
-        Bounds that cannot change scale the whole block, the first time they are seen.
+        Immutable bounds scale the whole block at their first use.
         """
         row = self.used
         self.used += 1
@@ -88,6 +95,13 @@ def _scaled(unit: NDArray[np.float64], low: Any, high: Any) -> NDArray[np.float6
     values: NDArray[np.float64] = unit * (high - low)
     values += low
     return values
+
+
+def first_seed(seed: int | None) -> int:
+    """Return the initial seed: 0 for None, a random one for -1."""
+    if seed == -1:
+        return int(np.random.SeedSequence().generate_state(1, np.uint32)[0])
+    return 0 if seed is None else int(seed)
 
 
 class RandomStreams:
@@ -117,7 +131,7 @@ class RandomStreams:
         return keys, self._counters[name]
 
     def bits(self, name: str, width: int, env_ids: NDArray[np.int64] | None = None) -> U64:
-        """Return (n, width) random 64-bit words and advance those environments' counters."""
+        """Return (n, width) random 64-bit words and advance the environments' counters."""
         keys, counters = self._stream(name)
         self._settle(name)
         steps = self._steps.get(width)
@@ -145,11 +159,11 @@ class RandomStreams:
             name: The stream.
             shape: Shape of one environment's draw.
             low: Scalar or array that broadcasts to ``shape``.
-            high: Likewise.
+            high: As `low`.
             env_ids: (n,) environments that draw; None is all N.
 
         Returns:
-            (n, *shape) float64; do not write into it.
+            (n, *shape) float64; do not write to it.
         """
         if env_ids is None and len(shape) == 1:
             block = self._blocks.get(name)
@@ -168,9 +182,9 @@ class RandomStreams:
         return _scaled(unit, low, high)
 
     def _block(self, name: str, width: int) -> _Block:
-        """A block of draws of all environments with at least one left.
+        """Return a block of draws for all environments with at least one draw left.
 
-        The numbers are those of `bits`: a block only saves the cost of many small array operations.
+        The numbers are those of `bits`; a block only avoids many small array operations.
         """
         block = self._blocks.get(name)
         if block is None or block.width != width or block.used == len(block.unit):
@@ -184,7 +198,7 @@ class RandomStreams:
         return block
 
     def _settle(self, name: str) -> None:
-        """Count what was drawn from a stream's block, and drop the block."""
+        """Advance the counters by the draws from a stream's block, and drop the block."""
         block = self._blocks.pop(name, None)
         if block is not None:
             self._counters[name] += np.uint64(block.used * block.width)
@@ -192,10 +206,10 @@ class RandomStreams:
     def normal(
         self, name: str, shape: Sequence[int] = (), env_ids: NDArray[np.int64] | None = None
     ) -> NDArray[np.float64]:
-        """Draw standard normal numbers by Box and Muller; returns (n, *shape) float64."""
+        """Draw standard normal numbers (Box-Muller), (n, *shape) float64."""
         width = int(np.prod(shape, dtype=np.int64))
         unit = _unit(self.bits(name, 2 * width, env_ids))
-        # Contiguous copies: numpy's transcendental kernels may round strided input differently.
+        # Contiguous copies: numpy's transcendental functions may round strided input differently.
         radius = np.sqrt(-2.0 * np.log1p(-np.ascontiguousarray(unit[:, :width])))
         angle = np.cos(2.0 * np.pi * np.ascontiguousarray(unit[:, width:]))
         return (radius * angle).reshape(len(unit), *shape)
@@ -215,3 +229,32 @@ class RandomStreams:
         self._blocks.clear()
         for name, counters in state["counters"].items():
             self._stream(name)[1][:] = counters
+
+    def reseed(self, seed: Any) -> None:
+        """Restart every stream with a new seed.
+
+        Raises:
+            ValueError: If the seed is not an integer.
+        """
+        if not isinstance(seed, (int, np.integer)) or isinstance(seed, bool):
+            raise ValueError(
+                f"seed must be one integer (each environment has its own stream): {seed!r}"
+            )
+        self.load_state_dict({"seed": first_seed(int(seed)), "counters": {}})
+
+    def rewind(self, saved: dict[str, Any], rows: NDArray[np.bool_]) -> None:
+        """Restore the counters of some environments from a saved state.
+
+        Args:
+            saved: An earlier `state_dict` with the same seed.
+            rows: (N,) boolean mask of environments.
+        """
+        now = self.state_dict()
+        changed = False
+        for name, counters in now["counters"].items():
+            old = saved["counters"].get(name, np.zeros_like(counters))
+            if not np.array_equal(old, counters):
+                counters[rows] = old[rows]
+                changed = True
+        if changed:
+            self.load_state_dict(now)

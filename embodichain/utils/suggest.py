@@ -1,7 +1,4 @@
-"""Names in messages: the closest match of a misspelt one, and what there is.
-
-Knows nothing of what the names are.
-"""
+"""Names in messages: closest matches of a misspelt name, and lists of known names."""
 
 from __future__ import annotations
 
@@ -11,31 +8,31 @@ from difflib import SequenceMatcher
 __all__ = ["closest", "did_you_mean", "listing"]
 
 _WHOLE = 20
-"""Names that a message lists one by one."""
+"""Maximum number of names that a message lists in full."""
 _FEW = 3
 
 
 def closest(word: str, candidates: Iterable[str], n: int = 1, cutoff: float = 0.6) -> list[str]:
-    """Return the candidates that look most like `word`, best first; case does not count.
+    """Return the candidates most similar to `word`, best first, ignoring case.
 
     Args:
-        word: What was written.
-        candidates: What could have been meant. Duplicates count once.
-        n: How many to return at most.
-        cutoff: Least similarity in [0, 1]; 1 asks for equality but for case.
+        word: The misspelt name.
+        candidates: Known names. Duplicates count once.
+        n: Maximum number to return.
+        cutoff: Minimum similarity in [0, 1]; 1 is equality ignoring case.
 
     Returns:
         At most `n` candidates, spelt as given. Ties keep the order of `candidates`.
 
     Raises:
-        ValueError: `n` is not positive, or `cutoff` lies outside [0, 1].
+        ValueError: If `n` is not positive or `cutoff` is outside [0, 1].
     """
     if n < 1:
         raise ValueError(f"n must be at least 1, got {n}")
     if not 0.0 <= cutoff <= 1.0:
         raise ValueError(f"cutoff must lie in [0, 1], got {cutoff}")
     matcher = SequenceMatcher(autojunk=False)
-    matcher.set_seq2(word.casefold())  # seq2 is the side whose analysis is kept between calls
+    matcher.set_seq2(word.casefold())  # the matcher caches its analysis of seq2
     scored: list[tuple[float, str]] = []
     for candidate in dict.fromkeys(candidates):
         matcher.set_seq1(candidate.casefold())
@@ -48,11 +45,11 @@ def closest(word: str, candidates: Iterable[str], n: int = 1, cutoff: float = 0.
 
 
 def listing(names: Iterable[str], word: str = "", shown_by: str = "") -> str:
-    """Return what there is, for a message: up to 20 names, of more those closest to a word.
+    """Return known names for a message: all of up to 20, else those closest to a word.
 
     Args:
-        names: What there is.
-        word: What was written; without one the first names stand for the rest.
+        names: The known names.
+        word: The misspelt name; if empty, the first names are listed.
         shown_by: The command that lists all of them.
 
     Returns:

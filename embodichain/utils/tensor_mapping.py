@@ -1,7 +1,7 @@
-"""`TensorMapping`: a nested mapping of tensors whose first dimension is the batch.
+"""`TensorMapping`: a nested mapping of tensors with the batch as first dimension.
 
-It has the access of a `TensorDict` (``obs["robot"]["qpos"]``, ``obs["robot", "qpos"]``, rows by
-index) without its import, which costs as much as importing torch; `to_tensordict` makes one.
+It is indexed like a `TensorDict` (``obs["robot"]["qpos"]``, ``obs["robot", "qpos"]``, rows by
+index) but avoids importing tensordict, which takes as long as importing torch; see `to_tensordict`.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ __all__ = ["TensorMapping", "leaves_of"]
 
 
 class TensorMapping(MutableMapping[Any, Any]):
-    """Names to tensors (N, ...) or to further mappings; the order is that of insertion.
+    """Maps names to tensors (N, ...) or nested mappings, in order of insertion.
 
-    Keys are names, or tuples of names, which go through the levels; `get`, ``in``, ``del`` and
-    assignment take both. Anything else in brackets (an integer, a slice, indices, a mask) selects
+    Keys are names, or paths (tuples of names) through nested levels; `get`, ``in``, ``del`` and
+    assignment accept both. Anything else in brackets (an integer, a slice, indices, a mask) selects
     rows of every tensor. The length is the number of names, not of rows.
 
     Args:
-        entries: The entries; mappings in it become `TensorMapping`s, tensors are shared.
-        batch_size: (N,); None takes the first tensor's.
+        entries: The entries; nested mappings become `TensorMapping`s, tensors are shared.
+        batch_size: (N,); None takes that of the first tensor.
 
     Raises:
         ValueError: If an entry is neither a mapping nor a tensor with N rows.
@@ -63,7 +63,7 @@ class TensorMapping(MutableMapping[Any, Any]):
         return self._each(lambda tensor: tensor[key])
 
     def __setitem__(self, key: Any, value: Any) -> None:
-        """Set an entry; levels that do not exist are made."""
+        """Set an entry; missing levels are created."""
         if isinstance(key, tuple):
             *path, key = key
             owner = self
@@ -114,8 +114,8 @@ class TensorMapping(MutableMapping[Any, Any]):
         """Return names; with `include_nested` also paths, as tuples, of all levels.
 
         Args:
-            include_nested: Whether entries of further levels follow those that contain them.
-            leaves_only: Whether names of further levels are left out.
+            include_nested: Whether to include entries of nested mappings, after each mapping.
+            leaves_only: Whether to leave out nested mappings themselves.
         """
         if not include_nested and not leaves_only:
             return self.entries.keys()
@@ -160,11 +160,11 @@ class TensorMapping(MutableMapping[Any, Any]):
 
     @property
     def device(self) -> torch.device | None:
-        """Device of the first tensor; None if there is none."""
+        """Device of the first tensor, or None without tensors."""
         return next((leaf.device for _, leaf in leaves_of(self)), None)
 
     def _each(self, change: Callable[[Any], Any]) -> TensorMapping:
-        """A mapping of the same names with every tensor replaced by a function of it."""
+        """Apply a function to every tensor; returns a mapping with the same names."""
         changed = {
             name: value._each(change) if isinstance(value, TensorMapping) else change(value)
             for name, value in self.entries.items()
@@ -177,7 +177,7 @@ class TensorMapping(MutableMapping[Any, Any]):
         return result
 
     def to(self, *args: Any, **kwargs: Any) -> TensorMapping:
-        """Return `torch.Tensor.to` of every tensor."""
+        """Apply `torch.Tensor.to` to every tensor."""
         return self._each(lambda tensor: tensor.to(*args, **kwargs))
 
     def cpu(self) -> TensorMapping:
@@ -185,11 +185,11 @@ class TensorMapping(MutableMapping[Any, Any]):
         return self._each(lambda tensor: tensor.cpu())
 
     def detach(self) -> TensorMapping:
-        """Return the tensors without their gradients' history."""
+        """Apply `torch.Tensor.detach` to every tensor."""
         return self._each(lambda tensor: tensor.detach())
 
     def clone(self, recurse: bool = True) -> TensorMapping:
-        """Return a copy; without `recurse` the tensors are shared, and levels are not."""
+        """Return a copy; without `recurse` its levels are new and its tensors shared."""
         return self._each((lambda tensor: tensor.clone()) if recurse else (lambda tensor: tensor))
 
     def to_dict(self) -> dict[str, Any]:
@@ -215,7 +215,7 @@ class TensorMapping(MutableMapping[Any, Any]):
 
 
 def leaves_of(entries: Mapping[Any, Any]) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Yield the path and value of everything in nested mappings that is no mapping."""
+    """Yield path and value of all leaves of nested mappings."""
     for name, value in entries.items():
         if isinstance(value, Mapping):
             for path, leaf in leaves_of(value):

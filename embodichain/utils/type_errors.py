@@ -1,17 +1,29 @@
-"""What pydantic says of a value, in words: one message for the errors at one place.
+"""Plain messages for pydantic's errors; configs from nested plain values (`from_dict`).
 
-Callers give the place its path, and know which keys are allowed there.
+Callers supply key paths and allowed keys. `from_dict` is for Python; `embodichain.config` checks
+YAML, with files and lines.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pydantic import TypeAdapter, ValidationError
+
+from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
-__all__ = ["ErrorDetails", "show_value", "unknown_key", "what_is_wrong"]
+__all__ = [
+    "ErrorDetails",
+    "from_dict",
+    "member_from_dict",
+    "show_value",
+    "unknown_key",
+    "what_is_wrong",
+]
 
 ErrorDetails = Mapping[str, Any]
 """One entry of `ValidationError.errors()`."""
@@ -41,8 +53,8 @@ def what_is_wrong(
     """Return the message and the hint for the errors of one value.
 
     Args:
-        errors: At least one: each member of a union reports its own.
-        patterns: Regular expression -> what matches it, in words.
+        errors: At least one; each member of a union reports its own.
+        patterns: Regular expression -> description of what it matches.
 
     Returns:
         ``must be at least 1, got 0``, ``expected a number or 'auto', got 'x'``; and
@@ -69,12 +81,12 @@ def what_is_wrong(
 
 
 def unknown_key(name: str, allowed: Sequence[str]) -> tuple[str, str]:
-    """Return the message and the hint for a key that is not allowed where it stands."""
+    """Return the message and the hint for a key that is not allowed."""
     return f"unknown key; allowed: {', '.join(allowed)}.", did_you_mean(name, allowed).strip()
 
 
 def show_value(value: Any) -> str:
-    """Return a value as YAML's reader would know it, shortened to one line."""
+    """Return a value as written in YAML, shortened to one line."""
     if value is None or isinstance(value, bool):
         return {None: "null", True: "true", False: "false"}[value]
     text = repr(value)
@@ -94,3 +106,43 @@ def _expected(error: ErrorDetails, patterns: Mapping[str, str]) -> str:
 
 def _choices(error: ErrorDetails) -> list[str]:
     return re.findall(r"'([^']*)'", error.get("ctx", {}).get("expected", ""))
+
+
+def member_from_dict(members: Mapping[str, type[Any]], tag: str, init_dict: dict[str, Any]) -> Any:
+    """Return the config of the class that ``init_dict[tag]`` names, as `from_dict` does.
+
+    Raises:
+        ConfigError: If no member has that name, or as `from_dict`.
+    """
+    kind = str(init_dict.get(tag, ""))
+    if kind not in members:
+        message = f"unknown {tag} {kind!r}; one of: {', '.join(members)}."
+        raise ConfigError([Problem(tag, message, did_you_mean(kind, members).strip())])
+    return from_dict(members[kind], init_dict)
+
+
+def from_dict(cls: type[Any], init_dict: dict[str, Any]) -> Any:
+    """Return ``cls`` built from nested plain values.
+
+    Args:
+        cls: A configclass.
+        init_dict: Keys are its fields; nested configs are dicts.
+
+    Raises:
+        ConfigError: Lists every unknown key, wrong type and value out of range.
+    """
+    try:
+        return TypeAdapter(cls).validate_python(init_dict)
+    except ValidationError as error:
+        names = [f.name for f in dataclasses.fields(cls)]
+        problems = []
+        for found in error.errors():
+            path = [str(part) for part in found["loc"]]
+            if found["type"] != "unexpected_keyword_argument":
+                message, hint = what_is_wrong([found])
+            elif len(path) == 1:
+                message, hint = unknown_key(path[0], names)
+            else:
+                message, hint = "unknown key", ""
+            problems.append(Problem(".".join(path), message, hint))
+        raise ConfigError(problems) from error

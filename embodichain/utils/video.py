@@ -1,7 +1,4 @@
-"""`VideoFile`: pictures become an MP4 while they come; needs the extra `video` (imageio-ffmpeg).
-
-What is filmed, and how pictures are made, is known elsewhere.
-"""
+"""`VideoFile`: writes an MP4 frame by frame; needs the extra `video` (imageio-ffmpeg)."""
 
 from __future__ import annotations
 
@@ -9,7 +6,6 @@ import importlib.util
 import os
 from collections.abc import Generator, Sequence
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -21,10 +17,10 @@ __all__ = ["VideoFile", "need_encoder"]
 
 
 def need_encoder() -> None:
-    """Refuse if the encoder is not installed.
+    """Check that the encoder is installed.
 
     Raises:
-        ConfigError: Names the extra.
+        ConfigError: If it is not; names the extra.
     """
     if importlib.util.find_spec("imageio_ffmpeg") is None:
         hint = "pip install 'embodichain[video]'"
@@ -32,15 +28,15 @@ def need_encoder() -> None:
 
 
 class VideoFile:
-    """One MP4 (H.264, yuv420p), written as pictures come; it has its name once it is complete.
+    """One MP4 (H.264, yuv420p), renamed to its path when complete.
 
-    As a context it is closed at the end, and discarded if that is an exception.
+    As a context manager it is closed at exit, or discarded after an exception.
 
     Args:
-        path: Where it goes; a number is added to the name if it exists already when it is closed.
+        path: The file; a number is added to the name if it exists at closing.
         size: Width and height in pixels, both even.
-        fps: Pictures a second.
-        options: More for the encoder, as ffmpeg's command takes them.
+        fps: Frames per second.
+        options: Further command-line options of ffmpeg.
     """
 
     def __init__(
@@ -62,11 +58,11 @@ class VideoFile:
         self._writer.send(None)
 
     def write(self, picture: NDArray[np.uint8]) -> None:
-        """Append an RGB picture, (height, width, 3)."""
+        """Append an RGB frame, (height, width, 3)."""
         self._writer.send(np.ascontiguousarray(picture))
 
     def close(self) -> Path:
-        """Finish the file and return where it is."""
+        """Finish the file and return its path."""
         self._writer.close()
         path, number = self._path, 1
         while os.path.lexists(path):
@@ -76,7 +72,7 @@ class VideoFile:
         return path
 
     def discard(self) -> None:
-        """End without a file."""
+        """Stop and remove the file."""
         self._writer.close()
         self._part.unlink(missing_ok=True)
 
@@ -84,13 +80,8 @@ class VideoFile:
         """Return the file."""
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        tb: TracebackType | None,
-    ) -> None:
-        """Close it, or discard it if something went wrong."""
+    def __exit__(self, kind: object, *error: object) -> None:
+        """Close the file, or discard it after an exception."""
         if kind is None:
             self.close()
         else:

@@ -54,13 +54,19 @@ def test_keys_that_help_names_exist() -> None:
         (["-m", "seed=1,2"], "a verb comes first: embodichain run -m seed=1,2"),
         (["run", "--qiet"], "No such option '--qiet'. Did you mean '--quiet'?"),
         (["list", "tasks", "--jsn"], "No such option '--jsn'. Did you mean '--json'?"),
-        (["list"], "list what? One of: tasks, robots, terms"),
-        (["list", "task"], "nothing called 'task' to list. Did you mean 'tasks'?"),
+        (["list"], "Missing argument '{tasks|robots|terms}'. Choose from:"),
+        (
+            ["list", "task"],
+            "Invalid value for '{tasks|robots|terms}': 'task' is not one of 'tasks', 'robots', ",
+        ),
         (["list", "tasks", "robots"], "Got unexpected extra argument (robots)"),
         (["run", "one", "two"], "one task at a time: one, two."),
         (["-sc", "instal=bash"], "-sc takes install=SHELL or uninstall=SHELL"),
         (["bench", "task=reach", "num_envs=1,x"], "num_envs: must be one or more positive"),
-        (["bench", "task=reach", "--rounds", "0"], "--rounds must be at least 1, got 0"),
+        (
+            ["bench", "task=reach", "--rounds", "0"],
+            "Invalid value for '--rounds': 0 is not in the range x>=1.",
+        ),
         (
             ["bench", "task=reach", "--rounds", "many"],
             "Invalid value for '--rounds': 'many' is not",

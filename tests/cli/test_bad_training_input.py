@@ -66,7 +66,7 @@ def test_checkpoints_of_another_task_or_shape(run, capsys):
         err = refused(capsys, *arguments, "task=cart_pole", *extra)
         assert "has observations (21,), this task has (4,); has actions (6,)" in err
     err = refused(capsys, "train", f"resume={run}", "task=cart_pole")
-    assert "task: a training goes on as it was" in err
+    assert "task: a resumed training keeps its config" in err
     # The folder's config says another network than its checkpoint has.
     config = run / "config.yaml"
     tree = yaml.safe_load(config.read_text())
@@ -74,7 +74,7 @@ def test_checkpoints_of_another_task_or_shape(run, capsys):
     config.write_text(yaml.safe_dump(tree))
     again = ("total_timesteps=128", "allow_changed=true", "--quiet")
     err = refused(capsys, "train", f"resume={run}", *again)  # YAML was dumped in another order
-    assert "final.zip does not fit the network that the run's config asks for: " in err
+    assert "final.zip does not fit the network of the run's config: " in err
 
 
 def test_missing_statistics(run, capsys):
@@ -136,7 +136,7 @@ def test_a_full_disk_while_training(run, capsys):
     done = command(*lines, limit=100_000)
     assert done.returncode == 1 and "Traceback" not in done.stderr
     folder = next(path.parent for path in Path("outputs").rglob("config.yaml"))
-    wanted = f"{folder} could not be written: File too large; it holds no checkpoint to go on from"
+    wanted = f"{folder} could not be written: File too large; it has no checkpoint to go on from"
     assert wanted in done.stderr and done.stderr.count("error: ") == 1
     assert not list(folder.rglob("*.zip")) and not list(folder.rglob(".*"))
     assert files(run) == before

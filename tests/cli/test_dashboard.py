@@ -54,7 +54,7 @@ def test_everything_is_on_the_screen(
     screen: Terminal, monkeypatch: pytest.MonkeyPatch, statistics: TrainStatistics
 ) -> None:
     with dashboard(screen, monkeypatch) as display:
-        display.show(statistics)
+        display.update(statistics)
         shown = lines(screen)
     assert shown["reach, ppo"][-1] == "20,000/40,000 steps" and "━" in shown["reach, ppo"][0]
     assert shown["speed"] == ["333 steps/s", "█" * 30]
@@ -75,14 +75,14 @@ def test_curves_grow_with_the_steps(
             statistics.env_steps = steps
             statistics._successes.clear()
             statistics._successes.append(bool(successes))
-            display.show(statistics)
+            display.update(statistics)
     curve = lines(screen)["success"][1]
     assert curve == "▁" * 15 + "█" * 15
 
 
 def test_nothing_has_ended_yet(screen: Terminal, monkeypatch: pytest.MonkeyPatch) -> None:
     with dashboard(screen, monkeypatch) as display:
-        display.show(TrainStatistics(40_000))
+        display.update(TrainStatistics(40_000))
     shown = lines(screen)
     assert shown["return"] == shown["success"] == shown["best"] == ["-"]
 
@@ -91,7 +91,7 @@ def test_the_last_state_stays(
     screen: Terminal, monkeypatch: pytest.MonkeyPatch, statistics: TrainStatistics
 ) -> None:
     with dashboard(screen, monkeypatch) as display:
-        display.show(statistics)
+        display.update(statistics)
         assert not display.due  # for a second
         statistics.env_steps = 40_000
     assert lines(screen)["reach, ppo"][-1] == "40,000/40,000 steps"
@@ -102,7 +102,7 @@ def test_a_line_now_and_then_without_a_terminal(
 ) -> None:
     with Dashboard("reach", "ppo", 40_000) as display:
         assert not display.due
-        display.show(statistics)
+        display.update(statistics)
     expected = "reach: 20,000/40,000 steps  steps/s 333  episodes 4  return -2.5  success 75%\n"
     assert capsys.readouterr() == ("", expected)
 
@@ -111,6 +111,6 @@ def test_nothing_when_quiet(
     screen: Terminal, monkeypatch: pytest.MonkeyPatch, statistics: TrainStatistics
 ) -> None:
     with dashboard(screen, monkeypatch, quiet=True) as display:
-        display.show(statistics)
+        display.update(statistics)
         assert not display.due
     assert screen.getvalue() == ""

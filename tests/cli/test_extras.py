@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 
 from embodichain.cli import main
-from embodichain.cli.extras import EXTRAS
+from embodichain.cli.doctor import EXTRAS
 
 PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
@@ -26,7 +26,7 @@ def test_every_extra_of_the_package_is_listed_with_its_packages():
         }
 
     own = {extra: packages(extra) for extra in found if extra not in ("dev", "export-log")}
-    listed = {n: set(e.packages) for n, e in EXTRAS.items() if e.install == f"'embodichain[{n}]'"}
+    listed = {name: set(packages) for name, (_, *packages) in EXTRAS.items()}
     assert listed == own
 
 

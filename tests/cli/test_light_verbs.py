@@ -150,7 +150,7 @@ def test_wrong_argument_of_an_algorithm_stops_training_before_anything_is_made(
     assert main(["train", *multirun, "task=reach", wrong]) == 2
     err = capsys.readouterr().err
     assert err.startswith("2 mistakes:\n")
-    assert "command line: algo.policy_kwargs.activatio_fn: unknown argument" in err
+    assert "command line: algo.policy_kwargs.activatio_fn: unknown key" in err
     assert "algo.policy_kwargs.net_arch: layers need a width of at least 1" in err
     assert list(Path().iterdir()) == []
 

@@ -134,7 +134,7 @@ def test_nothing_is_overwritten(capsys: pytest.CaptureFixture[str]) -> None:
         (("task", "2fast"), "is no name for a task"),
         (("task", "reach"), "there is a task 'reach' already"),
         (("task", "json", "--python"), "Python has a module 'json' already"),
-        (("taks", "mine"), "Did you mean 'task'?"),
+        (("taks", "mine"), "Invalid value for 'task': 'taks' is not 'task'."),
         (("task",), "NAME"),
         (("task", "mine", "--pyhton"), "Did you mean '--python'?"),
     ],
@@ -238,7 +238,7 @@ def test_what_is_written_of_a_robot(capsys: pytest.CaptureFixture[str]) -> None:
     params = task["actions"]["arm"]["params"]
     assert params["scale"] == {"turn|bend": 0.4, "reach": 0.02}
     pair = task["rewards"]["distance"]["params"]
-    assert pair["source_entity_cfg"] == {"uid": "small", "link_names": ["lower"]}
+    assert pair["from"] == {"uid": "small", "link_names": ["lower"]}
 
 
 def test_a_file_with_actuators_is_driven_by_them(capsys: pytest.CaptureFixture[str]) -> None:

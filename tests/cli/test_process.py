@@ -6,11 +6,12 @@ import textwrap
 
 import pytest
 
-from embodichain.cli.exits import Interrupted
+from embodichain.cli.process import Interrupted
 
 ARRIVES_IN = {
     "a callback of a weak reference": "weakref.ref(target, lambda _: os.kill(os.getpid(), 15))",
     "a finalizer": "setattr(Target, '__del__', lambda self: os.kill(os.getpid(), 15))",
+    "code that discards it": "discard()",
 }
 
 
@@ -22,6 +23,13 @@ def test_a_signal_whose_exception_python_ignores_is_delivered_again(setup: str) 
 
         class Target:
             pass
+
+        def discard():
+            try:
+                os.kill(os.getpid(), 15)
+                time.sleep(1)
+            except BaseException:
+                pass
 
         target = Target()
         with signals_raise():

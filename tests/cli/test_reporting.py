@@ -1,7 +1,7 @@
 import pytest
 
-from embodichain.cli import exits
-from embodichain.cli.exits import report
+from embodichain.cli import process
+from embodichain.cli.process import report
 from embodichain.utils.errors import ConfigError, Problem, RenderError
 
 
@@ -11,12 +11,12 @@ def test_one_mistake_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_every_mistake_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert report(ConfigError([Problem("a", "one"), Problem("b", "two")])) == exits.WRONG_INPUT
+    assert report(ConfigError([Problem("a", "one"), Problem("b", "two")])) == process.WRONG_INPUT
     assert capsys.readouterr().err == "2 mistakes:\n  a: one\n  b: two\n"
 
 
 def test_other_exceptions_are_one_line_and_a_hint(capsys: pytest.CaptureFixture[str]) -> None:
-    assert report(ValueError("three\nlines\nhere")) == exits.FAILED
+    assert report(ValueError("three\nlines\nhere")) == process.FAILED
     text = capsys.readouterr().err
     assert text == "error: ValueError: three lines here\n(--traceback shows where it happened)\n"
 
@@ -35,7 +35,7 @@ def test_the_whole_traceback_on_demand(capsys: pytest.CaptureFixture[str]) -> No
     try:
         fails()
     except KeyError as error:
-        assert report(error, full=True) == exits.FAILED
+        assert report(error, full=True) == process.FAILED
     text = capsys.readouterr().err
     assert "in fails" in text
     assert "Traceback (most recent call last)" in text
@@ -43,6 +43,6 @@ def test_the_whole_traceback_on_demand(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_interruption_has_its_own_code(capsys: pytest.CaptureFixture[str]) -> None:
-    assert report(KeyboardInterrupt()) == exits.INTERRUPTED
-    assert report(exits.Interrupted("stopped; the log is complete")) == exits.INTERRUPTED
+    assert report(KeyboardInterrupt()) == process.INTERRUPTED
+    assert report(process.Interrupted("stopped; the log is complete")) == process.INTERRUPTED
     assert capsys.readouterr().err == "interrupted\nstopped; the log is complete\n"

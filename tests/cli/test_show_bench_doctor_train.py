@@ -44,7 +44,7 @@ def test_show_tells_what_is_built(capsys: pytest.CaptureFixture[str]) -> None:
     assert (terms["to_goal"]["shape"], terms["qvel"]["scale"]) == ("(3,)", 0.1)
     assert data["actions"][0]["shape"] == "(6,)"
     assert data["actions"][0]["params"] == (
-        "{entity_cfg: {uid: ur10}, centre: home, scale: 0.6, clip: [-1, 1]}"
+        "{of: {uid: ur10}, centre: home, scale: 0.6, clip: [-1, 1]}"
     )
     assert [row["moves"] for row in data["action vector"]][:2] == ["arm/Joint1", "arm/Joint2"]
     assert [row["term"] for row in data["rewards"]] == ["distance", "near"]
@@ -67,7 +67,7 @@ def test_tables_of_terms_fit_80_columns(
     rewards = text.partition("\nrewards\n")[2].partition("\nterminations")[0].splitlines()
     assert rewards[1].split() == ["term", "func", "weight", "params"]  # `mode` is the default's
     words = " ".join(rewards).split()
-    for word in ("distance_between_objects", "within_distance", "target_entity_cfg:", "0.05}"):
+    for word in ("distance_between_objects", "within_distance", "to:", "0.05}"):
         assert word in words
 
 

@@ -35,7 +35,7 @@ def test_a_term_is_shown_with_kinds_parameters_and_example(
         "false",
     )
     assert term["signature"].startswith("within_distance(source_entity_cfg, target_entity_cfg, ")
-    assert "Stands for ``{func: distance, shape: {below: THRESHOLD}}``." in term["doc"]
+    assert "Alias of ``{func: distance, shape: {below: THRESHOLD}}``." in term["doc"]
     assert "less than a threshold" in term["doc"]
     assert "Args:" not in term["doc"]
 

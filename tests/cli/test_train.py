@@ -1,6 +1,8 @@
 """What `train` leaves in its folder besides what was learned: the evaluation at its end."""
 
 import json
+import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -98,17 +100,17 @@ def test_what_goes_on_is_evaluated_as_it_is_asked_for(trained, capsys):
 
 
 def test_an_interrupted_evaluation_is_told_as_such(capsys, monkeypatch):
-    from embodichain.cli import evaluating
+    from embodichain.learning import evaluation
 
-    real = evaluating._play
+    real = evaluation.evaluate
 
-    def stopped(run, stop, asked):
-        stop.stopped = "SIGINT"  # Ctrl-C comes as the evaluation begins
-        return real(run, stop, asked)
+    def interrupted(*args, **kwargs):
+        os.kill(os.getpid(), signal.SIGINT)  # Ctrl-C comes as the evaluation begins
+        return real(*args, **kwargs)
 
-    monkeypatch.setattr(evaluating, "_play", stopped)
+    monkeypatch.setattr(evaluation, "evaluate", interrupted)
     assert main(["train", *TINY, "--quiet", "record=none"]) == 130
-    assert "interrupted (SIGINT); what was learned is in" in capsys.readouterr().err
+    assert "interrupted (SIGINT); outputs" in capsys.readouterr().err
     folder = Path("outputs/latest")
     summary = json.loads((folder / "summary.json").read_text())
     assert (summary["status"], summary["eval"]["complete"]) == ("finished", False)

@@ -14,9 +14,8 @@ from embodichain.cli import main
 from embodichain.recording import McapRecorder
 from embodichain.recording.options import RecordOptions
 from embodichain.recording.recover import recover
-from embodichain.recording.viewers import foxglove_playback
-from embodichain.recording.viewers.foxglove_playback import declare_channels, play_log
-from embodichain.recording.viewers.foxglove_server import FoxgloveServer
+from embodichain.recording.viewers import foxglove
+from embodichain.recording.viewers.foxglove import FoxgloveServer, declare_channels, stream_log
 from tests.recording.scene import SmallEnv
 from tests.recording.viewers.test_foxglove import Client
 
@@ -87,10 +86,10 @@ def test_it_is_played_to_who_looks_and_again(name, request):
     server, stop = FoxgloveServer("127.0.0.1", 0), threading.Event()
     topics = declare_channels(path, server)
     assert "/sim/steps" not in topics and {"/tf", "/env_1/scene", "/env_1/metrics"} <= set(topics)
-    player = threading.Thread(target=play_log, args=(path, server, stop.is_set), daemon=True)
+    player = threading.Thread(target=stream_log, args=(path, server, stop.is_set), daemon=True)
     player.start()
     try:
-        for _ in range(2):  # whoever comes later sees the scene as well
+        for _ in range(2):  # a later subscriber is sent the scene as well
             with Client(server.port) as client:
                 client.meet(len(topics))
                 client.subscribe("/tf", "/env_1/scene")
@@ -112,7 +111,7 @@ def test_the_verb_serves_until_it_is_interrupted(log, capsys, monkeypatch):
         while not stopped():
             time.sleep(0.01)
 
-    monkeypatch.setattr(foxglove_playback, "play_log", interrupted)
+    monkeypatch.setattr(foxglove, "stream_log", interrupted)
     assert main(["view", str(log), "--serve", "--port", "0", "--speed", "2"]) == 0
     assert "playing it at ws://127.0.0.1:" in capsys.readouterr().out
 
@@ -130,7 +129,10 @@ def test_a_run_says_where_it_is_shown(capsys):
     assert main(["run", *short, f"viewer.port={port}", "viewer.env=1"]) == 0
     assert f"viewer: ws://127.0.0.1:{port} (Foxglove, Lichtblick: " in capsys.readouterr().err
     assert main(["run", *short, f"viewer.port={port}", "viewer.host=0.0.0.0"]) == 0
-    assert "warning: the viewer listens on 0.0.0.0" in capsys.readouterr().err
+    assert (
+        f"warning: the viewer at 0.0.0.0:{port} has no authentication; anyone who can reach this "
+        "address can watch the run\n"
+    ) in capsys.readouterr().err
     with socket.create_server(("127.0.0.1", port)):
         assert main(["run", *short, f"viewer.port={port}"]) == 2
     assert f"viewer.port: cannot listen on 127.0.0.1:{port}" in capsys.readouterr().err

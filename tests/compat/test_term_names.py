@@ -66,7 +66,7 @@ def test_both_names_of_a_parameter_are_one_too_many(tmp_path: Path) -> None:
         ("tahn", r"shape: unknown shape 'tahn'; allowed: l1, .* Did you mean 'tanh'\?"),
         ({"tanh": -1}, r"shape.tanh.std: must be greater than 0"),
         ({"tanh": {"width": 1}}, r"shape.tanh.width: unknown parameter of shape 'tanh'"),
-        ({"tolerance": {"value_at_margin": 0.0}}, r"shape.tolerance.value_at_margin: must lie in"),
+        ({"tolerance": {"value_at_margin": 0.0}}, r"shape.tolerance.value_at_margin: must be in"),
         (["l2", {"below": []}], r"shape.1.below.threshold: "),
         ({"tanh": 1, "l2": {}}, r"shape: expected a name or one `name: parameters`"),
     ],

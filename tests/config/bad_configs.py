@@ -48,11 +48,11 @@ BAD = {
     ),
     "unknown key in a robot": bad(
         "conf/task/mine.yaml:7: task.robot.init_qps: unknown key; allowed: uid, "
-        "init_pos, init_rot, init_local_pose, init_quat, fpath, drive_pros, body_scale, "
+        "init_pos, init_rot, init_local_pose, fpath, drive_pros, body_scale, "
         "attrs, fix_base, disable_self_collision, init_qpos, sleep_threshold, "
         "min_position_iters, min_velocity_iters, build_pk_chain, compute_uv, "
-        "use_usd_properties, attachments, gravcomp, collision, control_parts, urdf_cfg, "
-        "solver_cfg. Did you mean 'init_qpos'?",
+        "use_usd_properties, control_parts, urdf_cfg, solver_cfg, init_quat, attachments, "
+        "gravcomp, collision. Did you mean 'init_qpos'?",
         old="  init_qpos: [0",
         new="  init_qps: [0",
     ),
@@ -86,7 +86,7 @@ BAD = {
         overrides=("rewards.near.weight=2",),
     ),
     "a root key in a task": bad(
-        "conf/task/mine.yaml:1: task.num_envs: not a key of a task; it stands at the "
+        "conf/task/mine.yaml:1: task.num_envs: not a key of a task; it is a key of the "
         "root: num_envs=N",
         old="description: A small task.",
         new="num_envs: 4",
@@ -224,7 +224,7 @@ BAD = {
         verb="train",
     ),
     "an algorithm's key of rl-zoo3": bad(
-        "command line: algo.n_timesteps: not a key of an algorithm; it stands at the root: "
+        "command line: algo.n_timesteps: not a key of an algorithm; it is a key of the root: "
         "total_timesteps=N",
         overrides=(
             "algo.n_timesteps=1000",
@@ -564,7 +564,7 @@ BAD = {
         new="  init_qpos: {Joint0: 1}",
     ),
     "wrong number of joints": bad(
-        "conf/task/mine.yaml:7: task.robot.init_qpos: wants 6 values, one for each joint "
+        "conf/task/mine.yaml:7: task.robot.init_qpos: must be 6 values, one for each joint "
         "(Joint1, Joint2, Joint3, Joint4, Joint5, Joint6), got 3",
         old="  init_qpos: [0, -1, 1, 0, 0, 0]",
         new="  init_qpos: [0, -1, 1]",
@@ -608,17 +608,17 @@ BAD = {
         overrides=("task.objects.box.attrs.mass=-1",),
     ),
     "infinite position": bad(
-        "command line: task.robot.init_pos: wants 3 finite numbers, got [0.0, 0.0, inf]",
+        "command line: task.robot.init_pos: must be 3 finite numbers, got [0.0, 0.0, inf]",
         overrides=("task.robot.init_pos=[0,0,inf]",),
     ),
     "several at once": bad(
         "command line: record: unknown option 'mcpa'; record is one of: mcap, none. Did "
         "you mean 'mcap'?",
         "command line: task.robot.foo: unknown key; allowed: uid, init_pos, init_rot, "
-        "init_local_pose, init_quat, fpath, drive_pros, body_scale, attrs, fix_base, "
+        "init_local_pose, fpath, drive_pros, body_scale, attrs, fix_base, "
         "disable_self_collision, init_qpos, sleep_threshold, min_position_iters, "
-        "min_velocity_iters, build_pk_chain, compute_uv, use_usd_properties, attachments, "
-        "gravcomp, collision, control_parts, urdf_cfg, solver_cfg.",
+        "min_velocity_iters, build_pk_chain, compute_uv, use_usd_properties, control_parts, "
+        "urdf_cfg, solver_cfg, init_quat, attachments, gravcomp, collision.",
         "command line: task.objects.box.shape.size: expected 3 values, got 2: [1, 2]",
         "conf/task/mine.yaml:20: task.events.move.mode: expected one of 'startup', "
         "'reset', 'interval', got 'intervall'. Did you mean 'interval'?",

@@ -60,6 +60,6 @@ def test_a_dumped_config_imports_nothing(write_task: WriteTask) -> None:
         resolve_tree(tree, "log.mcap")
     policy, reward = str(error.value).splitlines()
     assert policy == (
-        "log.mcap: policy: 'os:getcwd' would be imported, which this config may not ask for"
+        "log.mcap: policy: 'os:getcwd' would be imported, which is not allowed for this config"
     )
     assert reward.startswith("log.mcap: task.rewards.near.func: 'os.path:join'")

@@ -9,8 +9,7 @@ import torch
 
 import embodichain
 from embodichain.config import resolve
-from embodichain.config.frozen import thaw
-from embodichain.config.resolved import resolve_tree
+from embodichain.config.resolved import resolve_tree, thaw
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.utils.registration import register_env
 from embodichain.utils.errors import ConfigError

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from embodichain.config.newest import CHECKPOINT, LOG, newest_run
+from embodichain.config.run_folder import CHECKPOINT, LOG, newest_run
 
 
 @pytest.mark.usefixtures("empty_cwd")

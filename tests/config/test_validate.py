@@ -8,8 +8,8 @@ import pytest
 import yaml
 
 from embodichain.config import claim, compose, list_options, resolve, validate, validate_file
-from embodichain.config.run_folder import write_record
-from embodichain.config.search_path import CONFIG_MODULE
+from embodichain.config.hydra_loader import CONFIG_MODULE
+from embodichain.config.resolved import write_record
 from tests.config.conftest import GOOD, WriteTask
 
 CONF = Path(sys.modules["embodichain"].__file__ or "").parent / CONFIG_MODULE.rpartition(".")[2]

@@ -7,22 +7,28 @@ import pytest
 import torch
 
 from embodichain.config.algorithms import AnyAlgoCfg
+from embodichain.config.check_types import check_types
 from embodichain.learning import algorithms
-from embodichain.learning.algorithms import (
-    action_noise,
-    algorithm_class,
-    build_algorithm,
-    check_arguments,
-)
+from embodichain.learning.algorithms import Algorithm, action_noise, algorithm_class
 from embodichain.learning.vec_env import SB3VecEnv
 from embodichain.utils.errors import ConfigError
 from tests.learning.counting import CountingEnv
 
 
-def problems(name="ppo", **arguments):
-    with pytest.raises(ConfigError) as caught:
-        check_arguments(name, arguments)
-    return {p.path: p for p in caught.value.problems}
+def algorithm(name="ppo", **keys):
+    checked = check_types({"task": {}, "algo": {"name": name, **keys}})
+    assert checked.problems == []
+    return Algorithm.of(checked.root.algo)
+
+
+def problems(name="ppo", **keys):
+    checked = check_types({"task": {}, "algo": {"name": name, **keys}})
+    found = list(checked.problems)
+    try:
+        Algorithm.of(checked.root.algo)
+    except ConfigError as error:
+        found += error.problems
+    return {p.path: p for p in found}
 
 
 def test_arguments_reach_the_algorithm():
@@ -33,8 +39,8 @@ def test_arguments_reach_the_algorithm():
         "optimizer_class": "sgd",
         "optimizer_kwargs": {"momentum": 0.5},
     }
-    arguments = check_arguments("ppo", {"n_steps": 4, "batch_size": 8, "policy_kwargs": kwargs})
-    model = build_algorithm("ppo", arguments, SB3VecEnv(CountingEnv([0, 0])), seed=5)
+    asked = algorithm(n_steps=4, batch_size=8, policy_kwargs=kwargs)
+    model = asked.build(SB3VecEnv(CountingEnv([0, 0])), seed=5)
     policy = model.policy
     assert (model.n_steps, model.batch_size, model.seed) == (4, 8, 5)
     assert torch.equal(policy.log_std, torch.full((2,), -0.7))
@@ -46,13 +52,13 @@ def test_arguments_reach_the_algorithm():
 
 def test_the_given_map_is_left_alone():
     kwargs = {"activation_fn": "relu"}
-    check_arguments("ppo", {"policy_kwargs": kwargs})
+    algorithm(policy_kwargs=kwargs)
     assert kwargs == {"activation_fn": "relu"}
 
 
 def test_unknown_algorithm():
     with pytest.raises(ConfigError) as caught:
-        check_arguments("pppo", {})
+        algorithm_class("pppo")
     assert str(caught.value) == (
         "algo.name: unknown algorithm 'pppo'; allowed: ppo, a2c, sac, td3, ddpg, dqn, trpo, tqc, "
         "crossq, recurrent_ppo Did you mean 'ppo'?"
@@ -90,13 +96,15 @@ def missing(name):
 
 
 def test_schedules_fall_to_zero():
-    arguments = check_arguments("ppo", {"learning_rate": "lin_3e-4", "clip_range": "lin_.2"})
+    arguments = algorithm(learning_rate="lin_3e-4", clip_range="lin_.2").arguments
     rates = [arguments["learning_rate"](remaining) for remaining in (1.0, 0.5, 0.0)]
     np.testing.assert_allclose(rates, [3e-4, 1.5e-4, 0.0])
     assert arguments["clip_range"](1.0) == 0.2
     found = problems(gamma="lin_0.9", learning_rate="lin_fast")
-    assert found["algo.gamma"].message == "takes no schedule, got 'lin_0.9'"
-    assert found["algo.learning_rate"].message == "a schedule is lin_VALUE, got 'lin_fast'"
+    assert found["algo.gamma"].message == "expected a number, got 'lin_0.9'"
+    assert found["algo.learning_rate"].message == (
+        "expected a number or a schedule lin_VALUE, got 'lin_fast'"
+    )
 
 
 @pytest.mark.parametrize("kind", ["normal", "ornstein-uhlenbeck"])
@@ -108,7 +116,7 @@ def test_noise_is_drawn_for_each_environment(kind):
 
 
 def test_parts_of_networks_are_those_of_the_algorithm():
-    check_arguments("sac", {"policy_kwargs": {"net_arch": {"pi": [4], "qf": [4]}}})
+    algorithm("sac", policy_kwargs={"net_arch": {"pi": [4], "qf": [4]}})
     found = problems("sac", policy_kwargs={"net_arch": {"pi": [4], "vf": [4]}})
     assert found["algo.policy_kwargs.net_arch.vf"].message == (
         "unknown part; allowed: pi (policy), qf (value)"
@@ -135,9 +143,11 @@ def test_every_mistake_is_reported_at_once():
         "algo.policy_kwargs.ortho",
     }
     assert found["algo.learnin_rate"].hint == "Did you mean 'learning_rate'?"
-    assert found["algo.n_steps"].message == "needs an integer, got 'many'"
-    assert found["algo.clip_range_vf"].message == "needs a number or null, got [1]"
-    assert found["algo.seed"].message == "cannot be set here: it stands at the root: seed=N"
+    assert found["algo.n_steps"].message == "expected an integer, got 'many'"
+    assert found["algo.clip_range_vf"].message == "expected a number or text, got [1]"
+    assert found["algo.seed"].message == (
+        "not a key of an algorithm; it is a key of the root: seed=N"
+    )
     assert found["algo.policy_kwargs.activation_fn"].hint == "Did you mean 'relu'?"
     assert found["algo.policy_kwargs.ortho"].hint == "Did you mean 'ortho_init'?"
 
@@ -146,8 +156,8 @@ def test_every_mistake_is_reported_at_once():
     ("kwargs", "message"),
     [
         ({"net_arch": [0]}, "layers need a width of at least 1, got [0]"),
-        ({"net_arch": ["a"]}, "needs a list of integers or a map or null, got ['a']"),
-        ({"log_std_init": "low"}, "needs a number, got 'low'"),
+        ({"net_arch": ["a"]}, "expected an integer or a map, got 'a'"),
+        ({"log_std_init": "low"}, "expected a number, got 'low'"),
         ({"lr_schedule": 1}, "cannot be set here: use algo.learning_rate"),
     ],
 )
@@ -158,6 +168,6 @@ def test_policy_arguments(kwargs, message):
 
 
 def test_what_the_algorithm_refuses_is_the_users_mistake():
-    arguments = check_arguments("ppo", {"n_steps": 1, "batch_size": 2})
+    asked = algorithm(n_steps=1, batch_size=2)
     with pytest.raises(ConfigError, match=r"algo: ppo refuses this: .*n_steps"):
-        build_algorithm("ppo", arguments, SB3VecEnv(CountingEnv([0])), seed=0)
+        asked.build(SB3VecEnv(CountingEnv([0])), seed=0)

@@ -139,7 +139,7 @@ def test_mistakes(make_run, tmp_path, capsys, monkeypatch):
     for arguments, message in (
         (["nowhere"], "there is no run 'nowhere'"),
         (["last"], "no training in outputs yet"),
-        ([str(tmp_path)], "holds no finished training"),
+        ([str(tmp_path)], "has no finished training"),
         ([str(plain), "-o", "x.png"], f"no curves in progress.csv of: {plain}"),
     ):
         assert main(["compare", *arguments]) == 2

@@ -12,7 +12,7 @@ import torch
 from stable_baselines3.common.vec_env import VecNormalize
 
 from embodichain.learning import SB3VecEnv, find_checkpoint, load_policy
-from embodichain.learning.algorithms import build_algorithm, check_arguments
+from embodichain.learning.algorithms import Algorithm
 from embodichain.learning.checkpoint import read_note, save_checkpoint
 from embodichain.learning.normalization import save_statistics, statistics_path
 from embodichain.utils.errors import ConfigError
@@ -22,9 +22,10 @@ NOTE = {"algo": "ppo", "group": "policy", "task": "counting"}
 
 
 def make_model(seed=0, **env_options):
-    arguments = {"n_steps": 4, "batch_size": 8, "policy_kwargs": {"log_std_init": 0.0}}
+    kwargs = {"log_std_init": 0.0}
+    arguments = {"policy": "MlpPolicy", "n_steps": 4, "batch_size": 8, "policy_kwargs": kwargs}
     vec_env = SB3VecEnv(CountingEnv([0, 3], **env_options))
-    return build_algorithm("ppo", check_arguments("ppo", arguments), vec_env, seed)
+    return Algorithm("ppo", arguments).build(vec_env, seed)
 
 
 @pytest.fixture
@@ -124,7 +125,7 @@ def other_file(tmp_path, what):
     [
         ("missing", "there is no file or folder"),
         ("text", "is no policy of Stable-Baselines3: File is not a zip file"),
-        ("folder", "holds no checkpoints/final.zip"),
+        ("folder", "has no checkpoints/final.zip"),
         ("foreign zip", "it has no data"),
         ("no algorithm", "does not say which algorithm made it"),
     ],
@@ -197,8 +198,8 @@ def test_zips_of_other_algorithms_are_played(tmp_path, algo, caplog):
 def normalized(tmp_path):
     """A run folder whose training normalized observations, and what it was trained with."""
     vec_env = VecNormalize(SB3VecEnv(CountingEnv([0, 3])), clip_obs=1.5)
-    arguments = check_arguments("ppo", {"n_steps": 4, "batch_size": 8})
-    model = build_algorithm("ppo", arguments, vec_env, 0).learn(16)
+    arguments = {"policy": "MlpPolicy", "n_steps": 4, "batch_size": 8}
+    model = Algorithm("ppo", arguments).build(vec_env, 0).learn(16)
     path = tmp_path / "run/checkpoints/final.zip"
     save_checkpoint(model, path, NOTE)
     save_statistics(statistics_path(path), vec_env)

@@ -118,7 +118,7 @@ def test_a_broken_checkpoint_is_passed_over(tmp_path):
     shutil.copy(state_path(step), state_path(final))  # killed between the two files
     assert find_resumable(run)[0] == step
     state_path(step).unlink()
-    with pytest.raises(ConfigError, match="holds no checkpoint that a training can go on from"):
+    with pytest.raises(ConfigError, match="has no checkpoint that a training can go on from"):
         find_resumable(run)
 
 
@@ -190,7 +190,7 @@ def test_replay_buffers_come_back_whole(tmp_path):
     with pytest.raises(ConfigError, match="it is of 48 steps, the checkpoint of 64"):
         train(resumed, folder(tmp_path, "mixed"))
     (first / "checkpoints/final.replay.npz").unlink()
-    with pytest.raises(ConfigError, match="holds no state of a training"):
+    with pytest.raises(ConfigError, match="has no state of a training"):
         train(resumed, folder(tmp_path, "missing"))
     with pytest.raises(ConfigError, match="ppo learns from no replay buffer"):
         train(config(*PPO, KEEP, TWO), folder(tmp_path, "ppo"))
@@ -214,7 +214,7 @@ def test_trees_come_back_to_the_bit(tmp_path):
         write_tree(tmp_path / "u.npz", {"x": [object()]})
     assert not (tmp_path / "u.npz").exists()
     (tmp_path / "t.npz").write_bytes(b"no")
-    with pytest.raises(ConfigError, match="holds no state of a training"):
+    with pytest.raises(ConfigError, match="has no state of a training"):
         read_tree(tmp_path / "t.npz")
 
 
@@ -291,7 +291,7 @@ def test_only_few_keys_may_change(tmp_path, monkeypatch, capsys):
     assert main(["train", *SMALL, TWO, "--quiet"]) == 0
     assert main(["train", "resume=last", "seed=3", "algo.gamma=0.5"]) == 2
     error = capsys.readouterr().err
-    assert "seed: a training goes on as it was" in error and "algo.gamma: a training" in error
+    assert "seed: a resumed training keeps" in error and "algo.gamma: a resumed" in error
     assert main(["train", "resume=last"]) == 2
     assert "has 64 steps already: give more" in capsys.readouterr().err
     assert main(["train", "-m", "resume=last", "total_timesteps=96,128"]) == 2

@@ -2,13 +2,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from embodichain.learning import watch
-from embodichain.learning.watch import TimeSplit
+from embodichain.learning import session
+from embodichain.learning.session import TimeSplit
 
 
 def test_every_second_belongs_to_one_part(monkeypatch):
     now = [100.0]
-    monkeypatch.setattr(watch.time, "perf_counter", lambda: now[0])
+    monkeypatch.setattr(session.time, "perf_counter", lambda: now[0])
     env = SimpleNamespace(base=SimpleNamespace(sim=SimpleNamespace(physics_seconds=7.0)))
     env.step_seconds = 8.0  # what was spent before learning belongs to nobody
     split = TimeSplit()

@@ -3,6 +3,8 @@
 import sys
 from pathlib import Path
 
+import pytest
+
 from embodichain.lab.gym.envs import BaseEnv
 from tests.helpers.house import house
 
@@ -33,3 +35,15 @@ def test_private_names_stay_in_their_modules() -> None:
 def test_the_environment_is_one_class_with_mixins() -> None:
     ours = [c for c in BaseEnv.__mro__[1:] if c.__module__.startswith("embodichain.")]
     assert {c.__name__: c.__bases__ for c in ours} == {c.__name__: (object,) for c in ours}
+
+
+@pytest.mark.parametrize(("walk", "most"), [("command", 80), ("step", 25), ("event", 15)])
+def test_a_walk_opens_few_files(walk: str, most: int) -> None:
+    """From a command line to the first step; one step; one event from YAML to its effect."""
+    files = getattr(house(), f"walk_{walk}")().files
+    assert 5 < len(files) <= most, list(files)
+
+
+def test_there_is_enough_test_for_the_source() -> None:
+    """Tests of a package that grows grow with it."""
+    assert house().lines("tests") >= 0.7 * house().lines("embodichain")

@@ -137,6 +137,17 @@ def test_what_was_recorded(record):
         assert np.array_equal(log.model.body_mass, MODEL.body_mass)
 
 
+def test_a_damaged_config_is_an_error(record, tmp_path):
+    def spoiled(name, data):
+        return b"seed\xff" if name == "config.yaml" else data
+
+    with recording.open(rewrite(record(), tmp_path / "bad.mcap", attachment=spoiled)) as log:
+        with pytest.raises(LogError, match=r"config\.yaml is damaged"):
+            log.config_yaml  # noqa: B018
+        with pytest.raises(LogError, match=r"config\.yaml is damaged"):
+            log.config  # noqa: B018
+
+
 def test_slices_are_parts_of_the_whole(record):
     path = record(steps=30)
     with recording.open(path) as log:

@@ -368,7 +368,7 @@ def test_a_run_rolls(tmp_path, monkeypatch, capfd):
     assert len(files_of(run)) > 1
     capfd.readouterr()
     assert main(["replay", str(run), "--verify"]) == 0
-    assert "verified: 250 control steps" in capfd.readouterr().out
+    assert "verified: 250 steps of 64 environments" in capfd.readouterr().out
     assert main(["replay", str(run / "rollout.manifest.json"), "--verify", "--env", "7"]) == 0
     assert main(["validate", "task=random_reach", "record.max_mb=0"]) == 2
     assert "record.max_mb" in capfd.readouterr().err

@@ -13,7 +13,7 @@ from embodichain.recording import McapRecorder, inspect, recorder, verify
 from embodichain.recording.archive import load_mjz
 from embodichain.recording.attachments import MODEL as MODEL_FILE
 from embodichain.recording.attachments import load_mjb, unpack_model
-from embodichain.recording.columns import take
+from embodichain.recording.columns import Moved
 from embodichain.recording.options import RecordOptions
 from embodichain.recording.schema import STEPS_TOPIC
 from embodichain.utils.errors import ConfigError
@@ -68,7 +68,7 @@ def test_rows_are_those_that_physics_returned(tmp_path, compression):
     assert [step for step, kind, _ in found if kind.nstep == 4] == list(range(10))
     assert len(found) == len(seen.after)
     for (_, _, arrays), rows in zip(found, seen.after, strict=True):
-        assert arrays["rows"].tobytes() == take(moved, rows).tobytes()
+        assert arrays["rows"].tobytes() == Moved(moved).take(rows).tobytes()
 
 
 def test_a_start_has_the_whole_rows_and_the_randomized_fields(tmp_path):

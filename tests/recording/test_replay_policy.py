@@ -11,9 +11,9 @@ import yaml
 import embodichain
 import embodichain.recording as recording
 from embodichain.cli.app import call
-from embodichain.cli.attach import policy_of
+from embodichain.cli.jobs import policy_of
 from embodichain.config import make_env, resolve
-from embodichain.config.frozen import dump_yaml
+from embodichain.config.resolved import dump_yaml
 from embodichain.recording import McapRecorder, verify
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
@@ -92,7 +92,7 @@ def test_nothing_that_a_log_names_is_imported(path, tmp_path, capsys):
 def test_what_cannot_be_compared(path, record):
     with pytest.raises(ConfigError, match="nothing to compare"):
         call(["replay", str(path), "--policy", "zero", "--episode", "7"])
-    with pytest.raises(ConfigError, match="holds no config"):
+    with pytest.raises(ConfigError, match="contains no config"):
         call(["replay", str(record()), "--policy", "zero"])
 
 

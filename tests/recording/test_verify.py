@@ -12,10 +12,15 @@ import embodichain.recording as recording
 from embodichain.cli import main
 from embodichain.recording import inspect, verify
 from embodichain.recording.attachments import MODEL as MODEL_FILE
-from embodichain.recording.attachments import load_mjb, model_bytes, model_digest, unpack_model
+from embodichain.recording.attachments import (
+    cpu_name,
+    load_mjb,
+    model_bytes,
+    model_digest,
+    unpack_model,
+)
 from embodichain.recording.options import RecordOptions
 from embodichain.recording.playback import Playback, Span
-from embodichain.recording.provenance import cpu_name
 from embodichain.recording.schema import START_TOPIC
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite

@@ -1,6 +1,4 @@
-"""EmbodiChain's own form of a task, its gym config, becomes a task of ours: data to data.
+"""Conversion of EmbodiChain's gym configs to tasks, as plain data, without torch or MuJoCo.
 
-`conversion.convert` is the door, `vocabulary` the tables of every key and name that is known there.
-Nothing here imports torch or MuJoCo, checks values, or knows of files but `file`; what the result
-means is checked like any other task. Nothing is imported by the package itself.
+`conversion.convert` converts one; `vocabulary` and `functors` are the tables of keys and names.
 """

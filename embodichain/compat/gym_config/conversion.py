@@ -1,4 +1,4 @@
-"""`convert`: a whole gym config becomes a task, with a list of what could not come along."""
+"""`convert`: converts a gym config to a task, with a list of what is left out."""
 
 from __future__ import annotations
 
@@ -6,20 +6,15 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from embodichain.compat.gym_config import scene
 from embodichain.compat.gym_config.draft import Draft, Path
-from embodichain.compat.gym_config.rigid_objects import (
-    convert_lights,
-    convert_objects,
-    convert_sensors,
-)
-from embodichain.compat.gym_config.robots import convert_articulations, convert_robot
 from embodichain.compat.gym_config.terms import convert_actions, convert_terms
 from embodichain.compat.gym_config.vocabulary import ENV, PHYSICS, TOP
 from embodichain.utils.errors import Problem
 
 __all__ = ["CLASSES", "Conversion", "convert"]
 
-_DEFAULT_DT = 0.01  # seconds a physics step, EmbodiChain's and ours
+_DEFAULT_DT = 0.01  # seconds per physics step, here and in EmbodiChain
 _GENERIC = ("EmbodiedEnv-v1",)
 CLASSES = (
     *("SimpleTask-v1", "PushCubeRL", "CartPoleRL", "PointMassRL", "StackBlocksTwo-v1"),
@@ -29,7 +24,7 @@ CLASSES = (
     *("UnitreeGo2FlatRL-v1", "ANYmalCFlatRL-v1", "UnitreeG1FlatRL-v1", "UnitreeH1_2FlatRL-v1"),
     *("MicroDuckFlatRL-v1", "FrankaReachApg-v0"),
 )
-"""Ids that are classes of EmbodiChain's own: their Python is not here."""
+"""Ids of EmbodiChain's environment classes, which are not in this package."""
 _COMPONENTS = ("environment", "embodiment", "scene")
 _SIMULATED = ("robot", "objects", "articulations")
 _ORDER = (
@@ -41,14 +36,14 @@ _ORDER = (
 
 @dataclass(frozen=True)
 class Conversion:
-    """What became of a gym config.
+    """The result of `convert`.
 
     Attributes:
         name: The task's name, from `id`; empty for the generic environment.
         task: The task; plain values, not checked.
         origins: Path in the task -> path in the gym config, for whole subtrees.
-        notes: What was left out or is read otherwise; paths are the gym config's.
-        problems: Mistakes: keys that nobody knows, values that cannot be converted.
+        notes: What was left out or changed; paths are the gym config's.
+        problems: Mistakes: unknown keys, values that cannot be converted.
     """
 
     name: str
@@ -58,7 +53,7 @@ class Conversion:
     problems: tuple[Problem, ...]
 
     def origin(self, path: Path) -> Path:
-        """Return where a key of the task stands in the gym config, or its nearest ancestor."""
+        """Return the path in the gym config of a key of the task, or of its nearest ancestor."""
         for count in range(len(path), 0, -1):
             source = self.origins.get(path[:count])
             if source is not None:
@@ -72,21 +67,21 @@ def convert(
     """Convert a gym config.
 
     Args:
-        config: Its content, plain values; left as it is.
-        registered: Those of `CLASSES` that the user has registered a class for.
-        ours: Whether it may hold keys of our own, and functions in the place of their names: what
-            Python code declares.
+        config: Its content, plain values; it is not changed.
+        registered: Ids in `CLASSES` for which the user has registered a class.
+        ours: Whether it may contain keys of this package, and functions instead of their names,
+            as in a task declared in Python.
     """
     draft = Draft(ours)
     draft.carry(config, (), (), TOP)
     _identity(draft, config.get("id"), registered)
     _physics(draft, config)
-    robot = convert_robot(draft, config["robot"]) if config.get("robot") is not None else ""
+    robot = scene.convert_robot(draft, config["robot"]) if config.get("robot") is not None else ""
     for section in ("background", "rigid_object"):
-        convert_objects(draft, section, config.get(section))
-    convert_articulations(draft, config.get("articulation"))
-    convert_lights(draft, config.get("light"))
-    convert_sensors(draft, config.get("sensor"))
+        scene.convert_objects(draft, section, config.get(section))
+    scene.convert_articulations(draft, config.get("articulation"))
+    scene.convert_lights(draft, config.get("light"))
+    scene.convert_sensors(draft, config.get("sensor"))
     env = config.get("env")
     if env is not None and draft.carry(env, ("env",), (), ENV):
         _control_period(draft, env)
@@ -122,7 +117,7 @@ def _identity(draft: Draft, name: Any, registered: Collection[str]) -> None:
 
 
 def _note_lost_success(draft: Draft, name: str) -> None:
-    """Say it where a reward waits for a success that nothing computes any more."""
+    """Add a note if rewards depend on a success that is not computed."""
     for key, term in draft.task.get("rewards", {}).items():
         if term["func"] == "success_reward":
             message = (
@@ -133,15 +128,15 @@ def _note_lost_success(draft: Draft, name: str) -> None:
 
 
 def _refuse_nothing(draft: Draft, config: Mapping[str, Any]) -> None:
-    """A task without robot, object and articulation would run, and simulate nothing."""
-    parts = [key for key in _COMPONENTS if config.get(key) is not None]
-    for key in parts:
-        message = "components of release 0.3 are not read: write their sections into this file"
-        draft.refuse((key,), message)
+    """Refuse a task without robot, object and articulation: it would simulate nothing."""
+    for key in _COMPONENTS:
+        if config.get(key) is not None:
+            message = "components of release 0.3 are not read: write their sections into this file"
+            draft.refuse((key,), message)
     built_in_python = "id" in draft.task
-    if draft.problems or built_in_python or any(draft.task.get(key) for key in _SIMULATED):
-        return
-    draft.refuse((), "nothing is left to simulate: the file gives no robot, object or articulation")
+    if not (draft.problems or built_in_python or any(map(draft.task.get, _SIMULATED))):
+        message = "nothing is left to simulate: the file gives no robot, object or articulation"
+        draft.refuse((), message)
 
 
 def _physics(draft: Draft, config: Mapping[str, Any]) -> None:
@@ -152,7 +147,7 @@ def _physics(draft: Draft, config: Mapping[str, Any]) -> None:
 
 
 def _control_period(draft: Draft, env: Mapping[str, Any]) -> None:
-    """`target_control_frequency` must be a whole number of physics steps, as there."""
+    """A control step must be a whole number of physics steps, as in EmbodiChain."""
     frequency, where = env.get("target_control_frequency"), ("env", "target_control_frequency")
     if frequency is None:
         return
@@ -168,7 +163,7 @@ def _control_period(draft: Draft, env: Mapping[str, Any]) -> None:
 
 
 def _suggest(draft: Draft, config: Mapping[str, Any]) -> None:
-    """Root keys of a run: suggestions, so that the command line wins."""
+    """Write root keys of a run as suggestions, so that the command line overrides them."""
     for key, name, verbs in (
         ("num_envs", "num_envs", ("run", "train")),
         ("seed", "seed", ("run", "train")),

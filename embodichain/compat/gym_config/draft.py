@@ -1,7 +1,4 @@
-"""`Draft`: the task that grows, where each part of it came from, and what could not come along.
-
-Knows paths and tables of keys; what a section means is `scene`'s and `terms`'.
-"""
+"""`Draft`: a task during conversion, the origin of its parts, and what is left out."""
 
 from __future__ import annotations
 
@@ -16,21 +13,21 @@ from embodichain.utils.suggest import did_you_mean
 __all__ = ["Draft", "Path"]
 
 Path = tuple[str, ...]
-"""Keys and indices from a root, indices as text."""
+"""Keys and indices from the root, with indices as strings."""
 
 
 class Draft:
-    """What a conversion has made so far.
+    """The intermediate result of a conversion.
 
     Args:
-        ours: Whether keys of our own go with those of the tables: they stay, and are checked with
-            the task.
+        ours: Whether keys of this package are allowed besides those of the tables; they are checked
+            with the task.
 
     Attributes:
         task: The task; plain values.
-        origins: Path in the task -> path in the gym config, for subtrees that came over whole.
+        origins: Path in the task -> path in the gym config, for whole subtrees.
         notes: What was left out and why; paths are the gym config's.
-        problems: What is wrong in the gym config.
+        problems: The mistakes in the gym config.
     """
 
     def __init__(self, ours: bool = False) -> None:
@@ -41,7 +38,7 @@ class Draft:
         self.problems: list[Problem] = []
 
     def put(self, target: Path, value: Any, source: Path) -> None:
-        """Set a value; maps on the way are made."""
+        """Set a value; missing maps of its path are created."""
         parent = self.task
         for key in target[:-1]:
             parent = parent.setdefault(key, {})
@@ -49,20 +46,20 @@ class Draft:
         self.origins[target] = source
 
     def note(self, source: Path, message: str) -> None:
-        """Say that something is left out or read otherwise."""
+        """Add a note that something is left out or changed."""
         self.notes.append(Problem(".".join(source), message))
 
     def refuse(self, source: Path, message: str, hint: str = "") -> None:
-        """Say that something is wrong."""
+        """Add a problem."""
         self.problems.append(Problem(".".join(source), message, hint.strip()))
 
     def carry(self, data: Any, source: Path, target: Path, vocabulary: Vocabulary) -> bool:
-        """Do with each key of a map what a table says; those that are handled are left to others.
+        """Apply a table's rules to the keys of a map; keys that are `HANDLED` are not touched.
 
         Args:
-            data: The map; anything else is refused.
+            data: The map; any other type is refused.
             source: Its path.
-            target: Where kept keys go.
+            target: Path in the task for the kept keys.
             vocabulary: The table.
 
         Returns:
@@ -78,30 +75,31 @@ class Draft:
             elif rule is None:
                 self.unknown(where, vocabulary)
             elif isinstance(rule, str):
-                if value is not None and value != [] and value != {}:  # nothing is left out then
+                if value is not None and value != [] and value != {}:  # else nothing is left out
                     self.note(where, rule)
             elif rule is not HANDLED:
                 self.put((*target, str(key)), value, where)
         return True
 
     def unknown(self, where: Path, allowed: Mapping[str, Any]) -> None:
-        """Refuse a key that nobody knows, with the closest that is known."""
+        """Refuse an unknown key; suggests the closest known one."""
         hint = did_you_mean(where[-1], allowed)
         self.refuse(where, f"unknown key; known: {', '.join(allowed)}.", hint)
 
     def entity(
         self, data: Any, source: Path, section: str, fallback: str | None = None
     ) -> Path | None:
-        """Where an element of a list of entities goes: under its uid, which must be its own.
+        """Return the path in the task for an element of a list of entities, by its unique uid.
 
         Args:
             data: The element.
             source: Its path.
-            section: The map of entities that it joins.
-            fallback: A key with a file, whose stem is the name of an element without uid.
+            section: The map of entities that it is added to.
+            fallback: A key with a file; the stem is the name of an element without uid.
         """
-        uid = data.get("uid") if isinstance(data, Mapping) else None
-        if not uid and fallback is not None and isinstance(data, Mapping):
+        data = data if isinstance(data, Mapping) else {}
+        uid = data.get("uid")
+        if not uid and fallback is not None:
             file = data.get(fallback)
             uid = PurePosixPath(file.replace("\\", "/")).stem if isinstance(file, str) else None
         if not isinstance(uid, str) or not uid:
@@ -114,17 +112,15 @@ class Draft:
         return section, uid
 
     def items(self, data: Any, source: Path) -> Iterator[tuple[Path, Any]]:
-        """The elements of a list with their paths; None is empty, anything else is refused."""
+        """The elements of a list with their paths; None is empty, other types are refused."""
         if data is not None and not isinstance(data, list):
             self.refuse(source, f"expected a list, got {data!r}")
-            return
-        for i, value in enumerate(data or ()):
-            yield (*source, str(i)), value
+        elif data is not None:
+            yield from (((*source, str(i)), value) for i, value in enumerate(data))
 
     def entries(self, data: Any, source: Path) -> Iterator[tuple[Path, str, Any]]:
-        """The values of a map with their paths and names; None is empty, else it is refused."""
+        """The values of a map with their paths and names; None is empty, others are refused."""
         if data is not None and not isinstance(data, Mapping):
             self.refuse(source, f"expected a map, got {data!r}")
-            return
-        for key, value in (data or {}).items():
-            yield (*source, str(key)), str(key), value
+        elif data is not None:
+            yield from (((*source, str(key)), str(key), value) for key, value in data.items())

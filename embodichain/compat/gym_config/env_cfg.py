@@ -1,4 +1,4 @@
-"""From a gym config to an `EnvCfg`, for scripts that use the Python API instead of the command."""
+"""Converts a gym config to an `EnvCfg`, for scripts that use the Python API."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from embodichain.lab.gym.envs.managers.registry import SECTIONS, TERMS, Kind
 from embodichain.lab.gym.utils.registration import REGISTERED_ENVS
 from embodichain.lab.sim.cfg import RenderCfg, SimulationManagerCfg
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.from_dict import from_dict
+from embodichain.utils.type_errors import from_dict
 
 __all__ = ["FUNCTORS", "checked_cfg", "config_to_cfg"]
 
 _log = logging.getLogger(__name__)
 _SIM_KEYS = ("headless", "gpu_id", "arena_space")
 _OURS = (*_SIM_KEYS, "device", "renderer", "render_cfg")
-"""Keys without a meaning in YAML that a `SimulationManagerCfg` does have."""
+"""Keys of a `SimulationManagerCfg` that have no equivalent in YAML."""
 FUNCTORS: Mapping[str, Kind] = {
     section: SECTIONS[section] for section in ("events", "observations", "rewards", "actions")
 }
@@ -35,14 +35,14 @@ def config_to_cfg(
     """Convert a gym config to the config of an environment; log what is left out.
 
     Args:
-        config: Its content; left as it is.
-        manager_modules: Modules, or their names, in which functors are looked for by name.
+        config: Its content; not changed.
+        manager_modules: Modules, or their names, in which functors are looked up by name.
 
     Returns:
-        A config whose terms and scene are checked when an environment is built of it.
+        The config; its terms and scene are checked when an environment is built.
 
     Raises:
-        ConfigError: Contains every unknown key and wrong type, at its path in the gym config.
+        ConfigError: Lists every unknown key and wrong type, with its path in the gym config.
     """
     modules = [
         importlib.import_module(m) if isinstance(m, str) else m for m in manager_modules or ()
@@ -89,7 +89,7 @@ def _sim_cfg(config: Mapping[str, Any]) -> SimulationManagerCfg:
 
 
 def _with_modules(config: Mapping[str, Any], modules: Sequence[ModuleType]) -> dict[str, Any]:
-    """The same config, with ``module:function`` for functors that only these modules have."""
+    """A copy with ``module:function`` for functors that are only in these modules."""
     env = config.get("env")
     if not modules or not isinstance(env, Mapping):
         return dict(config)

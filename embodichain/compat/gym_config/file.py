@@ -1,4 +1,4 @@
-"""Reading a gym config: YAML or JSON becomes plain values. What they mean is `conversion`'s."""
+"""Reads a gym config from YAML or JSON."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["is_gym_config", "read_gym_config"]
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML as people write it: ``1e5`` and ``1.0e5`` are numbers, as in JSON."""
+    """A YAML loader for which ``1e5`` and ``1.0e5`` are numbers, as in JSON."""
 
 
 _Loader.add_implicit_resolver(
@@ -29,10 +29,10 @@ def read_gym_config(path: str | Path) -> dict[str, Any]:
     """Return the content of a gym config.
 
     Args:
-        path: A file ending in ``.json``, ``.yaml`` or ``.yml``. It is only read.
+        path: A file with the suffix ``.json``, ``.yaml`` or ``.yml``.
 
     Raises:
-        ConfigError: There is no such file, or it is malformed, or it holds no map; says where.
+        ConfigError: There is no such file, or it is malformed (gives the line) or not a map.
     """
     file = Path(path)
     if not file.is_file():
@@ -52,9 +52,9 @@ def read_gym_config(path: str | Path) -> dict[str, Any]:
 
 
 def is_gym_config(data: object) -> bool:
-    """Whether a file's content is a gym config: it has a section that no task of ours has.
+    """Whether a file's content is a gym config, by a section that tasks here do not have.
 
-    That is the map ``env``, or in a composition of release 0.3 ``environment`` or ``embodiment``.
+    This is the map ``env``, or in a composition of release 0.3 ``environment`` or ``embodiment``.
     """
     if not isinstance(data, dict) or "task" in data:
         return False

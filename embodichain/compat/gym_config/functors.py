@@ -1,6 +1,6 @@
 """Names of EmbodiChain's functors: those with another name here, and those that are left out.
 
-Functors that are in no table are looked for among our terms under their own names.
+Functors in no table are looked up among the terms by their own names.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
         **each(_IK, _EEF),
     },
 }
-"""Kind -> functor -> why it is left out. A term of ours with the same name goes before it."""
+"""Kind -> functor -> why it is left out. A registered term of the name has precedence."""
 
 _TEXTURES = "textures are not drawn: colours are"
 PARAMS_LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
@@ -61,11 +61,11 @@ PARAMS_LEFT_OUT: Final[Mapping[str, Mapping[str, str]]] = {
         **each(_TEXTURES, "p_solid solid_texture_count"),
     },
 }
-"""Functor -> parameter that means nothing to our term of that name -> why."""
+"""Functor -> parameter that the term of that name here does not have -> why."""
 NEEDS_ANY: Final[Mapping[str, tuple[str, ...]]] = {
     "randomize_visual_material": ("base_color_range", "metallic_range", "roughness_range"),
 }
-"""Functor -> parameters of which one at least must be left, or there is nothing to do."""
+"""Functor -> parameters; if none of them remains, the functor has no effect and is left out."""
 
 VISUAL: Final = (
     *("randomize_visual_material", "randomize_indirect_lighting", "randomize_light"),
@@ -92,4 +92,4 @@ ACTIONS: Final[Mapping[str, str]] = {
     **each("joint_effort", "QfTerm JointEffortAction joint_effort@1"),
     **each("parallel_gripper", "ParallelGripperAction gripper.parallel@1"),
 }
-"""Action functor or contract -> our term."""
+"""Action functor or contract -> term here."""

@@ -1,12 +1,9 @@
-"""Functors of a gym config become terms: events, observations, rewards, actions.
-
-Which terms exist is asked of the registry; that parameters fit is checked with the whole task.
-"""
+"""Converts functors of a gym config to terms; parameters are checked with the whole task."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 from embodichain.compat.gym_config.draft import Draft, Path
 from embodichain.compat.gym_config.functors import (
@@ -23,12 +20,11 @@ from embodichain.compat.gym_config.vocabulary import (
     REWARD,
     Vocabulary,
 )
-from embodichain.lab.gym.envs.managers.registry import TERMS, TermSpec
+from embodichain.lab.gym.envs.managers.registry import TERMS, Kind, TermSpec
 
 __all__ = ["convert_actions", "convert_terms"]
 
-FunctorKind = Literal["event", "observation", "reward", "action"]
-_TABLES: Mapping[str, tuple[FunctorKind, Vocabulary]] = {
+_TABLES: Mapping[str, tuple[Kind, Vocabulary]] = {
     "events": ("event", EVENT),
     "observations": ("observation", OBSERVATION),
     "rewards": ("reward", REWARD),
@@ -41,18 +37,18 @@ _JOINTS = {
     "joint_ids": "joint_ids",
     "preserve_order": "preserve_order",
 }
-"""Parameters that pick a robot's joints -> the key of an `entity_cfg` that does."""
+"""Parameters that pick a robot's joints -> the equivalent key of an `entity_cfg`."""
 _EVERY_JOINT = "actions have only these; robot/qpos, robot/qvel and robot/qf have every joint"
 _CLIPPED_THERE = ("default_offset_joint_position",)
-"""Terms whose actions EmbodiChain clamps too, to the same bounds."""
+"""Terms for which EmbodiChain clamps actions to the same bounds as here."""
 
 
 def convert_terms(draft: Draft, section: str, env: Mapping[str, Any], robot: str) -> None:
     """Convert `env.events`, `env.observations` or `env.rewards`.
 
     Args:
-        draft: Grows by the terms.
-        section: Which of them.
+        draft: The draft; the terms are added to it.
+        section: ``events``, ``observations`` or ``rewards``.
         env: The section `env`.
         robot: The robot's uid, for functors that name none.
     """
@@ -72,7 +68,7 @@ def convert_terms(draft: Draft, section: str, env: Mapping[str, Any], robot: str
         target = (section, name)
         draft.put((*target, "func"), func, (*source, "func"))
         if section == "observations":
-            # EmbodiChain's default is to modify, ours to add.
+            # EmbodiChain's default is to modify, here it is to add.
             draft.put((*target, "mode"), functor.get("mode", "modify"), (*source, "mode"))
         draft.carry(functor, source, target, vocabulary)
         if params:
@@ -81,10 +77,10 @@ def convert_terms(draft: Draft, section: str, env: Mapping[str, Any], robot: str
 
 
 def convert_actions(draft: Draft, env: Mapping[str, Any], robot: str) -> None:
-    """Convert `env.actions`; parts or joints that are active stand without them for targets.
+    """Convert `env.actions`; without it, actions are position targets of active parts or joints.
 
     Args:
-        draft: Grows by the terms.
+        draft: The draft; the terms are added to it.
         env: The section `env`.
         robot: The robot's uid.
     """
@@ -107,16 +103,14 @@ def convert_actions(draft: Draft, env: Mapping[str, Any], robot: str) -> None:
             draft.put((*target, "params"), params, (*source, "params"))
 
 
-def _find(
-    draft: Draft, kind: FunctorKind, functor: Any, source: Path
-) -> tuple[TermSpec | None, Any]:
-    """The term a functor means, if it is registered, and what to call it; None leaves it out."""
+def _find(draft: Draft, kind: Kind, functor: Any, source: Path) -> tuple[TermSpec | None, Any]:
+    """The term for a functor, if it is registered, and its name; a name None leaves it out."""
     if not isinstance(functor, Mapping):
         draft.refuse(source, f"expected a map, got {functor!r}")
         return None, None
     key = "contract" if "func" not in functor and "contract" in functor else "func"
     written = functor.get(key)
-    if callable(written):  # declared in Python: a function of the user's own
+    if callable(written):  # declared in Python: a user's function
         return None, written
     if not isinstance(written, str) or not written:
         draft.refuse((*source, key), "missing value: the name of a functor")
@@ -128,7 +122,7 @@ def _find(
     if name not in known and name in LEFT_OUT[kind]:
         message = f"{name}: {LEFT_OUT[kind][name]}"
         if kind == "action" and name != "QposNormalizedTerm":
-            draft.refuse((*source, key), message)  # without it the robot would be driven otherwise
+            draft.refuse((*source, key), message)  # leaving it out would change the control
         else:
             draft.note(source, message)
         return None, None
@@ -136,7 +130,7 @@ def _find(
 
 
 def _local(name: str) -> str:
-    """A functor's own name; of a user's dotted one, ``package.module:function``."""
+    """A functor's local name; ``package.module:function`` for a user's dotted name."""
     if "." not in name or ":" in name or "@" in name:
         return name
     module, _, function = name.rpartition(".")
@@ -152,7 +146,7 @@ def _params(draft: Draft, functor: Mapping[str, Any], source: Path) -> dict[str,
 
 
 def _known_params(draft: Draft, params: dict[str, Any], func: str, source: Path) -> dict[str, Any]:
-    """Parameters without those that are known there and mean nothing to our term."""
+    """The parameters that the term here has."""
     reasons = PARAMS_LEFT_OUT.get(func, {})
     for key in params:
         if key in reasons:
@@ -163,11 +157,11 @@ def _known_params(draft: Draft, params: dict[str, Any], func: str, source: Path)
 def _with_entity(
     params: dict[str, Any], spec: TermSpec | None, entity: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Joints picked by parameters that our term lacks stand in its `entity_cfg` instead."""
+    """Move parameters that pick joints, and that the term here lacks, into its `entity_cfg`."""
     if spec is None or "entity_cfg" not in spec.params or "entity_cfg" in params:
         return params
     picked = {k: params[k] for k in (*_JOINTS, "robot_uid") if k in params and k not in spec.params}
-    if not picked and spec.kind != "action":  # a term's entity is for the user to name
+    if not picked and spec.kind != "action":  # the user has to name the term's entity
         return params
     rest = {k: v for k, v in params.items() if k not in picked}
     wanted = {_JOINTS[k]: v for k, v in picked.items() if k in _JOINTS and v is not None}
@@ -183,7 +177,7 @@ def _action_params(
     spec: TermSpec | None,
     entity: Mapping[str, Any],
 ) -> dict[str, Any]:
-    """Parameters of an action term: which joints, and the formula's."""
+    """Parameters of an action term: its joints, and those of its formula."""
     params = _params(draft, functor, source)
     if spec is None:
         return params

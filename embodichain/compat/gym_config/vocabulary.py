@@ -1,8 +1,8 @@
-"""Every key that a gym config may have, and what becomes of it.
+"""Every key that a gym config may have, with a rule for its conversion.
 
-A rule is `KEEP` (the key has the same name here), `HANDLED` (code gives it its meaning), or a text:
-the key is left out, and the text says why. Functors are in `functors`. The page
-docs/compatibility.md lists what is left out from these tables.
+A rule is `KEEP` (the key has the same name here), `HANDLED` (converted by code), or a string with
+the reason why the key is left out. Functors are in `functors`. docs/compatibility.md lists the
+keys that are left out from these tables.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ __all__ = ["HANDLED", "KEEP", "Rule", "Vocabulary", "each"]
 
 
 class Found(Enum):
-    """What becomes of a key that is not left out."""
+    """Rules for keys that are not left out."""
 
     KEEP = auto()
     HANDLED = auto()
@@ -32,7 +32,7 @@ R = TypeVar("R")
 
 
 def each(rule: R, names: str) -> dict[str, R]:
-    """Return the same rule for several names, which are written with spaces between them."""
+    """Return the same rule for several names, separated by spaces."""
     return dict.fromkeys(names.split(), rule)
 
 
@@ -54,7 +54,7 @@ TOP: Vocabulary = {
     **each(HANDLED, "light background rigid_object articulation env"),
     **each(HANDLED, "environment embodiment scene"),
     "max_episode_steps": KEEP,
-    "headless": "a run opens no window unless viewer=native asks for one",
+    "headless": "a run opens no window unless viewer=native",
     "gpu_id": "physics runs on the CPU",
     "arena_space": "every environment is its own world",
     **each(_RENDER, "renderer render_cfg"),
@@ -158,7 +158,7 @@ ATTRS: Vocabulary = {
     **each("MuJoCo has no velocity limit", "max_linear_velocity max_angular_velocity"),
 }
 ATTR_GROUPS: Final = ("mass_props", "rigid_props", "collision_props", "material_props")
-"""Release 0.3 puts the keys of `ATTRS` into these."""
+"""Groups that contain the keys of `ATTRS` in release 0.3."""
 
 SHAPES: Mapping[str, Vocabulary] = {
     "Cube": {"size": KEEP},

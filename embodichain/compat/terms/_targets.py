@@ -1,4 +1,4 @@
-"""What EmbodiChain's terms refer to: entities, joints, tools, and attributes of the environment."""
+"""References of EmbodiChain's terms: entities, joints, tools and attributes of the environment."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
     "Articulation",
@@ -27,12 +27,11 @@ __all__ = [
 
 T = TypeVar("T")
 _SHARED = ("affordance_datas",)
-"""Attributes of the environment that are made for terms to write into."""
-_PACKAGE = "embodichain.lab."
+"""Attributes of the environment that exist for terms to write into."""
 
 
 class _Has(Reference):
-    """An entity whose handle has an attribute, which tells the kinds of handles apart."""
+    """A reference to an entity of one kind, recognized by an attribute of its handle."""
 
     def __init__(self, attribute: str, kind: str) -> None:
         self._attribute, self._kind = attribute, kind
@@ -53,7 +52,7 @@ else:
 
 @contextmanager
 def as_parameters(names: Mapping[str, str]) -> Iterator[None]:
-    """Name the keys of a reference as the term's parameters in errors.
+    """Rename the keys of a reference to the term's parameters in errors.
 
     Args:
         names: Key -> parameter.
@@ -73,7 +72,7 @@ def joints_of(
     part_name: str | None = None,
     entity_cfg: ResolvedEntity | None = None,
 ) -> ResolvedEntity:
-    """Joints given by a reference, or as EmbodiChain does.
+    """Joints given by a reference, or by EmbodiChain's parameters.
 
     Args:
         robot_uid: The robot; None is the task's own.
@@ -82,7 +81,7 @@ def joints_of(
         entity_cfg: Robot and joints by name, instead of all three (ours).
 
     Raises:
-        ConfigError: If there is no such robot, joint or part, or both ways are mixed.
+        ConfigError: If there is no such robot, joint or part, or both forms are given.
     """
     given = {"robot_uid": robot_uid, "joint_ids": joint_ids, "part_name": part_name}
     mixed = [name for name, value in given.items() if value is not None]
@@ -106,9 +105,9 @@ def joints_of(
 
 
 def target_position(env: TermContext, key: str) -> F64:
-    """(N, 3) metres: positions, or those of poses (N, 4, 4), that are kept as ``env.<key>``.
+    """(N, 3) positions in metres stored as ``env.<key>``, as positions or as poses (N, 4, 4).
 
-    The world's origin before the first reset, when nothing can have written the poses.
+    Before the first reset, when no event can have written them, it is the world's origin.
 
     Raises:
         ConfigError: If the environment has no such poses.
@@ -136,7 +135,7 @@ def target_position(env: TermContext, key: str) -> F64:
 def tool_of(
     env: TermContext, end_effector_cfg: ResolvedEntity | None, part_name: str | None
 ) -> ResolvedEntity:
-    """The link that acts: the one given, else a part's tool point, else its farthest link.
+    """The tool's link: the given one, else that of a part's tool point, else its farthest link.
 
     Args:
         env: The environment.
@@ -144,7 +143,7 @@ def tool_of(
         part_name: A control part of the task's robot; None is the whole robot.
 
     Raises:
-        ConfigError: If both are given, there is no such part or robot, or not one such link.
+        ConfigError: If both are given, there is no such part or robot, or not exactly one link.
     """
     if end_effector_cfg is not None:
         if part_name is not None:
@@ -165,18 +164,21 @@ def tool_of(
 
 
 def stored(env: TermContext, name: str, first: Callable[[], T], path: str) -> T:
-    """The value of ``env.<name>``; made by `first` where there is none.
+    """The value of ``env.<name>``, created by `first` if there is none.
 
     Args:
         env: The environment.
         name: The attribute. Terms may share it; ``extensions`` or a user's class may declare it.
-        first: Makes the first value.
+        first: Creates the first value.
         path: The parameter that names it, for messages.
 
     Raises:
-        ConfigError: If the name is no identifier, or belongs to the environment.
+        ConfigError: If the name is not an identifier, or is an attribute of the environment class.
     """
-    if not name.isidentifier() or name.startswith("_") or _is_environments(env, name):
+    bases = [base for base in type(env).__mro__ if base.__module__.startswith("embodichain.lab.")]
+    own = {n for base in bases for n in (*vars(base), *vars(base).get("__annotations__", {}))}
+    taken = name in own and name not in _SHARED
+    if not name.isidentifier() or name.startswith("_") or taken:
         message = f"{name!r} is not an identifier, or taken by the environment"
         raise ConfigError([Problem(path, message)])
     if not hasattr(env, name):
@@ -188,14 +190,6 @@ def stored(env: TermContext, name: str, first: Callable[[], T], path: str) -> T:
         raise ConfigError([Problem(path, message)])
     value: T = found
     return value
-
-
-def _is_environments(env: TermContext, name: str) -> bool:
-    """Whether an attribute is one of the package's own class of environments."""
-    own = [base for base in type(env).__mro__ if base.__module__.startswith(_PACKAGE)]
-    return name not in _SHARED and any(
-        name in vars(base) or name in vars(base).get("__annotations__", {}) for base in own
-    )
 
 
 def asset_of(env: TermContext, uid: str, path: str, objects_only: bool = False) -> Any:

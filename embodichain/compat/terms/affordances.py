@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final, Literal
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 else:
     torch = lazy_loader.load("torch")
 
@@ -48,7 +48,7 @@ class ExtraAttr:
     """One attribute of some entities.
 
     Attributes:
-        name: What it is called.
+        name: Its name.
         mode: `static` takes `value`; `callable` calls `func_name`.
         value: Anything.
         entity_cfg: The entity; or
@@ -82,7 +82,7 @@ class PoseParams:
 
 @dataclass
 class Registry:
-    """What `register_info_to_env` registers of one entity."""
+    """The values that `register_info_to_env` registers for one entity."""
 
     __pydantic_config__ = {"extra": "forbid"}
 
@@ -93,7 +93,7 @@ class Registry:
 
 
 def _uids_of(env: TermContext, wanted: Relative, path: str) -> list[str]:
-    """Uids that `all_objects` (rigid objects and articulations), `all_robots` or names mean.
+    """Uids for `all_objects` (rigid objects and articulations), `all_robots`, or a list of names.
 
     Raises:
         ConfigError: If an entity does not exist; lists those that do.
@@ -113,65 +113,68 @@ def _uids_of(env: TermContext, wanted: Relative, path: str) -> list[str]:
 
 @register_term("event", name="prepare_extra_attr")
 class PrepareExtraAttr(Term):
-    """Attaches attributes to entities, as ``env.extra_attrs[uid][name]``: EmbodiChain's event.
+    """Attaches attributes to entities, as ``env.extra_attrs[uid][name]``.
 
     Args:
         attrs: Each a map with `name`; `entity_uids` (names, `all_objects` or `all_robots`) or
             `entity_cfg`; and `value`, or `mode: callable` with `func_name` (a method of the
             entity's handle, or ``package.module:function`` that gets env, env_ids and the handle)
-            and `func_kwargs`. Callables are called at every firing.
+            and `func_kwargs`. Callables are called whenever the event is.
 
     Example:
         ``{func: prepare_extra_attr, mode: startup, params: {attrs: [{name: grasp_width, entity_uids: [cube], value: 0.04}, {name: size, mode: callable, entity_uids: all_objects, func_name: get_body_scale}]}}``
     """  # noqa: E501
 
     def __init__(self, env: TermContext, attrs: list[ExtraAttr]) -> None:
-        self._attrs = [(a, *_checked(env, a, f"attrs.{n}")) for n, a in enumerate(attrs)]
+        self._values = [
+            (uid, attr.name, _value_of(env, attr, uid, f"attrs.{number}"))
+            for number, attr in enumerate(attrs)
+            for uid in _uids_with(env, attr, f"attrs.{number}")
+        ]
         stored(env, EXTRA_ATTRS, dict, "attrs")
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Set the attributes."""
         table: dict[str, dict[str, Any]] = getattr(env, EXTRA_ATTRS)
-        for attr, uids, func in self._attrs:
-            for uid in uids:
-                value = attr.value
-                if attr.mode == "callable":
-                    handle = env.sim.get_asset(uid)
-                    first = (env, env_ids, handle) if func is not None else ()
-                    call = getattr(handle, str(attr.func_name)) if func is None else func
-                    value = call(*first, **attr.func_kwargs)
-                table.setdefault(uid, {})[attr.name] = value
+        for uid, name, value in self._values:
+            table.setdefault(uid, {})[name] = value(env_ids)
 
 
-def _checked(env: TermContext, attr: ExtraAttr, path: str) -> tuple[list[str], Any]:
-    """The entities that an attribute belongs to, and the function that is imported for it."""
+def _uids_with(env: TermContext, attr: ExtraAttr, path: str) -> list[str]:
+    """The entities that an attribute belongs to."""
     if (attr.entity_cfg is None) == (attr.entity_uids is None):
         raise ConfigError([Problem(path, "give either entity_uids or entity_cfg")])
     if attr.entity_cfg is not None:
-        uids = _uids_of(env, attr.entity_cfg.uid, f"{path}.entity_cfg.uid")
-    else:
-        uids = _uids_of(env, attr.entity_uids or [], f"{path}.entity_uids")
+        return _uids_of(env, attr.entity_cfg.uid, f"{path}.entity_cfg.uid")
+    return _uids_of(env, attr.entity_uids or [], f"{path}.entity_uids")
+
+
+def _value_of(
+    env: TermContext, attr: ExtraAttr, uid: str, path: str
+) -> Callable[[EnvIndex | None], Any]:
+    """Return a function that returns the value of an entity's attribute."""
+    name, handle = attr.func_name, env.sim.get_asset(uid)
     if attr.mode == "static":
-        if attr.value is None or attr.func_name is not None:
-            raise ConfigError([Problem(f"{path}.value", "a static attribute is its value")])
-        return uids, None
-    if attr.func_name is None:
-        raise ConfigError([Problem(f"{path}.func_name", "a callable attribute names a function")])
-    if ":" in attr.func_name:
-        return uids, import_object(attr.func_name)
-    for uid in uids:
-        handle = env.sim.get_asset(uid)
-        if not callable(getattr(handle, attr.func_name, None)):
-            methods = [n for n in dir(handle) if not n.startswith("_")]
-            hint = did_you_mean(attr.func_name, methods).strip()
-            message = f"{type(handle).__name__} {uid!r} has no method {attr.func_name!r}"
-            raise ConfigError([Problem(f"{path}.func_name", message, hint)])
-    return uids, None
+        if attr.value is None or name is not None:
+            raise ConfigError([Problem(f"{path}.value", "a static attribute needs a value")])
+        return lambda env_ids: attr.value
+    if name is None:
+        raise ConfigError([Problem(f"{path}.func_name", "a callable attribute needs a function")])
+    if ":" in name:
+        function = import_object(name)
+        return lambda env_ids: function(env, env_ids, handle, **attr.func_kwargs)
+    if not callable(getattr(handle, name, None)):
+        methods = [n for n in dir(handle) if not n.startswith("_")]
+        message = f"{type(handle).__name__} {uid!r} has no method {name!r}"
+        raise ConfigError(
+            [Problem(f"{path}.func_name", message, did_you_mean(name, methods).strip())]
+        )
+    return lambda env_ids: getattr(handle, name)(**attr.func_kwargs)
 
 
 @register_term("event", name="register_info_to_env")
 class RegisterInfoToEnv(Term):
-    """Copies attributes and poses of entities into ``env.<registration>``: EmbodiChain's event.
+    """Copies attributes and poses of entities into ``env.<registration>``.
 
     An attribute is called ``{uid}_{attribute}``. ``{uid}_pose`` is the entity's pose in the
     environment's frame (``{uid}_{link}_pose`` of a picked link), ``{other}_pose_{uid}`` the pose of
@@ -181,8 +184,8 @@ class RegisterInfoToEnv(Term):
         registry: Each a map with `entity_cfg`, `attrs` and `prefix` as of `register_entity_attrs`,
             and `pose_register_params` as of `register_entity_pose` (absent: no poses).
         registration: Attribute of the environment, a dictionary; made if there is none.
-        sim_update: Whether these environments take 100 physics steps before, so that what was
-            placed has settled.
+        sim_update: Whether these environments take 100 physics steps before, so that objects have
+            settled.
 
     Example:
         ``{func: register_info_to_env, mode: reset, params: {sim_update: false, registry: [{entity_cfg: {uid: cube}, attrs: [get_body_scale], pose_register_params: {to_matrix: false}}]}}``
@@ -215,12 +218,16 @@ class RegisterInfoToEnv(Term):
                 self._put_pose(entity, entry.pose_register_params, env_ids)
 
     def _put(self, key: str, value: Any, env_ids: EnvIndex | None) -> None:
-        """Set an entry; of a tensor (N, ...) only the rows of these environments."""
+        """Set an entry; for a tensor (N, ...) only the rows of these environments."""
         table: dict[str, Any] = getattr(self._env, self._table)
         self._keys[key] = None
-        old = table.get(key)
-        if env_ids is not None and isinstance(value, torch.Tensor):
-            value = _with_rows(old, value, env_ids, self._env.num_envs)
+        old: Any = table.get(key)
+        both = isinstance(value, torch.Tensor) and isinstance(old, torch.Tensor)
+        rows = env_ids is not None and both and len(value) == self._env.num_envs
+        if rows and old.shape == value.shape:
+            merged = old.clone()  # references to the old tensor keep its values
+            merged[env_ids] = value[env_ids]
+            value = merged
         table[key] = value
 
     def state_dict(self) -> dict[str, Any]:
@@ -229,7 +236,7 @@ class RegisterInfoToEnv(Term):
         return {key: copy.deepcopy(table[key]) for key in self._keys if key in table}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue where `state_dict` was taken."""
+        """Restore the state of a `state_dict`."""
         self._keys = dict.fromkeys(state)
         getattr(self._env, self._table).update(copy.deepcopy(state))
 
@@ -274,15 +281,6 @@ class RegisterInfoToEnv(Term):
             values = np.concatenate(pose, axis=1)
             values = pose_to_matrix(values) if how.to_matrix else values
             self._put(key, torch.from_numpy(values.astype(np.float32)), env_ids)
-
-
-def _with_rows(old: Any, new: torch.Tensor, ids: EnvIndex, num_envs: int) -> torch.Tensor:
-    """The old values with the new ones of some environments, where both are of all of them."""
-    if not isinstance(old, torch.Tensor) or old.shape != new.shape or len(new) != num_envs:
-        return new
-    rows, merged = torch.from_numpy(ids), old.clone()
-    merged[rows] = new[rows]
-    return merged
 
 
 def _as_pose(value: Any, count: int) -> tuple[F64, F64]:

@@ -9,13 +9,13 @@ import lazy_loader
 import numpy as np
 from pydantic import Field
 
-from embodichain.compat.terms._targets import joints_of, tool_of
+from embodichain.compat.terms._targets import RigidObject, joints_of, tool_of
 from embodichain.compat.terms._targets import target_position as stored_position
 from embodichain.lab.gym.envs.managers.param_types import Body, Joints, Range
 from embodichain.lab.gym.envs.managers.registry import quantity, register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.mdp._rotations import pose_matrix
+from embodichain.lab.gym.envs.mdp.quantities.bodies import pose_matrix
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import pose_to_matrix
 
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 else:
     torch = lazy_loader.load("torch")
 
 __all__ = [
-    "GetRigidObjectPhysicsAttributes",
     "GetRobotEefPose",
     "NormalizeRobotJointData",
     "get_articulation_joint_drive",
     "get_object_body_scale",
     "get_object_pose",
     "get_object_uid",
+    "get_rigid_object_physics_attributes",
     "get_rigid_object_velocity",
     "target_position",
 ]
@@ -45,14 +45,12 @@ Attributes = Annotated[Sequence[Attribute], Field(min_length=1)]
 Gains = Annotated[Sequence[Gain], Field(min_length=1)]
 _ALL_GAINS: tuple[Gain, ...] = get_args(Gain)
 _NO_LIMIT = 1e10
-"""What EmbodiChain's configs write for an effort or velocity without a limit."""
+"""Value in EmbodiChain's configs for an effort or velocity without a limit."""
 
 
 @register_term("observation")
 def get_object_pose(env: TermContext, obs: Any, entity_cfg: Body, to_matrix: bool = True) -> F64:
     """Pose of an object, a robot's root, or the picked link, in the environment's frame.
-
-    EmbodiChain's observation of the same name; an unknown uid is an error here, not zeros.
 
     Args:
         entity_cfg: The entity.
@@ -69,8 +67,6 @@ def get_object_pose(env: TermContext, obs: Any, entity_cfg: Body, to_matrix: boo
 def get_rigid_object_velocity(env: TermContext, entity_cfg: Body) -> F64:
     """(N, 6) linear velocity in m/s, then angular in rad/s, world axes; zeros unless dynamic.
 
-    EmbodiChain's observation of the same name.
-
     Args:
         entity_cfg: The object (or a robot, then its root).
 
@@ -84,9 +80,8 @@ def get_rigid_object_velocity(env: TermContext, entity_cfg: Body) -> F64:
 class GetRobotEefPose:
     """Pose of the robot's tool in the environment's frame: (N, 4, 4), or (N, 3) metres.
 
-    EmbodiChain's observation of the same name. The tool is the tool point that the robot's
-    `solver_cfg` gives the part, else the last link that hangs from the part's last joint; it is
-    read off the simulation, which is the forward kinematics.
+    The tool is the tool point that the robot's `solver_cfg` gives the part, else the last link that
+    the part's last joint moves.
 
     Args:
         part_name: A control part of the task's robot; None is the whole robot.
@@ -114,8 +109,7 @@ class GetRobotEefPose:
 def target_position(env: TermContext, target_pose_key: str = "goal_pose") -> F64:
     """(N, 3) position in metres of the poses that an event stores as ``env.<target_pose_key>``.
 
-    EmbodiChain's observation of the same name. `randomize_target_pose` writes such poses; where
-    nothing has, that is an error at the first reset, not zeros.
+    `randomize_target_pose` stores such poses; without them the first reset is an error.
 
     Args:
         target_pose_key: The attribute, poses (N, 4, 4).
@@ -129,8 +123,6 @@ def target_position(env: TermContext, target_pose_key: str = "goal_pose") -> F64
 @register_term("observation")
 def get_object_body_scale(env: TermContext, obs: Any, entity_cfg: ResolvedEntity) -> torch.Tensor:
     """(N, 3) scale of an entity's declared shape or file, along its own axes.
-
-    EmbodiChain's observation of the same name.
 
     Args:
         entity_cfg: The object or robot.
@@ -150,8 +142,6 @@ def get_object_body_scale(env: TermContext, obs: Any, entity_cfg: ResolvedEntity
 def get_object_uid(env: TermContext, obs: Any, entity_cfg: ResolvedEntity) -> torch.Tensor:
     """(N,) int32 number of an entity in segmentation images: MuJoCo's id of its (root) body.
 
-    EmbodiChain's observation of the same name.
-
     Args:
         entity_cfg: The entity, or one link of it.
 
@@ -161,13 +151,17 @@ def get_object_uid(env: TermContext, obs: Any, entity_cfg: ResolvedEntity) -> to
     return torch.full((env.num_envs,), entity_cfg.body_id, dtype=torch.int32)
 
 
-@register_term("observation", name="get_rigid_object_physics_attributes")
-class GetRigidObjectPhysicsAttributes(Term):
-    """Physical properties of a rigid object side by side, each environment's own.
+@register_term("observation")
+def get_rigid_object_physics_attributes(
+    env: TermContext,
+    obs: Any,
+    entity_cfg: RigidObject,
+    attributes: Attributes = ("mass", "friction", "damping", "inertia"),
+) -> torch.Tensor:
+    """(N, K) physical properties of a rigid object side by side, each environment's own.
 
     ``mass`` (kg), ``friction`` (sliding), ``damping`` (linear, angular, 1/s) and ``inertia`` (three
-    principal moments, kg m^2): (N, 7) with all of them. EmbodiChain's observation of the same name
-    gives a nested dictionary; here it is one vector, that a learner can take.
+    principal moments, kg m^2): K is 7 with all of them. In EmbodiChain it is a nested dictionary.
 
     Args:
         entity_cfg: The object.
@@ -176,22 +170,8 @@ class GetRigidObjectPhysicsAttributes(Term):
     Example:
         ``{func: get_rigid_object_physics_attributes, params: {entity_cfg: {uid: cube}}}``
     """
-
-    def __init__(
-        self,
-        env: TermContext,
-        entity_cfg: ResolvedEntity,
-        attributes: Attributes = ("mass", "friction", "damping", "inertia"),
-    ) -> None:
-        asset = entity_cfg.asset
-        if not hasattr(asset, "get_friction"):
-            message = f"{entity_cfg.uid!r} is no rigid object; see get_articulation_joint_drive"
-            raise ConfigError([Problem("entity_cfg.uid", message)])
-        self._reads = [getattr(asset, f"get_{name}") for name in attributes]
-
-    def __call__(self, env: TermContext, obs: Any) -> torch.Tensor:
-        """(N, K) the attributes side by side."""
-        return torch.cat([read().reshape(env.num_envs, -1) for read in self._reads], dim=1)
+    values = [getattr(entity_cfg.asset, f"get_{name}")() for name in attributes]
+    return torch.cat([value.reshape(env.num_envs, -1) for value in values], dim=1)
 
 
 @quantity("observation")
@@ -202,8 +182,7 @@ def get_articulation_joint_drive(
 
     K columns of the picked joints for each property: stiffness (N m/rad), damping (N m s/rad),
     max_effort (N m), max_velocity (rad/s), friction (N m), armature (kg m^2); N, m and kg for
-    slides. What has no limit reads 1e10, as EmbodiChain writes it. EmbodiChain's observation of the
-    same name gives a nested dictionary; here it is one vector, that a learner can take.
+    slides. 1e10 is no limit. In EmbodiChain it is a nested dictionary.
 
     Args:
         entity_cfg: The robot; its joint names or control parts pick joints.
@@ -224,9 +203,9 @@ class NormalizeRobotJointData(Term):
     """Maps joint data of the robot from the joints' limits to a range: for ``mode: modify``.
 
     (x - low) / (high - low) x (range[1] - range[0]) + range[0] in the picked columns; other columns
-    stay as they are, nothing is clipped. EmbodiChain's observation of the same name, for
-    ``robot/qpos``, ``robot/qvel`` and ``robot/qf`` (or any entry with a column for each active
-    joint). A hinge without position limits (URDF's ``continuous``) is mapped from [-pi, pi] rad.
+    stay as they are, nothing is clipped. For ``robot/qpos``, ``robot/qvel``, ``robot/qf``, or any
+    entry with a column for each active joint. A hinge without position limits (URDF's
+    ``continuous``) is mapped from [-pi, pi] rad.
 
     Args:
         joint_ids: The columns, which are those of the active joints: joints that mimic another one
@@ -253,33 +232,35 @@ class NormalizeRobotJointData(Term):
         range: Range = (0.0, 1.0),
     ) -> None:
         active = list(env.active_joint_ids)
-        self._columns = _active_columns(env, active, joint_ids, control_parts)
         self._width = len(active)
-        self._of = joints_of(env, joint_ids=[active[column] for column in self._columns])
-        self._ids = np.asarray(self._of.joint_ids, np.int64)
-        self._positions = limit == "qpos_limits"
-        most: F64 = np.asarray(getattr(self._of.asset.parsed, limit), np.float64)[self._ids]
-        self._most = most
-        self._turning = np.zeros(len(most), np.bool_)
-        if self._positions:
-            self._turning = ~np.isfinite(most).any(axis=1) & self._of.hinges()
-            limited = np.isfinite(most).all(axis=1) | self._turning
-        else:  # a file that gives no velocity or effort says 0
-            limited = np.isfinite(most) & (most > 0)
-        _need_limits(self._of, limited, "limit", limit)
+        self._columns = _active_columns(env, active, joint_ids, control_parts)
+        joints = joints_of(env, joint_ids=[active[column] for column in self._columns])
+        self._ids = np.asarray(joints.joint_ids, np.int64)
+        self._drives = joints.asset.drives if limit == "qpos_limits" else None
+        limits: F64 = np.asarray(getattr(joints.asset.parsed, limit), np.float64)[self._ids]
+        if self._drives is None:  # 0 in a file means that no velocity or effort limit is given
+            limits = np.stack([-limits, np.where(limits > 0, limits, np.inf)], axis=1)
+        limited = np.isfinite(limits)
+        self._turning = ~limited.any(axis=1) & joints.hinges() & (self._drives is not None)
+        self._limits = limits
+        named = zip(joints.joint_names, limited.all(axis=1) | self._turning, strict=True)
+        missing = [name for name, fine in named if not fine]
+        if missing:
+            message = f"joints of {joints.uid!r} without {limit}: {', '.join(missing)}"
+            raise ConfigError([Problem("limit", message)])
         self._start, self._span = float(range[0]), float(range[1]) - float(range[0])
 
     def __call__(self, env: TermContext, data: torch.Tensor) -> torch.Tensor:
         """(N, A) the data with the picked columns mapped."""
         if data.ndim != 2 or data.shape[1] != self._width:
             raise ValueError(
-                f"normalize_robot_joint_data wants ({env.num_envs}, {self._width}), one column for "
+                f"normalize_robot_joint_data needs ({env.num_envs}, {self._width}), one column for "
                 f"each active joint, got {tuple(data.shape)}"
             )
         values = data.numpy().astype(np.float64)
-        low, high = -self._most, self._most
-        if self._positions:
-            low, high = self._of.asset.drives.limits.of(self._ids, None)
+        low, high = self._limits.T
+        if self._drives is not None:
+            low, high = self._drives.limits.of(self._ids, None)
             low, high = np.where(self._turning, -np.pi, low), np.where(self._turning, np.pi, high)
         picked = values[:, self._columns]
         values[:, self._columns] = (picked - low) / (high - low) * self._span + self._start
@@ -292,12 +273,9 @@ def _active_columns(
     """Columns among the active joints."""
     if control_parts is None or env.robot is None:
         columns = list(range(len(active))) if joint_ids is None else joint_ids
-        strange = [column for column in columns if not 0 <= column < len(active)]
-        if strange:
-            message = (
-                f"columns of the active joints, of which there are {len(active)}, numbered from 0; "
-                f"got {strange}"
-            )
+        wrong = [column for column in columns if not 0 <= column < len(active)]
+        if wrong:
+            message = f"columns of the {len(active)} active joints, numbered from 0; got {wrong}"
             raise ConfigError([Problem("joint_ids", message)])
         return columns
     if joint_ids is not None:
@@ -308,10 +286,3 @@ def _active_columns(
         message = f"joints of {control_parts!r} are not active: {', '.join(idle)}"
         raise ConfigError([Problem("control_parts", message)])
     return [active.index(i) for i in part.joint_ids]
-
-
-def _need_limits(joints: ResolvedEntity, limited: Any, path: str, what: str) -> None:
-    missing = [name for name, fine in zip(joints.joint_names, limited, strict=True) if not fine]
-    if missing:
-        message = f"joints of {joints.uid!r} without {what}: {', '.join(missing)}"
-        raise ConfigError([Problem(path, message)])

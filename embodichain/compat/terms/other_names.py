@@ -1,12 +1,12 @@
 """Terms under the names of EmbodiChain, Isaac Lab, mjlab, dm_control and earlier tasks.
 
-Each has the parameters it has there; `from`, `to` and `of` are called `source_entity_cfg`,
+Each has its original parameters; `from`, `to` and `of` are called `source_entity_cfg`,
 `target_entity_cfg` and `entity_cfg`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, Literal
 
 from embodichain.compat.terms._targets import Articulation, RigidObject, joints_of
@@ -17,6 +17,7 @@ from embodichain.lab.gym.envs.managers.param_types import (
     Box3,
     NonNegative,
     Positive,
+    Range,
     Ranges,
     ScaleRange,
 )
@@ -105,7 +106,7 @@ VALUES: Final[Mapping[str, Alias]] = {
     ),
     "illegal_contact": alias("contact_found", {"above": 0.5}, threshold=_TOUCH),
 }
-"""Rewards and metrics, and terminations where they are truths."""
+"""Rewards and metrics; terminations too, if they are booleans."""
 OBSERVATIONS: Final[Mapping[str, Alias]] = {
     "joint_position_relative": alias("joint_position", relative=True, periodic=False),
     "root_pos_w": alias("position", axes="xyz"),
@@ -138,16 +139,26 @@ ACTIONS: Final[Mapping[str, Alias]] = {
     "joint_effort": alias("joint_action", only=_AFFINE, control="effort", clip=_UNIT),
 }
 
-# -- events: `randomize` and `randomize_pose` -----------------------------------------------------
+# -- events: `randomize`, `reset_joints`, `randomize_pose` ----------------------------------------
 
-_WAYS = ("entity_cfg", "operation", "distribution")
-_ENTITY = P("entity_cfg", needed=True, hint=ResolvedEntity)
-_OBJECT = P("entity_cfg", needed=True, hint=RigidObject)
-_ARTICULATION = P("entity_cfg", needed=True, hint=Articulation)
+_WAYS = ("operation", "distribution")
+_DRAW = ("distribution",)
+_OBJECT = P("entity_cfg", needed=True, hint=RigidObject, text="The rigid object.")
+_ARTICULATION = P(
+    "entity_cfg", needed=True, hint=Articulation, text="The robot; link names pick links."
+)
 
 
 def _range(name: str, hint: Any = Ranges) -> P:
     return P(name, needed=True, hint=hint)
+
+
+def _fields(uid: str, example: str, only: Sequence[str] = _WAYS, **params: Any) -> Alias:
+    """`randomize` for fields of one entity; the example is of the entity `uid`."""
+    text = "The robot or object; joint names, control parts or link names pick what changes."
+    entity = P("entity_cfg", needed=True, hint=ResolvedEntity, text=text)
+    example = f"{{entity_cfg: {{uid: {uid}}}, {example}}}"
+    return alias("randomize", only=only, example=example, **{"entity_cfg": entity, **params})
 
 
 def _operation(
@@ -183,121 +194,135 @@ def _links(
     return found
 
 
+def _joints(
+    env: Any, entity_cfg: ResolvedEntity, joint_ids: list[int] | None = None
+) -> ResolvedEntity:
+    """A robot with joints that are picked by a parameter of their own.
+
+    Args:
+        entity_cfg: The robot; its joint names or control parts pick joints.
+        joint_ids: Picks joints by index instead.
+    """
+    if joint_ids is None:
+        return entity_cfg
+    found: ResolvedEntity = env.scene_entity({"uid": entity_cfg.uid, "joint_ids": joint_ids})
+    return found
+
+
+def _of_position(env: Any, relative_qpos: bool = True) -> Operation:
+    """What a drawn position does to the initial one.
+
+    Args:
+        relative_qpos: True adds the draw to the initial position, False takes it as the position.
+    """
+    return "add" if relative_qpos else "abs"
+
+
 _MASS: Final[Mapping[str, Any]] = {
     "only": ("recompute_inertia", "min_mass", "distribution"),
     "mass": _range("mass_range"),
     "operation": _operation,
 }
+_FRICTION: Final[Mapping[str, Any]] = {
+    "friction": P("friction_range"),
+    "torsional_friction": P("torsional_range"),
+    "rolling_friction": P("rolling_range"),
+}
+_SCALE = ("same_scale_all_axes", "fixed_density", "distribution")
 _PLACE = (
     *("position_range", "rotation_range", "relative_position", "relative_rotation"),
     *("relative_to", "physics_update_step"),
 )
 
 EVENTS: Final[Mapping[str, Alias]] = {
-    "randomize_rigid_object_mass": alias(
-        "randomize",
-        entity_cfg=_OBJECT,
-        **_MASS,
-        example="{entity_cfg: {uid: cube}, mass_range: [0.5, 2.0]}",
+    "randomize_rigid_object_mass": _fields(
+        "cube", "mass_range: [0.5, 2.0]", entity_cfg=_OBJECT, **_MASS
     ),
-    "randomize_articulation_mass": alias(
-        "randomize",
-        entity_cfg=_links,
-        **_MASS,
-        example="{entity_cfg: {uid: ur10}, mass_range: [0.8, 1.2], operation: scale}",
+    "randomize_articulation_mass": _fields(
+        "ur10", "mass_range: [0.8, 1.2], operation: scale", entity_cfg=_links, **_MASS
     ),
-    "randomize_rigid_object_center_of_mass": alias(
-        "randomize",
-        only=("distribution",),
+    "randomize_rigid_object_center_of_mass": _fields(
+        "cube",
+        "com_pos_offset_range: [[-0.01, 0, 0], [0.01, 0, 0]]",
+        _DRAW,
         entity_cfg=_OBJECT,
         com=_range("com_pos_offset_range", Box3),
-        example="{entity_cfg: {uid: cube}, com_pos_offset_range: [[-0.01, 0, 0], [0.01, 0, 0]]}",
     ),
-    "randomize_link_com": alias(
-        "randomize",
-        only=("distribution",),
+    "randomize_link_com": _fields(
+        "ur10",
+        "com_range: [[-0.02, -0.02, -0.02], [0.02, 0.02, 0.02]]",
+        _DRAW,
         entity_cfg=_ARTICULATION,
         com=_range("com_range", Box3),
-        example="{entity_cfg: {uid: ur10, link_names: [forearm_link]}, "
-        "com_range: [[-0.02, -0.02, -0.02], [0.02, 0.02, 0.02]]}",
     ),
-    "randomize_link_inertia": alias(
-        "randomize",
-        only=("distribution",),
-        entity_cfg=_ENTITY,
-        inertia=_range("inertia_range"),
-        example="{entity_cfg: {uid: ur10}, inertia_range: [0.9, 1.1]}",
+    "randomize_link_inertia": _fields(
+        "ur10", "inertia_range: [0.9, 1.1]", _DRAW, inertia=_range("inertia_range")
     ),
-    "randomize_rigid_body_material": alias(
-        "randomize",
-        only=_WAYS,
-        entity_cfg=_ENTITY,
-        friction=P("friction_range"),
-        torsional_friction=P("torsional_range"),
-        rolling_friction=P("rolling_range"),
-        example="{entity_cfg: {uid: cube}, friction_range: [0.3, 1.2]}",
-    ),
+    "randomize_rigid_body_material": _fields("cube", "friction_range: [0.3, 1.2]", **_FRICTION),
     "randomize_ground_material": alias(
-        "randomize",
-        only=("operation", "distribution"),
-        friction=P("friction_range"),
-        torsional_friction=P("torsional_range"),
-        rolling_friction=P("rolling_range"),
-        example="{friction_range: [0.4, 1.0]}",
+        "randomize", only=_WAYS, example="{friction_range: [0.4, 1.0]}", **_FRICTION
     ),
-    "randomize_actuator_gains": alias(
-        "randomize",
-        only=_WAYS,
-        entity_cfg=_ENTITY,
+    "randomize_actuator_gains": _fields(
+        "ur10",
+        "stiffness_range: [0.8, 1.2], operation: scale",
         stiffness=P("stiffness_range"),
         damping=P("damping_range"),
-        example="{entity_cfg: {uid: ur10}, stiffness_range: [0.8, 1.2], operation: scale}",
     ),
-    "randomize_effort_limits": alias(
-        "randomize",
-        only=_WAYS,
-        entity_cfg=_ENTITY,
+    "randomize_effort_limits": _fields(
+        "ur10",
+        "effort_limit_range: {'.*': [50.0, 300.0]}",
         effort_limit=_range("effort_limit_range"),
-        example="{entity_cfg: {uid: ur10}, effort_limit_range: {'.*': [50.0, 300.0]}}",
     ),
-    "randomize_joint_parameters": alias(
-        "randomize",
-        only=_WAYS,
-        entity_cfg=_ENTITY,
+    "randomize_joint_parameters": _fields(
+        "ur10",
+        "friction_range: [0.0, 2.0], armature_range: [0.0, 0.1]",
         joint_friction=P("friction_range"),
         armature=P("armature_range"),
         joint_damping=P("damping_range"),
         lower_limit=P("lower_limit_range"),
         upper_limit=P("upper_limit_range"),
-        example="{entity_cfg: {uid: ur10}, friction_range: [0.0, 2.0], armature_range: [0.0, 0.1]}",
     ),
-    "randomize_actuator_strength": alias(
-        "randomize",
-        only=("distribution",),
-        entity_cfg=_ENTITY,
-        strength=_range("strength_range"),
-        example="{entity_cfg: {uid: ur10}, strength_range: [0.8, 1.1]}",
+    "randomize_actuator_strength": _fields(
+        "ur10", "strength_range: [0.8, 1.1]", _DRAW, strength=_range("strength_range")
     ),
     "randomize_physics_scene_gravity": alias(
         "randomize",
-        only=("operation", "distribution"),
+        only=_WAYS,
         gravity=_range("gravity_range", Box3),
         example="{gravity_range: [[-0.2, -0.2, -0.5], [0.2, 0.2, 0.5]]}",
     ),
-    "randomize_rigid_object_scale": alias(
-        "randomize",
-        only=("same_scale_all_axes", "fixed_density", "distribution"),
-        entity_cfg=_ENTITY,
+    "randomize_rigid_object_scale": _fields(
+        "cube",
+        "scale_factor_range: [0.8, 1.2]",
+        _SCALE,
         scale=_range("scale_factor_range", ScaleRange),
-        example="{entity_cfg: {uid: cube}, scale_factor_range: [0.8, 1.2]}",
     ),
     "randomize_rigid_objects_scale": alias(
         "randomize",
-        only=("same_scale_all_axes", "shared_sample", "fixed_density", "distribution"),
+        only=("shared_sample", *_SCALE),
         entity_cfgs=P("entity_cfgs", needed=True, hint=list[ResolvedEntity]),
         scale=_range("scale_factor_range", ScaleRange),
-        example="{entity_cfgs: [{uid: cube}, {uid: goal}], scale_factor_range: [0.9, 1.1], "
-        "shared_sample: true}",
+        example="{entity_cfgs: [{uid: cube}, {uid: goal}], scale_factor_range: [0.9, 1.1]}",
+    ),
+    "reset_joints_by_offset": alias(
+        "reset_joints",
+        only=("entity_cfg", "velocity_range"),
+        position_range=P("position_range", hint=Range),
+    ),
+    "reset_joints_by_scale": alias(
+        "reset_joints",
+        only=("entity_cfg",),
+        position_range=P("position_range", hint=Range),
+        operation="scale",
+        example="{entity_cfg: {uid: ur10}, position_range: [0.9, 1.1]}",
+    ),
+    "randomize_robot_qpos": alias(
+        "reset_joints",
+        only=(),
+        entity_cfg=_joints,
+        position_range=P("qpos_range"),
+        operation=_of_position,
+        example="{entity_cfg: {uid: ur10}, qpos_range: [-0.1, 0.1]}",
     ),
     "randomize_rigid_object_pose": alias("randomize_pose", only=_PLACE, entity_cfg=_OBJECT),
     "randomize_articulation_root_pose": alias(
@@ -307,7 +332,6 @@ EVENTS: Final[Mapping[str, Alias]] = {
         example="{entity_cfg: {uid: ur10}, position_range: [[-0.05, -0.05, 0], [0.05, 0.05, 0]]}",
     ),
 }
-
 
 register_aliases(VALUES)
 register_aliases(OBSERVATIONS, "observation")

@@ -1,7 +1,7 @@
 """Rewards of EmbodiChain under their own names and with its parameters.
 
-They are rewards and metrics. Most are a quantity with a fixed shape, whose general form is said in
-docs/compatibility.md.
+They are rewards and metrics. Most are a quantity with a fixed shape; docs/compatibility.md gives
+the general form.
 """
 
 from __future__ import annotations
@@ -15,15 +15,14 @@ from embodichain.compat.terms._targets import joints_of, target_position, tool_o
 from embodichain.lab.gym.envs.managers.param_types import Body, NonNegative, Positive
 from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.mdp import _kernels
 from embodichain.lab.gym.envs.mdp._rows import norm, total
 from embodichain.lab.gym.envs.mdp.quantities.pairs import distance
-from embodichain.lab.gym.envs.mdp.shapes import Rate
+from embodichain.lab.gym.envs.mdp.shapes import Rate, tanh_kernel
 from embodichain.utils.math import quat_conjugate, quat_multiply
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
     "IncrementalDistanceToTarget",
@@ -53,8 +52,6 @@ def distance_between_objects(
     use_xy_only: bool = False,
 ) -> F64:
     """-d, or exp(-d^2 / (2 sigma^2)), with d the distance in metres between two entities.
-
-    EmbodiChain's reward of the same name; `use_xy_only` is ours.
 
     Args:
         source_entity_cfg: An entity, or a link of one.
@@ -87,8 +84,6 @@ def distance_to_target(
 ) -> F64:
     """-d, or exp(-d^2 / (2 sigma^2)), with d the distance in metres to a pose that an event stores.
 
-    EmbodiChain's reward of the same name.
-
     Args:
         source_entity_cfg: An entity, or a link of one.
         target_pose_key: The attribute of the environment with the poses, (N, 4, 4).
@@ -108,8 +103,7 @@ def distance_to_target(
 class IncrementalDistanceToTarget(Rate):
     """w tanh(tanh_scale (d_before - d)): positive for coming closer; 0 in an episode's first step.
 
-    d is the distance in metres to a pose that an event stores, w one of two weights. EmbodiChain's
-    reward of the same name, whose memory survives resets and pays for the jump; this one forgets.
+    d is the distance in metres to a pose that an event stores, w one of two weights.
 
     Args:
         source_entity_cfg: An entity, or a link of one.
@@ -150,10 +144,10 @@ class ReachingBehindObject:
     """1 - tanh(distance_scale d), d the tool's distance to a point behind the object to push.
 
     The point is ``object - behind_offset u + (0, 0, height_offset)`` with u the unit vector from
-    the object to its target (0 where they coincide). EmbodiChain's reward of the same name.
+    the object to its target (0 where they coincide).
 
     Args:
-        object_cfg: What is to be pushed.
+        object_cfg: The object to push.
         target_pose_key: The attribute of the environment with the target poses, (N, 4, 4).
         behind_offset: Metres.
         height_offset: Metres.
@@ -191,7 +185,7 @@ class ReachingBehindObject:
         length = norm(way)[:, None]
         direction = way / np.where(length == 0.0, 1.0, length)
         wanted = place - self._behind * direction + self._up
-        return _kernels.tanh_kernel(norm(self._tool.position() - wanted), 1.0 / self._scale)
+        return tanh_kernel(norm(self._tool.position() - wanted), 1.0 / self._scale)
 
 
 @quantity("reward", "metric")
@@ -204,8 +198,8 @@ def object_goal_distance(
     general form is `product_of` `height` and `distance`.
 
     Args:
-        object_cfg: What is carried.
-        goal_cfg: Where to.
+        object_cfg: The object.
+        goal_cfg: The goal.
         std: Metres: where the value has fallen to 0.24.
         minimal_height: Metres above z = 0 of the object's origin.
 
@@ -213,7 +207,7 @@ def object_goal_distance(
         ``{func: object_goal_distance, weight: 16.0, params: {object_cfg: {uid: cube}, goal_cfg:
         {uid: goal}, std: 0.3, minimal_height: 0.1}}``
     """
-    kernel = _kernels.tanh_kernel(distance(env, object_cfg, goal_cfg), std)
+    kernel = tanh_kernel(distance(env, object_cfg, goal_cfg), std)
     return np.where(object_cfg.position()[:, 2] <= minimal_height, 0.0, kernel)
 
 
@@ -222,8 +216,6 @@ def orientation_alignment(
     env: TermContext, source_entity_cfg: Body, target_entity_cfg: Body
 ) -> F64:
     """(tr(Rs Rt^T) - 1) / 2, the cosine of the angle between two orientations, in [-1, 1].
-
-    EmbodiChain's reward of the same name.
 
     Args:
         source_entity_cfg: An entity, or a link of one.
@@ -242,7 +234,7 @@ def orientation_alignment(
 class JointLimitPenalty:
     """-sum max(0, margin - x), x the distance to the nearer limit as a share of the range.
 
-    EmbodiChain's reward of the same name. Joints without two limits count 0.
+    Joints without two limits count 0.
 
     Args:
         robot_uid: The robot; None is the task's own.

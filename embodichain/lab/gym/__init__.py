@@ -1,1 +1,1 @@
-"""What a task is: environments, managers, terms, registration."""
+"""Environments, managers, terms, and the registration of environments."""

@@ -1,7 +1,7 @@
-"""`mdp_values`: what of a built environment decides its MDP, besides the model, as plain data.
+"""`mdp_values`: the values that determine the MDP of an environment, besides the model.
 
-Made for comparing two environments and naming what differs. Nothing of it depends on the number of
-environments, on the seed, or on what a curriculum has changed meanwhile.
+Plain data for finding the differences of two environments. They do not depend on the number of
+environments, the seed, or changes by a curriculum.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ if TYPE_CHECKING:
 __all__ = ["mdp_values"]
 
 _NO_MDP = ("metrics", "observations")
-"""Sections that are left out, or of which only one group is taken."""
+"""Sections that are left out, or reduced to one group."""
 
 
 def mdp_values(env: BaseEnv, group: str = "policy") -> dict[str, Any]:
-    """Return what decides an environment's MDP, as far as its config says it.
+    """Return the values in the config that determine the MDP of an environment.
 
-    Code of an environment's own class is no part of it, nor the code behind a term's name. What is
-    zero, false or None is left out.
+    The code of environment classes and terms is not part of it. Values that are zero, false or
+    None are left out.
 
     Args:
         env: The environment.
-        group: The observation group that a policy sees; others are left out.
+        group: The observation group of the policy; others are left out.
 
     Returns:
         Section -> name -> values: ``timing``, ``initial`` (of joints, actuators and mocap bodies),
@@ -43,7 +43,7 @@ def mdp_values(env: BaseEnv, group: str = "policy") -> dict[str, Any]:
         ``rewards``, ``terminations``, ``curriculum``, ``episode``, ``extensions``, ``id``.
 
     Raises:
-        ValueError: If no observation is in the group.
+        ValueError: If the group has no observation.
     """
     cfg = env.cfg
     found: dict[str, Any] = {
@@ -67,7 +67,7 @@ def mdp_values(env: BaseEnv, group: str = "policy") -> dict[str, Any]:
 
 
 def _terms(section: str, terms: Mapping[str, TermCfg]) -> dict[str, Any]:
-    """Terms with their defaults filled in, and the order that they run in."""
+    """Terms with their defaults filled in, and their order."""
     found: dict[str, Any] = {name: _term(section, term) for name, term in terms.items()}
     return {**found, "(order)": list(terms)} if len(terms) > 1 else found
 
@@ -84,7 +84,7 @@ def _term(section: str, cfg: TermCfg) -> dict[str, Any]:
 
 
 def _initial(env: BaseEnv) -> dict[str, Any]:
-    """Joint positions, controls and places of mocap bodies that episodes begin with."""
+    """Initial joint positions, controls and poses of mocap bodies."""
     engine, row = env.sim.engine, env.sim.initial_row
     model = engine.model
     obj = mujoco.mjtObj
@@ -107,7 +107,7 @@ def _initial(env: BaseEnv) -> dict[str, Any]:
 
 
 def _space(env: BaseEnv, group: str) -> dict[str, Any]:
-    """What the columns of actions and observations are."""
+    """The columns of actions and observations."""
     space: Any = env.single_action_space
     columns = env.observation_manager.columns(group)
     return {
@@ -119,14 +119,14 @@ def _space(env: BaseEnv, group: str) -> dict[str, Any]:
 
 
 def _corruption(env: BaseEnv, group: str) -> bool:
-    """Whether observations of the group get their noise, if they have any."""
+    """Whether the noise of the group's observations is on, if they have any."""
     switched = env.cfg.enable_corruption
     noisy = any(t.noise is not None for t in env.cfg.observations.values() if t.group == group)
     return noisy and (switched if isinstance(switched, bool) else switched.get(group, True))
 
 
 def _plain(value: Any) -> Any:
-    """Mappings, lists, numbers and strings; what is empty in a mapping is left out."""
+    """A value as mappings, lists, numbers and strings; empty values of mappings are left out."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
     if isinstance(value, Mapping):

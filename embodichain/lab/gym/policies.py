@@ -1,8 +1,8 @@
-"""What acts without learning: zero, random, random_around_home, hold; and policies of users.
+"""Policies without learning: zero, random, random_around_home, hold; and policies of users.
 
-Learned policies are files; `embodichain.learning` reads them and hands `resolve_policy` a function
-that does. Random ones draw from the environment's streams, so environment *i* gets the same actions
-whatever the number of environments is.
+Learned policies are files, which `resolve_policy` reads with a function of `embodichain.learning`.
+Random ones draw from the environment's streams: the actions of environment *i* do not depend on the
+number of environments.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ F64 = NDArray[np.float64]
 
 
 class Policy(Protocol):
-    """What acts: called once a control step, told when environments begin a new episode."""
+    """A policy: called once per control step, and reset when environments begin an episode."""
 
     def __call__(self, obs: EnvObs, env: BaseEnv) -> torch.Tensor:
         """Return (N, A) float32 actions for an observation."""
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Forget these environments' episodes; (n,) int64, or None for all."""
+        """Clear the state of the episodes of these environments; (n,) int64, or None for all."""
 
 
 def zero(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
@@ -56,7 +56,7 @@ def zero(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
 
 
 def random(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
-    """Uniform over the action space, anew at every step.
+    """Uniform over the action space, drawn at every step.
 
     Raises:
         ConfigError: If the action space has no finite bounds.
@@ -70,12 +70,12 @@ def random(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
 
 
 def random_around_home(obs: EnvObs, env: BaseEnv, range: NonNegative = 0.1) -> torch.Tensor:
-    """The action of the initial state plus uniform noise, anew at every step, within bounds.
+    """The action of the initial state plus uniform noise drawn at every step, within bounds.
 
     Args:
         obs: Unused.
         env: The environment.
-        range: Most noise in units of the action: rad for absolute joint positions.
+        range: Largest noise in units of the action: rad for absolute joint positions.
 
     Raises:
         ConfigError: If the actions of the environment are no joint positions.
@@ -88,7 +88,7 @@ def random_around_home(obs: EnvObs, env: BaseEnv, range: NonNegative = 0.1) -> t
 
 
 def hold(obs: EnvObs, env: BaseEnv) -> torch.Tensor:
-    """The action that leaves the drives' targets as they are.
+    """The action that keeps the targets of the drives.
 
     Raises:
         ConfigError: If the actions of the environment are no joint positions.
@@ -112,7 +112,7 @@ def resolve_policy(
     *,
     load_file: Callable[[Path], Policy] | None = None,
 ) -> Policy:
-    """Make a policy from what a config says.
+    """Make a policy from the `policy` of a config.
 
     Args:
         policy: A name, ``{func: NAME, params: {...}}``, ``package.module:function``, a path, or
@@ -190,14 +190,14 @@ class _Plain:
         return action
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Nothing is kept."""
+        """Do nothing: there is no state."""
 
 
 def _bounds(env: BaseEnv) -> tuple[F64, F64]:
     """(A,) bounds of one environment's actions.
 
     Raises:
-        ConfigError: If the action space is no Box.
+        ConfigError: If the action space is not a Box.
     """
     space: Any = env.single_action_space
     if not hasattr(space, "low"):
@@ -217,7 +217,7 @@ def _joint_robot(env: BaseEnv) -> Robot:
     """The robot of an environment without action terms, if an action is as wide as its joints.
 
     Raises:
-        ConfigError: If it is not: nothing else says what an action means.
+        ConfigError: If not: then the meaning of an action is unknown.
     """
     shape = env.single_action_space.shape
     if env.robot is None or shape != (len(env.active_joint_ids),):

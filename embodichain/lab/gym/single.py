@@ -1,4 +1,4 @@
-"""`SingleEnv`: a batch of one as an ordinary Gymnasium environment."""
+"""`SingleEnv`: a batch of one as a Gymnasium `Env`."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.autoreset import AutoresetMode
 from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.gym.envs.episodes import AutoresetMode
 from embodichain.lab.gym.utils.policy_view import PolicyView
 from embodichain.lab.gym.utils.spaces import numpy_obs
 from embodichain.lab.sim.types import EnvObs
@@ -20,12 +20,12 @@ __all__ = ["SingleEnv"]
 
 
 class SingleEnv(gym.Env[Any, NDArray[np.float32]]):
-    """One environment without the batch dimension; it never resets itself.
+    """One environment without the batch dimension and without autoreset.
 
     Args:
         env: An environment with ``num_envs`` 1; `close` closes it.
-        flatten: Whether the observation is what a policy sees (`PolicyView`: a vector, or a dict
-            with images) instead of everything in nested dicts.
+        flatten: Whether the observation is that of a policy (`PolicyView`: a vector, or a dict
+            with images) instead of all entries in nested dicts.
 
     Raises:
         ValueError: If there is more than one environment.
@@ -86,7 +86,7 @@ def _row(value: Any) -> Any:
 
 
 def _first_info(info: Mapping[str, Any]) -> dict[str, Any]:
-    """The environment's own entries; scalars become Python's."""
+    """The entries of the environment; scalars become Python scalars."""
     found: dict[str, Any] = {}
     for key, value in info.items():
         if isinstance(value, Mapping):

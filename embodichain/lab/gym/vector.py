@@ -11,8 +11,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.autoreset import parse_mode
 from embodichain.lab.gym.envs.base_env import BaseEnv
+from embodichain.lab.gym.envs.episodes import parse_mode
 from embodichain.lab.gym.utils.policy_view import PolicyView
 from embodichain.lab.gym.utils.spaces import numpy_obs
 from embodichain.lab.sim.types import EnvObs
@@ -25,17 +25,16 @@ _FINAL = ("final_obs", "final_observation", "final_info", "_final_obs", "_final_
 class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
     """N environments with numpy observations, rewards and flags.
 
-    Which of Gymnasium's wrappers wants which mode: RecordEpisodeStatistics, NormalizeReward,
-    TransformReward and DictInfoToList take any; NormalizeObservation wants NEXT_STEP and
-    `flatten`, FlattenObservation NEXT_STEP or DISABLED; RecordVideo leaves out the last picture
-    of an episode with SAME_STEP.
+    Modes for Gymnasium's wrappers: RecordEpisodeStatistics, NormalizeReward, TransformReward and
+    DictInfoToList take any; NormalizeObservation needs NEXT_STEP and `flatten`, FlattenObservation
+    NEXT_STEP or DISABLED; RecordVideo omits the last image of an episode with SAME_STEP.
 
     Args:
         env: The environment; `close` closes it.
         autoreset_mode: NEXT_STEP, which is the mode of Gymnasium's own vector environments,
-            SAME_STEP or DISABLED; the environment's own mode gives way.
-        flatten: Whether observations are what a policy sees (`PolicyView`: a vector, or a dict
-            with images) instead of everything in nested dicts.
+            SAME_STEP or DISABLED; replaces the environment's mode.
+        flatten: Whether observations are those of a policy (`PolicyView`: a vector, or a dict
+            with images) instead of all entries in nested dicts.
 
     Raises:
         ValueError: If there is no such mode; lists them.
@@ -65,8 +64,8 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
         """Start new episodes; see `BaseEnv.reset`.
 
         Args:
-            seed: One integer: each environment has its own stream of it.
-            options: ``reset_mask`` (N,) bool names the environments; others go to the environment.
+            seed: One integer, from which each environment derives its own streams.
+            options: ``reset_mask`` (N,) bool selects environments; all others are passed on.
 
         Raises:
             ValueError: If the seed is a list, or the mask has the wrong shape or type.
@@ -103,10 +102,10 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
         return found
 
     def _final_obs(self, obs: EnvObs, done: NDArray[np.bool_]) -> NDArray[np.object_]:
-        """One observation an environment, None where it is not final: Gymnasium's convention."""
+        """One observation per environment, None where it is not final (Gymnasium's convention)."""
         rows = self._numpy(obs)
         found = np.full(self.num_envs, None, dtype=object)
-        for i in np.flatnonzero(done):  # only who is done
+        for i in np.flatnonzero(done):  # only environments that are done
             found[i] = _row(rows, int(i))
         return found
 
@@ -120,7 +119,7 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
         return np.full(self.num_envs, value, dtype=object)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """One picture an environment, (480, 640, 3) RGB; None unless ``rgb_array``."""
+        """One image per environment, (480, 640, 3) RGB; None unless ``rgb_array``."""
         if self.render_mode != "rgb_array":
             return None
         return tuple(self.env.sim.render(env_id=i) for i in range(self.num_envs))
@@ -130,7 +129,7 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
         self.env.close()
 
     def __repr__(self) -> str:
-        """Name the environment inside, its size and its mode."""
+        """Return the class of the environment, its size and its mode."""
         mode: AutoresetMode = self.metadata["autoreset_mode"]
         return f"NumpyVectorEnv({type(self.env).__name__}, num_envs={self.num_envs}, {mode.name})"
 

@@ -1,4 +1,4 @@
-"""Scenes: declared configs, the compiler, the simulation and handles onto its batch."""
+"""Scenes: configs, the compiler, the simulation and handles of its entities."""
 
 from __future__ import annotations
 

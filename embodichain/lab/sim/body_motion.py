@@ -1,4 +1,4 @@
-"""`BodyMotion`: pose and velocity of one body, each computed once for a state of the simulation."""
+"""`BodyMotion`: pose and velocity of one body, each computed once per state."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ Frame = Literal["world", "body", "yaw"]
 
 
 class BodyMotion:
-    """Motion of a body's origin in N environments, float64. Arrays are not to be written to.
+    """Motion of a body's origin in N environments, float64. Do not write to its arrays.
 
-    All terms that read a body share one of these. What follows from the state is stored until the
-    engine's `version` changes.
+    All terms that read a body share one object. Computed values are stored until the engine's
+    `version` changes.
 
     Args:
         engine: The engine.
@@ -51,11 +51,11 @@ class BodyMotion:
             self._pose = qpos[:, start : start + 3], qpos[:, start + 3 : start + 7]
 
     def position(self) -> F64:
-        """(N, 3) m: a live view, not to be stored."""
+        """(N, 3) m: a live view, do not store."""
         return self._engine.derived("xpos")[:, self._body] if self._pose is None else self._pose[0]
 
     def orientation(self) -> F64:
-        """(N, 4) wxyz: a live view, not to be stored."""
+        """(N, 4) wxyz: a live view, do not store."""
         return self._engine.derived("xquat")[:, self._body] if self._pose is None else self._pose[1]
 
     def _once(self, name: str, compute: Callable[[], F64]) -> F64:
@@ -69,17 +69,17 @@ class BodyMotion:
         return found
 
     def axes(self) -> F64:
-        """(N, 3, 3) rotation matrix: its columns are the body's axes in the world."""
+        """(N, 3, 3) rotation matrices; the columns are the body's axes in the world."""
         return self._once("axes", lambda: quat_to_matrix(self.orientation()))
 
     def linear_velocity(self, frame: Frame = "world") -> F64:
         """(N, 3) m/s of the origin.
 
-        A floating root's is its joint's own. Else see `origin_velocities`.
+        For a floating root it is read from qvel; else see `origin_velocities`.
 
         Args:
-            frame: The axes: of the ``world``, of the ``body`` itself, or of its heading (``yaw``),
-                which are level and turned about z to where the body's x axis points.
+            frame: The axes: of the ``world``, of the ``body``, or of its heading (``yaw``): world
+                axes rotated about z towards the body's x axis.
         """
         return self._once(f"linear {frame}", lambda: self._linear(frame))
 
@@ -95,7 +95,7 @@ class BodyMotion:
         return self._once(f"angular {frame}", lambda: self._angular(frame))
 
     def _angular(self, frame: Frame) -> F64:
-        if self._qvel >= 0 and frame != "yaw":  # MuJoCo's is in the body's axes
+        if self._qvel >= 0 and frame != "yaw":  # qvel is in body axes
             own = self._engine.state("qvel")[:, self._qvel + 3 : self._qvel + 6]
             return own if frame == "body" else rotate(self.axes(), own)
         if frame == "world":
@@ -103,7 +103,7 @@ class BodyMotion:
         return self._turned(self.angular_velocity(), frame)
 
     def _turned(self, vectors: F64, frame: Literal["body", "yaw"]) -> F64:
-        """(N, 3) vectors of world axes in axes of the body, or of its heading."""
+        """Transform (N, 3) vectors from world axes to axes of the body or of its heading."""
         if frame == "body":
             return rotate_back(self.axes(), vectors)
         cos, sin = self._heading()
@@ -112,7 +112,7 @@ class BodyMotion:
         return level
 
     def _heading(self) -> tuple[F64, F64]:
-        """(N,) cosine and sine of the heading; that of a vertical x axis is the world's x axis."""
+        """(N,) cosine and sine of the heading; (1, 0) for a vertical x axis."""
         ahead, left = self.axes()[:, 0, 0], self.axes()[:, 1, 0]
         length = np.sqrt(ahead * ahead + left * left)
         vertical = length == 0.0

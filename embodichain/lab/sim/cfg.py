@@ -1,8 +1,8 @@
-"""What a scene is made of, as pure data: simulation, robots, objects, drives.
+"""Configs of a scene: simulation, robots, objects, drives. Pure data.
 
 Names, order and defaults are EmbodiChain 0.2.1's; fields after `# ours` are this project's and
-keyword-only. Fields that mean nothing to MuJoCo are accepted and say so ("No effect"). Nothing here
-imports MuJoCo or torch: `compiler` and `sim_manager` give these classes their meaning.
+keyword-only. Fields without a counterpart in MuJoCo are accepted and documented as "No effect".
+Nothing here imports MuJoCo or torch; `compiler` and `sim_manager` use these classes.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
-import numpy as np
 from pydantic import BeforeValidator, Field
 
 from embodichain.lab.sim.drive_cfg import JointDrivePropertiesCfg
@@ -40,14 +39,15 @@ __all__ = [
 ]
 
 Vec3 = Annotated[Sequence[float], Field(min_length=3, max_length=3)]
-Quat = Annotated[Sequence[float], Field(min_length=4, max_length=4)]
+Four = Annotated[Sequence[float], Field(min_length=4, max_length=4)]
+Quat = Four
 
 DEFAULT_RENDERER = "hybrid"
 
 
 @configclass
 class RenderCfg:
-    """Renderer choice. Every value of EmbodiChain's is accepted and drawn by MuJoCo's renderer."""
+    """Renderer choice. All of EmbodiChain's values are accepted; MuJoCo's renderer draws."""
 
     renderer: Literal["hybrid", "fast-rt", "rt", "auto", "no-render"] = "hybrid"
     enable_denoiser: bool = True
@@ -81,7 +81,7 @@ class PhysicsCfg:
     # ours
     solver: Literal["Newton", "CG", "PGS"] = dataclasses.field(default="Newton", kw_only=True)
     iterations: int = dataclasses.field(default=100, kw_only=True)
-    """Most solver iterations a physics step."""
+    """Maximum number of solver iterations per physics step."""
     integrator: Literal["implicitfast", "implicit", "Euler", "RK4"] = dataclasses.field(
         default="implicitfast", kw_only=True
     )
@@ -103,7 +103,7 @@ class GPUMemoryCfg:
 
 @configclass
 class WindowRecordCfg:
-    """Recording from the viewer's window. Accepted; the log is the recording here."""
+    """Recording from the viewer's window. No effect: runs are recorded in the log."""
 
     enable_hotkey: bool = True
     save_path: str | None = None
@@ -133,20 +133,20 @@ class SimulationManagerCfg:
     arena_space: float = 5.0
     """Grid pitch in metres between environments, in viewers and logs only."""
     physics_dt: float = 0.01
-    """Seconds a physics step."""
+    """Seconds per physics step."""
     sim_device: Any = "cpu"
-    """The string "cpu" or a `torch.device("cpu")`; CUDA comes with its own engine."""
+    """The string "cpu" or a `torch.device("cpu")`; there is no CUDA engine yet."""
     physics_config: PhysicsCfg = PhysicsCfg()
     gpu_memory_config: GPUMemoryCfg = GPUMemoryCfg()
     window_record: WindowRecordCfg = WindowRecordCfg()
     visualization: Any = None
-    """A `VisualizationCfg` of `embodichain.lab.visualization`: the page in a browser."""
+    """A `VisualizationCfg` of `embodichain.lab.visualization`: the viewer in a browser."""
     # ours
     num_threads: int = dataclasses.field(default=0, kw_only=True)
     """Physics threads; 0 uses every core the process may use."""
     persistent: bool | None = dataclasses.field(default=None, kw_only=True)
-    """One MjData per environment (200 kB each) or per thread; None is the former only for a model
-    that needs it (sleep, IPC, plugins)."""
+    """One MjData per environment (True; 200 kB each) or per thread (False); None is True only for
+    models that need it (sleep, IPC, plugins)."""
     window_env: int = dataclasses.field(default=0, kw_only=True)
     """The environment that the window shows."""
     ground_plane: bool = dataclasses.field(default=True, kw_only=True)
@@ -172,10 +172,10 @@ class ObjectBaseCfg:
     init_rot: Vec3 = (0.0, 0.0, 0.0)
     """Euler angles in degrees, intrinsic XYZ (R = Rx Ry Rz)."""
     init_local_pose: Any = None
-    """A 4x4 matrix; wins over `init_pos` and `init_rot` when given."""
+    """A 4x4 matrix; overrides `init_pos` and `init_rot`."""
     # ours
     init_quat: Quat | None = dataclasses.field(default=None, kw_only=True)
-    """wxyz; wins over `init_rot` when given."""
+    """wxyz; overrides `init_rot`."""
 
 
 @configclass
@@ -183,7 +183,7 @@ class RigidBodyAttributesCfg:
     """Mass, damping, friction and contact of a rigid body."""
 
     mass: float = 1.0
-    """kg; 0 means: from `density`."""
+    """kg; 0 computes it from `density`."""
     density: float = 1000.0
     """kg/m^3, used when `mass` is 0."""
     angular_damping: float = 0.7
@@ -219,13 +219,13 @@ class RigidBodyAttributesCfg:
 
 @configclass
 class AttachmentCfg(ObjectBaseCfg):
-    """A rigid shape fixed on a link: a pusher, a tool, a payload. It becomes a link of its own.
+    """A rigid shape fixed on a link: a pusher, a tool, a payload. It becomes a separate link.
 
     Its pose (`init_pos`, `init_rot`, `init_quat`) is in the frame of the link it is fixed on.
     """
 
     link: str = ""
-    """The link that carries it."""
+    """The parent link."""
     shape: AnyShapeCfg = CubeCfg()
     mass: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.1
     """kg."""
@@ -238,7 +238,7 @@ class ArticulationCfg(ObjectBaseCfg):
     """A jointed mechanism read from a URDF or MJCF file."""
 
     fpath: str | None = None
-    """What `embodichain.data.get_data_path` finds: .urdf or .xml."""
+    """A .urdf or .xml file, found by `embodichain.data.get_data_path`."""
     drive_pros: JointDrivePropertiesCfg = JointDrivePropertiesCfg(drive_type="none")
     body_scale: Vec3 = (1.0, 1.0, 1.0)
     """Only (1, 1, 1) for now."""
@@ -246,11 +246,11 @@ class ArticulationCfg(ObjectBaseCfg):
     """Friction and collision of all links (an MJCF file's friction stays unless changed here); mass
     and inertia come from the file."""
     fix_base: bool = True
-    """Whether the root is fixed, whatever the file says; False gives it a free joint."""
+    """Whether the root is fixed (overrides the file); False gives it a free joint."""
     disable_self_collision: bool = True
     init_qpos: Any = None
-    """(D,) values or {joint regex: value}, rad or m; None is the file's keyframe, else zeros moved
-    into the limits."""
+    """(D,) values or {joint regex: value}, rad or m; None is the file's keyframe, else zeros
+    clamped to the limits."""
     sleep_threshold: float = 0.005
     """No effect."""
     min_position_iters: int = 4
@@ -269,23 +269,23 @@ class ArticulationCfg(ObjectBaseCfg):
     gravcomp: Annotated[float, Field(allow_inf_nan=False)] | None = dataclasses.field(
         default=None, kw_only=True
     )
-    """Share of the links' weight that is held up (MuJoCo's gravcomp): 1 for an arm whose controller
-    compensates gravity. None keeps the file's."""
+    """Compensated share of the links' weight (MuJoCo's gravcomp): 1 for an arm with a controller
+    that compensates gravity. None keeps the file's."""
     collision: Literal["hull", "decompose"] = dataclasses.field(default="hull", kw_only=True)
-    """What the collision meshes of a URDF collide by: their convex hull, or convex parts
+    """Collision geometry of a URDF's meshes: their convex hull, or convex parts
     (`embodichain[decompose]`)."""
 
 
 @configclass
 class SolverCfg:
-    """Where a control part begins, ends and acts: its tool point. No solver runs by it.
+    """First link, last link and tool point of a control part. No solver uses it.
 
-    A `tcp` becomes a link of its own, `PART_tcp` (`tcp` for the whole robot), that terms find as
-    the part's tool.
+    A `tcp` becomes a separate link, `PART_tcp` (`tcp` for the whole robot), which terms use as the
+    part's tool.
     """
 
     class_type: str = "SolverCfg"
-    """No effect: EmbodiChain's name of a solver."""
+    """No effect: the name of a solver of EmbodiChain."""
     urdf_path: str | None = None
     """No effect: kinematics are those of the robot."""
     joint_names: list[str] | None = None
@@ -301,7 +301,7 @@ class SolverCfg:
 
 
 def _by_part(value: Any) -> Any:
-    """One solver, without the name of a part, is the whole robot's."""
+    """Take one solver without a part name as that of the whole robot."""
     flat = isinstance(value, Mapping) and any(key in value for key in ("class_type", "tcp"))
     return {"default": value} if flat or isinstance(value, SolverCfg) else value
 
@@ -314,9 +314,9 @@ class RobotCfg(ArticulationCfg):
     control_parts: dict[str, list[str]] | None = None
     """Part name -> joint-name regexes."""
     urdf_cfg: URDFCfg | None = None
-    """Several URDF files as one robot, instead of `fpath`."""
+    """Several URDF files assembled into one robot, instead of `fpath`."""
     solver_cfg: Annotated[dict[str, SolverCfg] | None, BeforeValidator(_by_part)] = None
-    """Control part -> where its tool point is; one `SolverCfg` is that of the whole robot."""
+    """Control part -> its tool point; a single `SolverCfg` is that of the whole robot."""
 
 
 @configclass
@@ -328,8 +328,8 @@ class RigidObjectCfg(ObjectBaseCfg):
     body_type: Literal["dynamic", "kinematic", "static"] = "dynamic"
     """dynamic: simulated; kinematic: moved only by code; static: never moves."""
     max_convex_hull_num: int = 1
-    """Most convex parts that a mesh collides by (`embodichain[decompose]`); 1 is its hull, unless
-    `collision` says otherwise."""
+    """Maximum number of convex parts for a mesh's collision (`embodichain[decompose]`); 1 is its
+    hull, unless `collision` is ``decompose``."""
     sdf_resolution: int = 0
     """No effect."""
     body_scale: Vec3 = (1.0, 1.0, 1.0)
@@ -338,12 +338,12 @@ class RigidObjectCfg(ObjectBaseCfg):
     """No effect: USD is not read."""
     # ours
     collision: Literal["hull", "decompose"] = dataclasses.field(default="hull", kw_only=True)
-    """What a mesh collides by: its convex hull, or as many convex parts as it takes."""
+    """Collision geometry of a mesh: its convex hull, or as many convex parts as needed."""
 
 
 @configclass
 class LightCfg(ObjectBaseCfg):
-    """A light for pictures; physics ignores it."""
+    """A light for rendering; physics ignores it."""
 
     light_type: Literal["point", "sun", "direction", "spot"] = "point"
     color: Vec3 = (1.0, 1.0, 1.0)
@@ -368,7 +368,7 @@ class MarkerCfg:
 
 
 def __getattr__(name: str) -> Any:
-    """Configs of EmbodiChain's that cannot be used here yet, by name."""
+    """Return a config class of EmbodiChain that is not available here yet."""
     from embodichain.lab.sim import unavailable
 
     if name in unavailable.__all__:
@@ -377,10 +377,10 @@ def __getattr__(name: str) -> Any:
 
 
 def name_of(cfg: ObjectBaseCfg) -> str:
-    """Return the uid of an entity, an articulation's falling back to its file's stem.
+    """Return the uid of an entity; for an articulation without one, the stem of its file's name.
 
     Raises:
-        ValueError: If there is neither.
+        ValueError: If it has neither.
     """
     if cfg.uid:
         return cfg.uid
@@ -392,8 +392,3 @@ def name_of(cfg: ObjectBaseCfg) -> str:
     if urdf is not None and urdf.stem():
         return urdf.stem()
     raise ValueError(f"{type(cfg).__name__} has no uid")
-
-
-# Kept for annotations of user code.
-FloatArray = Sequence[float] | np.ndarray
-JointValues = FloatArray | Mapping[str, float]

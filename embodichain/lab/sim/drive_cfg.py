@@ -1,4 +1,4 @@
-"""PD drives of an articulation's joints, as pure data; `cfg` offers them as EmbodiChain's does."""
+"""PD drives of an articulation's joints, as pure data; `cfg` exports them, as in EmbodiChain."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ PerJoint = float | dict[str, float]
 
 
 class FileFirst(float):
-    """A default that yields to the robot file, where the file can say it; else the number it is."""
+    """A default that applies only where the robot file gives no value."""
 
 
 def _kept(value: Any, validate: ValidatorFunctionWrapHandler) -> Any:
-    """Keep the mark of a value that was not given when a config is read back from a dict."""
+    """Keep `FileFirst` defaults as such when a config is read back from a dict."""
     return value if isinstance(value, FileFirst) else validate(value)
 
 
@@ -35,26 +35,26 @@ Gain = Annotated[float | dict[str, float] | Literal["file"], WrapValidator(_kept
 class JointDrivePropertiesCfg:
     """PD drives of an articulation's joints, one value or a map by joint regex or control part.
 
-    An MJCF file's actuators stay as they are, but on joints that `stiffness` or `damping` names: a
-    map names the joints it matches, a number those that actuators of the file act on. Their drives
-    take the place of those actuators; what is not given is the file's.
+    An MJCF file's actuators are kept, except on joints that `stiffness` or `damping` selects: a map
+    selects the joints it matches, a number all joints that actuators of the file act on. On these,
+    drives replace the actuators; values that are not given are the file's.
     """
 
     drive_type: Literal["force", "acceleration", "none"] = "force"
-    """none: no drives; an MJCF file's actuators stay."""
+    """none: no drives; an MJCF file's actuators are kept."""
     stiffness: Gain = FileFirst(1e4)
-    """N m/rad or N/m. "file" keeps an MJCF file's actuators, and is the default of an MJCF."""
+    """N m/rad or N/m. "file", the default for an MJCF, keeps the file's actuators."""
     damping: Gain = FileFirst(1e3)
     """N m s/rad or N s/m, inside the drive; the joint's own damping is the file's."""
     max_effort: Gain = FileFirst(1e10)
-    """N m or N, positive: bounds spring and damper together. "file" takes the limits of the URDF or
-    MJCF, and is the default of an MJCF; 1e9 and more is no limit."""
+    """N m or N, positive: bounds the sum of spring and damper. "file", the default for an MJCF,
+    takes the limits of the URDF or MJCF; 1e9 or more is no limit."""
     max_velocity: PerJoint | Literal["file"] | None = None
-    """rad/s or m/s, positive: how fast actions move position targets, and the bound of velocity
+    """rad/s or m/s, positive: limits how fast actions move position targets, and bounds velocity
     actions. "file" takes the limits of the URDF. The joint itself is not clamped."""
     friction: PerJoint = 0.0
     """Dry friction loss, N m or N; 0 keeps the file's, a map with 0 clears it."""
     # ours
     armature: PerJoint | None = dataclasses.field(default=None, kw_only=True)
-    """Reflected rotor inertia, kg m^2 or kg. None keeps the file's and adds the least that keeps a
-    limited drive from chattering at the time step, which is said."""
+    """Reflected rotor inertia, kg m^2 or kg. None keeps the file's and adds the minimum that keeps
+    a limited drive from chattering at the time step, with a warning."""

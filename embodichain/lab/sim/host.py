@@ -1,4 +1,4 @@
-"""`Host`: what handles know of their simulation."""
+"""`Host`: the part of a simulation that handles use."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["Host"]
 
 
 class Host(Protocol):
-    """A simulation, as its robots, objects, lights and sensors see it."""
+    """The interface of a simulation for its robots, objects, lights and sensors."""
 
     num_envs: int
     device: torch.device
@@ -28,7 +28,7 @@ class Host(Protocol):
         """
 
     def compile(self) -> None:
-        """Compile the scene and bind every handle; does nothing the second time."""
+        """Compile the scene and bind every handle; does nothing if that is done already."""
 
     def reset_objects_state(self, env_ids: Any = None, *, only: Collection[str] | None) -> None:
-        """Put entities back to their configured state."""
+        """Reset entities to their configured state."""

@@ -1,8 +1,7 @@
-"""`physics_values`: what of a compiled model decides its physics, by element and field.
+"""`physics_values`: the values of a compiled model that affect physics, by element and field.
 
-Made for comparing two models and naming what differs. Visual geoms, colours, textures, lights and
-cameras are no part of it, nor what MuJoCo derives from the rest, nor indices: elements are known by
-their names.
+They serve to compare two models and name the differences. Visual geoms, colours, textures, lights,
+cameras, indices and values that MuJoCo derives are left out. Elements are identified by name.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ _MESH, _HFIELD = int(mujoco.mjtGeom.mjGEOM_MESH), int(mujoco.mjtGeom.mjGEOM_HFIE
 
 @dataclass(frozen=True, slots=True)
 class _Kind:
-    """Elements of one kind: what they are called, and their arrays by prefix and field."""
+    """One kind of elements: its name, and its arrays by prefix and field."""
 
     word: str
     obj: mujoco.mjtObj
@@ -36,7 +35,7 @@ class _Kind:
     prefix: str
     fields: tuple[str, ...]
     body: str = ""
-    """The array that holds the element's body, if it has one."""
+    """The array with the element's body, if there is one."""
 
 
 def _words(text: str) -> tuple[str, ...]:
@@ -122,7 +121,7 @@ _POOLED = {
     "flex": ("flex_vert0", "flex_node0", "flex_stiffness", "flex_bending", "flex_elem"),
     "plugin": ("plugin_attr",),
 }
-"""Large arrays of rare kinds, of which `_moments` are enough to see that one is another."""
+"""Large arrays of rare kinds, compared by their `_moments`."""
 _ELSEWHERE = _words(
     "body_parentid body_mocapid body_inertia body_iquat jnt_bodyid geom_bodyid geom_dataid"
     " site_bodyid actuator_trnid eq_objtype eq_obj1id eq_obj2id pair_geom1 pair_geom2"
@@ -137,19 +136,19 @@ DESCRIBED = frozenset(
     + [name for names in _POOLED.values() for name in names]
     + list(_ELSEWHERE)
 )
-"""Arrays of `mujoco.MjModel` that are read here; the others are visual, derived or indices."""
+"""Arrays of `mujoco.MjModel` read here; the others are visual, derived or indices."""
 
 
 def physics_values(model: mujoco.MjModel) -> dict[str, Element]:
-    """Return what decides a model's physics.
+    """Return the values of a model that affect physics.
 
     Inertias are full tensors about the centre of mass in the body's axes, and meshes are described
-    by counts and by moments of their vertices in the body's frame: principal axes of symmetric
-    bodies may come out differently on another machine. Fields that are all zero are left out, and
-    numbers have 9 digits.
+    by counts and moments of their vertices in the body's frame, because principal axes of symmetric
+    bodies may differ between machines. Fields that are all zero are left out; numbers have 9
+    digits.
 
     Args:
-        model: Compiled.
+        model: The compiled model.
 
     Returns:
         ``option`` and ``KIND NAME`` (``joint panda/panda_joint7``) -> field -> value.
@@ -172,7 +171,7 @@ def physics_values(model: mujoco.MjModel) -> dict[str, Element]:
 
 
 def _array(model: mujoco.MjModel, kind: _Kind, name: str) -> Any:
-    """An array of a kind's elements; MuJoCo has all of them for the names above, or none."""
+    """An array of a kind's elements; zeros if MuJoCo has no such array."""
     array = getattr(model, f"{kind.prefix}_{name}", None)
     return np.zeros(getattr(model, kind.count)) if array is None else array
 
@@ -203,14 +202,14 @@ def _joint(model: mujoco.MjModel, index: int) -> Element:
     nq, nv = widths.get(int(model.jnt_type[index]), (1, 1))
     at, dof = model.jnt_qposadr[index], model.jnt_dofadr[index]
     found: Element = {f"{name}": getattr(model, f"dof_{name}")[dof : dof + nv] for name in _DOF}
-    # The joint's own solver parameters are those of its limits, its dofs' those of friction.
+    # A joint's solver parameters are for its limits, those of its dofs for friction.
     found |= {f"{name}_friction": found.pop(name) for name in ("solref", "solimp")}
     found |= {name: getattr(model, name)[at : at + nq] for name in ("qpos0", "qpos_spring")}
     return found
 
 
 def _geom(model: mujoco.MjModel, index: int) -> Element:
-    """What replaces a mesh's frame and size, which depend on its principal axes."""
+    """Values in place of a mesh's frame and size, which depend on its principal axes."""
     kind, data = int(model.geom_type[index]), int(model.geom_dataid[index])
     if kind == _HFIELD:
         rows, columns, start = (
@@ -294,7 +293,7 @@ _MORE = {
 
 
 def _touches(model: mujoco.MjModel, index: int) -> bool:
-    """Whether a geom takes part in physics: by contact, or by the medium it moves in."""
+    """Whether a geom takes part in physics, by contact or fluid forces."""
     paired = index in model.pair_geom1 or index in model.pair_geom2
     collides = bool(model.geom_contype[index] or model.geom_conaffinity[index])
     return collides or paired or bool(np.any(model.geom_fluid[index]))
@@ -321,15 +320,15 @@ def _pooled(model: mujoco.MjModel) -> dict[str, Element]:
 
 def _moments(array: NDArray[Any]) -> Element:
     values = np.asarray(array, np.float64)
-    weights = np.arange(1, values.size + 1) / values.size  # tells orders apart
+    weights = np.arange(1, values.size + 1) / values.size  # makes the order count
     flat = values.reshape(-1)
     return {"count": flat.size, "mean": flat.mean(), "moment": (flat * weights).mean()}
 
 
 def _name(model: mujoco.MjModel, obj: mujoco.mjtObj, index: Any) -> str:
-    """The element's name; geoms, and what has none, by their number in their body, or of all.
+    """The element's name; for geoms and unnamed elements, the number within the body or model.
 
-    Names of geoms may be numbers that count visual geoms too.
+    Names of geoms are not used: they may be numbers that count visual geoms too.
     """
     at = int(index)
     name = mujoco.mj_id2name(model, obj, at) if obj != _OBJ.mjOBJ_GEOM else None
@@ -355,7 +354,7 @@ def _kept(values: Element) -> Element:
 
 
 def _plain(value: Any) -> Any:
-    """A string, a number of few digits, or a list of them; one element is no list."""
+    """A string, a rounded number, or a list of them; a list of one becomes its element."""
     if isinstance(value, str):
         return value
     if isinstance(value, (list, tuple, np.ndarray)):

@@ -1,7 +1,7 @@
-"""`PreparedScene`: files that were read and a model that was compiled while a config was checked.
+"""`PreparedScene`: files read and the model compiled while a config was checked.
 
-It is passed from the check to the simulation that is built of the same config, so that nothing is
-read or compiled twice.
+The check passes it to the simulation built from the same config, so that nothing is read or
+compiled twice.
 """
 
 from __future__ import annotations
@@ -15,16 +15,10 @@ import numpy as np
 from embodichain.lab.sim.drive_cfg import FileFirst
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.cfg import (
-        ArticulationCfg,
-        LightCfg,
-        RigidObjectCfg,
-        SimulationManagerCfg,
-    )
+    from embodichain.lab.sim.cfg import ArticulationCfg
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation
-    from embodichain.lab.sim.compiler.chatter import DriveChange, PhysicsStep
-    from embodichain.lab.sim.compiler.scene import CompiledScene
-    from embodichain.lab.sim.compiler.scene_sensors import SensorPlan
+    from embodichain.lab.sim.compiler.drives import DriveChange, PhysicsStep
+    from embodichain.lab.sim.compiler.scene import CompiledScene, SceneParts
 
 __all__ = ["PreparedScene"]
 
@@ -47,7 +41,7 @@ class _Entry:
 class PreparedScene:
     """Parsed articulations and a compiled scene, each for the first simulation of equal config.
 
-    What is taken is no longer kept. Configs are compared by value, files by their time and size.
+    Taking an entry removes it. Configs are compared by value, files by their time and size.
     """
 
     def __init__(self) -> None:
@@ -69,13 +63,13 @@ class PreparedScene:
         step: PhysicsStep,
         changes: Sequence[DriveChange],
     ) -> None:
-        """Store an articulation that has no mistakes.
+        """Store an articulation without mistakes.
 
         Args:
             path: Its key path in the task.
             parsed: The articulation.
-            step: Time step and integrator that it was parsed for.
-            changes: What events may draw for its drives and links.
+            step: Time step and integrator it was parsed for.
+            changes: Values that events may draw for its drives and links.
         """
         entry = _Entry(path, parsed, step, changes, _stamp(parsed))
         self._articulations[parsed.uid] = entry
@@ -83,7 +77,7 @@ class PreparedScene:
     def take_articulation(
         self, uid: str, cfg: ArticulationCfg, step: PhysicsStep, changes: Sequence[DriveChange]
     ) -> ParsedArticulation | None:
-        """Return the articulation that would be parsed of these, or None."""
+        """Return the stored articulation that was parsed from equal arguments, or None."""
         entry = self._articulations.pop(uid, None)
         if entry is None or entry.stamp != _stamp(entry.parsed):
             return None
@@ -92,10 +86,10 @@ class PreparedScene:
         return dataclasses.replace(entry.parsed, cfg=cfg)
 
     def settle_armature(self) -> dict[str, dict[str, float]]:
-        """Take the armature that limited drives were given into the articulations' configs.
+        """Write the armature that was added for limited drives into the articulations' configs.
 
         Returns:
-            Path of the articulation in the task -> joint -> its armature, kg m^2 or kg.
+            Key path of the articulation in the task -> joint -> armature, kg m^2 or kg.
         """
         found: dict[str, dict[str, float]] = {}
         for uid, entry in self._articulations.items():
@@ -110,46 +104,26 @@ class PreparedScene:
 
     # -- the scene ---------------------------------------------------------------------------------
 
-    def add_scene(
-        self,
-        scene: CompiledScene,
-        sim_cfg: SimulationManagerCfg,
-        articulations: Sequence[ParsedArticulation],
-        objects: Mapping[str, RigidObjectCfg],
-        lights: Mapping[str, LightCfg],
-        sensors: Mapping[str, SensorPlan],
-    ) -> None:
-        """Store the scene that was compiled of these; see `compile_scene`."""
-        key = _scene_key(sim_cfg, objects, lights, sensors)
-        self._scene = [parsed.spec for parsed in articulations], key, scene
+    def add_scene(self, scene: CompiledScene, parts: SceneParts) -> None:
+        """Store the scene that `compile_scene` made from these arguments."""
+        self._scene = [parsed.spec for parsed in parts[1]], _scene_key(parts), scene
 
-    def take_scene(
-        self,
-        sim_cfg: SimulationManagerCfg,
-        articulations: Sequence[ParsedArticulation],
-        objects: Mapping[str, RigidObjectCfg],
-        lights: Mapping[str, LightCfg],
-        sensors: Mapping[str, SensorPlan],
-    ) -> CompiledScene | None:
-        """Return the scene that would be compiled of these, or None."""
+    def take_scene(self, parts: SceneParts) -> CompiledScene | None:
+        """Return the stored scene that was compiled from equal arguments, or None."""
         found, self._scene = self._scene, None
         if found is None:
             return None
         specs, key, scene = found
-        same = len(specs) == len(articulations) and all(
-            spec is parsed.spec for spec, parsed in zip(specs, articulations, strict=True)
+        # Specs compare by identity: two read from one file are not equal.
+        same = len(specs) == len(parts[1]) and all(
+            spec is parsed.spec for spec, parsed in zip(specs, parts[1], strict=True)
         )
-        return scene if same and key == _scene_key(sim_cfg, objects, lights, sensors) else None
+        return scene if same and key == _scene_key(parts) else None
 
 
-def _scene_key(
-    sim_cfg: SimulationManagerCfg,
-    objects: Mapping[str, RigidObjectCfg],
-    lights: Mapping[str, LightCfg],
-    sensors: Mapping[str, SensorPlan],
-) -> Any:
-    physics = [sim_cfg.physics_dt, sim_cfg.physics_config, sim_cfg.ground_plane]
-    return _key([physics, objects, lights, sensors])
+def _scene_key(parts: SceneParts) -> Any:
+    sim, _, *others = parts
+    return _key([sim.physics_dt, sim.physics_config, sim.ground_plane, *others])
 
 
 def _stamp(parsed: ParsedArticulation) -> tuple[int, int]:
@@ -162,7 +136,7 @@ def _stamp(parsed: ParsedArticulation) -> tuple[int, int]:
 
 
 def _key(value: Any) -> Any:
-    """A config as nested tuples; a `uid` is left out, because sections set it."""
+    """A config as nested tuples, without `uid`, which the sections of a task set."""
     if isinstance(value, FileFirst):
         return "file first", float(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):

@@ -1,4 +1,4 @@
-"""Pictures of one environment, off screen: `SceneRenderer` over `mujoco.Renderer`.
+"""Off-screen rendering of one environment: `SceneRenderer`, on `mujoco.Renderer`.
 
 The OpenGL library is chosen at first use, so that importing this package needs none.
 """
@@ -26,10 +26,10 @@ _HINT = (
 
 
 def _choose_opengl() -> None:
-    """Use EGL where there is no display and the user chose nothing.
+    """Use EGL if there is no display and the user chose no library.
 
-    MuJoCo chooses when it is imported, from MUJOCO_GL, and takes GLFW by default, which needs a
-    display. Importing EGL for everyone would slow every start, so the class is exchanged here.
+    MuJoCo chooses at import, by MUJOCO_GL; its default, GLFW, needs a display. Importing EGL always
+    would slow every start, so the class is replaced here.
     """
     headless = sys.platform.startswith("linux") and not os.environ.get("DISPLAY")
     if headless and not os.environ.get("MUJOCO_GL"):
@@ -40,20 +40,20 @@ def _choose_opengl() -> None:
 
 
 class Drawable(Protocol):
-    """What can be drawn: an engine, or a state that was kept of one."""
+    """An object that can be rendered: an engine, or a stored state of one."""
 
     def data_of(self, env_id: int) -> mujoco.MjData:
-        """One environment's state, every derived field computed; its ``model`` is drawn."""
+        """One environment's state with all derived fields; its ``model`` is rendered."""
 
 
 @dataclass(frozen=True)
 class View:
-    """A place to look from that is no camera of the scene.
+    """A viewpoint other than the scene's cameras.
 
     Attributes:
         eye: (3,) metres, environment's frame.
         forward: (3,) unit vector.
-        up: (3,) unit vector at right angles to it.
+        up: (3,) unit vector perpendicular to `forward`.
         fovy: Vertical field of view in degrees.
     """
 
@@ -66,7 +66,7 @@ class View:
     def look_at(
         cls, eye: Sequence[float], target: Sequence[float], up: Sequence[float], fovy: float
     ) -> View:
-        """A view from one point to another; +x is up where ``up`` lies along the view.
+        """A view from one point to another; +x is up if ``up`` is parallel to the view.
 
         Raises:
             ValueError: If the points are the same.
@@ -85,7 +85,7 @@ class View:
         raise ValueError("no direction is at right angles to the view")
 
     def aim(self, scene: mujoco.MjvScene) -> None:
-        """Look at an updated scene from here."""
+        """Set the cameras of an updated scene to this view."""
         for camera in scene.camera:
             camera.pos, camera.forward, camera.up = self.eye, self.forward, self.up
             camera.frustum_top = camera.frustum_near * np.tan(np.radians(self.fovy) / 2)
@@ -105,7 +105,7 @@ class SceneRenderer:
         height: Pixels.
 
     Raises:
-        RenderError: If no OpenGL library works here; names the package that would help.
+        RenderError: If no OpenGL library works here; names the package to install.
     """
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
@@ -124,7 +124,7 @@ class SceneRenderer:
     def draw(
         self, engine: Drawable, env_id: int, camera: str | int | View
     ) -> np.ndarray[Any, np.dtype[np.uint8]]:
-        """Return (height, width, 3) RGB of one environment; changes nothing of it.
+        """Return (height, width, 3) RGB of one environment, which does not change.
 
         Raises:
             ValueError: If there is no such camera; lists the cameras.
@@ -141,7 +141,7 @@ class SceneRenderer:
             chosen = self._cameras.index(camera) if isinstance(camera, str) else camera
             self._camera.type, self._camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, chosen
         data = engine.data_of(env_id)
-        # Not `Renderer.update_scene`: colours, lights and cameras are those of the environment.
+        # Not `Renderer.update_scene`: the environment has its own colours, lights and cameras.
         mujoco.mjv_updateScene(
             data.model,
             data,

@@ -1,4 +1,4 @@
-"""`Scene`: what was added to a simulation, by uid, and what it compiles to."""
+"""`Scene`: entities and sensors of a simulation by uid, and the compiled model."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from embodichain.lab.sim.cfg import ArticulationCfg, SimulationManagerCfg, name_of
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_articulation
-from embodichain.lab.sim.compiler.chatter import DriveChange, physics_step
+from embodichain.lab.sim.compiler.drives import DriveChange, physics_step
 from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
 from embodichain.lab.sim.compiler.scene_sensors import SensorPlan, plan_sensor
 from embodichain.lab.sim.engine.api import Engine
@@ -19,7 +19,7 @@ from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.lab.sim.sensors.cfg import CameraCfg, SensorCfg, no_camera
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError, Problem, below
 
 __all__ = ["Entity", "Scene"]
 
@@ -31,16 +31,16 @@ Entity = Articulation | RigidObject
 class Scene:
     """Entities and sensors by uid; compiled once, after which nothing can be added.
 
-    What a check of the same config has read and compiled (`PreparedScene`) is used. What a user
-    should be told about files is logged as warnings, once.
+    Files and models that a check of the same config has read and compiled are reused
+    (`PreparedScene`). Notes about files are logged as warnings, once.
 
     Args:
         cfg: Physics options and ground plane.
 
     Attributes:
-        robots, articulations, rigid_objects, lights, sensors: Handles by uid; `articulations` are
-            those that are no robots.
-        compiled: The model and where each entity is in it; None before `compile`.
+        robots, articulations, rigid_objects, lights, sensors: Handles by uid; `articulations`
+            contains no robots.
+        compiled: The model and the indices of each entity; None before `compile`.
     """
 
     def __init__(self, cfg: SimulationManagerCfg) -> None:
@@ -60,12 +60,12 @@ class Scene:
 
     @property
     def uids(self) -> list[str]:
-        """Everything that has a name, ``default_plane`` included."""
+        """Uids of everything in the scene, ``default_plane`` included."""
         plane = ["default_plane"] if self._cfg.ground_plane else []
         return [*plane, *self.jointed, *self.rigid_objects, *self.lights, *self.sensors]
 
     def claim(self, cfg: Any) -> str:
-        """Return the uid of something to be added.
+        """Check that an entity or sensor can be added, and return its uid.
 
         Raises:
             ConfigError: If the uid is missing or taken.
@@ -84,18 +84,18 @@ class Scene:
     def parse(
         self, cfg: ArticulationCfg, changes: Mapping[str, Sequence[DriveChange]]
     ) -> ParsedArticulation:
-        """Read the file of an articulation that is to be added; raises as `claim` does.
+        """Read the file of an articulation to be added; raises as `claim` does.
 
         Args:
             cfg: The articulation.
-            changes: What events may draw for drives and links, by uid.
+            changes: Values that events may draw for drives and links, by uid.
         """
         uid = self.claim(cfg)
         wanted = uid, cfg, physics_step(self._cfg), changes.get(uid, ())
         return self._prepared.take_articulation(*wanted) or parse_articulation(*wanted)
 
     def plan_sensor(self, cfg: SensorCfg | CameraCfg) -> SensorPlan:
-        """Look up what a sensor is fixed on; raises as `claim` does, or as for cameras."""
+        """Look up the links of a sensor; raises as `claim` does, and for cameras."""
         if isinstance(cfg, CameraCfg):
             raise no_camera(cfg)
         uid = self.claim(cfg)
@@ -106,11 +106,11 @@ class Scene:
         }
         plan, problems = plan_sensor(uid, cfg, known, ground=self._cfg.ground_plane)
         if plan is None:
-            raise ConfigError([Problem(f"{uid}.{p.path}", p.message, p.hint) for p in problems])
+            raise ConfigError(below(uid, problems))
         return plan
 
     def remove(self, uid: str) -> bool:
-        """Take back something that was added; returns whether it was there.
+        """Remove an entity or a sensor; returns whether it existed.
 
         Raises:
             RuntimeError: If the scene is compiled already.
@@ -124,11 +124,13 @@ class Scene:
         return any(group.pop(uid, None) is not None for group in groups)
 
     def entity(self, uid: str) -> Entity | None:
-        """A robot, articulation or object by uid, or None."""
-        return self.jointed.get(uid) or self.rigid_objects.get(uid)
+        """A robot, articulation or rigid object by uid, or None."""
+        groups: tuple[Mapping[str, Entity], ...]
+        groups = self.robots, self.articulations, self.rigid_objects
+        return next((group[uid] for group in groups if uid in group), None)
 
     def compile(self) -> CompiledScene:
-        """Compile everything into one model; the second time return it."""
+        """Compile everything into one model at the first call, and return it."""
         if self.compiled is None:
             articulations = [articulation.parsed for articulation in self.jointed.values()]
             parts = (
@@ -138,7 +140,7 @@ class Scene:
                 {uid: light.cfg for uid, light in self.lights.items()},
                 {uid: sensor.plan for uid, sensor in self.sensors.items()},
             )
-            self.compiled = self._prepared.take_scene(*parts) or compile_scene(*parts)
+            self.compiled = self._prepared.take_scene(parts) or compile_scene(*parts)
             notes = [f"{parsed.uid}: {note}" for parsed in articulations for note in parsed.notes]
             for note in (*notes, *self.compiled.notes):
                 _log.warning("%s", note)

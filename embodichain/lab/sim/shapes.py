@@ -1,7 +1,4 @@
-"""Shapes of rigid objects: pure data, full sizes in metres.
-
-`embodichain.lab.sim.compiler` turns them into geometry; nothing here imports MuJoCo.
-"""
+"""Shapes of rigid objects, as pure data; sizes are full sizes in metres."""
 
 from __future__ import annotations
 
@@ -10,8 +7,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from embodichain.utils.configclass import configclass
-from embodichain.utils.errors import ConfigError
-from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.type_errors import member_from_dict
 
 __all__ = [
     "AnyShapeCfg",
@@ -29,7 +25,7 @@ __all__ = [
 
 @configclass
 class VisualMaterialCfg:
-    """How a surface looks. Only `base_color` reaches MuJoCo's renderer."""
+    """Appearance of a surface. MuJoCo's renderer uses only `base_color`."""
 
     uid: str = "default_mat"
     base_color: list[float] = [1.0, 1.0, 1.0, 1.0]
@@ -56,20 +52,8 @@ class ShapeCfg:
         Raises:
             ConfigError: If the type or a key is unknown; lists what exists.
         """
-        data = dict(init_dict)
-        kind = str(data.pop("shape_type", ""))
-        shape = _SHAPES.get(kind)
-        if shape is None:
-            raise ConfigError(
-                f"unknown shape_type {kind!r}; one of: {', '.join(_SHAPES)}."
-                f"{did_you_mean(kind, _SHAPES)}"
-            )
-        unknown = [k for k in data if k not in shape.__dataclass_fields__]
-        if unknown:
-            raise ConfigError(
-                f"{kind} has no keys {unknown}; it has {[*shape.__dataclass_fields__]}"
-            )
-        return shape(**data)
+        built: ShapeCfg = member_from_dict(_SHAPES, "shape_type", init_dict)
+        return built
 
 
 @configclass
@@ -77,7 +61,6 @@ class CubeCfg(ShapeCfg):
     """A box."""
 
     shape_type: Literal["Cube"] = "Cube"
-    visual_material: VisualMaterialCfg | None = None
     size: Annotated[list[float], Field(min_length=3, max_length=3)] = [1.0, 1.0, 1.0]
     """Full edge lengths along x, y, z in metres."""
 
@@ -87,7 +70,6 @@ class SphereCfg(ShapeCfg):
     """A ball."""
 
     shape_type: Literal["Sphere"] = "Sphere"
-    visual_material: VisualMaterialCfg | None = None
     radius: float = 1.0
     """Metres."""
     resolution: int = 20
@@ -99,7 +81,6 @@ class CylinderCfg(ShapeCfg):
     """A cylinder along its z axis."""
 
     shape_type: Literal["Cylinder"] = "Cylinder"
-    visual_material: VisualMaterialCfg | None = None
     radius: float = 0.5
     """Metres."""
     height: float = 1.0
@@ -111,7 +92,6 @@ class CapsuleCfg(ShapeCfg):
     """A cylinder along z with half-spheres at both ends."""
 
     shape_type: Literal["Capsule"] = "Capsule"
-    visual_material: VisualMaterialCfg | None = None
     radius: float = 0.5
     """Metres."""
     height: float = 1.0
@@ -123,9 +103,8 @@ class PlaneCfg(ShapeCfg):
     """An infinite plane with normal +z; only for static objects."""
 
     shape_type: Literal["Plane"] = "Plane"
-    visual_material: VisualMaterialCfg | None = None
     size: Annotated[list[float], Field(min_length=2, max_length=2)] = [0.0, 0.0]
-    """Rendered full edge lengths along x, y in metres; 0 is endless. Collision is infinite."""
+    """Rendered full edge lengths along x, y in metres; 0 is infinite. Collision is infinite."""
 
 
 @configclass
@@ -141,14 +120,13 @@ class LoadOption:
 
 @configclass
 class MeshCfg(ShapeCfg):
-    """A mesh file. It collides by its hull, or by convex parts (`RigidObjectCfg.collision`)."""
+    """A mesh file. Its hull or convex parts collide (`RigidObjectCfg.collision`)."""
 
     shape_type: Literal["Mesh"] = "Mesh"
-    visual_material: VisualMaterialCfg | None = None
     fpath: str = ""
-    """A path that `embodichain.data.get_data_path` finds: .obj, .stl, .dae, .glb, .gltf, .ply, .off
-    or .msh. Coordinates are taken as they are, in metres, or by the unit and up axis of .dae. Its
-    colours are drawn unless `visual_material` is given."""
+    """A .obj, .stl, .dae, .glb, .gltf, .ply, .off or .msh file, found by
+    `embodichain.data.get_data_path`. Coordinates are in metres; a .dae file's unit and up axis are
+    applied. Its colours are drawn unless `visual_material` is given."""
     load_option: LoadOption = LoadOption()
     compute_uv: bool = False
     """Accepted for compatibility."""

@@ -22,7 +22,7 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.compiler.chatter import DriveChange
+from embodichain.lab.sim.compiler.drives import DriveChange
 from embodichain.lab.sim.compiler.scene import CompiledScene
 from embodichain.lab.sim.engine.cpu import CpuEngine
 from embodichain.lab.sim.objects._arrays import as_env_ids
@@ -51,7 +51,7 @@ __all__ = ["SimulationManager"]
 
 _log = logging.getLogger(__name__)
 _instances: dict[int, weakref.ref[SimulationManager]] = {}
-"""Simulations of this process by `instance_id`, while they live."""
+"""The live simulations of this process, by `instance_id`."""
 _SENSORS: dict[str, type[BaseSensor]] = {
     "contact": ContactSensor,
     "force_torque": ForceTorqueSensor,
@@ -84,19 +84,19 @@ class SimulationManager:
     """N environments of one scene.
 
     Args:
-        cfg: How the simulation runs.
+        cfg: Physics, device and number of environments.
 
     Attributes:
         num_envs: N.
-        device: Where tensors are.
+        device: Device of all tensors.
         instance_id: The simulation's number among those of this process.
-        robots, articulations, rigid_objects, lights, sensors: What was added, by uid;
-            `articulations` are those that are no robots.
-        drive_changes: What events may draw for the drives and links of articulations, by uid.
-        physics_seconds: Wall time that physics steps took so far, in `update`.
+        robots, articulations, rigid_objects, lights, sensors: Handles by uid; `articulations`
+            contains no robots.
+        drive_changes: Values that events may draw for drives and links, by articulation uid.
+        physics_seconds: Wall time spent on physics steps in `update` so far.
 
     Raises:
-        ConfigError: If there is no environment.
+        ConfigError: If `num_envs` is less than 1.
         DeviceError: If the device is unknown or has no engine here.
     """
 
@@ -125,9 +125,9 @@ class SimulationManager:
 
     @property
     def arena_offsets(self) -> torch.Tensor:
-        """(N, 3) where viewers lay environments out: a square grid of `arena_space` metres.
+        """(N, 3) positions of environments in viewers: a square grid of `arena_space` metres.
 
-        Physics knows no offsets: every environment is its own world, and every pose is in it.
+        Physics has no offsets: each environment is a separate world, and poses are relative to it.
         """
         side = int(np.ceil(np.sqrt(self.num_envs)))
         index = np.arange(self.num_envs)
@@ -160,13 +160,13 @@ class SimulationManager:
         return obj
 
     def add_light(self, cfg: LightCfg) -> Light:
-        """Add a light for pictures; see `add_robot` for what it raises."""
+        """Add a light for rendering; see `add_robot` for what it raises."""
         light = Light(cfg, self._scene.claim(cfg), self)
         self.lights[light.uid] = light
         return light
 
     def add_sensor(self, cfg: SensorCfg | CameraCfg) -> BaseSensor:
-        """Add a sensor to entities that are there already.
+        """Add a sensor to entities that were added before.
 
         Raises:
             NotImplementedError: If it is a camera.
@@ -178,7 +178,7 @@ class SimulationManager:
         return sensor
 
     def remove_asset(self, uid: str) -> bool:
-        """Take back something that was added; returns whether it was there.
+        """Remove an entity or a sensor; returns whether it existed.
 
         Raises:
             RuntimeError: If the scene is compiled already.
@@ -188,7 +188,7 @@ class SimulationManager:
     # -- finding -------------------------------------------------------------------------------
 
     def get_robot(self, uid: str | None = None) -> Robot | None:
-        """A robot by uid (None if absent); without a uid, the only one."""
+        """A robot by uid, or None; without a uid, the only robot of the scene."""
         if uid is None:
             return next(iter(self.robots.values())) if len(self.robots) == 1 else None
         return self.robots.get(uid)
@@ -199,7 +199,7 @@ class SimulationManager:
     get_sensor = _finder("sensors", BaseSensor)
 
     def get_asset(self, uid: str) -> Entity | None:
-        """A robot, articulation or object by uid, or None."""
+        """A robot, articulation or rigid object by uid, or None."""
         return self._scene.entity(uid)
 
     get_robot_uid_list = _lister("robots")
@@ -210,12 +210,12 @@ class SimulationManager:
 
     @property
     def asset_uids(self) -> list[str]:
-        """Everything that has a name, ``default_plane`` included."""
+        """Uids of everything in the scene, ``default_plane`` included."""
         return self._scene.uids
 
     @property
     def has_non_static_rigid_object(self) -> bool:
-        """Whether a rigid object can move."""
+        """Whether any rigid object can move."""
         return any(obj.cfg.body_type != "static" for obj in self.rigid_objects.values())
 
     # -- compiling -----------------------------------------------------------------------------
@@ -242,12 +242,12 @@ class SimulationManager:
 
     @property
     def initial_row(self) -> F64:
-        """(nstate,) the state that a reset gives every environment, before events (a copy)."""
+        """(nstate,) state after a reset and before reset events (a copy)."""
         self.compile()
         return self._initial_row.copy()
 
     def compile(self) -> None:
-        """Compile the declared scene and start its engine; does nothing the second time."""
+        """Compile the scene and start its engine; does nothing if that is done already."""
         if self._destroyed:
             raise RuntimeError("the simulation was destroyed")
         if self._engine is not None:
@@ -290,12 +290,12 @@ class SimulationManager:
         excluded_uids: Collection[str] = (),
         only: Collection[str] | None = None,
     ) -> None:
-        """Put entities back to their configured state: poses, joints, targets, no velocity.
+        """Reset entities to their configured poses, joint positions and targets, at zero velocity.
 
         Args:
             env_ids: The environments; None is all.
-            excluded_uids: Entities that stay as they are.
-            only: If given, no other entity changes (and MuJoCo's own reset is left out).
+            excluded_uids: Entities that do not change.
+            only: If given, only these entities change, and `mj_resetData` is not called.
         """
         ids = as_env_ids(env_ids, self.num_envs)
         if ids is not None and not len(ids):
@@ -309,13 +309,13 @@ class SimulationManager:
         else:
             for handle in chosen:
                 if handle is not None:
-                    columns = handle.row_columns()
+                    columns = handle.row_columns
                     engine.write("row", self._initial_row[columns], ids, columns)
         for handle in chosen:
             if isinstance(handle, Articulation):
                 handle.forget_targets(ids)
 
-    # -- pictures ------------------------------------------------------------------------------
+    # -- rendering -----------------------------------------------------------------------------
 
     def render(
         self,
@@ -324,10 +324,10 @@ class SimulationManager:
         width: int = 640,
         height: int = 480,
     ) -> np.ndarray[Any, np.dtype[np.uint8]]:
-        """Draw one environment off screen, (height, width, 3) RGB.
+        """Render one environment off screen, (height, width, 3) RGB.
 
         Raises:
-            RenderError: If no OpenGL library works here; names the package.
+            RenderError: If no OpenGL library works here; names the package to install.
             ValueError: If there is no such camera or environment.
         """
         from embodichain.lab.sim.rendering import SceneRenderer
@@ -341,7 +341,7 @@ class SimulationManager:
         return self._renderer.draw(self.engine, env_id, camera)
 
     def open_window(self, env_id: int = 0) -> None:
-        """Open MuJoCo's viewer on one environment; `update` keeps it current.
+        """Open MuJoCo's viewer on one environment; `update` refreshes it.
 
         Raises:
             RenderError: If there is no display.
@@ -365,7 +365,7 @@ class SimulationManager:
     # -- whole simulations -----------------------------------------------------------------------
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything physics needs to continue to the bit (copies)."""
+        """Everything needed to continue bit for bit (copies)."""
         return {
             "engine": self.engine.state_dict(),
             "drives": {uid: h.drives.state_dict() for uid, h in self._scene.jointed.items()},
@@ -387,30 +387,30 @@ class SimulationManager:
     def enable_physics(self, enable: bool = True) -> None:
         """Switch physics on or off; while it is off, `update` takes no steps.
 
-        Poses, joints and targets can be set meanwhile, and are read where they were put.
+        Meanwhile poses, joints and targets can still be set and read back.
         """
         self._physics_enabled = enable
 
     def destroy(self, exit_process: bool = False) -> None:
-        """Free the engine, the renderer and the viewer; returns, and never ends the process."""
+        """Free the engine, the renderer and the viewer; never ends the process."""
         self.close_window()
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
-        # What is large goes now, not when Python collects the cycle of handles and environment.
+        # Free large arrays now, before Python collects the cycle of handles and environment.
         self._scene.destroy()
         self._engine = None
         self._destroyed = True
         _instances.pop(self.instance_id, None)
 
-    # -- simulations of this process: EmbodiChain's ------------------------------------------------
+    # -- simulations of this process, as EmbodiChain -----------------------------------------------
 
     @classmethod
     def get_instance(cls, instance_id: int = 0) -> SimulationManager:
-        """Return a living simulation by the order of its creation.
+        """Return a live simulation by its `instance_id`.
 
         Raises:
-            ValueError: If there is none; lists the living ones.
+            ValueError: If it does not exist; lists the live ones.
         """
         alive = {i: sim for i, ref in _instances.items() if (sim := ref()) is not None}
         if instance_id not in alive:
@@ -419,17 +419,17 @@ class SimulationManager:
 
     @staticmethod
     def get_instance_num() -> int:
-        """How many simulations live in this process."""
+        """Number of live simulations in this process."""
         return sum(ref() is not None for ref in _instances.values())
 
     @staticmethod
     def is_instantiated(instance_id: int = 0) -> bool:
-        """Whether a simulation of that number lives."""
+        """Whether the simulation with this `instance_id` is live."""
         return _instances.get(instance_id, lambda: None)() is not None
 
     @classmethod
     def reset(cls, instance_id: int = 0) -> None:
-        """Destroy a simulation if it lives; states are reset by `reset_objects_state`."""
+        """Destroy a simulation if it is live; to reset states, use `reset_objects_state`."""
         if cls.is_instantiated(instance_id):
             cls.get_instance(instance_id).destroy()
 
@@ -444,7 +444,7 @@ class SimulationManager:
         return True
 
     def set_manual_update(self, enable: bool) -> None:
-        """Accept the call; False is warned of: physics advances in `update` only."""
+        """No effect: physics advances in `update` only. False logs a warning."""
         if not enable:
             _log.warning("set_manual_update(False): no effect, physics advances in update() only")
 

@@ -1,7 +1,7 @@
-"""Names of EmbodiChain's that exist here and raise NotImplementedError with the reason.
+"""Names of EmbodiChain that are not available: they raise NotImplementedError with the reason.
 
 Objects and their configs raise when they are built, methods when they are called. Some methods of
-the simulation return what is true here without them, such as that there is no gizmo.
+the simulation return a constant instead, such as that there is no gizmo.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _GROUP, _GIZMO = "object groups are not available", "gizmos are not available"
 _TEXTURE, _MATERIAL = "textures are compiled into the model", "declare visual_material"
 _LIGHT, _WELD = "MuJoCo has none; add lights", "welds come later"
 _ENGINE = "the engine is MuJoCo's: model and data are scene.model and engine.rows"
-_WINDOW = "the log of a run holds it: record=full, then `embodichain replay last --video FILE`"
+_WINDOW = "the log of a run contains it: record=mcap, then `embodichain replay last --video FILE`"
 
 SIMULATION_ANSWERS: Mapping[str, tuple[Any, str]] = {
     "flush_cleanup_queue": (None, "`destroy` frees at once"),
@@ -51,7 +51,7 @@ SIMULATION_ANSWERS: Mapping[str, tuple[Any, str]] = {
     "is_window_recording": (False, "windows are not recorded"),
     "get_texture_cache": (None, _TEXTURE),
 }
-"""Method of `SimulationManager` -> what it always returns, and why."""
+"""Method of `SimulationManager` -> its constant return value, and why."""
 
 SIMULATION_REFUSALS: Mapping[str, str] = {
     "add_soft_object": "soft bodies come later",
@@ -115,41 +115,18 @@ class _Unavailable:
         raise NotImplementedError(f"{type(self).__name__}: {self.__doc__}")
 
 
-class SoftObject(_Unavailable):
-    """Soft bodies are not available yet."""
+def _refusing(name: str, why: str) -> tuple[type[_Unavailable], type[_Unavailable]]:
+    """Return an unavailable class and its config class."""
+    members = {"__doc__": why, "__module__": __name__}
+    return type(name, (_Unavailable,), members), type(f"{name}Cfg", (_Unavailable,), members)
 
 
-class SoftObjectCfg(SoftObject):
-    """Soft bodies are not available yet."""
-
-
-class ClothObject(_Unavailable):
-    """Cloth is not available yet."""
-
-
-class ClothObjectCfg(ClothObject):
-    """Cloth is not available yet."""
-
-
-class RigidObjectGroup(_Unavailable):
-    """Object groups are not available yet; add objects one by one."""
-
-
-class RigidObjectGroupCfg(RigidObjectGroup):
-    """Object groups are not available yet; add objects one by one."""
-
-
-class RigidConstraint(_Unavailable):
-    """Rigid constraints are not available yet."""
-
-
-class RigidConstraintCfg(RigidConstraint):
-    """Rigid constraints are not available yet."""
-
-
-class Gizmo(_Unavailable):
-    """Gizmos are not available yet."""
-
-
-class GizmoCfg(Gizmo):
-    """Gizmos are not available yet."""
+SoftObject, SoftObjectCfg = _refusing("SoftObject", "soft bodies are not available yet")
+ClothObject, ClothObjectCfg = _refusing("ClothObject", "cloth is not available yet")
+RigidObjectGroup, RigidObjectGroupCfg = _refusing(
+    "RigidObjectGroup", "object groups are not available yet; add objects one by one"
+)
+RigidConstraint, RigidConstraintCfg = _refusing(
+    "RigidConstraint", "rigid constraints are not available yet"
+)
+Gizmo, GizmoCfg = _refusing("Gizmo", "gizmos are not available yet")

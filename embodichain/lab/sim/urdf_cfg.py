@@ -1,7 +1,7 @@
-"""`URDFCfg`: one robot of several URDF files, arm and hand for example. Pure data.
+"""`URDFCfg`: one robot assembled from several URDF files, such as arm and hand. Pure data.
 
-Names, order of the components, and which is fixed on which are EmbodiChain 0.2.1's; the compiler
-puts the files together (`compiler.assembly`) and nothing is written to disk.
+Names, order and parents of the components are those of EmbodiChain 0.2.1. The compiler assembles
+the files (`compiler.robot_assembly`); nothing is written to disk.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ COMPONENTS: dict[str, str] = {
     **{"left_arm": "left_", "right_arm": "right_", "left_hand": "left_", "right_hand": "right_"},
     **{"arm": "", "hand": ""},
 }
-"""Component -> prefix of its names, in the order in which they are put together."""
+"""Component -> prefix of its names, in order of assembly."""
 Case = Literal["upper", "lower", "none", "original"]
 
 
@@ -30,17 +30,17 @@ class URDFComponentCfg:
     component_type: str = ""
     """chassis, legs, torso, head, left_arm, right_arm, left_hand, right_hand, arm or hand."""
     urdf_path: str = ""
-    """What `embodichain.data.get_data_path` finds."""
+    """A file, found by `embodichain.data.get_data_path`."""
     transform: Any = None
-    """4x4 pose of its first link in the link that carries it; None is the identity."""
+    """4x4 pose of its first link in the parent link; None is the identity."""
 
 
 @configclass
 class URDFCfg:
     """Components that are fixed on each other.
 
-    A hand is fixed on the last link of its arm, an arm on the last link of the torso, else on the
-    first of the chassis, else on the base. One component alone is its file, with the file's names.
+    A hand is fixed on the last link of its arm; an arm on the last link of the torso, else on the
+    first link of the chassis, else on the base. A single component keeps its file's names.
     """
 
     components: list[URDFComponentCfg] | dict[str, URDFComponentCfg] = []
@@ -56,16 +56,16 @@ class URDFCfg:
     use_signature_check: bool = True
     """No effect: nothing is cached."""
     base_link_name: str = "base_link"
-    """The link that carries the whole; it has no mass."""
+    """Name of the massless root link."""
     component_prefix: Any = None
-    """(component, prefix) pairs or a map; what is missing has its usual prefix."""
+    """(component, prefix) pairs or a map; other components have their default prefix."""
     name_case: dict[str, Case] = dataclasses.field(
         default_factory=lambda: {"joint": "upper", "link": "lower"}
     )
-    """How ``joint`` and ``link`` names are spelled; ``none`` and ``original`` keep the files'."""
+    """Case of ``joint`` and ``link`` names; ``none`` and ``original`` keep the files'."""
 
     def __post_init__(self) -> None:
-        """Take components as plain maps, too."""
+        """Convert components that are plain maps."""
         given = self.components
         entries: list[tuple[str, Any]]
         if isinstance(given, Mapping):
@@ -75,13 +75,13 @@ class URDFCfg:
         self.components = [_component(component, kind) for kind, component in entries]
 
     def add_component(self, component_type: str, urdf_path: str, transform: Any = None) -> URDFCfg:
-        """Add a component, or replace that of its type; returns the config."""
+        """Add a component, or replace the one of the same type; returns the config."""
         rest = [c for c in self.parts() if c.component_type != component_type]
         self.components = [*rest, URDFComponentCfg(component_type, urdf_path, transform)]
         return self
 
     def set_urdf(self, urdf_path: str) -> URDFCfg:
-        """Make the robot one file; returns the config."""
+        """Replace all components by one file; returns the config."""
         self.components = [URDFComponentCfg("", urdf_path)]
         return self
 
@@ -91,12 +91,12 @@ class URDFCfg:
         return list(given.values()) if isinstance(given, dict) else given
 
     def stem(self) -> str:
-        """The stems of the files, joined: what the robot is called without a uid."""
+        """The joined stems of the files: the robot's name if it has no uid."""
         names = (part.urdf_path.replace("\\", "/").rsplit("/", 1)[-1] for part in self.parts())
         return "_".join(name.rsplit(".", 1)[0] for name in names)
 
     def prefixes(self) -> dict[str, str]:
-        """Component -> prefix, in the order in which they are put together."""
+        """Component -> prefix, in order of assembly."""
         given = dict(self.component_prefix or {})
         return {name: given.get(name, usual) or "" for name, usual in COMPONENTS.items()}
 

@@ -1,4 +1,4 @@
-"""`NativeViewer`: MuJoCo's own window onto one environment. Needs a display."""
+"""`NativeViewer`: MuJoCo's window with one environment. Needs a display."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ def has_display() -> bool:
 
 
 class NativeViewer:
-    """A passive viewer: it shows, it never changes the simulation.
+    """A passive viewer: it never changes the simulation.
 
     Args:
-        engine: The simulations.
+        engine: The engine.
         env_id: The environment to show.
-        on_key: Called with the code of a key that was pressed in the window, on its thread.
+        on_key: Called with the code of each key pressed in the window, on the window's thread.
 
     Raises:
         RenderError: If there is no display.

@@ -1,6 +1,6 @@
-"""A log in the formats of other programs: tables, demonstrations, ROS 2.
+"""Exports a log to formats of other programs: tables, demonstrations, ROS 2, Rerun.
 
-Names are found on first use: each format imports only what it needs.
+Names are imported on first use: each format imports only what it needs.
 """
 
 import lazy_loader

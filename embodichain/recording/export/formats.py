@@ -1,4 +1,4 @@
-"""`export`: the formats, the part of a log that is written, files that are never replaced."""
+"""`export`: the formats, the part of a log to write, and writing without replacing files."""
 
 from __future__ import annotations
 
@@ -29,7 +29,6 @@ __all__ = [
     "FORMATS",
     "Format",
     "Part",
-    "Posed",
     "about",
     "demonstrations",
     "export",
@@ -42,14 +41,14 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """Which part of a log is written.
+    """The part of a log to write.
 
     Attributes:
-        env: One environment; None is all (for ROS 2 and Rerun those that were viewed, for mp4 the
-            first of them).
+        env: One environment; None is all (for ROS 2 and Rerun the viewed ones, for mp4 the first
+            viewed one).
         episode: One of its episodes; needs `env`.
         start: First control step.
-        stop: Control step that no longer belongs to it; None is the end.
+        stop: End of the control steps, exclusive; None is the end of the log.
     """
 
     env: int | None = None
@@ -59,15 +58,15 @@ class Part:
 
     @property
     def last(self) -> int | None:
-        """Last control step, included; None is the end."""
+        """Last control step, included; None is the end of the log."""
         return None if self.stop is None else self.stop - 1
 
     def envs_of(self, log: Log) -> list[int]:
-        """The environment that is named, else those that were viewed."""
+        """The selected environment, or the viewed ones if none is selected."""
         return [self.env] if self.env is not None else log.header.view_envs or [0]
 
     def steps_of(self, episode: LogEpisode) -> range:
-        """The control steps of an episode that belong to the part."""
+        """The control steps of an episode that are in the part."""
         if self.env not in (None, episode.env) or self.episode not in (None, episode.episode):
             return range(0)
         stop = episode.last_step + 1 if self.stop is None else min(self.stop, episode.last_step + 1)
@@ -78,9 +77,9 @@ class Format(NamedTuple):
     """A format of files.
 
     Attributes:
-        suffix: Of the file's name; empty where it is a folder.
+        suffix: Suffix of the file's name; empty if the format is a folder.
         module: Module of this package with the function ``write_FORMAT(log, part, path)``.
-        extra: Extra that installs what it needs.
+        extra: Extra that installs the required packages.
     """
 
     suffix: str
@@ -99,7 +98,7 @@ FORMATS: Mapping[str, Format] = {
     "mp4": Format(".mp4"),
 }
 _PACKAGES = {"rerun": "rerun-sdk"}
-"""Packages whose names differ from their modules'."""
+"""Module to package, if the names differ."""
 
 
 def export(
@@ -116,19 +115,18 @@ def export(
     Args:
         log: The log.
         format: Key of `FORMATS`.
-        output: A new file; None puts it beside the log, under its name.
-        part: Which part; None is all of it.
-        progress: For films, see `film_log`.
-        stop: For films, likewise: one that is stopped before its first picture is not written.
-            Files of other formats are complete or absent: an exception on the way, such as a
-            KeyboardInterrupt, removes them.
+        output: A new file; None: next to the log, with the log's name.
+        part: The part to write; None is the whole log.
+        progress: For films only, see `film_log`.
+        stop: For films only, see `film_log`: without a picture, no file is written. In other
+            formats, an exception such as KeyboardInterrupt removes the incomplete file.
 
     Returns:
-        The file, or the folder where the format is one.
+        The file, or the folder if the format is one.
 
     Raises:
         ConfigError: If the format is unknown or needs a package that is missing, the part does not
-            exist, or the file does.
+            exist, or the file already exists.
         LogError: If the log has no states, or is damaged.
         OSError: If the file cannot be written.
     """
@@ -155,7 +153,7 @@ def export(
 
 
 def _require_steps(log: Log, part: Part) -> None:
-    """Refuse a range in which the log has nothing."""
+    """Refuse a range of steps that are not in the log."""
     if part.start or part.stop is not None:
         asked = log.parts("rewards", part.env, part.episode, part.start, part.stop, steps=50)
         if next(asked, None) is None:
@@ -165,7 +163,7 @@ def _require_steps(log: Log, part: Part) -> None:
 
 @contextmanager
 def _new_file(path: Path, suffix: str) -> Iterator[Path]:
-    """A name to write under; the file gets its own when it is complete, unless that is taken."""
+    """A temporary name to write to; the complete file is renamed unless `path` exists by then."""
     if os.path.lexists(path):
         raise ConfigError(f"{path} exists; it is never replaced")
     if not path.parent.is_dir():
@@ -174,9 +172,9 @@ def _new_file(path: Path, suffix: str) -> Iterator[Path]:
     try:
         yield partial
         if partial.is_dir():
-            partial.rename(path)  # refuses a name that is taken by anything but an empty folder
+            partial.rename(path)  # fails if the name exists, unless it is an empty folder
         elif partial.exists():
-            os.link(partial, path)  # unlike a rename, it refuses a name that is taken
+            os.link(partial, path)  # unlike a rename, it fails if the name exists
     except (FileExistsError, NotADirectoryError) as error:
         raise ConfigError(f"{path} exists; it is never replaced") from error
     finally:
@@ -201,7 +199,7 @@ def required(module: str, format: str) -> ModuleType:
 
 
 def about(log: Log) -> dict[str, str]:
-    """Facts that a table lacks: task, seed, versions, whether the log is complete."""
+    """Metadata for tables: task, seed, versions, whether the log is complete."""
     header = log.header
     return {
         "task": header.task,
@@ -218,11 +216,11 @@ def about(log: Log) -> dict[str, str]:
 def demonstrations(log: Log, part: Part) -> list[tuple[LogEpisode, range]]:
     """Return the episodes of a part and their steps in it, by environment, then in time.
 
-    With `record.every` a log has episodes whose steps were recorded in part or not at all. They
-    are left out, since a demonstration has no gaps, and their number is logged.
+    With `record.every`, steps of some episodes are missing. These episodes are left out, since a
+    demonstration must have no gaps, and their number is logged.
 
     Raises:
-        ConfigError: There is none.
+        ConfigError: If there are no episodes.
     """
     chosen = [(episode, steps) for episode in log.episodes if (steps := part.steps_of(episode))]
     if log.header.every > 1 and chosen:
@@ -238,27 +236,15 @@ def demonstrations(log: Log, part: Part) -> list[tuple[LogEpisode, range]]:
         if len(chosen) < count:
             _log.warning("%d of %d episodes are left out: %s", count - len(chosen), count, why)
     if not chosen:
-        raise ConfigError("no episode lies in what was asked for")
+        raise ConfigError("no episode is in the chosen range")
     return chosen
 
 
-class Posed(NamedTuple):
-    """One environment in one control step; arrays and data change with the next one.
-
-    Attributes:
-        step: The control step.
-        data: The state that physics received, with kinematics; `data.model` has the environment's
-            own fields.
-        changed: Whether the model differs from that of the step before.
-    """
-
-    step: int
-    data: mujoco.MjData
-    changed: bool
-
-
-def poses(log: Log, env: int, part: Part) -> Iterator[Posed]:
+def poses(log: Log, env: int, part: Part) -> Iterator[tuple[int, mujoco.MjData, bool]]:
     """Yield the control steps of a part of one environment.
+
+    Each comes with the input state of physics and its kinematics, in data that the next step
+    overwrites, and with whether `data.model`, the environment's model, has changed.
 
     Raises:
         ConfigError: If the part does not exist.
@@ -273,4 +259,4 @@ def poses(log: Log, env: int, part: Part) -> Iterator[Posed]:
         state = playback.engine.rows[0]
         mujoco.mj_setState(data.model, data, state, mujoco.mjtState.mjSTATE_INTEGRATION)
         mujoco.mj_kinematics(data.model, data)
-        yield Posed(step, data, changed)
+        yield step, data, changed

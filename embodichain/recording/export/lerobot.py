@@ -1,8 +1,8 @@
-"""A LeRobotDataset v3: a folder that LeRobot trains from, with an episode for each of the log's.
+"""A LeRobotDataset v3: a folder for training with LeRobot, with the episodes of a log.
 
 ``data/`` has the frames, ``meta/`` the features, episodes and statistics, ``videos/`` the pictures
-of the task's cameras (event `record_camera_data`), rendered again from the states: a log has none.
-Every episode of a camera is a file of its own.
+of the task's cameras (event `record_camera_data`), rendered from the states, since a log has no
+pictures. Every episode of a camera is a separate file.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __all__ = ["merged", "of_pictures", "of_values", "write_lerobot"]
 
 _VERSION = "v3.0"
 _CHUNK = 1000
-"""Files in a folder at most."""
+"""Maximum number of files in a folder."""
 _FILE = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 _DATA, _VIDEO = f"data/{_FILE}.parquet", f"videos/{{video_key}}/{_FILE}.mp4"
 _INDICES: Mapping[str, str] = {
@@ -41,11 +41,11 @@ _INDICES: Mapping[str, str] = {
 }
 """Columns that every data set has, with their types."""
 _BLOCK_BYTES = 2**28
-"""About how much of a log is in memory at a time."""
+"""Approximate size of the data in memory at a time."""
 _ENCODER = ("-g", "2", "-bf", "0")
-"""Every second picture is a key frame: any can be read without decoding many others."""
+"""Every second picture is a key frame, so any picture can be read without decoding many others."""
 _SAMPLES, _PIXELS = 100, 150
-"""Statistics are of about so many pictures an episode, of about so many pixels in length."""
+"""Statistics use about 100 pictures per episode, reduced to about 150 pixels in length."""
 _QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 
 Columns = Mapping[str, NDArray[Any]]
@@ -56,7 +56,7 @@ Demonstration = tuple[LogEpisode, range]
 
 
 class _Feature(NamedTuple):
-    """Columns that make up one feature: float32 or bool; fields with the ids of their columns."""
+    """The columns of one feature, float32 or bool: fields with the indices of their columns."""
 
     dtype: str
     sources: Mapping[str, list[int]]
@@ -70,7 +70,7 @@ class _Feature(NamedTuple):
 
 
 class _Camera(NamedTuple):
-    """What the event `record_camera_data` films: size in pixels, camera or view."""
+    """A camera of the event `record_camera_data`: size in pixels, camera or view."""
 
     key: str
     size: tuple[int, int]
@@ -82,7 +82,7 @@ def write_lerobot(log: Log, part: Part, path: Path) -> None:
 
     Raises:
         ConfigError: If pyarrow, pandas or, with cameras, the extra `video` is not installed, there
-            is no episode, or a control step is no whole fraction of a second.
+            is no episode, or the control frequency is not a whole number of Hz.
         LogError: If the log lacks steps of an episode.
         RenderError: If there are cameras, and no OpenGL library works here.
     """
@@ -90,7 +90,7 @@ def write_lerobot(log: Log, part: Part, path: Path) -> None:
     fps = round(1.0 / log.dt)
     if fps < 1 or abs(fps * log.dt - 1.0) > 1e-6:
         raise ConfigError(
-            f"LeRobot wants a whole number of frames a second; control steps make {1 / log.dt:g}"
+            f"LeRobot needs a whole number of frames a second; control steps make {1 / log.dt:g}"
         )
     chosen = demonstrations(log, part)
     features, cameras = _features(log), list(_cameras(log))
@@ -133,7 +133,7 @@ def write_lerobot(log: Log, part: Part, path: Path) -> None:
 def _write_meta(
     root: Path, rows: list[dict[str, Any]], stats: list[dict[str, Stats]], task: str
 ) -> None:
-    """Write the episodes with their statistics, and the statistics of all of them."""
+    """Write the episodes with their statistics, and the overall statistics."""
     pa: Any = required("pyarrow", "lerobot")
     pq: Any = required("pyarrow.parquet", "lerobot")
     place = {"tasks": [task], "meta/episodes/chunk_index": 0, "meta/episodes/file_index": 0}
@@ -153,9 +153,9 @@ def _write_meta(
 
 
 def _features(log: Log) -> dict[str, _Feature]:
-    """Return the features of a log: joints are the robot's state, the rest the environment's.
+    """Return the features of a log: joints as the robot's state, the rest as the environment's.
 
-    A state is as physics received it; rewards and ends are of what followed, hence ``next``.
+    States are before physics, rewards and ends after it, hence ``next``.
     """
     joints, model = list(scalar_joints(log.model).values()), log.model
     positions, velocities = model.jnt_qposadr[joints].tolist(), model.jnt_dofadr[joints].tolist()
@@ -227,7 +227,7 @@ def _write_frames(
 def _read(
     log: Log, chosen: list[Demonstration], features: Mapping[str, _Feature]
 ) -> Iterator[Columns]:
-    """Yield the columns of each episode; the log is read for as many environments as fit."""
+    """Yield the columns of each episode; reads as many environments at a time as fit in memory."""
     fields = {field for feature in features.values() for field in feature.sources}
     fields |= {"terminated", "truncated"}
     names = [name for name in log.columns if name in fields]
@@ -359,7 +359,7 @@ def of_pictures(pictures: NDArray[np.uint8]) -> Stats:
 
 
 def merged(parts: Sequence[Stats]) -> Stats:
-    """Statistics of all from those of parts; quantiles are the parts' weighted means."""
+    """Combine statistics of parts; quantiles are weighted means of the parts' quantiles."""
     counts = np.array([int(part["count"][0]) for part in parts])
     of = {name: np.array([part[name] for part in parts]) for name in parts[0]}
     mean: NDArray[Any]

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from mcap.writer import CompressionType, Writer
 
-from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.api import Log
 from embodichain.recording.export.formats import Part, poses, required
 from embodichain.recording.views.channels import frame_names, scalar_joints
@@ -35,12 +35,12 @@ _LATCHED = """\
   liveliness_lease_duration: {sec: 0, nsec: 0}
   avoid_ros_namespace_conventions: false
 """
-"""Quality of service of what late subscribers get too (ROS 2: transient local)."""
+"""Quality of service of topics that late subscribers also receive (ROS 2: transient local)."""
 _ZERO, _UNIT = np.zeros(3), np.array([1.0, 0, 0, 0])
 
 
 def write_ros2(log: Log, part: Part, path: Path) -> None:
-    """Write the bag: the environment that is named, else those that were viewed.
+    """Write the bag of the selected environment, or of the viewed ones.
 
     Raises:
         ConfigError: If rosbags is not installed.
@@ -50,12 +50,12 @@ def write_ros2(log: Log, part: Part, path: Path) -> None:
         bag = _Bag(Writer(stream, compression=CompressionType.ZSTD), types)
         steps = (_write_env(bag, log, env, part) for env in part.envs_of(log))
         for _ in zip(*steps, strict=True):
-            pass  # each has written one control step
+            pass  # each iteration writes one control step of each environment
         bag.writer.finish()  # type: ignore[no-untyped-call]
 
 
 class _Bag:
-    """Channels of a bag, declared when they are first written to."""
+    """Channels of a bag, declared at the first message."""
 
     def __init__(self, writer: Writer, types: Any) -> None:
         self.writer = writer
@@ -128,10 +128,10 @@ def _write_env(bag: _Bag, log: Log, env_id: int, part: Part) -> Iterator[None]:
 
 
 def urdf(model: mujoco.MjModel, env_id: int) -> str:
-    """The compiled model as URDF: every body is a link, named as its frame in `/tf`.
+    """The compiled model as URDF: every body is a link with the name of its frame in `/tf`.
 
-    The root is the link ``env_I``. Primitives keep their shape; a mesh is shown as the box around
-    it, because a description that is one string cannot carry files.
+    The root is the link ``env_I``. Primitives keep their shape; a mesh is replaced by its bounding
+    box, because the description is a single string without files.
     """
     names, by_body = frame_names(model, env_id), dict[int, list[Shape]]()
     for shape in shapes(model):
@@ -154,7 +154,7 @@ def urdf(model: mujoco.MjModel, env_id: int) -> str:
 
 
 def _add_joints(robot: Element, model: mujoco.MjModel, body: int, names: list[str]) -> None:
-    """Join a body to its parent: as many joints, one after the other, as it has."""
+    """Connect a body to its parent by a chain of its joints."""
     parent = names[int(model.body_parentid[body])]
     pos, quat = model.body_pos[body].copy(), model.body_quat[body].copy()
     first, count = int(model.body_jntadr[body]), int(model.body_jntnum[body])
@@ -162,13 +162,13 @@ def _add_joints(robot: Element, model: mujoco.MjModel, body: int, names: list[st
     if int(model.body_mocapid[body]) >= 0 or not set(joints) <= set(scalar.values()):
         _join(robot, f"{names[body]}_floating", "floating", parent, names[body], pos, quat)
         return
-    left = _ZERO  # from the frame reached so far to the body's own
+    left = _ZERO  # translation from the current frame to the body's frame
     for number, joint in enumerate(joints):
         anchor = model.jnt_pos[joint]
         pos = pos + quat_rotate(quat, left + anchor)
         left = -anchor
         axis, zero = model.jnt_axis[joint], float(model.qpos0[model.jnt_qposadr[joint]])
-        # The joint's zero is where qpos is 0, not where the model was drawn.
+        # A URDF joint is zero at qpos 0, not at the model's reference pose.
         if int(model.jnt_type[joint]) == mujoco.mjtJoint.mjJNT_HINGE:
             kind = "revolute" if model.jnt_limited[joint] else "continuous"
             turn = np.empty(4)
@@ -203,7 +203,7 @@ def _join(
 
 
 def _add_visuals(link: Element, model: mujoco.MjModel, shape: Shape) -> None:
-    """Add a shape; a capsule is a cylinder with two spheres, a mesh the box around it."""
+    """Add a shape; a capsule is a cylinder with two spheres, a mesh its bounding box."""
     radius, _, half = shape.half
     kind = int(model.geom_type[shape.geom])
     if kind == mujoco.mjtGeom.mjGEOM_PLANE:
@@ -236,5 +236,5 @@ def _add_origin(owner: Element, pos: F64, quat: F64) -> None:
 
 
 def _text(values: Any) -> str:
-    """Numbers as URDF has them, exact to the bit."""
+    """Format numbers for URDF without loss of precision."""
     return " ".join(repr(value) for value in np.atleast_1d(values).tolist())

@@ -26,9 +26,9 @@ __all__ = ["write_rrd"]
 
 F64 = NDArray[np.float64]
 _EYE = np.array([1.0, -1.2, 0.8])
-"""Direction of the viewer's eye from the middle of the scene."""
+"""Direction from the scene's centre to the viewer's eye."""
 _STEPS = 1000
-"""Steps whose poses are sent together."""
+"""Number of steps with poses sent together."""
 _PALETTE = (
     *(0x4E98E2, 0xF5774D, 0xF7DF71, 0x5CD6A9, 0xA395E2),
     *(0xEA4D6C, 0x61CBFF, 0x9AA5B1, 0xC08552),
@@ -36,7 +36,7 @@ _PALETTE = (
 
 
 def write_rrd(log: Log, part: Part, path: Path) -> None:
-    """Write the environment that is named, else those that were viewed.
+    """Write the selected environment, or the viewed ones.
 
     Raises:
         ConfigError: If rerun is not installed.
@@ -81,18 +81,18 @@ def _offsets(log: Log) -> dict[int, F64]:
 class _Recording:
     """An `.rrd` file with the timelines ``step`` (control steps) and ``sim_time`` (seconds).
 
-    It is in memory until `save`: rerun's own writer waits for ever where the disk is full.
+    It is in memory until `save`, because rerun's writer hangs if the disk is full.
 
     Args:
         log: The log.
-        blueprint: The layout that a viewer shows at first.
+        blueprint: The initial layout of a viewer.
     """
 
     def __init__(self, log: Log, blueprint: Any) -> None:
         self.rr: Any = required("rerun", "rrd")
         header = log.header
         self._dt = header.control_dt
-        # The same log gives the same recording: a viewer shows a second export in its place.
+        # The same log gives the same recording id: a viewer replaces it by a second export.
         name = f"{header.task}-{header.seed}-{header.start_ns}"
         made: Any = self.rr.RecordingStream("embodichain", recording_id=name)
         self._bytes: Any = made.binary_stream()
@@ -111,14 +111,14 @@ class _Recording:
         self._recording.disconnect()
 
     def log(self, path: str, archetype: Any, step: int | None) -> None:
-        """Send something at a step; None is at all times."""
+        """Send an archetype at a step; None is at all times."""
         if step is not None:
             self._recording.set_time("step", sequence=step)
             self._recording.set_time("sim_time", duration=step * self._dt)
         self._recording.log(path, archetype, static=step is None, strict=True)
 
     def columns(self, path: str, steps: NDArray[np.int64], columns: Iterable[Any]) -> None:
-        """Send columns, a row for each of the steps."""
+        """Send columns with a row for each of the steps."""
         times = [
             self.rr.TimeColumn("step", sequence=steps),
             self.rr.TimeColumn("sim_time", duration=steps.astype(np.float64) * self._dt),
@@ -138,12 +138,12 @@ class _Recording:
 
 
 def _layout(model: mujoco.MjModel, envs: Sequence[int], places: F64) -> Any:
-    """Return the layout: the scene, beside it joints, reward, events.
+    """Return the layout: the scene, and next to it joints, reward and events.
 
     Args:
         model: The scene's model.
-        envs: The environments that are shown; curves are those of the first.
-        places: (n, 3) position of each, metres.
+        envs: The environments that are shown; curves are of the first one.
+        places: (n, 3) positions of the environments, metres.
     """
     rrb: Any = required("rerun.blueprint", "rrd")
     center = np.array(model.stat.center, np.float64) + places.mean(axis=0)
@@ -187,7 +187,7 @@ def _name_curves(recording: _Recording, log: Log, env: int) -> None:
 
 
 def _send_curves(recording: _Recording, log: Log, env: int, data: LogArrays, column: int) -> None:
-    """Send some steps of an environment, which has one column of the data."""
+    """Send some steps of an environment, from one column of the data."""
     model, ids = log.model, list(scalar_joints(log.model).values())
     for field, path, columns in (
         ("qpos", "joint_positions", model.jnt_qposadr[ids]),
@@ -201,7 +201,7 @@ def _send_curves(recording: _Recording, log: Log, env: int, data: LogArrays, col
 
 
 def _send_rest(recording: _Recording, log: Log, env: int, first: int, last: int) -> None:
-    """Send what not every step has: sampled metrics, episodes that ended, events."""
+    """Send sampled metrics, episodes that ended, and events."""
     root = f"/env_{env}"
     if env in log.header.view_envs:
         steps, values = log.metrics(env)
@@ -239,22 +239,22 @@ def _send_rest(recording: _Recording, log: Log, env: int, first: int, last: int)
 
 
 class _Scene:
-    """One environment in 3D: shapes below the path of their body, its pose over time.
+    """One environment in 3D: shapes below the path of their body, and the body's pose over time.
 
-    Each body has its own pose in the environment, as in `/tf`.
+    The pose of each body is relative to the environment, as in `/tf`.
 
     Args:
-        recording: Where it goes.
+        recording: The recording to send to.
         log: The log.
         env_id: The environment.
-        offset: (3,) its position in the world, metres.
+        offset: (3,) position of the environment in the world, metres.
     """
 
     def __init__(self, recording: _Recording, log: Log, env_id: int, offset: F64) -> None:
         self._recording, self._log, self._env_id = recording, log, env_id
         root = f"/world/env_{env_id}"
         self._paths = _paths(recording.rr, log.model, root)
-        self._drawn: dict[str, tuple[Any, ...]] = {}  # path: the arrays that are drawn there
+        self._drawn: dict[str, tuple[Any, ...]] = {}  # path to the arrays drawn there
         self._last: F64 | None = None
         recording.log(root, recording.rr.Transform3D(translation=offset), None)
 
@@ -273,7 +273,7 @@ class _Scene:
             self._move(steps, rows)
 
     def _draw(self, model: mujoco.MjModel, step: int) -> None:
-        """Draw what is new or looks other than before: kinds of primitives by body, each mesh."""
+        """Draw new or changed shapes: primitives by body and kind, and each mesh."""
         groups: dict[tuple[int, str], list[Shape]] = {}
         for shape in shapes(model):
             name = f"mesh_{shape.geom}" if shape.kind == "mesh" else shape.kind
@@ -288,7 +288,7 @@ class _Scene:
                 self._recording.log(path, made, step)
 
     def _move(self, numbers: list[int], rows: list[F64]) -> None:
-        """Send (nbody - 1, 7) poses of some steps, each body's where it differs from before."""
+        """Send (nbody - 1, 7) poses of some steps; for each body only those that changed."""
         steps, poses = np.array(numbers, np.int64), np.array(rows)
         first = poses[:1] if self._last is None else self._last
         changed = np.any(np.diff(poses, axis=0, prepend=first) != 0, axis=2)
@@ -305,7 +305,7 @@ class _Scene:
 
 
 def _paths(rr: Any, model: mujoco.MjModel, root: str) -> list[str]:
-    """Paths of bodies by id. None lies below another: poses below each other are chained."""
+    """Paths of bodies by id. They are not nested, because nested poses would be multiplied."""
     names = [model.body(i).name or f"body_{i}" for i in range(1, model.nbody)]
     parts = [[rr.escape_entity_path_part(p) for p in name.split("/") if p] for name in names]
     paths = ["/".join([root, *part]) for part in parts]
@@ -318,7 +318,7 @@ def _primitives(group: list[Shape]) -> tuple[Any, ...]:
         np.array([getattr(shape, name) for shape in group])
         for name in ("pos", "quat", "half", "rgba")
     )
-    if group[0].kind == "capsule":  # Rerun's begin at the centre of one cap
+    if group[0].kind == "capsule":  # in Rerun, its origin is the centre of one cap
         for center, turn, (_, _, z) in zip(pos, quat, half, strict=True):
             axis = np.empty(3)
             mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, z]), turn)
@@ -356,7 +356,7 @@ def _archetype(rr: Any, kind: str, look: tuple[Any, ...]) -> Any:
 
 
 def _packed(rgba: F64) -> NDArray[np.uint32]:
-    """(..., 4) in 0 to 1 as 0xRRGGBBAA: four numbers could be four colours."""
+    """(..., 4) in 0 to 1 as 0xRRGGBBAA, since four numbers could mean four colours."""
     levels = np.clip(np.rint(255 * rgba), 0, 255).astype(np.uint32)
     shifted = levels << np.array([24, 16, 8, 0], np.uint32)
     packed: NDArray[np.uint32] = np.bitwise_or.reduce(shifted, axis=-1)

@@ -1,4 +1,4 @@
-"""Tables (csv, parquet) with a row for each step and environment, arrays (npz), episodes (hdf5)."""
+"""Tables (csv, parquet) with a row per step and environment, arrays (npz), episodes (hdf5)."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from embodichain.recording.api import Log
 from embodichain.recording.arrays import LogArrays
+from embodichain.recording.columns import Column
 from embodichain.recording.export.formats import Part, about, demonstrations, required
 from embodichain.recording.log_error import LogError
-from embodichain.recording.model_columns import Column
 
 __all__ = ["write_csv", "write_hdf5", "write_npz", "write_parquet"]
 
 _BYTES = 2**26
-"""About how much is in memory at a time."""
+"""Approximate size of the data in memory at a time."""
 _ROWS = 1000
 _OBS = ("qpos", "qvel", "mocap_pos", "mocap_quat")
 _STATE = ("time", "qpos", "qvel", "act")
@@ -31,7 +31,7 @@ _GYM = 2  # robomimic's EnvType.GYM_TYPE
 
 
 def write_csv(log: Log, part: Part, path: Path) -> None:
-    """Write one header line, ``field/column [unit]``, then the rows, exact to the bit."""
+    """Write a header line, ``field/column [unit]``, then the rows without loss of precision."""
     with path.open("x", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
         for index, (columns, values) in enumerate(_tables(log, part)):
@@ -60,7 +60,7 @@ def write_npz(log: Log, part: Part, path: Path) -> None:
 
 
 def write_parquet(log: Log, part: Part, path: Path) -> None:
-    """Write the table with types, a row group for every part that was read; units are metadata."""
+    """Write a typed table with a row group for every part that was read; units are metadata."""
     pa: Any = required("pyarrow", "parquet")
     pq: Any = required("pyarrow.parquet", "parquet")
     writer = None
@@ -80,9 +80,9 @@ def write_parquet(log: Log, part: Part, path: Path) -> None:
 
 
 def _tables(log: Log, part: Part) -> Iterator[tuple[list[Column], list[NDArray[Any]]]]:
-    """Yield columns and their values, each (T * N,), flags as 0 and 1: as many steps as fit.
+    """Yield columns and their (T * N,) values, flags as 0 and 1, in parts that fit in memory.
 
-    The first table may be empty; there is always one.
+    It yields at least one table; the first one may be empty.
     """
     width = sum(len(columns) for columns in log.columns.values())
     steps = max(1, _BYTES // (8 * width * log.num_envs))
@@ -94,14 +94,14 @@ def _tables(log: Log, part: Part) -> Iterator[tuple[list[Column], list[NDArray[A
 
 
 def write_hdf5(log: Log, part: Part, path: Path) -> None:
-    """Write robomimic's layout: ``data/demo_I/{obs,actions,rewards,dones,states}`` an episode.
+    """Write robomimic's layout: ``data/demo_I/{obs,actions,rewards,dones,states}`` per episode.
 
-    A log contains states, not observations of a policy, so ``obs`` is positions, velocities and
+    A log contains states, not observations of a policy, so ``obs`` has positions, velocities and
     poses. ``states`` is time, qpos, qvel and act, flat, as in robosuite.
 
     Raises:
         ConfigError: If h5py is not installed, or the part has no episode.
-        LogError: If an episode has no states, as in a log with keyframes that is not simulated.
+        LogError: If an episode has no states, as in a log with keyframes opened without `simulate`.
     """
     h5py: Any = required("h5py", "hdf5")
     episodes = demonstrations(log, part)

@@ -1,1 +1,1 @@
-"""Windows onto a running environment, as observers of its steps."""
+"""Viewers of running environments and of logs."""

@@ -1,26 +1,29 @@
-"""`play_log`: recorded states on a screen, in real time: MuJoCo's window here, or a `WebPage`."""
+"""`play_log`: plays recorded states in real time, in MuJoCo's window or on a `WebPage`."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
 
 from embodichain.lab.sim.viewer import NativeViewer
 from embodichain.recording.api import Log
 from embodichain.recording.playback import Playback, Span, span_of
-from embodichain.recording.viewers.controls import Facts
+from embodichain.recording.viewers.web_page import Facts
 from embodichain.utils.errors import ConfigError
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.engine.cpu import CpuEngine
 
 __all__ = ["NativeScreen", "Screen", "play_log"]
 
 _NAP, _TICK = 0.05, 0.02
 _AT_THE_END = 1.0
-"""Seconds until it starts again."""
+"""Pause in seconds at the end, before playing starts again."""
 _SPACE = 32
 
 
@@ -33,14 +36,14 @@ class Screen(Protocol):
 
     @property
     def is_open(self) -> bool:
-        """Whether it makes sense to go on."""
+        """Whether the screen was not closed."""
 
     @property
     def watched(self) -> bool:
-        """Whether it is looked at now."""
+        """Whether anything displays the screen now."""
 
     def begin(self, engine: CpuEngine) -> None:
-        """Show this engine's environment from now on, as its model looks now."""
+        """Show this engine's environment from now on, with its current model."""
 
     def show(self, row: F64, facts: Facts) -> None:
         """Show the engine's state, (nstate,)."""
@@ -49,16 +52,18 @@ class Screen(Protocol):
         """Wait for the next step, and while paused."""
 
     def close(self) -> None:
-        """Show nothing any more."""
+        """Stop showing anything."""
 
 
 class NativeScreen:
-    """MuJoCo's window; the space bar pauses, and lets go on.
+    """MuJoCo's window; the space bar pauses and resumes.
 
     Args:
-        env_id: The environment, for the log.
-        stopped: Whether to wait no longer.
+        env_id: The environment of the log.
+        stopped: Whether to end all waiting.
     """
+
+    watched = True
 
     def __init__(self, env_id: int, stopped: Callable[[], bool] = lambda: False) -> None:
         self.env_id = env_id
@@ -72,17 +77,8 @@ class NativeScreen:
         """Whether the window was not closed."""
         return self._window is None or self._window.is_running
 
-    @property
-    def watched(self) -> bool:
-        """A window is always looked at."""
-        return True
-
     def begin(self, engine: CpuEngine) -> None:
-        """Open the window; its model stays the first one.
-
-        Raises:
-            RenderError: If there is no display.
-        """
+        """Open the window; its model is not replaced later. RenderError without a display."""
         if self._window is None:
             self._window = NativeViewer(engine, 0, self._on_key)
         self._window.follow(engine)
@@ -93,7 +89,7 @@ class NativeScreen:
             self._window.sync()
 
     def pace(self, seconds: float) -> None:
-        """Wait for the clock, and while it is paused."""
+        """Wait for the next step, and while paused."""
         self._due = max(self._due + seconds, time.monotonic())
         while self.is_open and not self._stopped():
             left = self._due - time.monotonic()
@@ -120,19 +116,19 @@ def play_log(
     speed: float = 1.0,
     stopped: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Play a log until the screen is closed or `stopped` says so; starts again at the end.
+    """Play a log until the screen is closed or `stopped` returns True; start again at the end.
 
-    It waits while the screen is not watched. When another environment is chosen, it continues with
-    that one, at the same step.
+    Playing pauses while the screen is not watched. When another environment is chosen, it
+    continues with that one, at the same step.
 
     Args:
         log: The log.
-        screen: Where to show it; says which environment.
-        episode: One of the environment's episodes; None is all. Of other environments all is shown.
+        screen: The screen, with the environment to show.
+        episode: One of the environment's episodes; None is all. Other environments show all.
         first: First control step; None is the first.
         last: Last control step, included; None is the last.
-        speed: 2 is twice as fast as it was simulated.
-        stopped: Asked all the time.
+        speed: Multiple of simulated time.
+        stopped: Called often; True ends playing.
 
     Raises:
         ConfigError: If there is no such environment, episode or step.
@@ -142,8 +138,7 @@ def play_log(
     span = span_of(log, env, episode, first, last)
     at = span.first
     while screen.is_open and not stopped():
-        player = _Player(log, screen, env, speed, stopped)
-        reached = player.play(Span(at, span.last))
+        reached = _play(log, screen, Span(at, span.last), log.dt / speed, stopped)
         if reached is None and at == span.first:
             raise ConfigError(f"{log.path} has no such steps: there is nothing to show")
         if screen.env_id != env:
@@ -151,63 +146,60 @@ def play_log(
             span = span_of(log, env, None, first, last)
         else:
             at = span.first
-            _wait(_AT_THE_END, screen, stopped)
+            again = time.monotonic() + _AT_THE_END
+            _wait(partial(_is_past, again), screen, stopped)
 
 
-class _Player:
-    """One environment, from a step on."""
-
-    def __init__(
-        self, log: Log, screen: Screen, env: int, speed: float, stopped: Callable[[], bool]
-    ) -> None:
-        self._log, self._screen, self._env, self._stopped = log, screen, env, stopped
-        self._seconds = log.dt / speed
-        data = log.read(["rewards", "episodes"], env=env)
-        self._rewards = dict(zip(data.steps.tolist(), data["rewards"][:, 0], strict=True))
-        self._episodes = dict(zip(data.steps.tolist(), data["episodes"][:, 0], strict=True))
-        self._terms = _sampled(log, env, "reward_")
-        self._sums = _sampled(log, env, "sum_")
-
-    def play(self, span: Span) -> int | None:
-        """Play; returns the step that was reached, None if there was none."""
-        screen, playback = self._screen, Playback(self._log, self._env)
-        seen, reached = -1, None
-        for step in playback.steps(span):
-            if not screen.watched:
-                _wait(None, screen, self._stopped)
-            if self._stopped() or not screen.is_open or screen.env_id != self._env:
-                return reached if reached is not None else step
-            if playback.changes != seen:
-                seen = playback.changes
-                screen.begin(playback.engine)
-            screen.show(playback.engine.rows[0], self._facts(step))
-            screen.pace(self._seconds)
-            reached = step
-        return reached
-
-    def _facts(self, step: int) -> Facts:
-        lines = (
-            ("episode", str(int(self._episodes.get(step, 0)))),
-            ("reward", f"{float(self._rewards.get(step, 0.0)):+.4g}"),
-        )
-        terms, sums = self._terms.get(step, {}), self._sums.get(step, {})
-        return Facts(step, step * self._log.dt, lines, terms, sums)
+def _play(
+    log: Log, screen: Screen, span: Span, seconds: float, stopped: Callable[[], bool]
+) -> int | None:
+    """Play the screen's environment; return the last step shown, None if there was none."""
+    env, playback = screen.env_id, Playback(log, screen.env_id)
+    facts = _facts_of(log, env)
+    seen, reached = -1, None
+    for step in playback.steps(span):
+        _wait(lambda: screen.watched, screen, stopped)
+        if stopped() or not screen.is_open or screen.env_id != env:
+            return reached if reached is not None else step
+        if playback.changes != seen:
+            seen = playback.changes
+            screen.begin(playback.engine)
+        screen.show(playback.engine.rows[0], facts(step))
+        screen.pace(seconds)
+        reached = step
+    return reached
 
 
-def _sampled(log: Log, env: int, prefix: str) -> dict[int, dict[str, float]]:
-    """Numbers of each reward term in the sampled steps; none if it was not viewed."""
-    if env not in log.header.view_envs:
-        return {}
-    steps, values = log.metrics(env)
-    terms = {k.removeprefix(prefix): v for k, v in values.items() if k.startswith(prefix)}
-    rows = enumerate(steps.tolist())
-    return {step: {name: float(v[row]) for name, v in terms.items()} for row, step in rows}
+def _facts_of(log: Log, env: int) -> Callable[[int], Facts]:
+    """Return the facts of an environment by step; terms are known only if it was viewed."""
+    data = log.read(["rewards", "episodes"], env=env)
+    rows = {step: row for row, step in enumerate(data.steps.tolist())}
+    is_viewed = env in log.header.view_envs
+    steps, values = log.metrics(env) if is_viewed else (np.zeros(0, np.int64), {})
+    samples = {step: row for row, step in enumerate(steps.tolist())}
+
+    def terms(step: int, prefix: str) -> dict[str, float]:
+        row = samples.get(step)
+        if row is None:
+            return {}
+        named = {name: v for name, v in values.items() if name.startswith(prefix)}
+        return {name.removeprefix(prefix): float(v[row]) for name, v in named.items()}
+
+    def facts(step: int) -> Facts:
+        row = rows.get(step)
+        episode = 0 if row is None else int(data["episodes"][row, 0])
+        reward = 0.0 if row is None else float(data["rewards"][row, 0])
+        lines = ("episode", str(episode)), ("reward", f"{reward:+.4g}")
+        return Facts(step, step * log.dt, lines, terms(step, "reward_"), terms(step, "sum_"))
+
+    return facts
 
 
-def _wait(seconds: float | None, screen: Screen, stopped: Callable[[], bool]) -> None:
-    """Wait for a while, or with None until the screen is watched."""
-    end = None if seconds is None else time.monotonic() + seconds
-    while screen.is_open and not stopped():
-        if screen.watched if end is None else time.monotonic() >= end:
-            return
+def _is_past(moment: float) -> bool:
+    return time.monotonic() >= moment
+
+
+def _wait(condition: Callable[[], bool], screen: Screen, stopped: Callable[[], bool]) -> None:
+    """Wait until a condition is true, or playing ends."""
+    while not condition() and screen.is_open and not stopped():
         time.sleep(_NAP)

@@ -1,7 +1,7 @@
-"""EmbodiChain's `embodichain.lab.visualization`: its Viser page is our page in the browser.
+"""EmbodiChain's `embodichain.lab.visualization`; `web.WebView` replaces its Viser page.
 
 `SimulationManagerCfg.visualization` takes the config, and the environment calls `attach`.
-`embodichain run viewer=web` is the same page without a script.
+`embodichain run viewer=web` serves the same page without a script.
 """
 
 from __future__ import annotations
@@ -29,71 +29,61 @@ _log = logging.getLogger(__name__)
 
 @configclass
 class ViserServerCfg:
-    """Where the page is served."""
+    """Where the page is served; `verbose` has no effect."""
 
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=1, le=65535)] = 8080
     label: str = "EmbodiChain"
     """The page's title."""
     verbose: bool = False
-    """No effect."""
 
 
 @configclass
 class VisualizationCfg:
-    """Whether an environment is shown in a browser."""
+    """Whether an environment is shown in a browser.
+
+    The page shows one environment at a time, as fast as the browser draws: `scene_fps`,
+    `max_visible_envs`, `point_cloud_max_points`, `sensor_image_fps` and `soft_body_fps` have no
+    effect.
+    """
 
     backend: Literal["none", "viser"] = "none"
-    """``viser`` serves our own page; Viser is not needed."""
+    """``viser`` serves MuJoCo Studio's page; Viser is not needed."""
     scene_fps: float = 15.0
-    """No effect: the page draws as fast as the browser asks."""
     env_ids: list[int] | None = [0]
-    """The first one is shown first; people can choose another on the page."""
+    """The first one is shown first; the page can show the others."""
     max_visible_envs: int | None = None
-    """No effect: one environment is shown at a time."""
     point_cloud_max_points: int = 100_000
-    """No effect."""
     sensor_image_fps: float | None = 2.0
-    """No effect."""
     soft_body_fps: float = 5.0
-    """No effect."""
     allow_commands: bool = False
-    """Whether people may end episodes on the page."""
+    """Whether the page may end episodes."""
     viser_server: ViserServerCfg = ViserServerCfg()
 
     def attach(self, env: BaseEnv) -> None:
         """Serve the page of an environment, which closes it; do nothing if `backend` is ``none``.
 
         Raises:
-            ConfigError: The address cannot be listened on.
+            ConfigError: If the address cannot be listened on.
             ValueError: If the backend is unknown.
         """
         if self.backend not in ("none", "viser"):
             raise ValueError(f"unknown backend {self.backend!r}; one of: none, viser")
         if self.backend == "none":
             return
-        from embodichain.recording.viewers.web import WebView
+        from embodichain.recording.viewers.web import PageOptions, WebView
 
-        server = self.viser_server
-        view = WebView(
-            env,
-            server.host,
-            server.port,
-            env_id=self.env_ids[0] if self.env_ids else 0,
-            realtime=False,
-            resets=self.allow_commands,
-            title=server.label,
+        server, env_id = self.viser_server, self.env_ids[0] if self.env_ids else 0
+        options = PageOptions(
+            server.host, server.port, env_id, False, self.allow_commands, server.label
         )
+        view = WebView(env, options)
         env.add_observer(view)
         _log.warning("viewer: %s", view.url)
 
 
 def add_viser_args_to_parser(parser: argparse.ArgumentParser) -> None:
-    """Add ``--viser`` and the arguments that go with it.
-
-    Args:
-        parser: Gains them; those without an effect say so.
-    """
+    """Add ``--viser`` and its options to a parser; the help notes options without an effect."""
     cfg, add = VisualizationCfg(), parser.add_argument
     add("--viser", action="store_true", help="show an environment in a browser")
     add("--viser-host", default=cfg.viser_server.host, help="the address to listen on")
@@ -108,10 +98,10 @@ def add_viser_args_to_parser(parser: argparse.ArgumentParser) -> None:
 
 
 def visualization_cfg_from_args(args: argparse.Namespace) -> VisualizationCfg:
-    """Return what the arguments of `add_viser_args_to_parser` mean; missing ones are the defaults.
+    """Return the config of the arguments of `add_viser_args_to_parser`, which may be absent.
 
     Raises:
-        ValueError: If ``--viser-env-ids`` are no numbers.
+        ValueError: If ``--viser-env-ids`` are not numbers.
     """
     cfg = VisualizationCfg()
     shown = bool(getattr(args, "viser", False))

@@ -1,6 +1,6 @@
-"""`WebView`: a running environment on MuJoCo Studio's page, as an observer of its steps.
+"""`WebView`: shows a running environment on MuJoCo Studio's page.
 
-The page is `web_page.py`'s. Without a browser, a step costs the test of a flag.
+Without a browser, the cost per step is the test of a flag.
 """
 
 from __future__ import annotations
@@ -12,14 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from embodichain.lab.gym.envs.observers import StepObserver, StepRecord
-from embodichain.lab.sim.engine.base import EnvIndex, Write
-from embodichain.recording.viewers.controls import Facts
-from embodichain.recording.viewers.web_page import LOOKS, WebPage
+from embodichain.lab.sim.engine.api import EnvIndex, Write
+from embodichain.recording.viewers.web_page import LOOKS, Facts, PageOptions, WebPage
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.observers import ObservedEnv
 
-__all__ = ["WebView"]
+__all__ = ["PageOptions", "WebView"]
 
 _INTERVAL = 1.0 / 60.0
 _FACTS_INTERVAL = 1.0 / 20.0
@@ -32,43 +31,28 @@ class WebView(StepObserver):
 
     Args:
         env: The environment.
-        host: The address to listen on.
-        port: The port; None is the first free one from 8080.
-        env_id: Which of the N is shown first.
-        realtime: Whether the run first keeps to the clock while the page is open.
-        resets: Whether the page may end episodes, as truncated.
-        stopped: Whether the run was told to stop: a pause ends then.
-        title: Of the page.
+        options: Address of the page, and its initial state.
+        stopped: Whether the run was stopped, which ends a pause.
+
+    Attributes:
+        url: Address of the page.
 
     Raises:
-        ConfigError: The address cannot be listened on.
+        ConfigError: If the address cannot be listened on.
     """
 
     def __init__(
         self,
         env: ObservedEnv,
-        host: str = "127.0.0.1",
-        port: int | None = None,
+        options: PageOptions | None = None,
         *,
-        env_id: int = 0,
-        realtime: bool = True,
-        resets: bool = True,
         stopped: Callable[[], bool] = lambda: False,
-        title: str = "embodichain",
     ) -> None:
-        self._page = WebPage(
-            env.sim.engine.model_of(env_id),
-            host,
-            port,
-            title=title,
-            num_envs=env.num_envs,
-            env_id=env_id,
-            realtime=realtime,
-            resets=resets,
-            stopped=stopped,
-        )
+        options = options or PageOptions()
+        self._env_id = options.env_id
+        model = env.sim.engine.model_of(self._env_id)
+        self._page = WebPage(model, options, num_envs=env.num_envs, stopped=stopped)
         self.url = self._page.url
-        self._env_id = env_id
         self._restyled = False
         self._next = self._next_facts = 0.0
         self._step: StepRecord | None = None
@@ -79,7 +63,7 @@ class WebView(StepObserver):
         return self._page.watched
 
     def on_write(self, env: ObservedEnv, write: Write) -> None:
-        """Note what changes how the environment looks that is shown."""
+        """Note if the appearance of the shown environment changes."""
         if write.op == "model" and write.field in LOOKS:
             self._restyled |= write.env_ids is None or self._env_id in write.env_ids
 
@@ -115,26 +99,25 @@ class WebView(StepObserver):
         if chosen != self._env_id or self._restyled:
             self._env_id, self._restyled = chosen, False
             self._page.show_model(env.sim.engine.model_of(chosen))
-        self._page.show(env.sim.engine.rows[chosen], self._facts(env, chosen) if told else None)
+        step = self._step if told else None
+        facts = None if step is None else _facts(env, step, chosen)
+        self._page.show(env.sim.engine.rows[chosen], facts)
 
-    def _facts(self, env: ObservedEnv, i: int) -> Facts | None:
-        """What is to be read beside the picture."""
-        step = self._step
-        if step is None:
-            return None
-        info = step.info
-        weights = env.reward_manager.weights
-        rewards = {n: v * weights.get(n, 1.0) for n, v in _row(info["rewards"], i).items()}
-        sums = _row(info["episode_sums"], i)
-        lines = (
-            ("episode", str(int(step.episode_ids[i]))),
-            ("reward", f"{step.reward[i]:+.4g}, {sum(sums.values()):+.4g} in this episode"),
-            *((name, f"{value:.4g}") for name, value in _row(info["metrics"], i).items()),
-        )
-        seconds = info["elapsed_steps"].numpy().item(i) * env.step_dt
-        return Facts(step.control_step - 1, seconds, lines, rewards, sums)
+
+def _facts(env: ObservedEnv, step: StepRecord, i: int) -> Facts:
+    """The text that the page shows next to the picture."""
+    info, weights = step.info, env.reward_manager.weights
+    rewards = {n: v * weights.get(n, 1.0) for n, v in _row(info["rewards"], i).items()}
+    sums = _row(info["episode_sums"], i)
+    lines = (
+        ("episode", str(int(step.episode_ids[i]))),
+        ("reward", f"{step.reward[i]:+.4g}, {sum(sums.values()):+.4g} in this episode"),
+        *((name, f"{value:.4g}") for name, value in _row(info["metrics"], i).items()),
+    )
+    seconds = info["elapsed_steps"].numpy().item(i) * env.step_dt
+    return Facts(step.control_step - 1, seconds, lines, rewards, sums)
 
 
 def _row(values: Mapping[str, Any], i: int) -> dict[str, float]:
-    """One environment's numbers of tensors (N,)."""
+    """One environment's values from (N,) tensors."""
     return {name: tensor.numpy(force=True).item(i) for name, tensor in values.items()}

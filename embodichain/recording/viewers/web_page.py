@@ -1,7 +1,7 @@
-"""`WebPage`: shows rows of state of one model on MuJoCo Studio's page.
+"""`WebPage`: shows states of a model on MuJoCo Studio's page.
 
-`web.py` shows a running environment with it, `replay --view` a log. The page itself is served by
-another process, `web_process.py`.
+`web.py` uses it for a running environment, `replay --view` for a log. Another process
+(`web_process.py`) serves the page: it receives models, states and `Facts`, and sends `Controls`.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.engine.base import F64
-from embodichain.recording.viewers.controls import Controls, Facts, Setup
+from embodichain.lab.sim.engine.api import F64
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.engine.cpu import CpuEngine
 
-__all__ = ["LOOKS", "WebPage"]
+__all__ = ["LOOKS", "SPEEDS", "Controls", "Facts", "PageOptions", "WebPage"]
 
 _log = logging.getLogger(__name__)
 _PROCESS = "embodichain.recording.viewers.web_process"
@@ -39,34 +39,93 @@ _END_SECONDS = 10.0
 _NAP = 0.02
 _LATE = 0.1
 
+SPEEDS: tuple[float | None, ...] = (None, 2.0, 1.0, 0.5, 0.25, 0.1)
+"""Multiples of real time; None is unlimited."""
 LOOKS = (
     *("body_pos", "body_quat", "body_ipos", "jnt_pos", "jnt_axis"),
     *("geom_pos", "geom_quat", "geom_size", "geom_rgba", "site_pos", "site_quat", "site_size"),
     *("site_rgba", "mat_rgba", "light_pos", "light_dir", "light_diffuse", "light_ambient"),
     *("light_specular", "cam_pos", "cam_quat", "cam_fovy"),
 )
-"""Fields of a model that decide how it looks; another environment's may differ."""
+"""Fields of a model that affect its appearance; they may differ between environments."""
+
+
+class Facts(NamedTuple):
+    """One step of the environment that is shown.
+
+    Attributes:
+        step: Number of the control step, from 0.
+        seconds: Simulated time since the start of the episode.
+        lines: Further lines, as name and text.
+        rewards: Term to its part of this step's reward: value times weight.
+        sums: Term to the sum of these over the episode.
+    """
+
+    step: int
+    seconds: float
+    lines: tuple[tuple[str, str], ...] = ()
+    rewards: Mapping[str, float] = {}
+    sums: Mapping[str, float] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class Controls:
+    """The state of the page's controls.
+
+    Attributes:
+        env_id: The environment to show.
+        speed: One of `SPEEDS`.
+        paused: Whether the run is paused.
+        watched: Whether a browser has the page open.
+        steps: Number of requests for a single step.
+        resets: Number of requests for a reset.
+        reset_env: The environment of the last reset.
+    """
+
+    env_id: int = 0
+    speed: float | None = 1.0
+    paused: bool = False
+    watched: bool = False
+    steps: int = 0
+    resets: int = 0
+    reset_env: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class PageOptions:
+    """Address and initial state of a page.
+
+    Attributes:
+        host: The address to listen on.
+        port: The port; None is the first free one from 8080.
+        env_id: The environment that is shown first.
+        realtime: Whether the speed is initially real time while the page is open.
+        resets: Whether the page may end episodes, as truncated.
+        title: Title of the page and its panel.
+    """
+
+    host: str = "127.0.0.1"
+    port: int | None = None
+    env_id: int = 0
+    realtime: bool = True
+    resets: bool = True
+    title: str = "embodichain"
 
 
 class WebPage:
-    """A page that shows one of several environments; without a browser nothing waits for it.
+    """A page that shows one of several environments; it never waits without a browser.
 
     Args:
         model: The model of the environment that is shown first.
-        host: The address to listen on.
-        port: The port; None is the first free one from 8080.
-        title: Of the page and its panel.
-        num_envs: How many environments can be chosen from.
-        env_id: The one shown first.
-        realtime: Whether `pace` first keeps to the clock.
-        resets: Whether resets may be requested.
+        options: Address of the page, and its initial state.
+        num_envs: Number of environments to choose from.
         stopped: Whether to end all waiting.
 
     Attributes:
-        url: Where the page is.
+        url: Address of the page.
 
     Raises:
-        ConfigError: The address cannot be listened on.
+        ConfigError: If the address cannot be listened on.
     """
 
     is_open = True
@@ -74,33 +133,28 @@ class WebPage:
     def __init__(
         self,
         model: mujoco.MjModel,
-        host: str = "127.0.0.1",
-        port: int | None = None,
+        options: PageOptions | None = None,
         *,
-        title: str = "embodichain",
         num_envs: int = 1,
-        env_id: int = 0,
-        realtime: bool = True,
-        resets: bool = True,
         stopped: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._controls = Controls(env_id=env_id, speed=1.0 if realtime else None)
+        options = options or PageOptions()
+        self._controls = Controls(options.env_id, 1.0 if options.realtime else None)
         self._stopped = stopped
         self._looks = _looks_of(model)
         self._taken_steps = self._taken_resets = 0
         self._due: float | None = None
-        setup = Setup(host, port, title, num_envs, resets, self._controls)
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - as long as the page
+        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - open as long as the page
         self._page, self._process = _start(self._errors)
-        self._room = select.poll()
-        self._room.register(self._page.fileno(), select.POLLOUT)
+        self._writable = select.poll()
+        self._writable.register(self._page.fileno(), select.POLLOUT)
         self._listener: threading.Thread | None = None
         self._closed = False
         try:
-            self._page.send((setup, model))
+            self._page.send((options, num_envs, self._controls, model))
             kind, value = self._page.recv()
         except (EOFError, OSError):
-            kind, value = "failed", f"MuJoCo's web viewer does not start{self._last_words()}"
+            kind, value = "failed", f"MuJoCo's web viewer does not start{self._last_error()}"
         if kind == "failed":
             self.close()
             raise ConfigError([Problem("viewer", value)])
@@ -120,7 +174,7 @@ class WebPage:
 
     @property
     def fast(self) -> bool:
-        """Whether steps come as fast as they are made: not each is worth showing."""
+        """Whether the speed is unlimited, so that not every step needs to be shown."""
         return self._controls.speed is None
 
     def begin(self, engine: CpuEngine) -> None:
@@ -131,7 +185,7 @@ class WebPage:
         """Show states of another model from now on, if it looks different.
 
         Args:
-            model: Another environment's, or the same one's after a change.
+            model: The model of another environment, or the changed model of the same one.
         """
         looks = _looks_of(model)
         if looks != self._looks:
@@ -139,23 +193,23 @@ class WebPage:
             self._send("model", model)
 
     def show(self, row: F64, facts: Facts | None = None) -> None:
-        """Show a state; it is left out if the other process is behind.
+        """Show a state; it is skipped if the other process is behind.
 
         Args:
             row: (nstate,) integration state; copied.
-            facts: What to write beside it; None leaves what was there.
+            facts: Text to show next to it; None keeps the previous one.
         """
-        if self._room.poll(0):  # plain values: pickling them takes a fifth of the time
-            told = None if facts is None else facts.plain()
+        if self._writable.poll(0):  # plain values: pickling them is faster by a factor of 5
+            told = None if facts is None else tuple(facts)
             self._send("state", (np.asarray(row, np.float64).tobytes(), told))
 
     def pace(self, seconds: float, changed: Callable[[], None] = lambda: None) -> None:
-        """Wait for the clock, and while paused, until the next step; not without a browser.
+        """Wait for real time, and while paused, until the next step; return at once if no browser.
 
         Args:
             seconds: Simulated time between two steps.
-            changed: Shows the state; called as a pause begins, and when another environment is
-                chosen in it.
+            changed: Shows the state; called when a pause begins, and when another environment is
+                chosen during the pause.
         """
         shown = -1
         while self._controls.paused and self._waits() and not self._take_step():
@@ -184,7 +238,7 @@ class WebPage:
         return controls.reset_env
 
     def close(self) -> None:
-        """Serve no longer; again is nothing."""
+        """Stop serving. A second call does nothing."""
         if self._closed:
             return
         self._send("close", "The run has ended.")
@@ -202,7 +256,7 @@ class WebPage:
     # -- the other process -----------------------------------------------------------------------
 
     def _send(self, kind: str, value: Any) -> None:
-        with contextlib.suppress(OSError):  # it is gone: `_listen` has said so, or will
+        with contextlib.suppress(OSError):  # the process has ended: `_listen` logs that
             self._page.send_bytes(pickle.dumps((kind, value), pickle.HIGHEST_PROTOCOL))
 
     def _listen(self) -> None:
@@ -213,12 +267,12 @@ class WebPage:
         except (EOFError, OSError):
             self._controls = Controls(env_id=self.env_id)
             if not self._closed:
-                _log.warning("the web viewer has ended; the run goes on%s", self._last_words())
+                _log.warning("the web viewer has ended; the run goes on%s", self._last_error())
 
-    def _last_words(self) -> str:
+    def _last_error(self) -> str:
         self._errors.seek(0)
-        words = self._errors.read().decode(errors="replace").strip()
-        return f": {words.splitlines()[-1]}" if words else ""
+        text = self._errors.read().decode(errors="replace").strip()
+        return f": {text.splitlines()[-1]}" if text else ""
 
     def _take_step(self) -> bool:
         if self._controls.steps == self._taken_steps:
@@ -231,7 +285,7 @@ class WebPage:
 
 
 def _start(errors: Any) -> tuple[Connection, subprocess.Popen[bytes]]:
-    """Start the other process; it hears no Ctrl-C, and ends with our end of the socket."""
+    """Start the other process; it gets no Ctrl-C, and ends when our end of the socket closes."""
     ours, theirs = socket.socketpair()
     with theirs:
         process = subprocess.Popen(
@@ -247,5 +301,5 @@ def _start(errors: Any) -> tuple[Connection, subprocess.Popen[bytes]]:
 
 
 def _looks_of(model: mujoco.MjModel) -> bytes:
-    """What decides how a model looks, to compare."""
+    """The values of `LOOKS`, to compare."""
     return b"".join(np.asarray(getattr(model, field)).tobytes() for field in LOOKS)

@@ -1,99 +1,441 @@
 """The process that serves a page of `viewer=web`: ``python -m ...web_process FD``.
 
-MuJoCo Studio is native code with one user interface in a process: what goes wrong in it must not
-end a training. The run's process (`web_page.py`) sends models, states and facts through a socket;
-this one sends back the controls. It ends when the socket closes.
+MuJoCo Studio is native code with one user interface per process; a failure there must not end a
+training. The run's process (`web_page.py`) sends models, states and facts through a socket; this
+process sends back the controls. It ends when the socket closes.
+
+MuJoCo 4.0's web viewer listens on every interface, accepts files dropped on its page, and answers
+pages of other sites. `_Viewer` sets the address, and `_guard_serving` checks every request first.
+If a version of MuJoCo does not allow these two changes, nothing is served.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import functools
+import socket
 import sys
+import threading
 import time
+from collections import deque
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any
+from urllib.parse import urlsplit
+from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
-from mujoco.studio import messages
+from mujoco.studio import launch_thread, messages, plugin, ux, viewer_protocol, web_viewer
+from mujoco.studio.dear_imgui import dear_imgui as imgui
+from mujoco.studio.implot import implot
+from mujoco.studio.web import web_server
 
-from embodichain.recording.viewers.controls import Facts
-from embodichain.utils.errors import ConfigError
+from embodichain.recording.viewers.web_page import SPEEDS, Controls, Facts, PageOptions
+from embodichain.utils.addresses import is_loopback
+from embodichain.utils.errors import ConfigError, Problem
 
-__all__ = ["main"]
+__all__ = ["Panel", "Studio", "main"]
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-_LOOK_SECONDS = 1.0 / 60.0
+_POLL_SECONDS = 1.0 / 60.0
+_START_SECONDS = 20.0
+_IDLE_SECONDS = 0.05
+_LOOPBACK = ("localhost", "127.0.0.1", "::1")
+_WIDTH, _HEIGHT, _MARGIN = 330.0, 640.0, 8.0
+_BUTTON = imgui.Vec2(70.0, 0.0)
+_HISTORY = 400
+"""Number of steps with plotted rewards."""
 
 
 def main(descriptor: int) -> None:
-    """Serve until the other end closes or says so.
+    """Serve until the run closes the socket or sends an end.
 
     Args:
-        descriptor: Of a socket; first comes a `Setup` and a model.
+        descriptor: Descriptor of a socket; the first message is options, number of environments,
+            controls and model.
     """
     with Connection(descriptor) as run:
-        setup, model = run.recv()
-        from embodichain.recording.viewers.studio import Studio
-        from embodichain.recording.viewers.web_panel import Panel
-
-        panel = Panel(setup)
+        options, num_envs, controls, model = run.recv()
+        panel = Panel(options, num_envs, controls)
         try:
-            studio = Studio(model, setup.host, setup.port, setup.title, [panel])
+            studio = Studio(model, options, panel)
         except ConfigError as error:
             run.send(("failed", error.problems[0].message))
             return
         run.send(("ready", studio.url))
         reason = "The run has ended."
         try:
-            reason = _Page(run, studio, panel).serve()
+            reason = _serve(run, studio, panel)
         except (EOFError, OSError):
             reason = "The run is gone."
         finally:
             studio.close(reason)
 
 
-class _Page:
-    """Passes messages on until there are no more.
+def _serve(run: Connection, studio: Studio, panel: Panel) -> str:
+    """Forward messages until there are no more; return why it ended."""
+    sent = panel.controls
+    while True:
+        # Poll instead of waiting on the socket, so that a step does not have to wake this process.
+        time.sleep(_POLL_SECONDS)
+        state = None
+        while run.poll():
+            kind, value = run.recv()
+            if kind == "close":
+                return str(value)
+            if kind == "model":
+                studio.send(messages.ModelEvent(model=value))
+                continue
+            state, facts = value
+            if facts is not None:
+                panel.add(Facts(*facts))
+        if state is not None:
+            row = np.frombuffer(state).copy()
+            studio.send(messages.StateSnapshot(state=row, state_sig=_STATE))
+        if panel.controls.paused and not studio.controlled:
+            panel.resume()
+        controls = dataclasses.replace(panel.controls, watched=studio.watched)
+        if controls != sent:
+            sent = controls
+            run.send(controls)
+
+
+# -- serving ---------------------------------------------------------------------------------------
+
+
+class Studio:
+    """Serves a model's page on its own threads until it is closed; at most once in a process.
 
     Args:
-        run: The run's end.
-        studio: The viewer.
-        panel: The controls.
+        model: The first model to show; copied.
+        options: Address, port and title.
+        plugins: Studio's viewer plugins.
+
+    Attributes:
+        url: Address of the page.
+
+    Raises:
+        ConfigError: If the address cannot be listened on, or this version of MuJoCo's viewer
+            cannot be restricted to it.
     """
 
-    def __init__(self, run: Connection, studio: Any, panel: Any) -> None:
-        self._run, self._studio, self._panel = run, studio, panel
-        self._sent = panel.controls
+    def __init__(self, model: mujoco.MjModel, options: PageOptions, *plugins: Any) -> None:
+        made: list[_Viewer] = []
+        ready = threading.Event()
 
-    def serve(self) -> str:
-        """Returns why it ended."""
-        while True:
-            # Asleep, not waiting for the socket: then a step does not pay for waking us.
-            time.sleep(_LOOK_SECONDS)
-            state = None
-            while self._run.poll():
-                kind, value = self._run.recv()
-                if kind == "close":
-                    return str(value)
-                if kind == "model":
-                    self._studio.send(messages.ModelEvent(model=value))
-                    continue
-                state, facts = value
-                if facts is not None:
-                    self._panel.tell(Facts(*facts))
-            if state is not None:
-                row = np.frombuffer(state).copy()
-                self._studio.send(messages.StateSnapshot(state=row, state_sig=_STATE))
-            self._send_controls()
+        def run(endpoint: Any) -> None:
+            try:
+                config = viewer_protocol.ViewerConfig(
+                    title=options.title, gfx="web", http_port=options.port or 0
+                )
+                viewer = _Viewer(options.host, config, endpoint, model=model, plugins=[*plugins])
+                made.append(viewer)
+            finally:
+                ready.set()
+            viewer_protocol.run_viewer_loop(viewer)
 
-    def _send_controls(self) -> None:
-        if self._panel.controls.paused and not self._studio.controlled:
-            self._panel.leave()
-        controls = dataclasses.replace(self._panel.controls, watched=self._studio.watched)
-        if controls != self._sent:
-            self._sent = controls
-            self._run.send(controls)
+        _guard_serving()
+        self._handle = launch_thread.launch_thread(run)
+        ready.wait(_START_SECONDS)
+        if not made:
+            try:
+                self._handle.close()  # raises the error of its thread
+                raise RuntimeError("MuJoCo's viewer does not start")
+            except Exception as error:
+                why = f"cannot listen on {options.host}: {error}"
+                raise ConfigError([Problem("viewer", why)]) from error
+        self.url, self._guard = made[0].url, made[0].guard
+
+    @property
+    def watched(self) -> bool:
+        """Whether a browser has the page open."""
+        return bool(self._guard.connections)
+
+    @property
+    def controlled(self) -> bool:
+        """Whether a browser has the panel; further browsers only show the scene."""
+        return "/ui" in self._guard.connections
+
+    def send(self, message: Any) -> None:
+        """Send the viewer one of Studio's messages."""
+        self._handle.send_to_viewer(message)
+
+    def close(self, reason: str) -> None:
+        """Stop serving; open pages show the reason."""
+        self._handle.close(reason)
+
+
+class _Viewer(web_viewer.WebViewer):  # type: ignore[misc]
+    """Studio's web viewer, which listens on `_host`; here that is the configured address."""
+
+    def __init__(self, host: str, *args: Any, **kwargs: Any) -> None:
+        self._address = host
+        super().__init__(*args, **kwargs)
+
+    @property
+    def _host(self) -> str:
+        return self._address
+
+    @_host.setter
+    def _host(self, every_interface: str) -> None:
+        """Ignore the address that MuJoCo would listen on."""
+
+    @property
+    def url(self) -> str:
+        """Address of the page, for a browser on this machine."""
+        host = "127.0.0.1" if self._address in ("0.0.0.0", "::") else self._address
+        name = f"[{host}]" if ":" in host else host
+        return f"http://{name}:{self._http_sock.getsockname()[1]}/"
+
+    def _start_server(self) -> None:
+        """Start serving, if the socket is the expected one and requests are checked."""
+        bound = self._http_sock.getsockname()[0]
+        if bound not in {found[4][0] for found in socket.getaddrinfo(self._address, None)}:
+            raise RuntimeError(f"MuJoCo {mujoco.__version__} listens on {bound}")
+        self._http_sock.listen()  # fails here, not in the server's thread, if the port is in use
+        self.guard = _GUARDS[self._http_sock] = _Guard(self._address)
+        super()._start_server()
+        if not self.guard.serving.wait(_START_SECONDS):
+            self._web_server.stop()
+            raise RuntimeError(f"requests to MuJoCo {mujoco.__version__}'s viewer are not checked")
+
+    def prepare_next_frame(self) -> bool:
+        """Draw only if a page is open."""
+        if not self.guard.connections:
+            time.sleep(_IDLE_SECONDS)
+            return False
+        ready: bool = super().prepare_next_frame()
+        return ready
+
+    def get_drop_file(self) -> str:
+        """Ignore dropped files."""
+        return ""
+
+
+class _Guard:
+    """Checks the requests to one socket.
+
+    Args:
+        host: The address it listens on.
+
+    Attributes:
+        serving: Set once requests are checked.
+        connections: Paths of open WebSockets.
+    """
+
+    def __init__(self, host: str) -> None:
+        self._names = {host.lower(), *_LOOPBACK} if is_loopback(host) else None
+        self.serving = threading.Event()
+        self.connections: list[str] = []
+
+    async def count(self, handler: Callable[[Any], Any], websocket: Any) -> None:
+        """Handle a connection; it is in `connections` while it is open."""
+        path = websocket.request.path.partition("?")[0]
+        self.connections.append(path)
+        try:
+            await handler(websocket)
+        finally:
+            self.connections.remove(path)
+
+    def refusal(self, request: Any) -> Any:
+        """The response if a request is refused, else None.
+
+        Browsers let any page open a WebSocket to any address, with the page's site in ``Origin``;
+        pages of other sites are refused. Another name in ``Host`` than ours is refused too: it may
+        be a site's name that was made to resolve to this machine (DNS rebinding).
+        """
+        if request.path.partition("?")[0].endswith("/drop"):
+            return _forbidden("this viewer takes no files")
+        hosts = request.headers.get_all("Host")
+        if len(hosts) != 1:
+            return _forbidden("one Host is needed")
+        if self._names is not None and urlsplit(f"//{hosts[0]}").hostname not in self._names:
+            return _forbidden("this viewer is not known by that name")
+        for origin in request.headers.get_all("Origin"):
+            if urlsplit(origin).netloc.lower() != hosts[0].lower():
+                return _forbidden("pages of other sites may not use this viewer")
+        return None
+
+
+_GUARDS: WeakKeyDictionary[socket.socket, _Guard] = WeakKeyDictionary()
+
+
+def _guard_serving() -> None:
+    """Make MuJoCo's server check requests to guarded sockets first."""
+    plain: Callable[..., Any] = web_server.serve
+
+    def serve(handler: Callable[[Any], Any], *args: Any, **kwargs: Any) -> Any:
+        guard = _GUARDS.get(kwargs.get("sock"))  # type: ignore[arg-type]
+        if guard is None:
+            return plain(handler, *args, **kwargs)
+        answer = kwargs["process_request"]
+
+        def checked(connection: Any, request: Any) -> Any:
+            refused = guard.refusal(request)
+            return answer(connection, request) if refused is None else refused
+
+        guard.serving.set()
+        kwargs["process_request"] = checked
+        return plain(functools.partial(guard.count, handler), *args, **kwargs)
+
+    web_server.serve = serve
+
+
+def _forbidden(why: str) -> Any:
+    return web_server.Response(403, "Forbidden", web_server.Headers(), f"{why}\n".encode())
+
+
+# -- the panel -------------------------------------------------------------------------------------
+
+
+class Panel(plugin.ViewerPlugin):  # type: ignore[misc]
+    """Controls for environment, pause, step, reset and speed; rewards per term; view options.
+
+    Args:
+        options: Title, and whether resets are offered.
+        num_envs: Number of environments to choose from.
+        controls: The initial controls.
+
+    Attributes:
+        controls: Current controls; the object is replaced in the viewer's thread and by `resume`.
+    """
+
+    def __init__(self, options: PageOptions, num_envs: int, controls: Controls) -> None:
+        self._options, self._num_envs, self.controls = options, num_envs, controls
+        self._facts: Facts | None = None
+        self._history: deque[Facts] = deque(maxlen=_HISTORY)
+        self._camera = ux.UxState()
+        self._open = True
+
+    def add(self, facts: Facts) -> None:
+        """Show the facts of a step."""
+        self._facts = facts
+        self._history.append(facts)
+
+    def resume(self) -> None:
+        """End a pause."""
+        self._change(paused=False)
+
+    def _choose(self, env_id: int) -> None:
+        chosen = min(max(env_id, 0), self._num_envs - 1)
+        if chosen != self.controls.env_id:
+            self._history.clear()
+            self._change(env_id=chosen)
+
+    def _pause(self) -> None:
+        self._change(paused=not self.controls.paused)
+
+    def _step(self) -> None:
+        self._change(paused=True, steps=self.controls.steps + self.controls.paused)
+
+    def _reset(self) -> None:
+        if self._options.resets:
+            self._change(resets=self.controls.resets + 1, reset_env=self.controls.env_id)
+
+    def _change(self, **changed: Any) -> None:
+        self.controls = dataclasses.replace(self.controls, **changed)
+
+    @messages.handler(priority=messages.Priority.CRITICAL)  # type: ignore[untyped-decorator]
+    def _on_init(self, _: plugin.ViewerInitEvent) -> None:
+        ux.setup_theme(ux.GuiTheme.DARK)
+        self._camera.camera_index = ux.set_camera(
+            self.viewer.model, self.viewer.camera, ux.TUMBLE_CAMERA_IDX
+        )
+
+    @messages.handler  # type: ignore[untyped-decorator]
+    def _on_update(self, _: messages.UpdateEvent) -> None:
+        if imgui.GetIO().WantCaptureKeyboard:
+            return
+        if imgui.IsKeyChordPressed(imgui.Key.Space):
+            self._pause()
+        elif imgui.IsKeyChordPressed(imgui.Key.RightArrow):
+            self._step()
+        elif imgui.IsKeyChordPressed(imgui.Key.Backspace):
+            self._reset()
+        elif imgui.IsKeyChordPressed(imgui.Key.P):
+            self._open = not self._open
+
+    @messages.handler  # type: ignore[untyped-decorator]
+    def _on_build_gui(self, _: messages.BuildGuiEvent) -> None:
+        self.viewer.camera_index = self._camera.camera_index
+        if not self._open:
+            return
+        imgui.SetNextWindowPos(imgui.Vec2(_MARGIN, _MARGIN), int(imgui.Cond.FirstUseEver))
+        imgui.SetNextWindowSize(imgui.Vec2(_WIDTH, _HEIGHT), int(imgui.Cond.FirstUseEver))
+        expanded, self._open = imgui.Begin(self._options.title, self._open)
+        if expanded:
+            self._draw_controls()
+            if self._facts is not None:
+                _draw_facts(self._facts, list(self._history))
+            if imgui.CollapsingHeader("View"):
+                self._draw_view()
+        imgui.End()
+
+    def _draw_controls(self) -> None:
+        if self._num_envs > 1:
+            changed, chosen = imgui.InputInt("environment", self.controls.env_id)
+            if changed:
+                self._choose(chosen)
+        if imgui.Button("Resume" if self.controls.paused else "Pause", _BUTTON):
+            self._pause()
+        imgui.SetItemTooltip("Space")
+        imgui.SameLine()
+        if imgui.Button("Step", _BUTTON):
+            self._step()
+        imgui.SetItemTooltip("Right arrow: one control step, then a pause")
+        imgui.SameLine()
+        imgui.BeginDisabled(not self._options.resets)
+        if imgui.Button("Reset", _BUTTON):
+            self._reset()
+        imgui.EndDisabled()
+        imgui.SetItemTooltip("Backspace: this environment's episode ends, as truncated")
+        names = ["as fast as possible", *(f"{speed:g} x real time" for speed in SPEEDS if speed)]
+        changed, chosen = imgui.Combo("speed", SPEEDS.index(self.controls.speed), names)
+        if changed:
+            self._change(speed=SPEEDS[chosen])
+
+    def _draw_view(self) -> None:
+        """Draw Studio's widgets for cameras and view options."""
+        viewer = self.viewer
+        ux.camera_selection_gui(viewer.model, viewer.data, viewer.camera, self._camera)
+        if imgui.TreeNodeEx("Rendering"):
+            ux.rendering_gui(viewer.model, viewer.vis_options, viewer.render_flags)
+            imgui.TreePop()
+        if imgui.TreeNodeEx("Groups"):
+            ux.groups_gui(viewer.model, viewer.vis_options)
+            imgui.TreePop()
+        if imgui.TreeNodeEx("Visualization"):
+            ux.visualization_gui(viewer.model, viewer.vis_options, viewer.camera)
+            imgui.TreePop()
+
+
+def _draw_facts(facts: Facts, history: list[Facts]) -> None:
+    """Draw lines, a table of reward terms, and a plot of their latest values."""
+    imgui.TextUnformatted(f"step {facts.step}   {facts.seconds:.2f} s of the episode")
+    for name, text in facts.lines:
+        imgui.TextUnformatted(f"{name} {text}")
+    if not facts.rewards:
+        return
+    imgui.SeparatorText("Rewards per term")
+    flags = int(imgui.TableFlags.RowBg) | int(imgui.TableFlags.SizingStretchProp)
+    if imgui.BeginTable("rewards", 3, flags):
+        for name in ("term", "step", "episode"):
+            imgui.TableSetupColumn(name)
+        imgui.TableHeadersRow()
+        for name, value in facts.rewards.items():
+            imgui.TableNextRow()
+            for text in (name, f"{value:+.4g}", f"{facts.sums.get(name, 0.0):+.4g}"):
+                imgui.TableNextColumn()
+                imgui.TextUnformatted(text)
+        imgui.EndTable()
+    implot.SetNextAxesToFit()
+    if implot.BeginPlot("##rewards", imgui.Vec2(-1.0, 180.0)):
+        implot.SetupAxes("control step", "")
+        steps = [past.step for past in history]
+        for name in facts.rewards:
+            implot.PlotLine(name, steps, [past.rewards.get(name, 0.0) for past in history])
+        implot.EndPlot()
 
 
 if __name__ == "__main__":

@@ -1,1 +1,1 @@
-"""Channels for viewers: Foxglove's own schemas, filled for a few environments."""
+"""Channels for viewers with Foxglove's schemas, written for a few environments."""

@@ -1,4 +1,4 @@
-"""Messages for viewers, one encoder a channel: `/tf`, joint states, metrics, lines of `/log`.
+"""Messages for viewers, one encoder per channel: `/tf`, joint states, metrics, lines of `/log`.
 
 Frames are named ``env_I/uid/link``; their parent is ``env_I``, whose parent is ``world``.
 """
@@ -44,11 +44,11 @@ _COUNTS = ("elapsed_steps", "success", "fail")
 _GROUPS = (("rewards", "reward"), ("episode_sums", "sum"), ("metrics", "metric"))
 _REASONS = ("success", "fail", "diverged")
 _LISTED = 8
-"""Numbers and environments that a line of `/log` lists at most."""
+"""Maximum count of numbers or environments in a line of `/log`."""
 
 
 def frame_names(model: mujoco.MjModel, env_id: int) -> list[str]:
-    """Frames of an environment's bodies by body id; the first one is the environment's own."""
+    """Frames of an environment's bodies by body id; the first one is the environment's frame."""
     root = f"env_{env_id}"
     names = (model.body(i).name or f"body_{i}" for i in range(1, model.nbody))
     return [root, *(f"{root}/{name}" for name in names)]
@@ -63,13 +63,13 @@ def scalar_joints(model: mujoco.MjModel) -> dict[str, int]:
 class Frames:
     """`/tf`: one `FrameTransforms` for all viewed environments, updated for each sample.
 
-    The parent of every body's frame is its environment's, so poses need no chain of products, and
-    a viewer that misses one frame still shows the others.
+    The parent of every body's frame is the environment's frame, so no poses are multiplied, and a
+    viewer that misses one frame still shows the others.
 
     Args:
         model: The model; only names are read.
         env_ids: (n,) environments.
-        offsets: (n, 3) position of each in ``world``, metres.
+        offsets: (n, 3) positions of the environments in ``world``, metres.
     """
 
     def __init__(self, model: mujoco.MjModel, env_ids: Sequence[int], offsets: F64) -> None:
@@ -86,7 +86,7 @@ class Frames:
         self._times = [frame.timestamp for frame in self._message.transforms]
 
     def place(self, index: int, data: mujoco.MjData) -> None:
-        """Take the body poses of the index-th environment from its kinematics."""
+        """Copy the body poses of the index-th environment from its kinematics."""
         positions, rotations = data.xpos[1:].tolist(), data.xquat[1:].tolist()
         for (p, q), xyz, wxyz in zip(self._bodies[index], positions, rotations, strict=True):
             p.x, p.y, p.z = xyz
@@ -128,14 +128,14 @@ class Joints:
 
 
 class Scalars:
-    """`/env_I/metrics`: the numbers of a step as flat fields of a message declared for the run.
+    """`/env_I/metrics`: the scalars of a step as flat fields of a message declared for the run.
 
-    Plotting tools draw flat fields; which fields there are depends on the task's terms.
+    Plotting tools need flat fields; the fields depend on the task's terms.
 
     Args:
         step: Any step of the run.
         env_ids: Viewed environments.
-        commands: Names of the columns of each command, and its values, (N, columns): live.
+        commands: Names of the columns of each command, and its (N, columns) values, not copied.
     """
 
     def __init__(
@@ -146,12 +146,10 @@ class Scalars:
         self._counts = [key for key in _COUNTS if key in step.info]
         self._terms = {key: list(step.info.get(key, {})) for key, _ in _GROUPS}
         self.names: list[str] = []
-        """Of the fields."""
+        """Names of the fields."""
         for name in map(identifier, self._titles([n for names, _ in commands for n in names])):
             taken = sum(n == name or n.startswith(f"{name}__") for n in self.names)
             self.names.append(f"{name}__{taken + 1}" if taken else name)
-        self._factors: list[float] = []  # of the scalars; empty: all are 1
-        self._weights: object = None  # those in `_factors`
         self._message = scalars_class(METRICS, self.names)
 
     def _titles(self, commands: list[str]) -> Iterator[str]:
@@ -165,17 +163,12 @@ class Scalars:
         """Schema of the message."""
         return scalars_descriptor_set(METRICS, self.names)
 
-    def weigh(self, weights: Mapping[str, float]) -> None:
-        """Multiply reward terms with these weights from now on, as they add to the reward."""
-        if weights is not self._weights:
-            self._weights = weights
-            factors = [1.0] * len(self.names)
-            for at, name in enumerate(self._terms["rewards"], 3 + len(self._counts)):
-                factors[at] = weights.get(name, 1.0)
-            self._factors = factors if set(factors) != {1.0} else []
+    def of(self, step: StepRecord, weights: Mapping[str, float]) -> list[list[float]]:
+        """The values of each viewed environment in a step, in the order of `names`.
 
-    def encode(self, step: StepRecord) -> list[bytes]:
-        """Return the serialized message of each viewed environment.
+        Args:
+            step: The step.
+            weights: Weights of the reward terms, by which their values are multiplied.
 
         Raises:
             ValueError: If the step has other scalars than the first one.
@@ -186,6 +179,7 @@ class Scalars:
             raise ValueError(
                 f"a step's scalars are not those of the first one: {self.names}"
             ) from error
+        factors = [weights.get(name, 1.0) for name in self._terms["rewards"]]
         found = []
         for env_id in self._ids:
             values: list[float] = []
@@ -194,14 +188,19 @@ class Scalars:
                     values.append(block.item(env_id))
                 else:
                     values += block[:, env_id].tolist()
-            if self._factors:
-                values = [a * b for a, b in zip(values, self._factors, strict=True)]
-            message = self._message(**dict(zip(self.names, values, strict=True)))
-            found.append(message.SerializeToString())
+            for at, weight in enumerate(factors, 3 + len(self._counts)):
+                values[at] *= weight
+            found.append(values)
         return found
 
+    def encode(self, values: Sequence[float]) -> bytes:
+        """Return the serialized message of values that `of` returned."""
+        message = self._message(**dict(zip(self.names, values, strict=True)))
+        data: bytes = message.SerializeToString()
+        return data
+
     def _blocks(self, step: StepRecord) -> list[NDArray[Any]]:
-        """All scalars in order, as (N,) arrays or (K, N) of K scalars."""
+        """All scalars in order, as (N,) arrays, or (K, N) arrays of K scalars."""
         info = step.info
         blocks: list[NDArray[Any]] = [step.reward, step.terminated, step.truncated]
         blocks += [_array(info[key]) for key in self._counts]

@@ -1,8 +1,8 @@
-"""`foxglove_layout.json`: a layout that shows a log at once, in Foxglove and its open forks.
+"""`foxglove_layout.json`: a layout that shows a log in Foxglove and its open forks.
 
 A viewer's default layout shows coordinate axes only: scenes are hidden until switched on. The part
-common to all layouts is ``layout.json``: transforms are preloaded, so that poses are right after a
-jump in time, and the grid lies above the floor, where it does not flicker.
+common to all layouts is ``layout.json``: it preloads transforms, so that poses are right after a
+jump in time, and places the grid above the floor, where it does not flicker.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.engine.api import F64
 from embodichain.recording.views.channels import identifier, scalar_joints
 from embodichain.recording.views.scene import Commands
 
@@ -40,11 +40,11 @@ _PLOT = {
 
 
 def foxglove_layout(env: ObservedEnv, view_envs: Sequence[int]) -> dict[str, Any]:
-    """Return a layout with the scene, joint positions, the reward with its terms, and the log.
+    """Return a layout with the scene, joint positions, the reward and its terms, and the log.
 
     Args:
         env: The environment.
-        view_envs: Environments that the log shows.
+        view_envs: Viewed environments.
     """
     text = resources.files(__package__).joinpath("layout.json").read_text("utf-8")
     layout: dict[str, Any] = json.loads(text)
@@ -60,7 +60,7 @@ def foxglove_layout(env: ObservedEnv, view_envs: Sequence[int]) -> dict[str, Any
     }
     first = f"/env_{view_envs[0]}" if view_envs else "/env_0"
     joints = list(scalar_joints(model))
-    last = [name.rpartition("/")[2] for name in joints]  # `elbow` where only one robot has one
+    last = [name.rpartition("/")[2] for name in joints]  # `elbow` if only one robot has it
     labels = [tail if last.count(tail) == 1 else n for n, tail in zip(joints, last, strict=True)]
     paths = [f'{first}/joint_states.joints[:]{{name=="{n}"}}.position' for n in joints]
     named = dict(zip(labels, paths, strict=True))
@@ -86,13 +86,13 @@ def _plot(title: str, values: Mapping[str, str]) -> dict[str, Any]:
 
 
 def pitch_of(env: ObservedEnv) -> float:
-    """Metres between environments that are viewed: the scene's size, at most `arena_space`."""
+    """Metres between viewed environments, from the scene's size; at most `arena_space`."""
     pitch = _EXTENTS * float(env.sim.engine.model.stat.extent)
     return pitch if env.num_envs == 1 else min(pitch, float(env.sim.arena_offsets[1, 0]))
 
 
 def places(env: ObservedEnv, env_ids: Sequence[int]) -> F64:
-    """(n, 3) position of each of these environments in ``world``, in a square, metres."""
+    """(n, 3) positions of environments in ``world``, in a square, metres."""
     side = max(1, math.ceil(math.sqrt(len(env_ids))))
     index = np.arange(len(env_ids))
     grid = np.stack([index % side, index // side, 0 * index], axis=1)

@@ -1,13 +1,14 @@
-"""What viewers draw of an environment: its bodies (`/env_I/scene`), its commands (`.../markers`).
+"""Scenes for viewers: bodies (`/env_I/scene`) and commands (`/env_I/markers`) of an environment.
 
-A scene has one `SceneEntity` for each body, locked to the body's frame; shapes are Foxglove's
-primitives, meshes are models as GLB inside the message. A commanded pose is drawn as axes, a
-commanded velocity as arrows; goals that are bodies are part of the scene.
+A scene has one `SceneEntity` for each body, attached to the body's frame. Shapes are Foxglove's
+primitives; meshes are embedded as GLB models. A commanded pose is drawn as axes, a commanded
+velocity as arrows; goals that are bodies are part of the scene.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -18,7 +19,7 @@ from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 
-from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.engine.api import F64, EnvIndex
 from embodichain.recording.views.channels import frame_names
 from embodichain.recording.views.shapes import MEDIA_TYPE, PLANE_SIZE, Shape, glb, mesh_of, shapes
 from embodichain.utils.math import quat_multiply
@@ -32,13 +33,13 @@ AXIS_LENGTH = 0.15
 METRES_PER_SPEED = 0.5
 """Length of an arrow in metres for each m/s or rad/s."""
 ABOVE = 0.25
-"""Height of a velocity's arrow above the body's origin, metres."""
+"""Height of velocity arrows above the body's origin, metres."""
 _RED, _GREEN, _BLUE = (
     Color(r=r, g=g, b=b, a=1.0) for r, g, b in ((0.9, 0.2, 0.2), (0.2, 0.8, 0.2), (0.2, 0.4, 1.0))
 )
 _S = math.sqrt(0.5)
 _TO_AXES = np.array([[1.0, 0.0, 0.0, 0.0], [_S, 0.0, 0.0, _S], [_S, 0.0, -_S, 0.0]])
-"""Rotations of the x axis, along which arrows point, to each axis; wxyz."""
+"""Rotations, wxyz, of the x axis (the direction of arrows) to each axis."""
 
 
 class Scenes:
@@ -56,8 +57,8 @@ class Scenes:
         """Return the serialized `SceneUpdate` that replaces all entities of an environment.
 
         Args:
-            time_ns: Its time.
-            model: The environment's model; it has the same meshes in every call.
+            time_ns: Time of the message.
+            model: The environment's model; its meshes must be the same in every call.
             env_id: The environment.
         """
         names, update = frame_names(model, env_id), SceneUpdate()
@@ -88,7 +89,7 @@ class Scenes:
             unit, data = Vector3(x=1.0, y=1.0, z=1.0), self._mesh(model, shape.geom)
             kind = {"media_type": MEDIA_TYPE, "override_color": True}
             entity.models.add(scale=unit, data=data, **kind, **common)
-        else:  # a cylinder, or a capsule: a cylinder with two spheres
+        else:  # a cylinder; a capsule is drawn as a cylinder with two spheres
             entity.cylinders.add(size=_xyz(size), bottom_scale=1.0, top_scale=1.0, **common)
             if shape.kind == "capsule":
                 ball = _xyz(size[[0, 0, 0]])
@@ -103,7 +104,7 @@ class Scenes:
 
 
 def _pose(shape: Shape, along_z: float = 0.0) -> Pose:
-    """A shape's pose in its body, moved along its own z axis."""
+    """A shape's pose in its body, moved along the shape's z axis."""
     axis = np.empty(3)
     mujoco.mju_rotVecQuat(axis, np.array([0.0, 0.0, along_z]), shape.quat)
     w, x, y, z = shape.quat.tolist()
@@ -116,7 +117,7 @@ def _xyz(values: F64) -> Vector3:
 
 
 class Commands:
-    """The commands of an environment, which may have none: their values and their markers."""
+    """The values and markers of an environment's commands, of which there may be none."""
 
     def __init__(self, env: ObservedEnv) -> None:
         manager = getattr(env, "command_manager", None)  # other classes may have no manager
@@ -132,7 +133,7 @@ class Commands:
         return bool(self._drawn)
 
     def scalars(self) -> list[tuple[list[str], F64]]:
-        """Names of the columns of each command, and its values, (N, columns): live."""
+        """Names of the columns of each command, and its (N, columns) values, not copied."""
         found = []
         for name, command in self._commands.items():
             values = command.values
@@ -140,25 +141,32 @@ class Commands:
             found.append(([f"{name}_{label}" for label in labels], values))
         return found
 
-    def encode(self, time_ns: int, env_id: int, data: mujoco.MjData) -> bytes:
+    def values_of(self, env_ids: EnvIndex) -> list[F64]:
+        """Copies of the (n, columns) values of each command that is drawn."""
+        return [command.values[env_ids] for command in self._drawn.values()]
+
+    def encode(
+        self, time_ns: int, env_id: int, data: mujoco.MjData, values: Sequence[F64]
+    ) -> bytes:
         """Return the serialized `SceneUpdate` of an environment's commands.
 
         Args:
             time_ns: Its time.
             env_id: The environment.
             data: Its kinematics.
+            values: (columns,) values of each command that is drawn.
         """
         update = SceneUpdate()
-        for name, command in self._drawn.items():
+        for (name, command), row in zip(self._drawn.items(), values, strict=True):
             is_pose, body = command.marker.kind == "pose", int(command.marker.body)
             entity = update.entities.add(id=f"env_{env_id}/commands/{name}")
             entity.timestamp.FromNanoseconds(time_ns)
             entity.frame_locked = is_pose  # it moves with the body
             entity.frame_id = f"env_{env_id}{self._frames[body if is_pose else 0]}"
             if is_pose:
-                _add_axes(entity.arrows, command.values[env_id])
+                _add_axes(entity.arrows, row)
             else:
-                _add_velocity(entity.arrows, command.values[env_id], data, body)
+                _add_velocity(entity.arrows, row, data, body)
         encoded: bytes = update.SerializeToString()
         return encoded
 
@@ -173,7 +181,7 @@ def _add_velocity(arrows: Any, command: F64, data: mujoco.MjData, body: int) -> 
     """Add an arrow in the direction of motion in the plane, and one along z for the rotation.
 
     Args:
-        arrows: Where to add them.
+        arrows: The list of arrows to extend.
         command: Velocity forward, to the left (m/s), and about z (rad/s).
         data: Kinematics.
         body: The body that moves.

@@ -1,7 +1,7 @@
-"""What a model looks like: one `Shape` for every geom that MuJoCo's viewers show, meshes as GLB.
+"""Visible shapes of a model: one `Shape` for every geom that MuJoCo's viewers show; GLB meshes.
 
-Groups 0 to 2 are shown unless they are fully transparent. A height field is a mesh here; a signed
-distance field shows the mesh it was compiled with.
+Geoms of groups 0 to 2 are shown unless they are fully transparent. A height field is converted to
+a mesh; a signed distance field is shown as the mesh it was compiled with.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.engine.base import F64
+from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
     "LOOKS",
@@ -31,7 +31,7 @@ __all__ = [
 ]
 
 LOOKS = ("geom_size", "geom_pos", "geom_quat", "geom_rgba", "geom_matid", "mat_")
-"""Prefixes of the model fields that shapes are made of, and that may be randomized."""
+"""Prefixes of the randomizable model fields that shapes depend on."""
 MEDIA_TYPE = "model/gltf-binary"
 PLANE_SIZE = 4.0
 """Width at which an infinite plane is drawn, metres."""
@@ -39,9 +39,9 @@ _PLANE_THICKNESS = 0.002
 _HIDDEN_GROUP = 3
 _GREY = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
 _SHARP = np.cos(np.radians(40))
-"""Faces that meet at more than 40 degrees keep an edge; others are shaded as one surface."""
+"""Cosine of 40 degrees: edges with a larger angle are sharp; smaller ones are shaded smooth."""
 _MOST_FACES = 256
-"""At a vertex, above which its faces stay flat: the number of pairs is quadratic."""
+"""Vertices with more faces are shaded flat: the number of pairs of faces is quadratic."""
 
 Kind = Literal["box", "ellipsoid", "cylinder", "capsule", "mesh"]
 
@@ -66,12 +66,12 @@ class Shape:
     Attributes:
         geom: Id of the geom.
         body: Id of its body.
-        kind: What to draw. A plane is a thin box below its surface.
+        kind: Kind of shape. A plane is a thin box below its surface.
         pos: (3,) centre, metres.
-        quat: (4,) orientation, wxyz; cylinders and capsules lie along their z axis.
-        half: (3,) half sizes, metres; of a capsule radius, radius and half its straight part; of a
-            mesh 1.
-        rgba: (4,) in 0 to 1: the geom's, or its material's with the mean of its texture.
+        quat: (4,) orientation, wxyz; cylinders and capsules are along their z axis.
+        half: (3,) half sizes, metres; for a capsule: radius, radius, half of its straight part;
+            for a mesh: 1.
+        rgba: (4,) in 0 to 1: the geom's colour, or its material's times the texture's mean.
     """
 
     geom: int
@@ -88,7 +88,7 @@ class Mesh(NamedTuple):
 
     Attributes:
         vertices: (V, 3) metres.
-        faces: (F, 3) indices of vertices, counter-clockwise seen from outside.
+        faces: (F, 3) indices of vertices, counter-clockwise as viewed from outside.
     """
 
     vertices: NDArray[np.float32]
@@ -96,7 +96,7 @@ class Mesh(NamedTuple):
 
 
 def shapes(model: mujoco.MjModel) -> Iterator[Shape]:
-    """Yield what is shown of a model, by geom."""
+    """Yield the visible shapes of a model, by geom."""
     for geom in range(model.ngeom):
         if model.geom_group[geom] < _HIDDEN_GROUP:
             rgba = _rgba(model, geom)
@@ -124,9 +124,9 @@ def _shape(model: mujoco.MjModel, geom: int, rgba: F64) -> Shape:
 
 
 def _rgba(model: mujoco.MjModel, geom: int) -> F64:
-    """A geom's colour: its own, or its material's where its own is the default grey.
+    """A geom's colour, or its material's if the geom's is the default grey.
 
-    A texture counts with its mean: viewers' primitives have one colour.
+    A texture is replaced by its mean, since viewers' primitives have one colour.
     """
     own, material = model.geom_rgba[geom], int(model.geom_matid[geom])
     rgba = np.asarray(own, np.float64)
@@ -174,14 +174,14 @@ def _height_field(model: mujoco.MjModel, index: int) -> Mesh:
 def corner_normals(mesh: Mesh) -> F64:
     """Return (3 F, 3) unit normals at the corners of (F, 3) faces.
 
-    Each is the area-weighted mean of the faces at its vertex that meet the corner's own at less
-    than 40 degrees.
+    Each is the area-weighted mean over the faces at its vertex whose angle to the corner's face is
+    less than 40 degrees.
     """
     points = mesh.vertices[mesh.faces].astype(np.float64)
     areas = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
-    up = np.tile([0.0, 0.0, 1.0], (len(areas), 1))  # of triangles without area
+    up = np.tile([0.0, 0.0, 1.0], (len(areas), 1))  # for triangles without area
     units = _normalized(areas, up)
-    # All pairs of corners (face x 3 + number) that share a vertex, each with itself too.
+    # All pairs of corners (3 x face + index) that share a vertex, including pairs of equal corners.
     vertex = mesh.faces.reshape(-1)
     order, count = np.argsort(vertex, kind="stable"), np.bincount(vertex)
     start = np.cumsum(count) - count
@@ -205,8 +205,8 @@ def _normalized(vectors: F64, otherwise: F64) -> F64:
 def glb(mesh: Mesh) -> bytes:
     """Encode positions, normals and triangles as binary glTF 2.0.
 
-    A mesh has no colour of its own: the primitive that embeds it has. glTF's y axis is up, the
-    mesh's z axis: the node turns it, viewers turn it back.
+    The mesh has no colour: the primitive that embeds it has one. In glTF the y axis is up, in the
+    mesh the z axis: the node rotates the mesh, and viewers rotate it back.
     """
     corners = mesh.vertices[mesh.faces].reshape(-1, 3)
     rows, index = _unique(np.concatenate([corners, corner_normals(mesh)], axis=1).astype("<f4"))
@@ -245,9 +245,9 @@ def glb(mesh: Mesh) -> bytes:
 
 
 def _unique(rows: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Return the distinct rows of (n, 6) numbers, and which of them each row is.
+    """Return the distinct rows of an (n, 6) array, and the index of each row among them.
 
-    `np.unique` with an axis takes five times as long.
+    `np.unique` with an axis is slower by a factor of 5.
     """
     words = rows.view(np.uint64)
     order = np.lexsort(words.T)

@@ -1,22 +1,22 @@
-"""`Views`: samples viewed environments and writes what viewers show of them.
+"""`Views`: samples viewed environments and writes the messages for viewers.
 
-It reads the engine's rows and model fields and computes kinematics on a model of its own, so
-viewing changes nothing in the simulation.
+It reads the engine's rows and model fields and computes kinematics on a separate model, so viewing
+changes nothing in the simulation.
 """
 
 from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator
+from itertools import chain
 from typing import TYPE_CHECKING, Protocol
 
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.engine.api import row_layout
-from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex, Write
-from embodichain.recording.options import RecordLike
+from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex, Write, row_layout
+from embodichain.recording.options import RecordOptions
 from embodichain.recording.views.channels import (
     METRICS,
     Frames,
@@ -40,17 +40,21 @@ _SEEN = (
     *LOOKS,
     *("geom_sameframe", "body_pos", "body_quat", "body_sameframe", "jnt_pos", "jnt_axis", "qpos0"),
 )
-"""Prefixes of the model fields that move or colour anything."""
+"""Prefixes of the model fields that affect poses or colours."""
 
 
 class Sink(Protocol):
-    """Where messages go: a file, or connected viewers."""
+    """The receiver of messages: a file, or connected viewers."""
 
     def channel(self, topic: str, schema: str, data: bytes | None = None) -> None:
         """Declare a channel; `data` is the schema's FileDescriptorSet if `schema` has none."""
 
-    def send(self, time_ns: int, messages: Sequence[tuple[str, bytes]]) -> None:
-        """Write or send serialized messages of one time, each with its topic."""
+    def send(self, time_ns: int, messages: Iterable[tuple[str, bytes]]) -> None:
+        """Write or send serialized messages of one time, each with its topic.
+
+        Messages are encoded during iteration: a file encodes many samples at a time, which is
+        several times faster than encoding between steps.
+        """
 
 
 class Views:
@@ -58,13 +62,14 @@ class Views:
 
     Args:
         env: The environment.
-        options: Which environments, and how often they are sampled.
-        sink: Where messages go; channels are declared at once, those of metrics in the first step.
+        options: Viewed environments, and their sampling rate.
+        sink: Receives the messages; channels are declared at once, those of metrics in the first
+            step.
         now: Returns the log time in ns.
     """
 
     def __init__(
-        self, env: ObservedEnv, options: RecordLike, sink: Sink, now: Callable[[], int]
+        self, env: ObservedEnv, options: RecordOptions, sink: Sink, now: Callable[[], int]
     ) -> None:
         self._ids = np.array(sorted(set(options.view_envs)), np.int64)
         self._is_viewed = np.zeros(env.num_envs, np.bool_)
@@ -73,9 +78,9 @@ class Views:
         self._every = max(1, math.ceil(1.0 / (options.view_hz * float(env.step_dt)) - 1e-9))
         self._period_ns = self._every * round(float(env.step_dt) * 1e9)
         self._due: dict[int, bool] = dict.fromkeys(self._ids.tolist(), True)
-        """Environments whose scene is due; whether even if it looks as before."""
+        """Environments with a scene to write; True: even if it is unchanged."""
         self._sampled = -1
-        self._next_line: dict[str, int] = {}  # interval term: when it may have a line again
+        self._next_line: dict[str, int] = {}  # interval term to time of its next line
         self._rewards = getattr(env, "reward_manager", None)  # other classes may have no manager
         self._commands = Commands(env)
         self._scalars: Scalars | None = None
@@ -100,11 +105,14 @@ class Views:
 
     def say(self, message: str, level: str = "INFO") -> None:
         """Write a line to `/log`."""
+        self._send_lines([message], level)
+
+    def _send_lines(self, texts: list[str], level: str = "INFO") -> None:
         time_ns = self._now()
-        self._sink.send(time_ns, [("/log", log_line(time_ns, message, level))])
+        self._sink.send(time_ns, (("/log", log_line(time_ns, text, level)) for text in texts))
 
     def show(self, env_ids: Iterable[int]) -> None:
-        """Write the scenes of these environments with the next sample, changed or not."""
+        """Write the scenes of these environments with the next sample, even if unchanged."""
         self._due.update(dict.fromkeys(self._viewed.keys() & set(env_ids), True))
 
     def on_model_write(self, write: Write) -> None:
@@ -123,36 +131,54 @@ class Views:
         """Sample the viewed rows if they are due, or after a reset.
 
         Args:
-            step: Control step whose physics follows.
+            step: The control step before its physics.
             rows: (N, nstate) rows.
-            last: Nothing follows: sample in any case.
+            last: Whether this is the last state, which is always sampled.
         """
         if not self._viewed or step == self._sampled:
             return
         if step % self._every and not self._due and not last:
             return
         self._sampled, time_ns = step, self._now()
-        messages = [
+        scenes = [
             (self._viewed[env_id].scene, scene)
             for env_id, anyway in self._due.items()
             if (scene := self._viewed[env_id].look(time_ns, anyway)) is not None
         ]
         self._due = {}
+        models = [viewed.model for viewed in self._viewed.values()]
+        commands = self._commands.values_of(self._ids)
+        samples = chain(scenes, self._encoded(time_ns, rows[self._ids], models, commands))
+        # Models of single environments may change before the file is written.
+        live = any(viewed.owns_model for viewed in self._viewed.values())
+        self._sink.send(time_ns, list(samples) if live else samples)
+
+    def _encoded(
+        self, time_ns: int, rows: F64, models: list[mujoco.MjModel], commands: list[F64]
+    ) -> Iterator[tuple[str, bytes]]:
+        """Encode a sample of the n viewed environments.
+
+        Args:
+            time_ns: Time of the sample.
+            rows: (n, nstate) states.
+            models: The n models.
+            commands: (n, columns) values of each command that is drawn.
+        """
         data = self._data
         for index, (env_id, viewed) in enumerate(self._viewed.items()):
-            row = rows[env_id]
+            row = rows[index]
             for target, columns in self._inputs:
                 target[:] = row[columns]
-            mujoco.mj_kinematics(viewed.model, data)
+            mujoco.mj_kinematics(models[index], data)
             self._frames.place(index, data)
-            messages.append((viewed.joints, self._joints.encode(time_ns, row)))
-            if self._commands.drawn:
-                messages.append((viewed.markers, self._commands.encode(time_ns, env_id, data)))
-        messages.append(("/tf", self._frames.encode(time_ns)))
-        self._sink.send(time_ns, messages)
+            yield viewed.joints, self._joints.encode(time_ns, row)
+            if commands:
+                values = [of_all[index] for of_all in commands]
+                yield viewed.markers, self._commands.encode(time_ns, env_id, data, values)
+        yield "/tf", self._frames.encode(time_ns)
 
     def on_reset(self, env_ids: EnvIndex) -> None:
-        """Sample viewed environments that were reset, with their scene if it has changed."""
+        """Sample viewed environments that were reset, and their scene if it changed."""
         seen = self._viewed_of(env_ids)
         if seen:
             for env_id in seen:
@@ -160,41 +186,39 @@ class Views:
             self.say(f"environments {ids_text(np.array(seen))} reset")
 
     def on_event(self, event: EventRecord) -> None:
-        """Write a line for each viewed environment in which a term fired, with what it drew.
+        """Write a line with the drawn values for each viewed environment in which a term fired.
 
-        Terms that fire at intervals have lines at most as often as environments are sampled; the
-        log's events have all of them.
+        Interval terms have lines at most at the sampling rate; the log's events are complete.
         """
-        time_ns, ids = self._now(), event.env_ids
+        ids = event.env_ids
         if event.mode == "interval":
+            time_ns = self._now()
             if time_ns < self._next_line.get(event.term, 0):
                 return
             self._next_line[event.term] = time_ns + self._period_ns
-        lines = []
+        texts = []
         for env_id in self._viewed_of(ids):
             row = env_id if ids is None else int(np.searchsorted(ids, env_id))
             drawn = {name: values[row] for name, values in event.drawn.items()}
-            text = event_text(env_id, event.term, event.mode, drawn)
-            lines.append(("/log", log_line(time_ns, text)))
-        if lines:
-            self._sink.send(time_ns, lines)
+            texts.append(event_text(env_id, event.term, event.mode, drawn))
+        if texts:
+            self._send_lines(texts)
 
     def on_step(self, step: int, record: StepRecord, ended: bool = True) -> None:
-        """Write the numbers of viewed environments if they are due, and lines for what ended.
+        """Write the scalars of viewed environments if they are due, and a line for each end.
 
         Args:
             step: Control step.
-            record: What it returned.
+            record: The results of the step.
             ended: Whether an episode may have ended in any environment.
         """
         if ended:
             self._say_endings(step, record)
         if self._viewed and step % self._every == 0:
             scalars, time_ns = self.declare(record), self._now()
-            if self._rewards is not None:
-                scalars.weigh(self._rewards.weights)
-            metrics = zip(self._viewed.values(), scalars.encode(record), strict=True)
-            self._sink.send(time_ns, [(viewed.metrics, data) for viewed, data in metrics])
+            weights = {} if self._rewards is None else self._rewards.weights
+            metrics = zip(self._viewed.values(), scalars.of(record, weights), strict=True)
+            self._sink.send(time_ns, ((v.metrics, scalars.encode(values)) for v, values in metrics))
 
     def _say_endings(self, step: int, record: StepRecord) -> None:
         diverged = record.info.get("diverged")
@@ -207,7 +231,7 @@ class Views:
             self.say(ending_text(record, env_id))
 
     def declare(self, record: StepRecord) -> Scalars:
-        """Return the run's scalars; the first call finds them and declares their channels."""
+        """Return the run's scalars; the first call declares their channels."""
         if self._scalars is None:
             self._scalars = Scalars(record, list(self._viewed), self._commands.scalars())
             schema = self._scalars.descriptor_set
@@ -216,7 +240,7 @@ class Views:
         return self._scalars
 
     def close(self, step: int, rows: F64) -> None:
-        """Write the last state, and that recording ends."""
+        """Write the last state, and a line that recording ends."""
         self.on_rows(step, rows, last=True)
         self.say(f"recording ends after {step} steps")
 
@@ -225,29 +249,30 @@ class _Viewed:
     """The topics and the model of one environment.
 
     Args:
-        engine: Its engine.
+        engine: The engine.
         env_id: The environment.
-        scenes: Encodes its scene.
-        changed: Model fields that differ between environments already.
+        scenes: Encoder of scenes.
+        changed: Model fields that already differ between environments.
 
     Attributes:
         changed: Model fields that have changed since they were read.
+        owns_model: Whether the environment's model is a separate copy.
         scene, joints, markers, metrics: Its topics.
     """
 
     def __init__(self, engine: Engine, env_id: int, scenes: Scenes, changed: set[str]) -> None:
         self._engine, self._env_id, self._scenes = engine, env_id, scenes
-        self._model, self._owned, self._stale = engine.model, False, True
+        self._model, self.owns_model, self._stale = engine.model, False, True
         self.changed = set(changed)
         names = "scene", "joint_states", "markers", "metrics"
         self.scene, self.joints, self.markers, self.metrics = (f"/env_{env_id}/{n}" for n in names)
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The environment's model as it is now, as far as `_SEEN` goes."""
+        """The environment's model with the current values of the fields in `_SEEN`."""
         if self.changed:
-            if not self._owned:
-                self._model, self._owned = copy.copy(self._model), True
+            if not self.owns_model:
+                self._model, self.owns_model = copy.copy(self._model), True
             for field in self.changed:
                 values = self._engine.model_field(field)[self._env_id]
                 getattr(self._model, field).reshape(-1)[:] = values
@@ -256,7 +281,7 @@ class _Viewed:
         return self._model
 
     def look(self, time_ns: int, anyway: bool) -> bytes | None:
-        """Return its `SceneUpdate`; None if it looks as before, unless `anyway`."""
+        """Return the `SceneUpdate`; None if the scene is unchanged, unless `anyway`."""
         model = self.model
         if not self._stale and not anyway:
             return None

@@ -3,7 +3,7 @@ import sys
 
 import pytest
 
-from embodichain.lab.gym.envs import scene_check
+from embodichain.lab.gym.envs import scene_setup
 from embodichain.lab.gym.envs.cfg import (
     ActionTermCfg,
     EnvCfg,
@@ -13,8 +13,13 @@ from embodichain.lab.gym.envs.cfg import (
     RewardCfg,
     SceneEntityCfg,
 )
-from embodichain.lab.gym.envs.scene_check import describe, drive_changes
-from embodichain.lab.gym.envs.scene_setup import add_declared_robots, add_declared_scene, frozen_cfg
+from embodichain.lab.gym.envs.scene_setup import (
+    add_declared_robots,
+    add_declared_scene,
+    describe,
+    drive_changes,
+    frozen_cfg,
+)
 from embodichain.lab.sim import scene as scene_module
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
@@ -124,6 +129,10 @@ ENTITY = "events.place_goal.params.entity_cfg"
             "at position 5",
         ),
         (
+            pointing(uid="goal", body_ids=[1]),
+            f"{ENTITY}.body_ids: 'goal' has 1 links, numbered from 0; got [1]",
+        ),
+        (
             pointing(uid="goal", joint_names="Joint1"),
             f"{ENTITY}.joint_names: 'goal' is a rigid object without joints",
         ),
@@ -222,7 +231,7 @@ def test_a_name_that_cannot_be_used_is_named(cfg, expected):
         ),
         (
             {"init_qpos": [0.0] * 7},
-            f"robot.init_qpos: wants 6 values, one for each joint ({JOINTS}), got 7",
+            f"robot.init_qpos: must be 6 values, one for each joint ({JOINTS}), got 7",
         ),
         (
             {"drive_pros": JointDrivePropertiesCfg(stiffness={"elbow": 1.0})},
@@ -267,7 +276,7 @@ def test_checking_a_scene_imports_no_torch():
         "import sys\n"
         "from embodichain.lab.gym.envs.cfg import EnvCfg\n"
         "from embodichain.lab.sim.cfg import RobotCfg\n"
-        "from embodichain.lab.gym.envs.scene_check import describe\n"
+        "from embodichain.lab.gym.envs.scene_setup import describe\n"
         f"cfg = EnvCfg(robot=RobotCfg(fpath={UR10!r}))\n"
         "assert not describe(cfg)\n"
         "assert 'torch' not in sys.modules"
@@ -310,7 +319,7 @@ def reading(monkeypatch):
 
         return call
 
-    for module in (scene_check, scene_module):
+    for module in (scene_setup, scene_module):
         monkeypatch.setattr(module, "compile_scene", counted("scenes", module.compile_scene))
     read = counted("files", articulation.read_robot)
     monkeypatch.setattr(articulation, "read_robot", read)

@@ -110,10 +110,10 @@ def live():
     """A running environment and its view of environments 0 and 2."""
     env = SmallEnv(length=1000)
     geom = np.array([4 * env.sim.engine.model.geom("cube/geom").id])
-    view = FoxgloveView(env, port=0, env_id=2, view_envs=[0], fps=1000)
+    view = FoxgloveView(env, port=0, view_envs=[0, 2], fps=1000)
     env.add_observer(view)
     env.reset()
-    env.sim.engine.write_model("geom_rgba", 0.75, np.array([2]), geom)  # nobody looks yet
+    env.sim.engine.write_model("geom_rgba", 0.75, np.array([2]), geom)  # before any subscription
     env.step()
     with Running(env) as running:
         yield running, view
@@ -131,11 +131,11 @@ def test_its_channels_are_those_of_the_file(live, tmp_path):
     in_file = {
         channel.topic: summary.schemas[channel.schema_id]
         for channel in summary.channels.values()
-        if not channel.topic.startswith(("/sim/", "/episode"))  # for programs, not for people
+        if not channel.topic.startswith(("/sim/", "/episode"))  # for programs
     }
-    with Client(live[1].port) as client:
+    with Client(live[1].server.port) as client:
         found = client.meet(len(in_file))
-    assert client.server["capabilities"] == []  # nobody can change anything
+    assert client.server["capabilities"] == []  # clients cannot change anything
     assert set(found) == set(in_file)
     for topic, schema in in_file.items():
         channel = found[topic]
@@ -146,7 +146,7 @@ def test_its_channels_are_those_of_the_file(live, tmp_path):
 
 def test_what_comes_is_the_state_of_the_simulation(live):
     running, view = live
-    with Client(view.port) as client:
+    with Client(view.server.port) as client:
         client.meet(7)
         client.subscribe("/tf", "/env_2/joint_states")
         _, _, joints = client.until("/env_2/joint_states")
@@ -161,19 +161,19 @@ def test_what_comes_is_the_state_of_the_simulation(live):
         assert (later - time_ns) % 20_000_000 == 0 < later - time_ns  # the log's own clock
 
 
-def test_a_scene_comes_to_everybody_who_subscribes(live):
+def test_a_scene_is_sent_to_every_subscriber(live):
     _, view = live
     for _ in range(2):
-        with Client(view.port) as client:
+        with Client(view.server.port) as client:
             client.meet(7)
             client.subscribe("/env_2/scene", "/log")
             _, _, scene = client.until("/env_2/scene")
             entities = {e.id: e for e in scene.entities}
             assert {"env_2", "env_2/arm/upper", "env_2/cube", "env_2/goal"} <= set(entities)
-            # It was painted while nobody looked.
+            # It was painted before the subscription.
             assert entities["env_2/cube"].cubes[0].color.r == 0.75
             assert "move_goal" in client.until("/log")[2].message
-    with Client(view.port) as first, Client(view.port) as second:
+    with Client(view.server.port) as first, Client(view.server.port) as second:
         first.meet(7)
         first.subscribe("/env_0/scene")
         assert first.until("/env_0/scene")[2].entities
@@ -182,22 +182,22 @@ def test_a_scene_comes_to_everybody_who_subscribes(live):
         assert second.until("/env_0/scene")[2].entities
 
 
-def test_nothing_is_made_while_nobody_looks(monkeypatch):
+def test_no_message_is_made_without_a_subscription(monkeypatch):
     env = SmallEnv()
-    view = FoxgloveView(env, port=0, env_id=0, fps=1e9)
+    view = FoxgloveView(env, port=0, fps=1e9)
     env.add_observer(view)
     made = []
     monkeypatch.setattr(view._views, "on_rows", lambda *rest: made.append(rest))
     env.reset()
     for _ in range(5):
         env.step()
-    with Client(view.port) as client:
+    with Client(view.server.port) as client:
         client.meet(5)
         env.step()
         assert not made  # connected, but subscribed to nothing
         client.subscribe("/tf")
         _step_until(env, lambda: made)
-    _step_until(env, lambda: not view._server.wanted)
+    _step_until(env, lambda: not view.server.wanted)
     made.clear()
     env.step()
     assert not made
@@ -212,7 +212,7 @@ def _step_until(env, condition):
     assert condition()
 
 
-def test_the_clock_is_kept_while_somebody_looks(monkeypatch):
+def test_real_time_is_kept_while_anything_is_subscribed_to(monkeypatch):
     env = SmallEnv()
     env.add_observer(view := FoxgloveView(env, port=0, realtime=True))
     slept = []
@@ -220,10 +220,10 @@ def test_the_clock_is_kept_while_somebody_looks(monkeypatch):
     env.reset()
     env.step()
     assert not slept
-    with Client(view.port) as client:
+    with Client(view.server.port) as client:
         client.meet(5)
         client.subscribe("/tf")
-        while not view._server.wanted:
+        while not view.server.wanted:
             pass
         env.step()
         env.step()
@@ -237,7 +237,7 @@ def test_it_changes_nothing(live):
     plain.reset()
     geom = np.array([4 * plain.sim.engine.model.geom("cube/geom").id])
     plain.sim.engine.write_model("geom_rgba", 0.75, np.array([2]), geom)
-    with Client(view.port) as client:
+    with Client(view.server.port) as client:
         client.meet(7)
         client.subscribe("/tf", "/env_0/scene", "/env_2/metrics")
         for _ in range(5):
@@ -250,18 +250,18 @@ def test_it_changes_nothing(live):
 
 
 def test_other_addresses_do_not_answer(live):
-    port = live[1].port
-    assert live[1].url == f"ws://127.0.0.1:{port}"
+    port = live[1].server.port
+    assert live[1].server.url == f"ws://127.0.0.1:{port}"
     with pytest.raises(OSError):
         socket.create_connection(("127.0.0.2", port), timeout=2)
 
 
 def test_an_address_that_is_taken_and_an_environment_that_is_not_there(live):
-    port = live[1].port
+    port = live[1].server.port
     with pytest.raises(ConfigError, match=rf"viewer.port: cannot listen on 127.0.0.1:{port}"):
         FoxgloveView(SmallEnv(), port=port)
     with pytest.raises(ConfigError, match="environments 0 to 2"):
-        FoxgloveView(SmallEnv(), port=0, env_id=3)
+        FoxgloveView(SmallEnv(), port=0, view_envs=[3])
 
 
 def test_without_the_package_it_says_what_to_install(monkeypatch):

@@ -1,4 +1,4 @@
-"""A log on a screen: which states are shown, in which order, and what people can do meanwhile."""
+"""A log on a screen: which states are shown, in which order, and the controls meanwhile."""
 
 import threading
 import time
@@ -13,7 +13,7 @@ from embodichain.cli.app import call
 from embodichain.recording import McapRecorder
 from embodichain.recording.viewers import log_player
 from embodichain.recording.viewers.log_player import NativeScreen, play_log
-from embodichain.recording.viewers.web_page import WebPage
+from embodichain.recording.viewers.web_page import PageOptions, WebPage
 from embodichain.utils.errors import ConfigError
 from tests.helpers.browser import chromium, needs_chromium, picture, share_of
 from tests.recording.scene import SmallEnv
@@ -87,7 +87,7 @@ def test_it_begins_anew_and_goes_on_with_another_environment(path, monkeypatch):
     assert steps == [*((0, t) for t in range(3, 8)), *again, *((2, t) for t in (5, 6, 7, 3))]
 
 
-def test_nothing_is_played_while_nobody_looks(path):
+def test_a_log_is_played_while_it_is_watched(path):
     screen = Screen({4: shut})
     screen.watched = False
     with recording.open(path) as log:
@@ -158,10 +158,10 @@ def test_the_window_pauses_at_the_space_bar(path, monkeypatch):
         (["--view", "foxglove"], "embodichain view FILE"),
         (["--view", "hologram"], "there are native, web"),
         (["--view", "native", "--port", "1"], "--host and --port are for --view web"),
-        (["--view", "web", "--speed", "0"], "--speed must be positive"),
+        (["--view", "web", "--speed", "0"], "'--speed': 0.0 is not in the range x>0"),
         (["--view", "--env", "7"], "no environment 7"),
         (["--port", "8080"], "--port needs --view"),
-        (["--view", "--verify"], "--verify and --view are two things"),
+        (["--view", "--verify"], "--verify and --view exclude each other"),
     ],
     ids=str,
 )
@@ -180,7 +180,7 @@ def test_the_page_shows_the_log(tmp_path):
         env.step(np.zeros((1, 6), np.float32))
     env.close()
     with recording.open(tmp_path / "log.mcap") as log:
-        page = WebPage(log.model, resets=False)
+        page = WebPage(log.model, PageOptions(resets=False))
         stop = SimpleNamespace(now=False)
         arguments = {"speed": 0.1, "stopped": lambda: stop.now}
         thread = threading.Thread(target=play_log, args=(log, page), kwargs=arguments)

@@ -1,4 +1,4 @@
-"""The page of `viewer=web` in Chromium: what people see, and what their keys do to the run."""
+"""The page of `viewer=web` in Chromium: what it shows, and what its keys do to the run."""
 
 import threading
 import time
@@ -133,7 +133,7 @@ def test_a_second_browser_looks_on_and_no_tab_stops_the_run(page, visit, run):
     assert not run.controls.paused
     press(page, "Space", lambda: run.controls.paused)
     page.context.browser.close()
-    wait(lambda: not run.controls.paused)  # who asked for the pause is gone
+    wait(lambda: not run.controls.paused)  # the browser that requested the pause is gone
     wait(lambda: not stands(run))
     assert run.view.watched
     before = picture(second)

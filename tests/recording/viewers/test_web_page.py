@@ -1,4 +1,4 @@
-"""The page of `viewer=web`, without a browser: who may reach it, and that nobody waits for it."""
+"""The page of `viewer=web`, without a browser: access, controls, and that the run never waits."""
 
 import dataclasses
 import http.client
@@ -12,8 +12,7 @@ import pytest
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from embodichain.recording.viewers.controls import Controls, Facts
-from embodichain.recording.viewers.web_page import WebPage
+from embodichain.recording.viewers.web_page import Controls, Facts, PageOptions, WebPage
 from embodichain.utils.errors import ConfigError
 from tests.recording.scene import MODEL, SmallEnv
 
@@ -30,7 +29,7 @@ def served():
 
 @pytest.fixture
 def page(served):
-    """The page, with nobody there and nothing wished for."""
+    """The page, without a browser, with its initial controls."""
     served._controls, served._taken_steps, served._taken_resets = Controls(), 0, 0
     return served
 
@@ -109,7 +108,7 @@ def test_a_name_that_points_here_is_refused(page):
     assert ask(page, Host="localhost:9000", Origin="http://localhost:9000")[0] == 200  # a tunnel
 
 
-def test_the_first_state_comes_at_once_to_who_connects(page):
+def test_a_new_connection_receives_the_state_at_once(page):
     page.show(ROW, Facts(step=1, seconds=0.0))
     with visit(page, "/ui?sid=me") as ui:
         ui.send(bytes(120))
@@ -120,7 +119,7 @@ def test_the_first_state_comes_at_once_to_who_connects(page):
 
 
 def control(page, **controls):
-    """What people at the page ask for, without one: a browser does it in `test_web_browser.py`."""
+    """Set controls as a browser would (`test_web_browser.py` uses one)."""
     page._controls = dataclasses.replace(page._controls, watched=True, **controls)
 
 
@@ -130,7 +129,7 @@ def seconds_of(call):
     return time.monotonic() - began
 
 
-def test_nobody_is_waited_for(page):
+def test_the_run_does_not_wait_without_a_browser(page):
     page._controls = dataclasses.replace(page._controls, paused=True, speed=0.1)
     began = time.monotonic()
     for _ in range(1000):
@@ -170,7 +169,7 @@ def test_another_environment_is_shown_during_a_pause(page):
     assert shown == [0, 1]
 
 
-def test_the_clock_is_kept_while_somebody_looks(page):
+def test_real_time_is_kept_while_the_page_is_open(page):
     control(page, speed=2.0)
     assert seconds_of(lambda: [page.pace(0.2, lambda: None) for _ in range(4)]) > 0.29
 
@@ -182,7 +181,7 @@ def test_a_reset_is_taken_once(page):
     assert page.take_reset() is None
 
 
-def test_a_viewer_that_dies_is_no_reason_to_stop(caplog):
+def test_the_run_goes_on_when_the_viewer_dies(caplog):
     page = WebPage(MODEL)
     page._process.kill()
     page._listener.join()
@@ -198,13 +197,13 @@ def test_an_address_that_cannot_be_listened_on():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(ConfigError, match=f"Port {port} is already in use"):
-            WebPage(MODEL, port=port)
+            WebPage(MODEL, PageOptions(port=port))
     with pytest.raises(ConfigError, match=r"viewer: cannot listen on 192\.0\.2\.77"):
-        WebPage(MODEL, "192.0.2.77")
+        WebPage(MODEL, PageOptions("192.0.2.77"))
 
 
 def test_two_pages_have_a_port_each(page):
-    other = WebPage(MODEL, "localhost")
+    other = WebPage(MODEL, PageOptions("localhost"))
     assert port_of(other) != port_of(page)
     assert ask(other)[0] == ask(page)[0] == 200
     other.close()
@@ -251,9 +250,9 @@ def crc_of(state):
 def test_a_studio_that_cannot_be_confined_serves_nothing(break_it, why):
     """A later MuJoCo may go another way: then there is an error, and no open port."""
     code = (
-        "import mujoco, embodichain.recording.viewers.studio as s\n"
+        "import mujoco, embodichain.recording.viewers.web_process as s\n"
         f"s._START_SECONDS = 2.0\n{break_it}\n"
-        "s.Studio(mujoco.MjSpec().compile(), '127.0.0.1', None, '', [])\n"
+        "s.Studio(mujoco.MjSpec().compile(), s.PageOptions())\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], check=False, timeout=60, capture_output=True, text=True

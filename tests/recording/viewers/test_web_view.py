@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from embodichain.lab.gym.envs.cfg import EventCfg, RewardCfg
-from embodichain.recording.viewers.web import WebView
+from embodichain.recording.viewers.web import PageOptions, WebView
 from tests.helpers.ur10_task import builder
 from tests.recording.viewers.test_web_page import crc_of, until, visit
 
@@ -16,7 +16,7 @@ def test_the_model_is_sent_again_when_the_environment_shown_is_painted():
         painting = EventCfg(func="randomize_visual_material", mode="reset", params=PAINT)
         env = build(events={"paint": painting})
         env.reset()
-        view = WebView(env, realtime=False)
+        view = WebView(env, PageOptions(realtime=False))
         env.add_observer(view)
         with visit(view._page) as state:
             assert until(lambda: view.watched)
@@ -44,7 +44,7 @@ def test_terms_are_told_as_they_add_up_to_the_reward():
     with builder() as build:
         env = build(rewards=rewards)
         env.reset()
-        view = WebView(env, env_id=1, realtime=False)
+        view = WebView(env, PageOptions(env_id=1, realtime=False))
         env.add_observer(view)
         told = []
         view._page.show = lambda row, facts: told.append(facts)

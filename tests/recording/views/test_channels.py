@@ -286,7 +286,7 @@ def test_the_layout_plots_every_reward_and_sees_every_environment():
 
 
 def test_a_scene_is_shown_again_when_it_changed(record, monkeypatch):
-    # Masses are randomized at every reset: nobody sees them.
+    # Masses are randomized at every reset: they are not visible.
     assert len(decoded(record(steps=20, num_envs=1), "/env_0/scene")) == 1
     monkeypatch.setattr(SmallEnv, "reset", _reset_to_another_size)
     assert len(decoded(record(name="b.mcap", steps=20, num_envs=1), "/env_0/scene")) == 3

@@ -1,8 +1,8 @@
 """`BaseEnv`: N environments of one task, stepped together. The step contract is in `BaseEnv.step`.
 
-Its parts: `Episodes` (counters), `ObservationLayout` (columns of the observation), `judging` (who
-succeeded, whose episode ends), `scene_setup` (config to entities), `restoring` (recorded moments),
-`StateDump` (environments that diverged), and the managers of terms.
+Its parts: `Episodes` (counters), `ObservationLayout` (columns of the observation), `judging`
+(success and the end of episodes), `scene_setup` (config to entities), `restoring` (recorded
+moments), `StateDump` (environments that diverged), and the managers of terms.
 """
 
 from __future__ import annotations
@@ -14,19 +14,21 @@ from typing import TYPE_CHECKING, Any
 import gymnasium as gym
 import numpy as np
 import torch
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs import autoreset, restoring, scene_setup, seeding
-from embodichain.lab.gym.envs.actions import ActionCheck, action_space
-from embodichain.lab.gym.envs.autoreset import AutoresetMode
+from embodichain.lab.gym.envs import restoring, scene_setup
 from embodichain.lab.gym.envs.cfg import EnvCfg
-from embodichain.lab.gym.envs.divergence import StateDump
-from embodichain.lab.gym.envs.env_reads import EmbodiChainMembers, EnvReads
-from embodichain.lab.gym.envs.episodes import Episodes
+from embodichain.lab.gym.envs.env_reads import EnvReads
+from embodichain.lab.gym.envs.episodes import Episodes, add_finals, parse_mode, seed_globals, zeroed
 from embodichain.lab.gym.envs.hooks import EnvHooks, overridden_hooks
-from embodichain.lab.gym.envs.judging import StepJudge, as_mask, ends, none_set, reset_ids
-from embodichain.lab.gym.envs.managers.action_manager import ActionManager
+from embodichain.lab.gym.envs.judging import StateDump, StepJudge, as_mask, none_set, reset_ids
+from embodichain.lab.gym.envs.managers.action_manager import (
+    ActionCheck,
+    ActionManager,
+    action_space,
+)
 from embodichain.lab.gym.envs.managers.drawing import CommandManager, EventManager
 from embodichain.lab.gym.envs.managers.manager import CurriculumManager, Manager
 from embodichain.lab.gym.envs.managers.observation_manager import ObservationManager
@@ -38,17 +40,16 @@ from embodichain.lab.gym.envs.managers.value_managers import (
 from embodichain.lab.gym.envs.observation import Observation
 from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
 from embodichain.lab.gym.envs.observers import Observers, StepRecord
-from embodichain.lab.gym.envs.scene_check import drive_changes
 from embodichain.lab.gym.envs.snapshot import Snapshot, SnapshotSource
 from embodichain.lab.gym.utils.spaces import observation_space
 from embodichain.lab.sim.objects._arrays import as_env_ids
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
 from embodichain.utils.errors import ConfigError
-from embodichain.utils.random import RandomStreams
+from embodichain.utils.random import RandomStreams, first_seed
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["BaseEnv", "EmbodiedEnv"]
 
@@ -58,30 +59,30 @@ Info = dict[str, Any]
 _ZERO = np.float32(0.0)
 
 
-class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]):
-    """N environments of one task: declared in an `EnvCfg`, or built by overriding hooks, or both.
+class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
+    """N environments of one task, declared in an `EnvCfg`, built by overridden hooks, or both.
 
     Observations are nested mappings of float32 tensors (N, ...), see `TensorMapping`;
-    ``obs["robot"]`` has ``qpos``, ``qvel``, ``qf`` (N, A) of the active joints. Tensors that are
-    returned belong to the caller.
+    ``obs["robot"]`` has ``qpos``, ``qvel``, ``qf`` (N, A) of the active joints. Returned tensors
+    are owned by the caller.
 
     Args:
         cfg: The task; copied.
         render_mode: ``rgb_array`` or None.
         autoreset_mode: SAME_STEP, NEXT_STEP or DISABLED; also in the instance's `metadata`.
-        num_envs: N; wins over the config's.
-        run_dir: Where states of environments that diverge are written; None is nowhere.
-        **kwargs: Passed to the hooks that build.
+        num_envs: N; overrides the config's.
+        run_dir: Folder for the states of environments that diverge; None writes none.
+        **kwargs: Passed to the hooks that build the scene.
 
     Attributes:
         sim_steps_per_control: K, physics steps a control step.
         control_step: Control steps since the environment was built.
-        managers: The manager of each kind of terms, by section.
+        managers: All managers by section of the config.
         single_action_space, single_observation_space: Spaces of one environment; those of all N
             are `action_space` and `observation_space`.
 
     Raises:
-        ConfigError: If the task is wrong; contains every mistake that can be found.
+        ConfigError: If the task is wrong; lists every mistake that can be found.
         DeviceError: If the device is unknown or has no engine.
     """
 
@@ -102,29 +103,28 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         run_dir: Path | None = None,
         **kwargs: Any,
     ) -> None:
-        EmbodiChainMembers.__init__(self)
+        self.affordance_datas = {}
         self.cfg = cfg = scene_setup.frozen_cfg(cfg, num_envs)
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"unknown render_mode {render_mode!r}; one of: rgb_array, None")
         self.render_mode = render_mode
         self.run_dir, self.control_step = run_dir, 0
         self.sim_steps_per_control = cfg.sim_steps_per_control
-        self.metadata = autoreset.instance_metadata(self, autoreset.parse_mode(autoreset_mode))
+        self.metadata = {**type(self).metadata, "autoreset_mode": parse_mode(autoreset_mode)}
         self.metadata["render_fps"] = self.control_frequency
-        self.streams = RandomStreams(seeding.first_seed(cfg.seed), cfg.num_envs)
+        self.streams = RandomStreams(first_seed(cfg.seed), cfg.num_envs)
         if cfg.seed is not None:
-            seeding.seed_globals(self, self.streams.seed)
+            seed_globals(self, self.streams.seed)
         self.episodes = Episodes(cfg.num_envs, cfg.max_episode_steps)
         self.observers = Observers(self)
         # EmbodiChain shares one class-level list between all environments of a process.
         self.active_joint_ids = list(type(self).active_joint_ids)
-        self.sensors = {}
-        self._detached_uids: list[str] = []
+        self.sensors, self._detached_uids = {}, []
         self.overridden = overridden_hooks(type(self))
         self._task_success = torch.zeros(cfg.num_envs, dtype=torch.bool)
         self._closed = False
         self.sim = SimulationManager(cfg.sim_cfg)
-        self.sim.drive_changes = drive_changes(cfg.events)
+        self.sim.drive_changes = scene_setup.drive_changes(cfg.events)
         try:
             self._build_scene(kwargs)
             self._build_managers()
@@ -144,7 +144,7 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         cfg, sim = self.cfg, self.sim
         self.drives_robot = not cfg.actions and bool(cfg.robot or cfg.robots)
         own = self._setup_robot(**kwargs)
-        # After each hook, what the config declares and an override left out.
+        # After each hook, add the declared entities that an override did not add.
         declared = scene_setup.add_declared_robots(sim, cfg)
         self.robot = own if own is not None else declared
         has_space = getattr(self, "single_action_space", None) is not None
@@ -164,8 +164,7 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
 
     def _build_managers(self) -> None:
         cfg = self.cfg
-        # Commands first: other terms look them up when they are built. Curricula last: they look
-        # up all others.
+        # Commands first: other terms look them up when built. Curricula last: they look up all.
         self.command_manager = CommandManager(self, cfg.commands)
         self.observation_manager = ObservationManager(self, cfg.observations)
         self.event_manager = EventManager(self, cfg.events)
@@ -202,7 +201,7 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         saved = self.streams.state_dict()
         first = buffer.store(buffer.build(self.get_obs(**kwargs)))
         self._judge.check_terms(first)
-        self.streams.load_state_dict(saved)  # this observation does not count
+        self.streams.load_state_dict(saved)  # the first reset draws as if this had not happened
         self.single_observation_space = observation_space(first)
         self.observation_space = batch_space(self.single_observation_space, cfg.num_envs)
         if cfg.sim_cfg.visualization is not None:
@@ -215,27 +214,28 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
     ) -> tuple[EnvObs, Info]:
         """Start new episodes.
 
-        Curricula come first, and see the episodes that end. A reset is MuJoCo's own (velocities,
-        warm start, controls, applied forces, time), then every entity's configured state,
+        Curricula run first, on the state of the episodes that end. Then follow MuJoCo's reset
+        (velocities, warm start, controls, applied forces, time), every entity's configured state,
         `_initialize_episode`, reset events, commands, and `mj_forward`.
 
         Args:
-            seed: Starts every random stream anew, those of all N environments; also Gymnasium's
-                ``np_random`` and torch's global generator.
-            options: ``reset_ids`` or ``env_ids`` (sorted unique indices, or a mask (N,)), or
-                ``reset_mask`` (a mask): which environments; absent is all. Everything else goes to
-                `_initialize_episode`.
+            seed: Reseeds the random streams of all N environments, Gymnasium's ``np_random`` and
+                torch's global generator.
+            options: The environments to reset, as ``reset_ids`` or ``env_ids`` (sorted unique
+                indices, or a mask (N,)) or ``reset_mask`` (a mask); without them, all. All other
+                options are passed to `_initialize_episode`.
 
         Returns:
-            The observation and info of all N environments; rows that were not reset are as before.
+            The observation and info of all N environments; rows that were not reset are unchanged.
 
         Raises:
-            ValueError: If the environments to reset are given wrongly.
+            ValueError: If the indices or the mask are invalid.
         """
         options = dict(options or {})
         ids = reset_ids(options, self.num_envs)
         if seed is not None:
-            seeding.seed_globals(self, seeding.reseed(self.streams, seed))
+            self.streams.reseed(seed)
+            seed_globals(self, self.streams.seed)
         self._reset_rows(ids, options)
         self.episodes.settle(ids)
         return self._observe_reset(ids, options), dict(self.get_info(**options).items())
@@ -259,19 +259,19 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
             observer.on_reset(self, ids)
 
     def _observe_reset(self, ids: NDArray[np.int64], options: dict[str, Any]) -> Observation:
-        """Observe after a reset; other rows stay as they were last observed, to the bit."""
+        """Observe after a reset; the other rows keep their last observation, bit for bit."""
         others = np.ones(self.num_envs, np.bool_)
         others[ids] = False
         where = ids if len(ids) < self.num_envs else None
         saved = None if where is None else self.streams.state_dict()
         obs = self._observe(options, where)
         if saved is not None:
-            seeding.rewind(self.streams, saved, others)
+            self.streams.rewind(saved, others)
         return self.observation_buffer.store_first(obs, others)
 
     # -- step ----------------------------------------------------------------------------------
 
-    # A diverging environment's numbers may not fit float32: they become infinite, and are found.
+    # Values of a diverging environment may overflow float32; `diverged` finds the infinities.
     @np.errstate(over="ignore", invalid="ignore")
     def step(self, action: EnvAction, **kwargs: Any) -> Step:  # type: ignore[override]
         """Advance all environments by one control step (K physics steps).
@@ -280,17 +280,17 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         `_update_sim_state`, interval events, commands; the observation (robot, sensors,
         `_extend_obs`, observation terms); info (`compute_task_state`, `evaluate`, terminations,
         metrics); rewards (`get_reward`, reward terms, `_extend_reward`); `_postprocess_action`;
-        counters; who is terminated or truncated; `_hook_after_sim_step`. With SAME_STEP,
-        environments that are done are then reset in place, and the observation returned is their
-        new one. With NEXT_STEP that happens in the next step, which gives them reward 0. With
-        DISABLED it is left to the caller.
+        counters; terminated and truncated; `_hook_after_sim_step`. With SAME_STEP, environments
+        that are done are then reset in place, and the returned observation is that of the new
+        episode. With NEXT_STEP they are reset in the next step, with reward 0. With DISABLED the
+        caller resets them.
 
         Poses, velocities and sensors are those after the last physics step and all writes; efforts
         and contact forces (``qf``) are those within the last physics step.
 
-        An environment that diverges (a counter of MuJoCo's rises, or its observation or reward is
-        not finite) is terminated with ``info["diverged"]``, reward 0 and its last finite
-        observation as the final one; it affects no other.
+        An environment that diverges (a MuJoCo warning counter rises, or its observation or reward
+        is not finite) is terminated with ``info["diverged"]``, reward 0 and its last finite
+        observation as the final one. The other environments are not affected.
 
         Args:
             action: (N, A) finite floating tensor on the environment's device, or a numpy array, or
@@ -300,14 +300,14 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         Returns:
             Observation; reward (N,) float32; terminated (N,) bool; truncated (N,) bool; info: a
             dict with ``elapsed_steps``, ``success``, ``fail``, ``diverged``, ``rewards``,
-            ``episode_sums``, ``metrics`` (all of the step, before any reset) and what `evaluate`
-            gave. If an environment was reset in place: ``final_obs`` (also ``final_observation``)
-            and ``final_info``, valid in the rows where ``_final_obs`` and ``_final_info`` are True.
+            ``episode_sums``, ``metrics`` (all as before any reset) and the entries of `evaluate`.
+            If an environment was reset in place, also ``final_obs`` (``final_observation``) and
+            ``final_info``, valid in the rows where ``_final_obs`` and ``_final_info`` are True.
 
         Raises:
             TypeError: If the action has the wrong type.
-            ValueError: If its shape or device is wrong or it is not finite; nothing was changed.
-            gymnasium.error.ResetNeeded: If there was no reset yet.
+            ValueError: If its shape or device is wrong or it is not finite; no state has changed.
+            gymnasium.error.ResetNeeded: If `reset` has not been called.
         """
         episodes = self.episodes
         if not episodes.begun:
@@ -344,12 +344,12 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         info["elapsed_steps"], over = self.elapsed_steps, episodes.over()
         if "check_truncated" in self.overridden:
             over |= as_mask(self.check_truncated(obs, info), self.num_envs, "check_truncated")
-        terminated, truncated = ends(outcome, over, self.cfg.ignore_terminations)
+        terminated, truncated = outcome.ends(over, self.cfg.ignore_terminations)
         if pending is not None and saved is not None:
-            seeding.rewind(self.streams, saved, pending)
+            self.streams.rewind(saved, pending)
             terminated, truncated = terminated & ~pending, truncated & ~pending
             reward = np.where(pending, _ZERO, reward)
-            info = autoreset.blanked(info, torch.from_numpy(pending))
+            info = zeroed(info, torch.from_numpy(pending))
         flags = torch.from_numpy(terminated), torch.from_numpy(truncated)
         rewards = torch.from_numpy(reward)
         if "_hook_after_sim_step" in self.overridden:
@@ -367,7 +367,7 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         return obs, rewards, *flags, info
 
     def _act(self, action: EnvAction) -> EnvAction:
-        """Apply an action; returns the one that rewards see."""
+        """Apply an action; return the one that rewards receive."""
         if len(self.action_manager):
             if not isinstance(action, torch.Tensor):
                 raise TypeError(f"action terms take a tensor (N, A), got {type(action).__name__}")
@@ -378,11 +378,11 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
     def _autoreset(
         self, obs: Observation, info: Info, terminated: Mask, truncated: Mask
     ) -> Observation:
-        """Reset what the mode says; returns the observation with those rows replaced."""
+        """Reset environments as the autoreset mode says; return the observation after it."""
         mode = self.metadata["autoreset_mode"]
         done = None if none_set(terminated) and none_set(truncated) else terminated | truncated
         if mode is AutoresetMode.SAME_STEP and done is not None:
-            autoreset.add_finals(info, obs, done)
+            add_finals(info, obs, done)
         elif mode is AutoresetMode.NEXT_STEP:
             done, self.episodes.pending = self.episodes.pending, done
         else:
@@ -394,7 +394,7 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         return self._observe_reset(ids, {})
 
     def _observe(self, kwargs: dict[str, Any], stepped: EnvIndex | None) -> Observation:
-        """The observation that is returned, of environments that stepped or were reset."""
+        """Observe the environments that stepped or were reset."""
         self.observation_manager.stepped = stepped
         return self.observation_buffer.complete(self.get_obs(**kwargs))
 
@@ -404,7 +404,7 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         """Draw environment 0 as (480, 640, 3) RGB; None unless `render_mode` is ``rgb_array``.
 
         Raises:
-            RenderError: If no OpenGL library works here; names the package.
+            RenderError: If no OpenGL library works; names the package to install.
         """
         return self.sim.render() if self.render_mode == "rgb_array" else None
 
@@ -416,24 +416,24 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         step: int | None = None,
         env_ids: Any = None,
     ) -> tuple[EnvObs, Info]:
-        """Continue from a recorded moment: state, model fields and counters are as they were.
+        """Continue from a recorded moment: restore its state, model fields and counters.
 
-        With the recorded actions the recorded states follow, to the bit, until something random
-        happens: counters of random streams and states of terms are not in a log. They begin as at
-        a reset; ``info["not_restored"]`` names them.
+        The recorded actions then reproduce the recorded states bit for bit until a random draw:
+        a log does not contain the counters of random streams and the states of terms. They begin
+        as at a reset; ``info["not_restored"]`` names them.
 
         Args:
-            log: An open log (`embodichain.recording.open`), or a snapshot that was taken of one.
+            log: An open log (`embodichain.recording.open`), or a snapshot taken from one.
             env: The recorded environment.
             episode: One of its episodes; None counts `step` from the start of the recording.
             step: Finished control steps of the episode, or of the recording; None is 0.
-            env_ids: The environments that continue here (sorted unique, or a mask); None is all.
+            env_ids: The environments to restore (sorted unique, or a mask); None is all.
 
         Returns:
-            The observation and info of all N environments; rows of others are as before.
+            The observation and info of all N environments; rows not in `env_ids` are unchanged.
 
         Raises:
-            ConfigError: If there is no such moment, or it is of another scene.
+            ConfigError: If the log has no such moment, or it is of another scene.
         """
         snapshot = restoring.snapshot_of(log, env, episode, step)
         found = as_env_ids(env_ids, self.num_envs)
@@ -447,9 +447,9 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         return obs, {**self.get_info(), "not_restored": missing}
 
     def state_dict(self) -> dict[str, Any]:
-        """Return everything needed to continue to the bit (copies).
+        """Return the state from which the run continues bit for bit (copies).
 
-        Subclasses with a state of their own extend it.
+        Subclasses that add state extend it.
         """
         return {
             "num_envs": self.num_envs,
@@ -483,12 +483,12 @@ class BaseEnv(EnvHooks, EnvReads, EmbodiChainMembers, gym.Env[EnvObs, EnvAction]
         self.observation_buffer.last = saved["observation"].copy()
 
     def close(self) -> None:
-        """Tell observers, and free the simulation, also if one raises; once only."""
+        """Call the observers' `on_close` and free the simulation, even if an observer raises."""
         if self._closed:
             return
         self._closed = True
-        with ExitStack() as stack:  # runs all of it, last first
-            # Without the dump nothing refers to the engine: its memory is freed at once.
+        with ExitStack() as stack:  # runs every callback, the last one first
+            # The dump has the last reference to the engine: without it, memory is freed at once.
             stack.callback(self.sim.destroy)
             stack.callback(self.__dict__.pop, "_dump", None)
             for observer in reversed(list(self.observers)):

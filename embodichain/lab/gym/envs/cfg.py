@@ -1,7 +1,7 @@
-"""What a task is made of, as pure data: `EnvCfg` and the configs of its terms.
+"""The declaration of a task as plain data: `EnvCfg` and the configs of its terms.
 
-`EnvCfg` is what Python users fill and what `task` in YAML is checked against (`num_envs`, `seed`
-and `sim_cfg` stand elsewhere there). No torch, no MuJoCo. Names and defaults of the first six
+Python users fill an `EnvCfg`; `task` in YAML is checked against it (there `num_envs`, `seed` and
+`sim_cfg` are outside `task`). Imports neither torch nor MuJoCo. Names and defaults of the first six
 fields are EmbodiChain 0.2.1's; the vocabulary is documented in docs/task.md.
 """
 
@@ -25,6 +25,7 @@ from embodichain.lab.sim.sensors.cfg import AnySensorCfg
 from embodichain.utils.configclass import configclass
 
 __all__ = [
+    "NO_LIMIT",
     "ActionTermCfg",
     "CommandCfg",
     "CurriculumCfg",
@@ -42,6 +43,8 @@ __all__ = [
     "ValueCfg",
 ]
 
+NO_LIMIT = 2**31 - 1
+"""`max_episode_steps` of an environment whose episodes are not limited."""
 Names = str | list[str] | None
 """One name or regex, several, or None for all."""
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -53,9 +56,9 @@ Noise = float | list[float] | None
 
 @configclass
 class SceneEntityCfg:
-    """Points at an entity and, optionally, at joints or links of it; regexes match in full.
+    """Refers to an entity and, optionally, to its joints or links; regexes must match in full.
 
-    Resolved against the scene at build: what matches nothing is an error listing the candidates.
+    Resolved against the scene at build: no match is an error that lists the candidates.
     The order is the declared one when `preserve_order`, else the entity's own.
     """
 
@@ -64,7 +67,7 @@ class SceneEntityCfg:
     link_names: Names = None
     body_names: Names = None
     control_parts: Names = None
-    """Without joints that mimic another: nobody drives those."""
+    """Leaves out joints that mimic another one: they have no drive."""
     preserve_order: bool = False
     joint_ids: list[int] | None = None
     body_ids: list[int] | None = None
@@ -88,10 +91,10 @@ ValueShape = str | dict[str, Any] | list[str | dict[str, Any]] | None
 
 @configclass
 class ValueCfg(TermCfg):
-    """A term that is a number, or several, of each environment; `shape` makes one of them."""
+    """A term with one or several numbers for each environment; `shape` reduces them to one."""
 
     shape: ValueShape = dataclasses.field(default=None, kw_only=True)
-    """Applied to what `func` gives; several, in a list, one after the other."""
+    """Applied to the value of `func`; the shapes of a list are applied in order."""
 
 
 @configclass
@@ -102,14 +105,14 @@ class EventCfg(TermCfg):
     interval_step: Annotated[int, Field(ge=1)] = 10
     """Control steps between firings of an `interval` event; 1 is every step."""
     interval_range_s: Pair | None = None
-    """[low, high] seconds between firings, drawn anew each time; wins over `interval_step`."""
+    """[low, high] seconds between firings, drawn each time; overrides `interval_step`."""
     is_global: bool = False
     """Whether all environments share one timer (and `env_ids` is None)."""
 
 
 @configclass
 class NoiseCfg:
-    """Random numbers that an observation is changed by, drawn anew in every step.
+    """Noise of an observation or an action, drawn in every step.
 
     ``gaussian`` needs `std`, ``uniform`` needs `low` and `high` (Isaac Lab's `n_min` and `n_max`
     mean the same), ``constant`` needs `bias` and draws nothing.
@@ -117,7 +120,7 @@ class NoiseCfg:
 
     type: Literal["gaussian", "uniform", "constant"] = "gaussian"
     operation: Literal["add", "scale", "abs"] = "add"
-    """value + noise, value x noise, or the noise in the value's place."""
+    """The result is value + noise, value x noise, or the noise alone."""
     mean: Noise = None
     std: Noise = None
     low: Noise = None
@@ -129,47 +132,47 @@ class NoiseCfg:
 
 @configclass
 class ObservationCfg(ValueCfg):
-    """A piece of the observation: ``f(env, obs, **params) -> (N, ...)``.
+    """An entry of the observation: ``f(env, obs, **params) -> (N, ...)``.
 
     With `mode` ``modify``, ``f(env, data, **params)`` receives the entry `name` and returns its
-    replacement. What the term returns then passes `noise`, `clip`, `scale`, `delay` and
-    `history_length`, in this order.
+    replacement. `noise`, `clip`, `scale`, `delay` and `history_length` are applied to the returned
+    value, in this order.
     """
 
     mode: Literal["add", "modify"] = "add"
     name: str | None = None
-    """Where it stands in the observation; "/" nests. None is the term's key."""
+    """Its key in the observation; "/" nests. None is the term's key."""
     group: str = "policy"
     noise: NoiseCfg | None = None
-    """Switched off, a group at a time, by the task's `enable_corruption`."""
+    """The task's `enable_corruption` switches it off, for all groups or by group."""
     clip: Pair | None = None
     """[low, high]."""
     scale: float | list[float] | None = None
     delay: Steps | Annotated[list[Steps], Field(min_length=2, max_length=2)] = 0
     """Control steps, or [low, high]: then each episode of each environment draws its own."""
     history_length: Steps = 0
-    """Values of this many steps, the oldest first; 0 is the value itself, without history."""
+    """The values of this many steps, the oldest first; 0 is the current value, no history."""
     flatten_history_dim: bool = True
-    """Whether the steps stand side by side, (N, H x ...), instead of in a dimension (N, H, ...)."""
+    """Whether the history is concatenated, (N, H x ...), instead of stacked, (N, H, ...)."""
 
 
 @configclass
 class ActionTermCfg(TermCfg):
     """How a slice of the action moves the robot: a class ``(env, **params)``.
 
-    Its slice of the action passes `delay`, then `noise`, before the term sees it.
+    `delay`, then `noise`, are applied to its slice of the action before the term receives it.
     """
 
     delay: Steps | Annotated[list[Steps], Field(min_length=2, max_length=2)] = 0
     """Control steps, or [low, high]: then each episode of each environment draws its own. Until
-    the first action arrives, the term receives the one that changes nothing."""
+    the first action arrives, the term receives the one that keeps the present targets."""
     noise: NoiseCfg | None = None
     """In units of the action."""
 
 
 @configclass
 class RewardCfg(ValueCfg):
-    """``f(env, obs, action, info, **params) -> (N,)``; counted as value x weight, never x dt."""
+    """``f(env, obs, action, info, **params) -> (N,)``; adds value x weight, never x dt."""
 
     mode: Literal["add", "replace"] = "add"
     weight: float = 1.0
@@ -204,10 +207,10 @@ class CurriculumCfg(TermCfg):
 
 @configclass
 class PhysicsTaskCfg:
-    """A task's own physics; None keeps `sim_cfg`'s value."""
+    """Physics options of a task; None keeps the value of `sim_cfg`."""
 
     physics_dt: Annotated[float, Field(gt=0)] | None = None
-    """Seconds a physics step."""
+    """Seconds per physics step."""
     gravity: Vec3 | None = None
     """m/s^2."""
     solver: Literal["Newton", "CG", "PGS"] | None = None
@@ -218,7 +221,7 @@ class PhysicsTaskCfg:
 
 @configclass
 class SuggestedCfg:
-    """Values for root keys that the user left at null, for `run` and for `train`."""
+    """Values for root keys that the user left at null, used by `run` and `train`."""
 
     run: dict[str, Any] = {}
     train: dict[str, Any] = {}
@@ -226,28 +229,28 @@ class SuggestedCfg:
 
 @configclass
 class EnvCfg:
-    """One environment: how many, how it steps, and what the scene and the task declare."""
+    """The config of `BaseEnv`: number of environments, stepping, scene and task."""
 
     num_envs: Annotated[int, Field(ge=1)] = 1
     sim_cfg: SimulationManagerCfg = SimulationManagerCfg()
     seed: int | None = None
-    """Any integer; -1 draws one, None is 0 until `reset(seed=)` says otherwise."""
+    """Any integer; -1 draws one, None is 0 until `reset(seed=)` sets one."""
     sim_steps_per_control: Annotated[int, Field(ge=1)] = 4
     """Physics steps a control step (K)."""
     ignore_terminations: bool = False
     max_episode_steps: int = 300
     """Control steps; -1 is no limit."""
-    # ours: the declared task. Maps are keyed by name; an entity's uid is its key.
+    # The declared task (not in EmbodiChain). Maps are keyed by name; an entity's uid is its key.
     description: str = dataclasses.field(default="", kw_only=True)
     id: str | None = dataclasses.field(default=None, kw_only=True)
     """A registered Python class instead of the generic one; ``package.module:ID`` imports it."""
     physics: PhysicsTaskCfg | None = dataclasses.field(default=None, kw_only=True)
     decimation: Annotated[int, Field(ge=1)] | None = dataclasses.field(default=None, kw_only=True)
-    """Another name of `sim_steps_per_control`; wins when given."""
+    """Sets `sim_steps_per_control` and overrides it."""
     episode_length_s: Annotated[float, Field(gt=0)] | None = dataclasses.field(
         default=None, kw_only=True
     )
-    """Another way to say `max_episode_steps`; wins when given."""
+    """Sets `max_episode_steps` in seconds and overrides it."""
     robot: RobotCfg | None = dataclasses.field(default=None, kw_only=True)
     robots: dict[str, RobotCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     objects: dict[str, RigidObjectCfg] = dataclasses.field(default_factory=dict, kw_only=True)
@@ -261,13 +264,13 @@ class EnvCfg:
     commands: dict[str, CommandCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     observations: dict[str, ObservationCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     enable_corruption: bool | dict[str, bool] = dataclasses.field(default=True, kw_only=True)
-    """Whether observations get their noise: for all groups, or by group (others: True)."""
+    """Whether noise is applied to observations: for all groups, or by group (default True)."""
     rewards: dict[str, RewardCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     terminations: dict[str, TerminationCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     metrics: dict[str, MetricCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     curriculum: dict[str, CurriculumCfg] = dataclasses.field(default_factory=dict, kw_only=True)
     extensions: dict[str, Any] = dataclasses.field(default_factory=dict, kw_only=True)
-    """Become attributes of the environment."""
+    """Values that become attributes of the environment, by name."""
     suggested: SuggestedCfg = dataclasses.field(default_factory=SuggestedCfg, kw_only=True)
 
     def complete(self) -> None:

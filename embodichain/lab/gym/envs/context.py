@@ -1,7 +1,7 @@
-"""`TermContext`: what terms and managers use of an environment.
+"""`TermContext`: the part of an environment that terms and managers use.
 
-`BaseEnv` satisfies these protocols by its structure. Terms annotate their first argument with
-`TermContext`, so that they depend on what they use and not on the environment's class.
+`BaseEnv` satisfies these protocols structurally. Terms annotate their first argument with
+`TermContext`, so that they do not depend on the environment's class.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Commands(Draws, Protocol):
         ...
 
     def values(self, name: str) -> F64:
-        """(N, K) float64 current command: a live view, not to be written to or stored."""
+        """(N, K) float64 current command: a live view; do not write to it or store it."""
         ...
 
     def get_command(self, name: str) -> torch.Tensor:
@@ -94,26 +94,22 @@ class EditableTerms(Protocol):
         """The built terms by name."""
         ...
 
-    def params(self, name: str) -> dict[str, Any]:
-        """Return a term's current parameters (a deep copy), as the config writes them."""
-        ...
-
-    def set_params(self, name: str, params: dict[str, Any]) -> None:
-        """Build a term anew with other parameters; its state is carried over."""
+    def set_params(self, name: str, params: dict[str, Any], shape: Any = None) -> None:
+        """Rebuild a term with other parameters; its state is carried over."""
         ...
 
 
 class TermContext(ObservedEnv, Protocol):
-    """What terms and managers use of an environment. N is the number of environments."""
+    """The part of an environment that terms and managers use. N is the number of environments."""
 
     @property
     def cfg(self) -> EnvCfg:
-        """The environment's own copy of its config."""
+        """The environment's copy of its config."""
         ...
 
     @property
     def device(self) -> torch.device:
-        """Device of the tensors that are handed out."""
+        """Device of the returned tensors."""
         ...
 
     @property
@@ -143,12 +139,12 @@ class TermContext(ObservedEnv, Protocol):
 
     @property
     def control_frequency(self) -> float:
-        """Control steps a second."""
+        """Control steps per second."""
         ...
 
     @property
     def max_episode_steps(self) -> int:
-        """Control steps after which an episode is truncated; 2**31 - 1 is never."""
+        """Control steps after which an episode is truncated; 2**31 - 1 is no limit."""
         ...
 
     @property
@@ -196,7 +192,7 @@ class TermContext(ObservedEnv, Protocol):
         ...
 
     def scene_entity(self, cfg: Any) -> ResolvedEntity:
-        """Look up what a `SceneEntityCfg` (or a mapping with its keys) refers to."""
+        """Look up the entity of a `SceneEntityCfg` (or of a mapping with its keys)."""
         ...
 
     def add_detached_uids_for_reset(self, uids: Sequence[str]) -> None:
@@ -210,5 +206,5 @@ class TermContext(ObservedEnv, Protocol):
         env_ids: EnvIndex | None,
         drawn: Mapping[str, NDArray[Any]] | None = None,
     ) -> None:
-        """Tell observers that a term fired, and what it drew."""
+        """Report to observers that a term fired and what it drew."""
         ...

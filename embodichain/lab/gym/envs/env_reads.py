@@ -1,15 +1,16 @@
-"""`EnvReads`: what users, terms and observers read of an environment."""
+"""`EnvReads`: the readable attributes of an environment, for users, terms and observers."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.episodes import NO_LIMIT, Episodes
+from embodichain.lab.gym.envs.cfg import NO_LIMIT, EnvCfg
+from embodichain.lab.gym.envs.episodes import Episodes
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
 from embodichain.lab.gym.envs.observers import EventRecord, Observers, StepObserver
 from embodichain.lab.gym.utils.spaces import flat_space
@@ -20,23 +21,30 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.gym.envs.managers.value_managers import MetricManager, TerminationManager
     from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.utils.random import RandomStreams
 
-__all__ = [
-    "EmbodiChainMembers",
-    "EnvReads",
-]
+__all__ = ["EnvReads"]
 
 
 class EnvReads:
-    """Size, clock, counters, random numbers and scene of N environments."""
+    """Size, clock, counters, random numbers and scene of N environments.
 
+    Attributes:
+        affordance_datas: Values shared by a task's code; `state_dict` contains only the entries
+            that event terms write.
+        rollout_buffer, action_bank: Always None, and `current_rollout_step` 0: names of EmbodiChain
+            without a function here (learners have their own buffers).
+    """
+
+    affordance_datas: dict[str, Any]
+    rollout_buffer: None = None
+    current_rollout_step: int = 0
+    action_bank: None = None
     cfg: EnvCfg
     sim: SimulationManager
     streams: RandomStreams
@@ -65,29 +73,29 @@ class EnvReads:
 
     @property
     def physics_dt(self) -> float:
-        """Seconds a physics step."""
+        """Seconds per physics step."""
         return self.cfg.sim_cfg.physics_dt
 
     @property
     def step_dt(self) -> float:
-        """Seconds a control step."""
+        """Seconds per control step."""
         return self.physics_dt * self.sim_steps_per_control
 
     @property
     def physics_frequency(self) -> float:
-        """Physics steps a second."""
+        """Physics steps per second."""
         return 1.0 / self.physics_dt
 
     @property
     def control_frequency(self) -> float:
-        """Control steps a second."""
+        """Control steps per second."""
         return 1.0 / self.step_dt
 
     # -- counters ------------------------------------------------------------------------------
 
     @property
     def max_episode_steps(self) -> int:
-        """Control steps after which an episode is truncated; 2**31 - 1 is never."""
+        """Control steps after which an episode is truncated; 2**31 - 1 is no limit."""
         return self.episodes.limit
 
     @max_episode_steps.setter
@@ -113,7 +121,7 @@ class EnvReads:
         return to_tensor(self.episodes.last_action)
 
     def truncate(self, env_ids: Any) -> None:
-        """End the episodes of environments with the next step, as truncated.
+        """Truncate the episodes of environments at the next step.
 
         Args:
             env_ids: (n,) which of the N.
@@ -137,8 +145,8 @@ class EnvReads:
     ) -> torch.Tensor:
         """Draw uniformly from [low, high), each environment from its own stream.
 
-        What environment *i* draws depends on the seed, *i*, the name and how often it drew, and on
-        nothing else.
+        The numbers of environment *i* depend only on the seed, *i*, the name and the number of its
+        earlier draws.
 
         Args:
             name: The stream: one name for one purpose.
@@ -160,10 +168,10 @@ class EnvReads:
     # -- the scene -----------------------------------------------------------------------------
 
     def scene_entity(self, cfg: Any) -> ResolvedEntity:
-        """Look up what a `SceneEntityCfg` (or a mapping with its keys) refers to.
+        """Look up the entity of a `SceneEntityCfg` (or of a mapping with its keys).
 
         Raises:
-            ConfigError: If the entity, a joint or a link does not exist; lists what does.
+            ConfigError: If the entity, a joint or a link does not exist; lists those that do.
         """
         return resolve_entity(self.sim, cfg)
 
@@ -184,7 +192,7 @@ class EnvReads:
         return self.sensors[name]
 
     def add_detached_uids_for_reset(self, uids: Sequence[str]) -> None:
-        """Name entities that resets leave where they are.
+        """Exclude entities from the reset of states.
 
         Raises:
             ValueError: If an entity does not exist; lists those that do.
@@ -207,7 +215,7 @@ class EnvReads:
 
     @property
     def judges_success(self) -> bool:
-        """Whether the task says what success is: a metric, a termination, or the class."""
+        """Whether the task defines success: by a metric, a termination, or its class."""
         declared = self.metric_manager.has_success or self.termination_manager.has_success
         return declared or not self.overridden.isdisjoint(("compute_task_state", "evaluate"))
 
@@ -228,59 +236,28 @@ class EnvReads:
         env_ids: EnvIndex | None,
         drawn: Mapping[str, NDArray[Any]] | None = None,
     ) -> None:
-        """Tell observers that a term fired, and what it drew."""
+        """Report to observers that a term fired and what it drew."""
         if self.observers:
             self.observers.on_event(EventRecord(term, mode, env_ids, drawn or {}))
 
-
-class _Clock(Protocol):
-    @property
-    def physics_frequency(self) -> float: ...
+    # -- names of EmbodiChain 0.2.1 ------------------------------------------------------------
 
     @property
-    def control_frequency(self) -> float: ...
-
-    @property
-    def elapsed_steps(self) -> torch.Tensor: ...
-
-
-class EmbodiChainMembers:
-    """Names of EmbodiChain 0.2.1 beside those of `BaseEnv`.
-
-    Attributes:
-        affordance_datas: Values that a task's own code shares; `state_dict` contains only the
-            entries that event terms write.
-        rollout_buffer, action_bank: Always None, `current_rollout_step` 0: learners have buffers
-            of their own, and there are no action banks.
-    """
-
-    affordance_datas: dict[str, Any]
-    rollout_buffer: None = None
-    current_rollout_step: int = 0
-    action_bank: None = None
-
-    def __init__(self) -> None:
-        self.affordance_datas = {}
-        self._camera_group_ids: list[int] = []
-
-    @property
-    def sim_freq(self: _Clock) -> float:
-        """Physics steps a second."""
+    def sim_freq(self) -> float:
+        """Physics steps per second."""
         return self.physics_frequency
 
     @property
-    def control_freq(self: _Clock) -> float:
-        """Control steps a second."""
+    def control_freq(self) -> float:
+        """Control steps per second."""
         return self.control_frequency
 
     @property
-    def _elapsed_steps(self: _Clock) -> torch.Tensor:
-        """EmbodiChain's name of `elapsed_steps`."""
+    def _elapsed_steps(self) -> torch.Tensor:
         return self.elapsed_steps
 
     def add_camera_group_id(self, group_id: int) -> None:
-        """Store a camera group, which EmbodiChain's renderer needs; no effect here."""
-        self._camera_group_ids.append(group_id)
+        """Accept a camera group, which EmbodiChain's renderer needs; no effect here."""
 
     def set_affordance(self, key: str, value: Any) -> None:
         """Set a value of `affordance_datas`."""

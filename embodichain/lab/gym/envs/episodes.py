@@ -1,29 +1,42 @@
-"""`Episodes`: counters of N environments' episodes, and how they end."""
+"""`Episodes`: counters of the episodes of N environments, and how they end; autoreset modes.
+
+`add_finals` and `zeroed` edit the entries of `info` for environments that autoreset resets.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-__all__ = ["NO_LIMIT", "Episodes"]
+from embodichain.utils.suggest import did_you_mean
 
-NO_LIMIT = 2**31 - 1
-"""`max_episode_steps` of an environment whose episodes are not limited."""
+__all__ = [
+    "AutoresetMode",
+    "Episodes",
+    "add_finals",
+    "parse_mode",
+    "seed_globals",
+    "zeroed",
+]
 
 Mask = NDArray[np.bool_]
 
 
 class Episodes:
-    """Counts steps and episodes; all arrays may be read, and are written here only.
+    """Counts steps and episodes; its arrays may be read, and are written by its methods only.
 
     Args:
         num_envs: N.
         limit: Control steps after which an episode is truncated, or `NO_LIMIT`.
 
     Attributes:
-        limit: That.
+        limit: Control steps after which an episode is truncated.
         elapsed: (N,) int32 finished control steps of the current episodes.
         ids: (N,) int64 number of the current episode, from 0; -1 before the first reset.
         success: (N,) bool whether the last step was a success.
@@ -73,11 +86,11 @@ class Episodes:
         self.settle(ids)
 
     def _forget(self, ids: NDArray[np.int64]) -> None:
-        self.success = self.success.copy()  # those handed out stay as they are
+        self.success = self.success.copy()  # arrays returned earlier must not change
         self.success[ids] = False
 
     def settle(self, ids: NDArray[np.int64]) -> None:
-        """Environments (n,) were reset explicitly: no reset of theirs is pending."""
+        """Clear the pending reset of environments (n,) that were reset explicitly."""
         if self.pending is not None:
             self.pending[ids] = False
 
@@ -88,7 +101,7 @@ class Episodes:
         self.cut[ids] = True
 
     def over(self) -> Mask:
-        """(N,) episodes that are truncated after this step: at the limit, or cut."""
+        """(N,) episodes that are truncated after this step: at the limit, or by `truncate`."""
         over: Mask = self.elapsed >= np.int32(self.limit)
         if self.cut is not None:
             over |= self.cut
@@ -112,3 +125,62 @@ class Episodes:
         self.success, self.last_action = saved["success"].copy(), saved["last_action"].copy()
         self.pending = None if saved["pending"] is None else saved["pending"].copy()
         self.cut = None if saved["cut"] is None else saved["cut"].copy()
+
+
+FINAL_KEYS = ("final_obs", "final_info", "_final_obs", "_final_info", "final_observation")
+
+
+def parse_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    """Return Gymnasium's mode for a mode, its name or its value.
+
+    Raises:
+        ValueError: If there is no such mode; lists them.
+    """
+    if isinstance(mode, AutoresetMode):
+        return mode
+    names = {m.name: m for m in AutoresetMode} | {m.value: m for m in AutoresetMode}
+    found = names.get(mode) or names.get(str(mode).upper())
+    if found is None:
+        allowed = ", ".join(m.name for m in AutoresetMode)
+        raise ValueError(
+            f"unknown autoreset_mode {mode!r}; one of: {allowed}.{did_you_mean(str(mode), names)}"
+        )
+    return found
+
+
+def seed_globals(env: gym.Env[Any, Any], seed: int) -> None:
+    """Seed the generators that code outside this package may use: `np_random` and torch's.
+
+    This package does not draw from torch's generator; users' classes may.
+    """
+    gym.Env.reset(env, seed=seed if seed >= 0 else seed % 2**64)
+    torch.manual_seed(seed % 2**64)
+
+
+def add_finals(info: dict[str, Any], obs: Any, done: NDArray[np.bool_]) -> None:
+    """Put the final observation and info of environments that are done into ``info``.
+
+    ``final_obs`` (``final_observation`` is the same object) and ``final_info`` have a row for
+    every environment; only rows where ``_final_obs`` is True are final.
+    """
+    mask = torch.from_numpy(done)
+    info["final_info"] = {key: value for key, value in info.items() if key not in FINAL_KEYS}
+    info["final_obs"] = info["final_observation"] = obs
+    info["_final_obs"] = info["_final_info"] = mask
+
+
+def zeroed(info: Mapping[str, Any], rows: torch.Tensor) -> dict[str, Any]:
+    """Return a copy of ``info`` with some rows of every (N, ...) tensor zeroed, nested ones too.
+
+    Args:
+        info: Not changed, nor are its tensors.
+        rows: (N,) bool.
+    """
+    copy = dict(info)
+    for key, value in info.items():
+        if isinstance(value, Mapping):
+            copy[key] = zeroed(value, rows)
+        elif isinstance(value, torch.Tensor) and value.shape[:1] == rows.shape:
+            copy[key] = value.clone()
+            copy[key][rows] = 0
+    return copy

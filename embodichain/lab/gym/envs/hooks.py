@@ -1,7 +1,7 @@
 """`EnvHooks`: the methods that a subclass of `BaseEnv` may override, each with its default.
 
-`BaseEnv.step` and `BaseEnv.reset` say when each is called. Managers and declared entities are no
-part of any hook: a subclass that overrides one without calling ``super()`` loses nothing.
+`BaseEnv.step` and `BaseEnv.reset` document when each is called. Managers and declared entities do
+not depend on hooks: an override need not call ``super()``.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from embodichain.lab.gym.envs.actions import drive_robot
 from embodichain.lab.gym.envs.judging import task_state
+from embodichain.lab.gym.envs.managers.action_manager import drive_robot
 from embodichain.lab.gym.envs.scene_setup import (
     add_declared_robots,
     add_declared_scene,
@@ -35,16 +35,15 @@ class EnvHooks:
     """The overridable part of `BaseEnv`. N is the number of environments.
 
     Attributes:
-        cfg: The environment's own copy of its config, derived values filled in.
+        cfg: The environment's copy of its config, with derived values filled in.
         sim: The simulation of all N environments.
         robot: The robot, or None.
         active_joint_ids: Its joints that ``obs["robot"]`` contains and actions move.
         sensors: Sensors by uid.
         episodes: Counters of the episodes.
         observation_buffer: Makes observations.
-        overridden: Names of the hooks that the class overrides, of those whose defaults do nothing.
-        drives_robot: Whether actions are joint targets of the declared robot: there are no action
-            terms.
+        overridden: Names of those optional hooks that the class overrides.
+        drives_robot: Whether actions are joint targets of the declared robot, without action terms.
     """
 
     cfg: EnvCfg
@@ -63,18 +62,20 @@ class EnvHooks:
         """Add the robot to ``self.sim`` and return it, or None without one.
 
         An override may set ``self.single_action_space``. The default adds what the config declares
-        under ``robot`` and ``robots``; what an override leaves out of those is added after it.
+        under ``robot`` and ``robots``; declared robots that an override does not add are added
+        after it.
         """
         return add_declared_robots(self.sim, self.cfg)
 
     def _prepare_scene(self, **kwargs: Any) -> None:
-        """Add everything else; called after `_setup_robot`. The default adds what is declared."""
+        """Add all other entities, after `_setup_robot`. The default adds the declared ones."""
         add_declared_scene(self.sim, self.cfg)
 
     def _setup_sensors(self, **kwargs: Any) -> dict[str, Any]:
         """Return sensors by uid, each with ``get_data()``; called after `_prepare_scene`.
 
-        The default adds what the config declares; so is what an override leaves out of that.
+        The default adds what the config declares. Declared sensors that an override does not add
+        are added after it.
         """
         return dict(add_declared_sensors(self.sim, self.cfg))
 
@@ -84,15 +85,15 @@ class EnvHooks:
     # -- resetting -----------------------------------------------------------------------------
 
     def _initialize_episode(self, env_ids: torch.Tensor, **kwargs: Any) -> None:
-        """Set the initial state of environments; entities are at their configured place already.
+        """Set the initial state of environments; entities have their configured state before.
 
         Args:
             env_ids: (n,) int64, sorted.
-            **kwargs: The other options given to `reset`.
+            **kwargs: All other options of `reset`.
         """
 
     def is_task_success(self, **kwargs: Any) -> torch.Tensor:
-        """(N,) bool: whether the episode that a reset ends was a success.
+        """(N,) bool: whether the episode ended by a reset was a success.
 
         The default is ``info["success"]`` (or the metric called ``success``) of the last step.
         """
@@ -101,11 +102,11 @@ class EnvHooks:
     # -- stepping ------------------------------------------------------------------------------
 
     def _preprocess_action(self, action: EnvAction) -> EnvAction:
-        """Return the action that is applied, from the one given to `step`."""
+        """Return the action to apply, from the one given to `step`."""
         return action
 
     def _step_action(self, action: EnvAction) -> EnvAction | None:
-        """Apply an action; what is returned is the action that rewards see (None: as it was).
+        """Apply an action; return the action that rewards receive (None: the same one).
 
         The default moves a declared robot that has no action terms: a tensor (N, A) is absolute
         joint targets, a mapping has any of ``qpos``, ``qvel``, ``qf``. With action terms, they run
@@ -117,7 +118,7 @@ class EnvHooks:
         return action
 
     def _postprocess_action(self, action: EnvAction) -> EnvAction:
-        """Return the action that `_hook_after_sim_step` sees; called after the rewards."""
+        """Return the action that `_hook_after_sim_step` receives; called after the rewards."""
         return action
 
     def _update_sim_state(self, **kwargs: Any) -> None:
@@ -132,22 +133,22 @@ class EnvHooks:
         info: dict[str, Any],
         **kwargs: Any,
     ) -> None:
-        """Look at a finished step before environments that are done are reset.
+        """Process a finished step before environments that are done are reset.
 
         Args:
             obs: The observation, final for environments that are done.
             action: From `_postprocess_action`.
             rewards: (N,) float32.
             dones: (N,) bool, terminated or truncated.
-            info: As `step` returns it, but for the final entries.
-            **kwargs: ``terminateds`` and ``truncateds`` (N,) bool, and what `step` was given.
+            info: As `step` returns it, without the final entries.
+            **kwargs: ``terminateds`` and ``truncateds`` (N,) bool, and the kwargs of `step`.
         """
 
     # -- observing -----------------------------------------------------------------------------
 
     @property
     def observes_sensors(self) -> bool:
-        """Whether ``obs["sensor"]`` exists: a sensor or an overriding hook says so."""
+        """Whether ``obs["sensor"]`` exists: there is a sensor or an overriding hook."""
         if "_get_sensor_obs" in self.overridden:
             return bool(self.sensors)
         return any(getattr(sensor, "observe", True) for sensor in self.sensors.values())
@@ -171,13 +172,13 @@ class EnvHooks:
         return {u: s.get_data() for u, s in self.sensors.items() if getattr(s, "observe", True)}
 
     def _extend_obs(self, obs: EnvObs, **kwargs: Any) -> EnvObs:
-        """Return the observation with more in it; observation terms run after this."""
+        """Return the observation with entries added; observation terms run after this."""
         return obs
 
     # -- judging -------------------------------------------------------------------------------
 
     def get_info(self, **kwargs: Any) -> dict[str, Any]:
-        """Return ``elapsed_steps`` (N,) int32, and what the class's own hooks give."""
+        """Return ``elapsed_steps`` (N,) int32 and the entries of the class's hooks."""
         info = {"elapsed_steps": torch.from_numpy(self.episodes.elapsed.copy())}
         if "compute_task_state" in self.overridden:
             name = f"{type(self).__name__}.compute_task_state"
@@ -198,7 +199,7 @@ class EnvHooks:
     def evaluate(self, **kwargs: Any) -> Mapping[str, Any]:
         """Return entries of ``info``; ``success`` and ``fail``, (N,) bool, end the episode.
 
-        They go over those of `compute_task_state`.
+        They override those of `compute_task_state`.
         """
         return {}
 
@@ -209,11 +210,11 @@ class EnvHooks:
     def _extend_reward(
         self, rewards: torch.Tensor, obs: EnvObs, action: EnvAction, info: dict[str, Any]
     ) -> torch.Tensor:
-        """Return the rewards after a last change, reward terms included."""
+        """Return the final rewards, from the sum that includes reward terms."""
         return rewards
 
     def check_truncated(self, obs: EnvObs, info: dict[str, Any]) -> torch.Tensor:
-        """Return (N,) bool: episodes to cut off, besides those at `max_episode_steps`."""
+        """Return (N,) bool: episodes to truncate besides those at `max_episode_steps`."""
         return torch.zeros(self.cfg.num_envs, dtype=torch.bool)
 
 
@@ -222,7 +223,7 @@ OPTIONAL_HOOKS = (
     *("check_truncated", "_hook_after_sim_step", "compute_task_state", "evaluate", "get_info"),
     *("_setup_robot", "_prepare_scene"),
 )
-"""Hooks that are treated otherwise where a class does not override them: most are not called."""
+"""Hooks with special treatment where a class does not override them: most are not called."""
 
 
 def overridden_hooks(cls: type[EnvHooks]) -> frozenset[str]:

@@ -1,35 +1,41 @@
-"""How a step is judged: success and failure, rewards, divergence, whose episode ends.
+"""Results of a step: success and failure, rewards, divergence, and which episodes end.
 
-`StepJudge` asks the hooks and managers of an environment; the functions are of arrays (N,).
+`StepJudge` calls the hooks and managers of an environment; the functions work on arrays (N,).
+`StateDump` writes the states of environments that diverged to files.
 """
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.envs.autoreset import blanked
+from embodichain.lab.gym.envs.episodes import zeroed
 from embodichain.lab.gym.envs.managers.value_managers import JudgedEnv, check_shapes
 from embodichain.lab.sim.objects._arrays import all_finite, as_env_ids
+from embodichain.utils.atomic import atomic_file
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.episodes import Episodes
     from embodichain.lab.gym.envs.managers.drawing import CommandManager
     from embodichain.lab.gym.envs.managers.manager import CurriculumManager
     from embodichain.lab.gym.envs.observation import Observation
+    from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.engine.cpu import CpuEngine
     from embodichain.lab.sim.types import EnvObs
 
 __all__ = [
     "Outcome",
+    "StateDump",
     "StepJudge",
     "as_mask",
     "bad_rows",
-    "ends",
     "none_set",
     "reset_ids",
     "task_state",
@@ -51,35 +57,33 @@ class Outcome:
     diverged: Mask | None = None
 
     def exclude(self, diverged: Mask) -> None:
-        """Leave out what diverged environments report."""
+        """Remove the flags of diverged environments."""
         self.success = self.success & ~diverged
         self.fail = self.fail & ~diverged
         if self.time_out is not None:
             self.time_out = self.time_out & ~diverged
         self.diverged = diverged
 
+    def ends(self, truncated: Mask, ignore_terminations: bool) -> tuple[Mask, Mask]:
+        """Return the masks (N,) of terminated and truncated environments.
 
-def ends(outcome: Outcome, truncated: Mask, ignore_terminations: bool) -> tuple[Mask, Mask]:
-    """Return who is terminated and who is truncated.
-
-    Args:
-        outcome: What the task says.
-        truncated: (N,) episodes at their limit; may be changed.
-        ignore_terminations: Whether success and failure end nothing.
-    """
-    if outcome.time_out is not None:
-        truncated |= outcome.time_out
-    terminated = outcome.success | outcome.fail
-    if ignore_terminations:
-        terminated = np.zeros_like(terminated)
-    if outcome.diverged is not None:
-        terminated |= outcome.diverged
-        truncated &= ~outcome.diverged
-    return terminated, truncated
+        Args:
+            truncated: (N,) episodes at their limit; may be changed.
+            ignore_terminations: Whether success and failure do not end episodes.
+        """
+        if self.time_out is not None:
+            truncated |= self.time_out
+        terminated = self.success | self.fail
+        if ignore_terminations:
+            terminated = np.zeros_like(terminated)
+        if self.diverged is not None:
+            terminated |= self.diverged
+            truncated &= ~self.diverged
+        return terminated, truncated
 
 
 def task_state(state: Any, num_envs: int, name: str) -> dict[str, Any]:
-    """Return entries of ``info`` from what `compute_task_state` returned.
+    """Return entries of ``info`` from the result of `compute_task_state`.
 
     Args:
         state: Success (N,), failure (N,) and metrics by name.
@@ -101,10 +105,10 @@ def task_state(state: Any, num_envs: int, name: str) -> dict[str, Any]:
 
 
 def checked_reward(reward: Any, num_envs: int, hook: str) -> NDArray[np.float32]:
-    """Return a copy of what a hook returned as (N,) float32.
+    """Return a copy of a hook's result as (N,) float32.
 
     Raises:
-        ValueError: If it is no tensor (N,); names the hook.
+        ValueError: If it is not a tensor (N,); names the hook.
     """
     if not isinstance(reward, torch.Tensor) or reward.shape != (num_envs,):
         found = tuple(reward.shape) if hasattr(reward, "shape") else type(reward).__name__
@@ -114,15 +118,15 @@ def checked_reward(reward: Any, num_envs: int, hook: str) -> NDArray[np.float32]
 
 
 def none_set(mask: Mask) -> bool:
-    """Whether no flag of a mask is set; a search costs half of a reduction on few environments."""
+    """Whether no flag of a mask is set; for few environments, twice as fast as a reduction."""
     return b"\1" not in mask.tobytes()
 
 
 def as_mask(value: Any, num_envs: int, what: str) -> Mask:
-    """Return a mask (N,) of its own; None is all False.
+    """Return a mask (N,) as a new array; None is all False.
 
     Raises:
-        ValueError: If it is not (N,); (N, 1) is refused too, it would broadcast.
+        ValueError: If it is not (N,); (N, 1) is refused too, because it would broadcast.
     """
     if value is None:
         return np.zeros(num_envs, np.bool_)
@@ -133,17 +137,17 @@ def as_mask(value: Any, num_envs: int, what: str) -> Mask:
 
 
 def reset_ids(options: dict[str, Any], num_envs: int) -> NDArray[np.int64]:
-    """Take the environments to reset out of `reset`'s options.
+    """Remove the environments to reset from the options of `reset`, and return them.
 
     Args:
-        options: Loses ``reset_ids``, ``env_ids`` and ``reset_mask``.
+        options: ``reset_ids``, ``env_ids`` and ``reset_mask`` are removed from it.
         num_envs: N.
 
     Returns:
         (n,) sorted unique int64; all of them if none is named.
 
     Raises:
-        ValueError: If they are named twice or wrongly.
+        ValueError: If two of these options are given, or the indices or the mask are invalid.
     """
     given: Mapping[str, Any] = {key: options.pop(key) for key in _ID_KEYS if key in options}
     if len(given) > 1:
@@ -184,7 +188,7 @@ class _JudgedByHooks(JudgedEnv, Protocol):
 
 
 class StepJudge:
-    """Evaluates a step that physics has finished.
+    """Evaluates a step after its physics.
 
     Args:
         env: The environment, its managers built.
@@ -193,13 +197,13 @@ class StepJudge:
 
     def __init__(self, env: _JudgedByHooks, overridden: frozenset[str]) -> None:
         self._env = env
-        # A class's own code may put entries into info that terms read.
+        # The hooks of a class may put entries into info that terms read.
         self._checks = overridden.isdisjoint(("compute_task_state", "evaluate", "get_info"))
         self._get_reward = env.get_reward if "get_reward" in overridden else None
         self._extend_reward = env._extend_reward if "_extend_reward" in overridden else None
 
     def check_terms(self, obs: EnvObs) -> None:
-        """Call every term once and check its shape, unless it may rely on the class's own info.
+        """Call every term once and check its shape, unless terms may read info of a class's hooks.
 
         Raises:
             ValueError: If a term's value is not (N,); names the term.
@@ -208,10 +212,10 @@ class StepJudge:
             check_shapes(self._env, obs)
 
     def info(self, obs: EnvObs, action: Any, kwargs: dict[str, Any]) -> tuple[Info, Outcome]:
-        """Info of the step: the class's own, then terminations, then metrics."""
+        """Info of the step: from the class's hooks, then terminations, then metrics."""
         env = self._env
         found = env.get_info(**kwargs)
-        info = found if type(found) is dict else dict(found.items())  # EmbodiChain's is no dict
+        info = found if type(found) is dict else dict(found.items())  # EmbodiChain's is not a dict
         success = as_mask(info.get("success"), env.num_envs, "success")
         fail = as_mask(info.get("fail"), env.num_envs, "fail")
         masks = env.termination_manager.compute(obs, action, info)
@@ -240,7 +244,7 @@ class StepJudge:
         return reward
 
     def diverged(self, obs: Observation, reward: F32) -> Mask | None:
-        """(N,) environments that diverged in this step, or None; pending resets are left out."""
+        """(N,) environments that diverged in this step, or None; without those pending a reset."""
         mask = self._env.sim.engine.take_diverged()
         for bad in (bad_rows(obs.rows), bad_rows(reward)):
             if bad is not None:
@@ -252,11 +256,75 @@ class StepJudge:
         return None if none_set(mask) else mask
 
     def exclude(self, mask: Mask, info: Info, outcome: Outcome) -> Info:
-        """Leave environments (N,) that diverged out of ``info``, sums and outcome."""
-        info = blanked(info, torch.from_numpy(mask))
+        """Remove environments (N,) that diverged from ``info``, sums and outcome."""
+        info = zeroed(info, torch.from_numpy(mask))
         rewards, episodes = self._env.reward_manager, self._env.episodes
         rewards.take_back(mask)
         info["episode_sums"] = rewards.episode_sums
         outcome.exclude(mask)
         episodes.success = episodes.success & ~mask
         return info
+
+
+MAX_DUMPS = 10
+"""Most files of a run: a task that always diverges would fill the disk."""
+
+logger = logging.getLogger(__name__)
+
+
+class StateDump:
+    """Copies the rows before physics, and writes those of environments that diverge to files.
+
+    Args:
+        engine: The simulations.
+    """
+
+    def __init__(self, engine: CpuEngine) -> None:
+        self._engine = engine
+        self._before: F64 = engine.rows.copy()
+        self._written = 0
+
+    def keep(self) -> None:
+        """Copy all rows before physics steps."""
+        np.copyto(self._before, self._engine.rows)
+
+    def write(
+        self, folder: Path | None, rows: NDArray[np.bool_], control_step: int, action: F64
+    ) -> None:
+        """Log which environments diverged, and write the first `MAX_DUMPS` of them to files.
+
+        A file ``diverged/step_S_env_I.npz`` contains the integration state ``before`` and ``after``
+        the physics of that control step, the ``action`` (A,) as given, and the ``model.FIELD``
+        values of that environment.
+
+        Args:
+            folder: The run's folder; None writes nothing.
+            rows: (N,) bool, environments that diverged.
+            control_step: Number of the step, from 0, as in a log of this run.
+            action: (N, A).
+        """
+        ids = np.flatnonzero(rows)
+        logger.warning(
+            "control step %d: %d of %d environments diverged (%s%s); they end and are reset",
+            control_step,
+            len(ids),
+            len(rows),
+            ", ".join(map(str, ids[:8])),
+            ", ..." if len(ids) > 8 else "",
+        )
+        if folder is None or self._written >= MAX_DUMPS:
+            return
+        fields = self._engine.state_dict()["model"]
+        target = folder / "diverged"
+        target.mkdir(parents=True, exist_ok=True)
+        for env_id in ids[: MAX_DUMPS - self._written]:
+            path = target / f"step_{control_step}_env_{env_id}.npz"
+            values = {
+                "before": self._before[env_id],
+                "after": self._engine.rows[env_id],
+                "action": action[env_id],
+                **{f"model.{name}": field[env_id] for name, field in fields.items()},
+            }
+            with atomic_file(path) as partial:
+                np.savez(partial, allow_pickle=False, **values)
+            self._written += 1

@@ -1,7 +1,7 @@
 """`Observation`: one (N, W) float32 array with named columns, read as a nested mapping.
 
-`ObservationLayout` says which columns belong to which entry, and which to which group. Entries that
-are not floating point (images, flags) are tensors of their own beside the array.
+`ObservationLayout` maps entries and groups to columns. Entries that are not floating point (images,
+flags) are separate tensors outside the array.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Columns = slice | NDArray[np.int64]
 
 
 def as_array(value: Any) -> NDArray[Any]:
-    """Return a tensor's or an array's numbers; shares its memory."""
+    """Return a tensor or an array as an array that shares its memory."""
     if isinstance(value, np.ndarray):
         return value
     array: NDArray[Any] = value.numpy(force=True)
@@ -31,13 +31,13 @@ def as_array(value: Any) -> NDArray[Any]:
 
 
 class ObservationLayout:
-    """Where the entries of an environment's observations are in its array.
+    """The columns of the entries of an observation in its array.
 
-    Entries of a group lie side by side in declared order, so that a group is a slice of columns
+    Entries of a group are adjacent, in declared order, so that a group is a slice of columns
     (unless an entry is in several groups).
 
     Args:
-        first: The first observation; later ones have its entries.
+        first: The first observation; later ones have the same entries.
         groups: Name -> paths of its entries, in order.
         num_envs: N.
 
@@ -90,7 +90,7 @@ class ObservationLayout:
         """Return nested entries as one array.
 
         Args:
-            obs: The entries of the first observation; others are handed on as they are.
+            obs: The entries of the first observation; further entries are passed on unchanged.
 
         Raises:
             KeyError: If an entry is missing.
@@ -131,7 +131,7 @@ class ObservationLayout:
         return rows[:, self.columns[path]].reshape(self.num_envs, *self.shapes[path])
 
     def tree(self, obs: Observation) -> dict[str, Any]:
-        """Return the nested entries of an observation: views of its array, and its others."""
+        """Return the nested entries of an observation: views of its array, and `others`."""
         top: dict[str, Any] = {}
         extra = [path for path in obs.others if path not in self._order]
         for path in (*self._order, *extra):
@@ -154,15 +154,15 @@ def _insert(tree: dict[str, Any], path: Path, leaf: torch.Tensor, batch_size: to
 class Observation(TensorMapping):
     """An observation of N environments; see `TensorMapping` for its access.
 
-    Tensors of floating point entries are views of `rows`, made when they are first asked for.
+    Tensors of floating point entries are views of `rows`, made at the first access.
 
     Args:
-        layout: Where the entries are.
+        layout: The columns of the entries.
         rows: (N, W) float32.
 
     Attributes:
-        layout: That.
-        rows: That.
+        layout: The columns of the entries.
+        rows: (N, W) float32.
         others: Path -> entry that is not in the array.
     """
 
@@ -175,7 +175,7 @@ class Observation(TensorMapping):
         self._views: list[Any] = []
 
     def with_rows(self, rows: F32) -> Observation:
-        """Return an observation with other numbers; entries beside the array are shared."""
+        """Return an observation with another array; entries outside the array are shared."""
         if rows is self.rows:
             return self
         found = Observation(self.layout, rows)
@@ -183,7 +183,7 @@ class Observation(TensorMapping):
         return found
 
     def set_other(self, path: Path, value: torch.Tensor) -> None:
-        """Set an entry that is not in the array; terms may have read others already."""
+        """Set an entry that is not in the array; terms may have read `others` already."""
         packed = self.packed
         self.others[path] = value
         if self._tree is not None:
@@ -201,7 +201,7 @@ class Observation(TensorMapping):
 
     @property
     def packed(self) -> bool:
-        """Whether `rows` and `others` are all there is: no entry was replaced, added or removed."""
+        """Whether `rows` and `others` are complete: no entry was replaced, added or removed."""
         if self._tree is None:
             return True
         leaves = [leaf for _, leaf in leaves_of(self._tree)]

@@ -1,4 +1,4 @@
-"""`ObservationBuffer`: makes observations, and stores the last one that was returned."""
+"""`ObservationBuffer`: makes observations, and stores the last returned one."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ Mask = NDArray[np.bool_]
 class ObservationBuffer:
     """Observations of N environments as rows of one float32 array.
 
-    Each observation that is returned has an array of its own; the buffer has a copy of the last.
+    Each returned observation has its own array; the buffer has a copy of the last one.
 
     Args:
         robot: The robot whose joints are observed, or None.
         joint_ids: Its observed joints.
         manager: The observation terms.
-        plain: Whether nothing but robot, sensors and terms is observed, so that all of it can be
-            written into the array at once. Otherwise the class's own code receives the entries
-            one by one, as nested tensors.
+        plain: Whether only robot, sensors and terms are observed, so that all entries can be
+            written into the array at once. Otherwise the hooks of the class receive the entries
+            as nested tensors.
 
     Attributes:
-        layout: Columns of the entries, once `build` was called.
-        last: (N, W) the last observation that was returned.
+        layout: Columns of the entries; set by `build`.
+        last: (N, W) the last returned observation.
     """
 
     layout: ObservationLayout
@@ -63,7 +63,7 @@ class ObservationBuffer:
         self._has_terms = False
 
     def build(self, obs: Mapping[str, Any]) -> Observation:
-        """Make the layout from the first observation, and return that in it."""
+        """Make the layout from the first observation; return that observation in it."""
         first = self._with_terms(obs)
         manager = self._manager
         self.layout = ObservationLayout(first, manager.paths, manager.num_envs)
@@ -115,7 +115,7 @@ class ObservationBuffer:
         return TensorMapping(obs, (self._manager.num_envs,))
 
     def _with_terms(self, obs: Mapping[str, Any]) -> TensorMapping:
-        """An observation with its terms, even if an override of `get_obs` left them out."""
+        """An observation with its terms, even if an override of `get_obs` omits them."""
         found = self._nested(obs)
         if not self._has_terms:
             self._manager.compute(found)
@@ -123,25 +123,25 @@ class ObservationBuffer:
         return found
 
     def complete(self, obs: Mapping[str, Any]) -> Observation:
-        """Return what `get_obs` returned as an observation of this layout, terms included."""
+        """Return the result of `get_obs` as an observation of this layout, terms included."""
         return self.layout.pack(self._with_terms(obs))
 
     # -- rows that are replaced ----------------------------------------------------------------
 
     def store(self, obs: Observation) -> Observation:
-        """Store a copy of an observation that is returned."""
+        """Store a copy of a returned observation."""
         self.last = obs.rows.copy()
         return obs
 
     def without(self, obs: Observation, rows: Mask) -> Observation:
-        """Return an observation in which some rows (N,) are those stored last."""
+        """Return an observation with some rows (N,) replaced by those stored last."""
         return obs.with_rows(np.where(rows[:, None], self.last, obs.rows))
 
     def store_first(self, obs: Observation, unchanged: Mask) -> Observation:
         """Store the observation after a reset.
 
-        Rows that are not finite become zero: there is no earlier observation of that episode. The
-        environment is found diverged in its next step.
+        Rows that are not finite become zero: there is no earlier observation of that episode. Such
+        an environment is reported as diverged in its next step.
 
         Args:
             obs: The observation.

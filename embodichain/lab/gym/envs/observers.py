@@ -1,13 +1,13 @@
 """`StepObserver`: how logs, viewers and dashboards follow an environment.
 
 Also the records that observers receive (named tuples: a third of the time of frozen dataclasses),
-and `ObservedEnv`, what observers use of an environment. A Gymnasium wrapper cannot replace an
-observer: it does not see what happens inside an automatic reset.
+and `ObservedEnv`, the part of an environment that observers use. A Gymnasium wrapper cannot replace
+an observer: it receives nothing from inside an automatic reset.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
@@ -55,7 +55,7 @@ class EndedBy(Protocol):
 
 
 class ObservedEnv(Protocol):
-    """What observers use of an environment."""
+    """The part of an environment that observers use."""
 
     @property
     def num_envs(self) -> int:
@@ -69,17 +69,17 @@ class ObservedEnv(Protocol):
 
     @property
     def physics_dt(self) -> float:
-        """Seconds a physics step."""
+        """Seconds per physics step."""
         ...
 
     @property
     def step_dt(self) -> float:
-        """Seconds a control step."""
+        """Seconds per control step."""
         ...
 
     @property
     def sim_steps_per_control(self) -> int:
-        """Physics steps a control step."""
+        """Physics steps per control step."""
         ...
 
     @property
@@ -114,7 +114,7 @@ class EventRecord(NamedTuple):
         term: The term's name in the config.
         mode: ``startup``, ``reset`` or ``interval``; ``command`` for a command.
         env_ids: (n,) int64 environments in which it fired, or None for all N.
-        drawn: What it drew at random, by name, each (n, ...); empty if it draws nothing.
+        drawn: Its random draws by name, each (n, ...); empty if there are none.
     """
 
     term: str
@@ -148,13 +148,13 @@ class StepRecord(NamedTuple):
 
 
 class StepObserver:
-    """Base of everything that watches; override what you need, the rest does nothing.
+    """Base class of observers; the default of every method does nothing.
 
     An observer must not change the environment. Attach it with `BaseEnv.add_observer`.
     """
 
     def on_reset(self, env: ObservedEnv, env_ids: EnvIndex) -> None:
-        """Environments were reset, explicitly or automatically; their new state is complete.
+        """Called after environments were reset, explicitly or automatically.
 
         Args:
             env: The environment.
@@ -162,63 +162,55 @@ class StepObserver:
         """
 
     def on_write(self, env: ObservedEnv, write: Write) -> None:
-        """Something outside physics was written. ``write.values`` may be live: copy it."""
+        """Called after a write outside physics. ``write.values`` may be a live view: copy it."""
 
     def on_physics(self, env: ObservedEnv, event: PhysicsEvent) -> None:
-        """Physics is about to step, or has just stepped. ``event.rows`` is live: copy it."""
+        """Called before and after physics steps. ``event.rows`` is a live view: copy it."""
 
     def on_event(self, env: ObservedEnv, event: EventRecord) -> None:
         """A term of the event manager fired."""
 
     def on_step(self, env: ObservedEnv, step: StepRecord) -> None:
-        """A control step ended; environments that are done have been reset already."""
+        """Called after a control step; environments that are done have been reset already."""
 
     def on_close(self, env: ObservedEnv) -> None:
-        """The environment closes; nothing follows."""
+        """Called when the environment closes; the last call."""
 
 
-class Observers:
-    """The observers attached to an environment; they also hear its engine.
+class Observers(list[StepObserver]):
+    """The observers of an environment, in this order; they also receive the events of its engine.
 
     Args:
         env: The environment.
     """
 
     def __init__(self, env: ObservedEnv) -> None:
+        super().__init__()
         self._env = env
-        self._attached: list[StepObserver] = []
-
-    def __iter__(self) -> Iterator[StepObserver]:
-        """Iterate in the order of attachment."""
-        return iter(self._attached)
-
-    def __len__(self) -> int:
-        """Return the number of observers."""
-        return len(self._attached)
 
     def add(self, observer: StepObserver) -> None:
         """Attach an observer."""
-        if not self._attached:
+        if not self:
             self._env.sim.engine.listeners.append(self)
-        self._attached.append(observer)
+        self.append(observer)
 
     def remove(self, observer: StepObserver) -> None:
         """Detach an observer; ValueError if it is not attached."""
-        self._attached.remove(observer)
-        if not self._attached:
+        super().remove(observer)
+        if not self:
             self._env.sim.engine.listeners.remove(self)
 
     def on_write(self, write: Write) -> None:
         """Something outside physics was written."""
-        for observer in self._attached:
+        for observer in self:
             observer.on_write(self._env, write)
 
     def on_physics(self, event: PhysicsEvent) -> None:
         """Physics is about to step, or has stepped."""
-        for observer in self._attached:
+        for observer in self:
             observer.on_physics(self._env, event)
 
     def on_event(self, event: EventRecord) -> None:
         """A term has fired."""
-        for observer in self._attached:
+        for observer in self:
             observer.on_event(self._env, event)

@@ -1,6 +1,6 @@
 """Restoring a recorded moment: the state, the model and the draws of a `Snapshot`.
 
-The states of terms (histories, delays, commands, timers) and of random streams are not in it: they
+A snapshot has no states of terms (histories, delays, commands, timers) and of random streams: they
 begin as at a reset, and `not_restored` names them.
 """
 
@@ -21,7 +21,7 @@ from embodichain.utils.errors import ConfigError
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.episodes import Episodes
     from embodichain.lab.gym.envs.managers.manager import Manager
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.engine.cpu import CpuEngine
     from embodichain.lab.sim.sim_manager import SimulationManager
 
@@ -35,13 +35,13 @@ _EXTRAS = {
     "timers": "when it fires next",
     "left": "when it is drawn next",
 }
-"""Entries of managers' states beside those of their terms."""
+"""Entries of a manager's state besides those of its terms."""
 
 
 def snapshot_of(
     log: SnapshotSource | Snapshot, env: int, episode: int | None, step: int | None
 ) -> Snapshot:
-    """What `BaseEnv.restore` was given as a snapshot.
+    """Return the snapshot that the arguments of `BaseEnv.restore` refer to.
 
     Raises:
         TypeError: If it is neither a snapshot nor an open log.
@@ -61,7 +61,7 @@ def put(
     episodes: Episodes,
     ids: EnvIndex,
 ) -> None:
-    """Give environments the state, the model, the terms' draws and the counters of a snapshot.
+    """Set the state, model fields, draws and counters of environments from a snapshot.
 
     Args:
         snapshot: The snapshot.
@@ -83,9 +83,9 @@ def put(
     _put_model(sim.engine, snapshot.fields, where)
     sim.engine.write("row", snapshot.row, where)
     for handle in {**sim.robots, **sim.articulations}.values():
-        handle.drives.take_over(where, snapshot.fields)
+        handle.drives.load_fields(where, snapshot.fields)
     for body in sim.rigid_objects.values():
-        body.take_over(where, snapshot.fields)
+        body.load_fields(where, snapshot.fields)
     sim.engine.forward(where)
     commands: Any = managers["commands"]
     commands.update(where)
@@ -96,7 +96,7 @@ def put(
 def _replay_draw(
     managers: Mapping[str, Manager[Any]], drawn: Drawn, where: EnvIndex | None
 ) -> None:
-    """Call a term with its recorded draws, for what it stores outside the simulation's state."""
+    """Call a term with its recorded draws, to set what it stores outside the simulation state."""
     manager: Any = managers["commands" if drawn.mode == "command" else "events"]
     term = manager.terms.get(drawn.term)
     if term is None:
@@ -108,16 +108,16 @@ def _replay_draw(
 def _put_model(
     engine: CpuEngine, fields: Mapping[str, NDArray[Any]], where: EnvIndex | None
 ) -> None:
-    """Set what may differ between environments; the rest becomes what was compiled."""
-    engine.forward(where)  # nothing that is still to be derived may undo what follows
-    engine.reset(where)  # and its counters are those of a new beginning
+    """Set the fields that differ between environments; reset all others to the compiled model."""
+    engine.forward(where)  # pending derivations must not overwrite the fields set below
+    engine.reset(where)
     for name, values in engine.state_dict()["model"].items():
         if name not in fields:
-            width = values[0].size  # of bounding volumes a batch keeps only the bodies'
+            width = values[0].size  # of bounding volumes, a batch has only those of bodies
             engine.write_model(name, _compiled(engine.model, name)[:width], where)
     for again in range(2 if DERIVED_FIELDS & fields.keys() else 1):
         if again:
-            engine.set_const(where)  # for what follows from fields and is none itself
+            engine.set_const(where)  # for derived quantities that are not fields
         for name, values in fields.items():
             engine.write_model(name, values, where)
 
@@ -142,7 +142,7 @@ def _check(snapshot: Snapshot, model: mujoco.MjModel, width: int) -> None:
             )
     layout = {name: (s.start, s.stop) for name, s in row_layout(model).items()}
     if layout != dict(snapshot.layout):
-        raise ConfigError(f"{snapshot.origin}: its rows hold other components than here")
+        raise ConfigError(f"{snapshot.origin}: its rows have other components than this scene's")
     if snapshot.last_action.shape != (width,):
         raise ConfigError(
             f"{snapshot.origin}: its actions have {len(snapshot.last_action)} columns, here {width}"
@@ -157,7 +157,7 @@ def _names(model: mujoco.MjModel) -> tuple[list[str], ...]:
 def not_restored(
     snapshot: Snapshot, model: mujoco.MjModel, managers: Mapping[str, Manager[Any]]
 ) -> list[str]:
-    """What is not as it was when the snapshot's moment was recorded, one line each."""
+    """What differs from the recorded moment, one line each."""
     found = [*snapshot.notes, *_ALWAYS]
     again = {("commands" if d.mode == "command" else "events", d.term) for d in snapshot.drawn}
     for section, manager in managers.items():
@@ -171,7 +171,7 @@ def not_restored(
 
 
 def _kept(manager: Manager[Any]) -> Iterator[tuple[str, str]]:
-    """Terms that keep something between steps, and what, where it is not the term's own."""
+    """Names of terms with a state, and which part of it where that is not the term's own."""
     if not len(manager):
         return
     state = manager.state_dict()
@@ -193,7 +193,7 @@ def _differing(here: mujoco.MjModel, there: mujoco.MjModel) -> list[str]:
     found = []
     for a, b, prefix in ((here, there, ""), (here.opt, there.opt, "opt.")):
         for name in dir(a):
-            own = name.startswith("_") or name == "signature"  # one of each compilation
+            own = name.startswith("_") or name == "signature"  # differs for each compilation
             value = None if own else getattr(a, name)
             if isinstance(value, (np.ndarray, int, float)) and not _same(value, getattr(b, name)):
                 found.append(prefix + name)

@@ -1,22 +1,49 @@
-"""From an `EnvCfg` to entities in a simulation: what the default hooks of `BaseEnv` build.
+"""The scene of a task: `describe` finds every mistake in it, `add_declared_...` build its entities.
 
-Also the values of a config that follow from others.
+`check_references` finds references of terms to entities that do not exist, `drive_changes` which
+drive gains and link masses events may draw; `frozen_cfg` fills in derived values.
+Imports no torch: `validate` calls `describe`.
 """
 
 from __future__ import annotations
 
 import copy
+import dataclasses
 import logging
 import math
-from typing import TYPE_CHECKING, Any
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
-from embodichain.lab.gym.envs.cfg import ActionTermCfg, EnvCfg, SceneEntityCfg
-from embodichain.lab.gym.envs.episodes import NO_LIMIT
+from embodichain.lab.gym.envs.cfg import NO_LIMIT, ActionTermCfg, EnvCfg, EventCfg, SceneEntityCfg
+from embodichain.lab.gym.envs.managers.aliases import AliasSpec
 from embodichain.lab.gym.envs.managers.check import check_terms
-from embodichain.lab.gym.envs.scene_check import describe
-from embodichain.lab.sim.cfg import SimulationManagerCfg, name_of
+from embodichain.lab.gym.envs.managers.param_types import NamedEntity
+from embodichain.lab.gym.envs.managers.registry import SECTIONS, TERMS
+from embodichain.lab.sim.cfg import (
+    ArticulationCfg,
+    LightCfg,
+    ObjectBaseCfg,
+    RigidObjectCfg,
+    SimulationManagerCfg,
+    name_of,
+)
+from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
+from embodichain.lab.sim.compiler.drives import (
+    DriveChange,
+    DriveOperation,
+    PhysicsStep,
+    physics_step,
+)
+from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
+from embodichain.lab.sim.compiler.rigid_objects import check_object
+from embodichain.lab.sim.compiler.robot_links import MAX_MASKED
+from embodichain.lab.sim.compiler.scene import check_light, compile_scene
+from embodichain.lab.sim.compiler.scene_sensors import plan_sensors
+from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.lab.sim.viewer import has_display
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError, Problem, below
+from embodichain.utils.suggest import did_you_mean, listing
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.objects.robot import Robot
@@ -28,6 +55,8 @@ __all__ = [
     "add_declared_scene",
     "add_declared_sensors",
     "default_actions",
+    "describe",
+    "drive_changes",
     "frozen_cfg",
     "open_window",
     "set_extensions",
@@ -36,41 +65,57 @@ __all__ = [
 
 logger = logging.getLogger(__name__)
 
-_PHYSICS = ("gravity", "solver", "iterations", "integrator", "cone")
+
+class _Entity(NamedTuple):
+    """One declared entity: its key path, its name (empty if none) and its config."""
+
+    path: str
+    uid: str
+    cfg: ObjectBaseCfg
+
+
+def _declared(cfg: EnvCfg, *sections: str) -> list[_Entity]:
+    """The entities declared in some sections of a task, in order."""
+    entities: list[_Entity] = []
+    for section in sections:
+        declared: Any = getattr(cfg, section)
+        if section != "robot":
+            entities += [_Entity(f"{section}.{uid}", str(uid), e) for uid, e in declared.items()]
+        elif declared is not None:
+            try:
+                name = name_of(declared)
+            except ValueError:
+                name = ""
+            entities.append(_Entity("robot", name, declared))
+    return entities
+
+
+# -- values that follow from others ----------------------------------------------------------------
 
 
 def frozen_cfg(cfg: EnvCfg | None, num_envs: int | None = None) -> EnvCfg:
-    """Return a deep copy of a config in which what follows from other fields is filled in.
+    """Return a deep copy of a config with derived fields filled in.
 
     The ``physics`` section goes into ``sim_cfg``, ``decimation`` into ``sim_steps_per_control``,
     ``episode_length_s`` into ``max_episode_steps`` (rounded up to whole control steps), and the
     number of environments into ``sim_cfg``.
 
     Args:
-        cfg: The user's config, left as it is; None is the default one.
-        num_envs: Wins over the config's.
+        cfg: The user's config, not changed; None is the default one.
+        num_envs: Overrides the config's.
 
     Raises:
-        ConfigError: If a value makes no sense; names its key path.
+        ConfigError: If a value is invalid; names its key path.
         NotImplementedError: If an `EmbodiedEnvCfg` declares a camera.
     """
     cfg = copy.deepcopy(cfg) if cfg is not None else EnvCfg()
     cfg.complete()
     if num_envs is not None:
         cfg.num_envs = num_envs
-    given: SimulationManagerCfg | None = cfg.sim_cfg  # EmbodiChain allows None
-    sim_cfg = cfg.sim_cfg = SimulationManagerCfg(headless=True) if given is None else given
-    physics = cfg.physics
-    if physics is not None:
-        if physics.physics_dt is not None:
-            sim_cfg.physics_dt = physics.physics_dt
-        for name in _PHYSICS:
-            value = getattr(physics, name)
-            if value is not None:
-                setattr(sim_cfg.physics_config, name, value)
+    sim_cfg = cfg.sim_cfg = _physics(cfg)
     if cfg.decimation is not None:
         cfg.sim_steps_per_control = cfg.decimation
-    _check(cfg)
+    _check_numbers(cfg)
     sim_cfg.num_envs = cfg.num_envs
     if cfg.episode_length_s is not None:
         step_dt = sim_cfg.physics_dt * cfg.sim_steps_per_control
@@ -80,87 +125,303 @@ def frozen_cfg(cfg: EnvCfg | None, num_envs: int | None = None) -> EnvCfg:
     return cfg
 
 
-def _check(cfg: EnvCfg) -> None:
+def _physics(cfg: EnvCfg) -> SimulationManagerCfg:
+    """The simulation config with the task's ``physics`` section; EmbodiChain allows None."""
+    given: SimulationManagerCfg | None = cfg.sim_cfg
+    sim = SimulationManagerCfg(headless=True) if given is None else dataclasses.replace(given)
+    own = {} if cfg.physics is None else vars(cfg.physics)
+    own = {name: value for name, value in own.items() if value is not None}
+    sim.physics_dt = own.pop("physics_dt", sim.physics_dt)
+    sim.physics_config = dataclasses.replace(sim.physics_config, **own)
+    return sim
+
+
+def _check_numbers(cfg: EnvCfg) -> None:
+    """Check the numbers of a task made in Python; pydantic checks those of a task in YAML."""
+
+    def is_integer(value: Any) -> bool:
+        return isinstance(value, int) and not isinstance(value, bool)
+
     problems = []
     for name in ("num_envs", "sim_steps_per_control"):
-        value = getattr(cfg, name)
-        if not isinstance(value, int) or isinstance(value, bool) or value < 1:
+        value: Any = getattr(cfg, name)
+        if not is_integer(value) or value < 1:
             problems.append(Problem(name, f"must be an integer of at least 1, got {value!r}"))
     limit: Any = cfg.max_episode_steps
     if not isinstance(limit, int) or (limit < 1 and limit != -1):
-        problems.append(
-            Problem("max_episode_steps", f"must be at least 1, or -1 for no limit, got {limit!r}")
-        )
-    seed: Any = cfg.seed
-    if seed is not None and (not isinstance(seed, int) or isinstance(seed, bool)):
-        problems.append(Problem("seed", f"must be an integer or None, got {seed!r}"))
-    if not cfg.sim_cfg.physics_dt > 0:
-        problems.append(
-            Problem("physics.physics_dt", f"must be positive, got {cfg.sim_cfg.physics_dt!r}")
-        )
+        message = f"must be at least 1, or -1 for no limit, got {limit!r}"
+        problems.append(Problem("max_episode_steps", message))
+    if cfg.seed is not None and not is_integer(cfg.seed):
+        problems.append(Problem("seed", f"must be an integer or None, got {cfg.seed!r}"))
+    dt = cfg.sim_cfg.physics_dt
+    if not dt > 0:
+        problems.append(Problem("physics.physics_dt", f"must be positive, got {dt!r}"))
     if problems:
         raise ConfigError(problems)
 
 
-def _missing(sim: SimulationManager, uid: str) -> bool:
-    return uid not in sim.asset_uids
+# -- checking --------------------------------------------------------------------------------------
+
+
+def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem]:
+    """Check the declared scene of a task: files, names, poses, joints, sizes, references.
+
+    Args:
+        cfg: The task.
+        prepared: Receives the files and models that were read, for the simulation built next.
+
+    Returns:
+        Every mistake, with paths relative to the task; empty if the scene compiles. Mistakes of a
+        user are never raised.
+    """
+    prepared = PreparedScene() if prepared is None else prepared
+    entities = _declared(cfg, "robot", "robots", "articulations", "objects", "lights")
+    physics = _physics(cfg)
+    step, changes = physics_step(physics), drive_changes(cfg.events)
+    parsed, problems = _parse(entities, step, changes)
+    problems = _check_names(entities) + problems
+    objects = {e.uid: e.cfg for e in entities if isinstance(e.cfg, RigidObjectCfg)}
+    lights = {e.uid: e.cfg for e in entities if isinstance(e.cfg, LightCfg)}
+    known: dict[str, ParsedArticulation | str | None] = {}
+    for path, uid, entity in entities:
+        kind = "rigid object" if isinstance(entity, RigidObjectCfg) else None
+        kind = "light" if isinstance(entity, LightCfg) else kind
+        known.setdefault(uid, kind or parsed.get(path))
+    open_scene = cfg.id is not None
+    problems += check_references(cfg, known, open_scene=open_scene)
+    ground = cfg.sim_cfg.ground_plane
+    sensors, found = plan_sensors(cfg.sensors, known, ground=ground, open_scene=open_scene)
+    problems += found
+    if problems:
+        return problems
+    for path, articulation in parsed.items():
+        prepared.add_articulation(path, articulation, step, changes.get(articulation.uid, ()))
+    parts = physics, [*parsed.values()], objects, lights, sensors
+    try:  # MuJoCo finds further mistakes, such as a broken mesh file
+        prepared.add_scene(compile_scene(*parts), parts)
+    except ConfigError as error:
+        return list(error.problems)
+    return []
+
+
+def _check_names(entities: Sequence[_Entity]) -> list[Problem]:
+    """Every entity name that is empty, taken, malformed, or different from its key."""
+    problems: list[Problem] = []
+    taken = {GROUND: "the ground plane"}
+    for entity in entities:
+        single = entity.path == "robot"
+        path = "robot.uid" if single else entity.path
+        problems += check_uid(entity.uid, path, taken)
+        taken.setdefault(entity.uid, entity.path)
+        own = entity.cfg.uid
+        if not single and own not in (None, "", entity.uid):
+            message = f"the key {entity.uid!r} is its uid; it cannot be {own!r}: leave uid out"
+            problems.append(Problem(f"{entity.path}.uid", message))
+    return problems
+
+
+def _parse(
+    entities: Sequence[_Entity], step: PhysicsStep, changes: Mapping[str, Sequence[DriveChange]]
+) -> tuple[dict[str, ParsedArticulation], list[Problem]]:
+    """The articulations that could be read, by path, and every mistake in any entity."""
+    parsed: dict[str, ParsedArticulation] = {}
+    problems: list[Problem] = []
+    masked = 0
+    for path, uid, cfg in entities:
+        found: list[Problem] = []
+        if isinstance(cfg, ArticulationCfg):
+            articulation, found = parse_with_problems(uid, cfg, step, changes.get(uid, ()))
+            if articulation is not None:
+                parsed[path] = articulation
+            masked += cfg.disable_self_collision
+            if cfg.disable_self_collision and masked == MAX_MASKED + 1:
+                message = (
+                    f"at most {MAX_MASKED} articulations of a scene can set it, this is one more"
+                )
+                found.append(Problem("disable_self_collision", message))
+        elif isinstance(cfg, RigidObjectCfg):
+            found = check_object(cfg)
+        elif isinstance(cfg, LightCfg):
+            found = check_light(cfg)
+        problems += below(path, found)
+    return parsed, problems
+
+
+_FIELDS = frozenset(SceneEntityCfg.__dataclass_fields__)
+_KEY = re.compile(r"(.*_)?(entity_cfg|cfg|relative_to)|of|from|to")
+
+
+def check_references(cfg: EnvCfg, known: Known, open_scene: bool) -> list[Problem]:
+    """Return every reference to an entity, joint, link or control part that does not exist.
+
+    A parameter is a reference if it is a `SceneEntityCfg`, or a map with only its keys that has
+    ``uid`` or is named like one (``of``, ``from``, ``to``, ``..._cfg``, ``relative_to``).
+
+    Args:
+        cfg: The task.
+        known: The declared entities.
+        open_scene: Whether Python code may add entities: then an unknown uid is not a mistake.
+    """
+    problems: list[Problem] = []
+    for section, kind in SECTIONS.items():
+        for name, term in getattr(cfg, section).items():
+            spec = TERMS[kind].get(term.func) if isinstance(term.func, str) else None
+            of_light = spec is not None and NamedEntity in spec.hints().values()
+            for path, fields in _references(f"{section}.{name}.params", term.params):
+                if of_light:
+                    problems += _check_light(path, str(fields.get("uid") or ""), known, open_scene)
+                else:
+                    problems += pick(path, fields, known, open_scene)[1]
+    return problems
+
+
+def _check_light(path: str, uid: str, known: Known, open_scene: bool) -> list[Problem]:
+    lights = [name for name, what in known.items() if what == "light"]
+    if uid in lights or (open_scene and uid and uid not in known):
+        return []
+    message = f"no light is called {uid!r}; there are: {listing(lights, uid)}"
+    return [Problem(f"{path}.uid", message, did_you_mean(uid, lights).strip())]
+
+
+def _references(path: str, params: Any) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Key path and fields of every reference within parameters."""
+    items: Any = params.items() if isinstance(params, Mapping) else ()
+    for key, value in enumerate(params) if isinstance(params, (list, tuple)) else items:
+        where = f"{path}.{key}"
+        if isinstance(value, SceneEntityCfg):
+            yield where, vars(value)
+        elif (
+            isinstance(value, Mapping)
+            and ("uid" in value or _KEY.fullmatch(str(key)))
+            and _FIELDS.issuperset(value)
+        ):
+            yield where, value
+        else:
+            yield from _references(where, value)
+
+
+# -- draws of events -------------------------------------------------------------------------------
+
+
+def drive_changes(events: Mapping[str, EventCfg]) -> dict[str, list[DriveChange]]:
+    """Return the drive changes that events may draw, by uid; malformed parameters are left out.
+
+    A term class declares them in a class attribute ``drive_ranges``: parameter -> quantity of
+    `DriveChange`. Terms without it, such as functions, are ignored.
+
+    Args:
+        events: The task's events.
+    """
+    found: dict[str, list[DriveChange]] = {}
+    for event in events.values():
+        func, params = event.func, event.params
+        spec = TERMS["event"].get(func) if isinstance(func, str) else None
+        if spec is not None:
+            func = spec.func
+            params = {meant: params[name] for name, meant in spec.written(params).items()}
+        if isinstance(spec, AliasSpec):
+            own = {key: params[name] for key, name in spec.names.items() if name in params}
+            params = {**params, **own}
+        entities = params.get("entity_cfgs") or [params.get("entity_cfg")]
+        for param, quantity in getattr(func, "drive_ranges", {}).items():
+            bounds, operation = _bounds(params.get(param)), _operation(params, quantity)
+            for entity in entities if bounds is not None and operation is not None else ():
+                fields = entity if isinstance(entity, Mapping) else getattr(entity, "__dict__", {})
+                if fields:
+                    names = _names(fields, quantity, params)
+                    change = DriveChange(quantity, names, bounds, operation)
+                    found.setdefault(str(fields.get("uid")), []).append(change)
+    return found
+
+
+def _names(
+    fields: Mapping[str, Any], quantity: str, params: Mapping[str, Any]
+) -> tuple[str, ...] | None:
+    """The patterns of the picked links or joints; None is all."""
+    if quantity == "mass":
+        given = [params.get("link_names") or fields.get("link_names")]
+    else:
+        given = [fields.get("joint_names"), fields.get("control_parts")]
+    names = [n for value in given if value for n in ([value] if isinstance(value, str) else value)]
+    return tuple(names) or None
+
+
+def _operation(params: Mapping[str, Any], quantity: str) -> Any:
+    if quantity == "strength":  # always factors, unlike the other fields
+        return "abs"
+    default = "add" if quantity == "mass" and params.get("relative") else "abs"
+    given = params.get("operation") or default
+    return given if given in get_args(DriveOperation) else None
+
+
+def _bounds(given: Any) -> Any:
+    """[low, high] as a pair, {regex: [low, high]} as a map of pairs; None for anything else."""
+    if isinstance(given, Mapping):
+        pairs = {str(key): _pair(value) for key, value in given.items()}
+        return None if None in pairs.values() else pairs
+    return _pair(given)
+
+
+def _pair(given: Any) -> tuple[float, float] | None:
+    numbers = isinstance(given, Sequence) and all(isinstance(x, (int, float)) for x in given)
+    return (float(given[0]), float(given[1])) if numbers and len(given) == 2 else None
+
+
+# -- building --------------------------------------------------------------------------------------
+
+
+def _add(sim: SimulationManager, entity: _Entity) -> None:
+    """Add an entity if the scene lacks it; key paths of mistakes start at the config's root."""
+    path, uid, cfg = entity
+    if path != "robot":
+        cfg.uid = uid
+    if uid in sim.asset_uids:
+        return
+    add: dict[str, Any] = {
+        "robot": sim.add_robot,
+        "robots": sim.add_robot,
+        "articulations": sim.add_articulation,
+        "objects": sim.add_rigid_object,
+        "lights": sim.add_light,
+    }
+    try:
+        add[path.partition(".")[0]](cfg)
+    except ConfigError as error:
+        raise _at(path, uid, error) from error
 
 
 def _at(path: str, uid: str, error: ConfigError) -> ConfigError:
-    """The same mistakes, seen from the root of the config instead of from the entity."""
+    """The error with key paths from the root of the config instead of the entity's."""
     return ConfigError(
-        [
-            Problem(f"{path}.{p.path.removeprefix(uid).strip('.')}".strip("."), p.message, p.hint)
-            for p in error.problems
-        ]
+        Problem(f"{path}.{p.path.removeprefix(uid).strip('.')}".strip("."), p.message, p.hint)
+        for p in error.problems
     )
 
 
 def add_declared_robots(sim: SimulationManager, cfg: EnvCfg) -> Robot | None:
-    """Add the declared robots that are not there yet; return the first declared one, or None.
+    """Add the declared robots that the scene lacks; return the first declared one, or None.
 
     Raises:
         ConfigError: If a file or a value is wrong; the path is the one in the config.
     """
-    first: Robot | None = None
-    declared: dict[str, tuple[str, Any]] = {}
-    if cfg.robot is not None:
-        declared[name_of(cfg.robot)] = ("robot", cfg.robot)
-    for uid, robot_cfg in cfg.robots.items():
-        robot_cfg.uid = uid
-        declared[uid] = (f"robots.{uid}", robot_cfg)
-    for uid, (path, robot_cfg) in declared.items():
-        try:
-            robot = sim.add_robot(robot_cfg) if _missing(sim, uid) else sim.get_robot(uid)
-        except ConfigError as error:
-            raise _at(path, uid, error) from error
-        first = first or robot
-    return first
+    declared = _declared(cfg, "robot", "robots")
+    for entity in declared:
+        _add(sim, entity)
+    return sim.get_robot(declared[0].uid) if declared else None
 
 
 def add_declared_scene(sim: SimulationManager, cfg: EnvCfg) -> None:
-    """Add declared articulations, objects and lights that are not there yet.
+    """Add the declared articulations, objects and lights that the scene lacks.
 
     Raises:
         ConfigError: If a file or a value is wrong; the path is the one in the config.
     """
-    sections: tuple[tuple[str, Any, Any], ...] = (
-        ("articulations", cfg.articulations, sim.add_articulation),
-        ("objects", cfg.objects, sim.add_rigid_object),
-        ("lights", cfg.lights, sim.add_light),
-    )
-    for section, entities, add in sections:
-        for uid, entity_cfg in entities.items():
-            entity_cfg.uid = uid
-            if _missing(sim, uid):
-                try:
-                    add(entity_cfg)
-                except ConfigError as error:
-                    raise _at(f"{section}.{uid}", uid, error) from error
+    for entity in _declared(cfg, "articulations", "objects", "lights"):
+        _add(sim, entity)
 
 
 def add_declared_sensors(sim: SimulationManager, cfg: EnvCfg) -> dict[str, BaseSensor]:
-    """Add declared sensors that are not there yet; return all that are declared, by uid.
+    """Add the declared sensors that the scene lacks; return all declared ones, by uid.
 
     Raises:
         ConfigError: If an entity or a link does not exist; the path is the one in the config.
@@ -176,7 +437,7 @@ def add_declared_sensors(sim: SimulationManager, cfg: EnvCfg) -> dict[str, BaseS
 
 
 def set_extensions(env: object, extensions: dict[str, Any]) -> None:
-    """Make ``extensions`` attributes of an environment.
+    """Set ``extensions`` as attributes of an environment.
 
     Raises:
         ConfigError: If the environment has an attribute of that name already.
@@ -197,9 +458,9 @@ def with_all_problems(error: ConfigError, cfg: EnvCfg, built_by_hooks: bool) -> 
     """Return an error with every mistake of the config, not only the one that stopped the build.
 
     Args:
-        error: What stopped it.
+        error: The error that stopped the build.
         cfg: The task.
-        built_by_hooks: Whether hooks build the scene, so that the config does not show all of it.
+        built_by_hooks: Whether hooks build the scene, so that the config is not all of it.
     """
     problems = list(check_terms(cfg))
     if not built_by_hooks:
@@ -207,12 +468,12 @@ def with_all_problems(error: ConfigError, cfg: EnvCfg, built_by_hooks: bool) -> 
     known = {(p.path, p.message) for p in problems}
     found = [p for p in error.problems if (p.path, p.message) not in known]
     if any(p.path == q.path for p in found for q in problems):
-        found = []  # the same mistake in other words
+        found = []  # the same mistake with another message
     return ConfigError([*problems, *found]) if problems else error
 
 
 def default_actions(robot: Robot | None) -> dict[str, ActionTermCfg]:
-    """Return the action term of an MJCF robot that has actuators of its own; else nothing."""
+    """Return the action term of an MJCF robot with actuators in its file; else an empty dict."""
     if robot is None:
         return {}
     parsed = robot.parsed

@@ -1,7 +1,6 @@
-"""`Snapshot`: one environment at one moment, as far as a log knows it. Pure data.
+"""`Snapshot`: the recorded data of one environment at one moment.
 
 Logs make them (`embodichain.recording.open(path).snapshot(...)`), `BaseEnv.restore` takes them.
-Nothing of how they are recorded is known here.
 """
 
 from __future__ import annotations
@@ -19,12 +18,12 @@ __all__ = ["Drawn", "Snapshot", "SnapshotSource"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drawn:
-    """What a term drew for one environment.
+    """The draws of a term for one environment.
 
     Attributes:
-        term: Its name.
+        term: Name of the term.
         mode: ``reset`` or ``interval`` for events, ``command`` for commands.
-        values: Name to array.
+        values: The numbers: name -> array.
     """
 
     term: str
@@ -34,20 +33,20 @@ class Drawn:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """What is known of one environment between two control steps.
+    """One environment between two control steps.
 
     Attributes:
-        origin: Where it comes from, in words.
+        origin: Where it comes from, as text.
         model: The compiled model, the same for all environments.
-        layout: Component of a row to its (start, stop) columns.
+        layout: Component of a row -> its (start, stop) columns.
         row: (nstate,) integration state (`mjSTATE_INTEGRATION`), controls included.
         fields: Model fields that may differ between environments, (size,) each, flattened; all
             others are `model`'s.
         elapsed: Finished control steps of the episode.
         episode: Number of the episode.
         last_action: (A,) the action of the step before; zeros at the start of an episode.
-        drawn: What event and command terms drew for it since its episode began, in that order.
-        notes: What is not certain, one line each.
+        drawn: The draws of event and command terms since its episode began, in order.
+        notes: Doubts about the data, one line each.
     """
 
     origin: str
@@ -63,10 +62,10 @@ class Snapshot:
 
 
 class SnapshotSource(Protocol):
-    """What can be asked for a snapshot: an open log."""
+    """Something that makes snapshots, such as an open log."""
 
     def snapshot(self, env: int, episode: int | None = None, step: int | None = None) -> Snapshot:
-        """One environment before a control step.
+        """Return the snapshot of one environment before a control step.
 
         Args:
             env: The environment.

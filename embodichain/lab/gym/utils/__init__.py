@@ -1,1 +1,1 @@
-"""Around environments: registration, launcher arguments, spaces."""
+"""Utilities of environments: registration, launcher arguments, spaces."""

@@ -1,6 +1,6 @@
-"""`PolicyView`: what a policy sees of an observation, one vector or a dict where there are images.
+"""`PolicyView`: the observation that a policy receives, one vector, or a dict if it has images.
 
-What `SingleEnv` and `NumpyVectorEnv` hand out, so that one environment and a batch agree.
+`SingleEnv` and `NumpyVectorEnv` both use it, so that one environment and a batch agree.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ if TYPE_CHECKING:
 __all__ = ["PolicyView"]
 
 _IMAGE_DIMENSIONS = 3
-"""Height, width, channels in either order; what has a history has one more."""
+"""Height, width and channels in either order; a history adds one."""
 
 
 class PolicyView:
-    """The entries of the group ``policy`` in declared order; without a group, every number.
+    """The entries of the group ``policy`` in declared order; without that group, all entries.
 
     Args:
         env: The environment.
 
     Attributes:
-        space: Of one environment: a Box (K,) float32, unbounded, or, if an entry has three
-            dimensions or more, a Dict of Boxes, the shape and type of each as observed.
+        space: Space of one environment: an unbounded Box (K,) float32, or, if an entry has three
+            dimensions or more, a Dict of Boxes with the shape and type of each entry.
     """
 
     def __init__(self, env: BaseEnv) -> None:
@@ -49,7 +49,7 @@ class PolicyView:
             self.space = spaces.Box(-np.inf, np.inf, (width,), np.float32)
 
     def __call__(self, obs: EnvObs) -> NDArray[np.float32] | dict[str, NDArray[Any]]:
-        """Return what the policy sees of N environments, in memory of its own.
+        """Return the observation of the policy for N environments, as new arrays.
 
         Args:
             obs: An observation of the environment.
@@ -61,5 +61,5 @@ class PolicyView:
             return named_obs(obs, self._entries)
         count = int(obs.batch_size[0])
         parts = [obs[path].reshape(count, -1).numpy(force=True) for path in self._paths]
-        none = np.zeros((count, 0), np.float32)  # concatenate wants one part at least
+        none = np.zeros((count, 0), np.float32)  # concatenate needs at least one part
         return np.concatenate([none, *parts], axis=1, dtype=np.float32)

@@ -1,6 +1,6 @@
-"""Registered classes: `register_env`, and making them by id: batched, numpy, from a config.
+"""Registration of classes by `register_env`, and making them by id: batched, numpy, from a config.
 
-``embodichain/NAME-v0``, the ids of YAML tasks, are not among them: these are `gymnasium_ids`.
+The ids of YAML tasks, ``embodichain/NAME-v0``, are registered by `gymnasium_ids`.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ class EnvSpec:
     Attributes:
         uid: Its id.
         cls: The class, or any callable that returns an environment.
-        max_episode_steps: Its time limit in control steps; None keeps the environment's own.
-        default_kwargs: Keyword arguments unless `make` is given others.
+        max_episode_steps: Its time limit in control steps; None keeps the environment's.
+        default_kwargs: Default keyword arguments of `make`.
     """
 
     uid: str
@@ -61,18 +61,18 @@ def register_env(
     Args:
         uid: The id, for example ``RandomReach-v1``.
         max_episode_steps: Time limit in control steps of environments that are made without a
-            config. It becomes the environment's own, which counts for every environment by itself;
-            Gymnasium's `TimeLimit`, which cannot, is not added. (It is if `gymnasium.make` itself
-            is given ``max_episode_steps``.)
+            config. It becomes the environment's limit, which applies to each of the N environments
+            separately; Gymnasium's `TimeLimit`, which cannot do that, is added only if
+            ``max_episode_steps`` is passed to `gymnasium.make`.
         override: Whether to replace an environment of the same id; otherwise a second one is
             skipped with a warning.
-        **kwargs: Defaults for the class's keyword arguments, of types that JSON knows.
+        **kwargs: Defaults of the class's keyword arguments, of JSON types.
 
     Returns:
-        A decorator that leaves the class as it is.
+        A decorator that returns the class.
 
     Raises:
-        TypeError: If a default is not JSON.
+        TypeError: If a default is not of a JSON type.
     """
     try:
         json.dumps(kwargs)
@@ -113,12 +113,12 @@ def make(env_id: str, max_episode_steps: int | None = None, **kwargs: Any) -> Ba
 
     Args:
         env_id: The id.
-        max_episode_steps: Time limit in control steps; None is that of the `cfg` given if it is
-            another than `EnvCfg`'s default, else the registered limit.
-        **kwargs: For the class; wins over the registered defaults.
+        max_episode_steps: Time limit in control steps; None is that of the given `cfg` if it
+            differs from `EnvCfg`'s default, else the registered limit.
+        **kwargs: Passed to the class; override the registered defaults.
 
     Raises:
-        ConfigError: If there is no such environment; lists those there are.
+        ConfigError: If there is no such environment; lists the registered ones.
     """
     spec = _find(env_id)
     env: BaseEnv = spec.cls(**{**copy.deepcopy(spec.default_kwargs), **kwargs})
@@ -143,13 +143,13 @@ def make_vec(
         env_id: The id.
         num_envs: N.
         autoreset_mode: NEXT_STEP, SAME_STEP or DISABLED; see `NumpyVectorEnv`.
-        flatten: Whether observations are what a policy sees, likewise.
+        flatten: Whether observations are those of a policy; see `NumpyVectorEnv`.
         **kwargs: As for `make`.
     """
-    from embodichain.lab.gym.envs.autoreset import parse_mode
+    from embodichain.lab.gym.envs.episodes import parse_mode
     from embodichain.lab.gym.vector import NumpyVectorEnv
 
-    mode = parse_mode(autoreset_mode)  # an unknown one is found before anything is built
+    mode = parse_mode(autoreset_mode)  # an unknown mode is an error before the build
     return NumpyVectorEnv(make(env_id, num_envs=num_envs, **kwargs), mode, flatten)
 
 

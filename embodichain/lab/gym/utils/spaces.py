@@ -1,8 +1,8 @@
-"""Gymnasium spaces of observations and joints, and observations as numpy arrays."""
+"""Gymnasium spaces of observations, and observations as numpy arrays."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -10,30 +10,16 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.utils.bounds import joint_bounds
-
 if TYPE_CHECKING:
-    from embodichain.lab.sim.objects.articulation import Articulation
+    pass
 
 __all__ = [
     "entry_spaces",
     "flat_space",
-    "joint_space",
     "named_obs",
     "numpy_obs",
     "observation_space",
 ]
-
-
-def joint_space(articulation: Articulation, joint_ids: Sequence[int]) -> spaces.Box:
-    """Return the Box of absolute joint positions, finite for joints without limits too.
-
-    Args:
-        articulation: The robot.
-        joint_ids: Its A joints, in the order of the action.
-    """
-    low, high = joint_bounds(articulation.parsed.qpos_limits, joint_ids)
-    return spaces.Box(low, high, dtype=np.float32)
 
 
 def observation_space(obs: Mapping[str, Any]) -> spaces.Dict:
@@ -64,7 +50,7 @@ def _leaf_space(value: Any) -> spaces.Box:
 
 
 def flat_space(space: gym.Space[Any], num_envs: int) -> spaces.Box:
-    """Return the (N, W) Box of a batched observation space, each row one vector."""
+    """Return the (N, W) Box of a batched observation space, one vector per row."""
     width = spaces.utils.flatdim(space) // num_envs
     return spaces.Box(-np.inf, np.inf, (num_envs, width), np.float32)
 
@@ -86,18 +72,18 @@ def entry_spaces(space: gym.Space[Any], names: Iterable[str]) -> spaces.Dict:
 
 
 def named_obs(obs: Any, space: spaces.Dict) -> dict[str, NDArray[Any]]:
-    """Return an observation's entries (N, ...) by name, in memory of their own.
+    """Return an observation's entries (N, ...) by name, as new arrays.
 
     Args:
         obs: An observation of N environments.
-        space: What `entry_spaces` returned.
+        space: The result of `entry_spaces`.
     """
     parts = {name: obs[tuple(name.split("/"))].numpy(force=True) for name in space}
     return {name: np.array(part, space[name].dtype) for name, part in parts.items()}
 
 
 def numpy_obs(obs: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an observation as nested dicts of numpy arrays (N, ...) over the same memory."""
+    """Return an observation as nested dicts of numpy arrays (N, ...) that share its memory."""
     return {
         key: numpy_obs(value) if isinstance(value, Mapping) else value.cpu().numpy()
         for key, value in obs.items()

@@ -1,54 +1,58 @@
-"""`parse_articulation`: a robot file and its config into one checked `ParsedArticulation`.
-
-Reading files is `files`, the parts of a config are `drives`, `initial`, `roots`, `collision`;
-putting several entities into one model is `scene`.
-"""
+"""`parse_articulation`: makes a checked `ParsedArticulation` from a robot file and its config."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
-from embodichain.lab.sim.cfg import ArticulationCfg
-from embodichain.lab.sim.compiler.actuators import Servos, control_names, read_servos
-from embodichain.lab.sim.compiler.chatter import (
+from embodichain.lab.sim.cfg import ArticulationCfg, URDFCfg
+from embodichain.lab.sim.compiler.drives import (
     DriveChange,
+    DriveGains,
     PhysicsStep,
+    apply_drives,
     drawn_joints,
     quiet_armature,
+    resolve_drives,
 )
-from embodichain.lab.sim.compiler.drives import DriveGains, apply_drives, resolve_drives
-from embodichain.lab.sim.compiler.file_joints import movable_joints, read_joints, read_mimics
-from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.initial import (
-    Keyframe,
-    initial_controls,
-    read_keyframe,
-    resolve_qpos,
-)
-from embodichain.lab.sim.compiler.link_additions import (
-    add_attachments,
-    add_tools,
-    check_attachments,
-    resolve_tools,
-)
-from embodichain.lab.sim.compiler.model_files import (
+from embodichain.lab.sim.compiler.index import F64, Mask
+from embodichain.lab.sim.compiler.names import exact_pattern, match
+from embodichain.lab.sim.compiler.rigid_objects import check_pose
+from embodichain.lab.sim.compiler.robot_assembly import assemble
+from embodichain.lab.sim.compiler.robot_files import (
     MUJOCO_ERRORS,
     ModelFile,
     as_line,
     compile_quietly,
+    locate,
+    read_model,
 )
-from embodichain.lab.sim.compiler.names import exact_pattern, match
-from embodichain.lab.sim.compiler.rigid_math import initial_pose
-from embodichain.lab.sim.compiler.robot_assembly import read_robot
-from embodichain.lab.sim.compiler.robot_bodies import prepare_shapes, set_root, strip_world
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.lab.sim.compiler.robot_joints import (
+    Keyframe,
+    Servos,
+    control_names,
+    initial_controls,
+    movable_joints,
+    read_joints,
+    read_keyframe,
+    read_mimics,
+    read_servos,
+    resolve_qpos,
+)
+from embodichain.lab.sim.compiler.robot_links import (
+    add_attachments,
+    add_tools,
+    check_attachments,
+    prepare_shapes,
+    resolve_tools,
+    set_root,
+    strip_world,
+)
+from embodichain.utils.errors import ConfigError, Problem, below
 from embodichain.utils.suggest import listing
 
 __all__ = ["ParsedArticulation", "parse_articulation", "parse_with_problems"]
@@ -66,39 +70,39 @@ class ParsedArticulation:
         path: The file.
         spec: The edited model, names without prefix. Copied when a scene is compiled.
         model: `spec` compiled alone.
-        joint_names: Hinges and slides. Ball joints and the free joint of a floating base are not in
-            it: they are simulated, but have no column in any joint array.
+        joint_names: Hinges and slides. Ball joints and the free joint of a floating base are not
+            included: they are simulated, but have no columns in joint arrays.
         link_names: Bodies, parents before children.
-        root_link_name: The body that is placed.
+        root_link_name: The body with the articulation's pose.
         root_pose: (7,) pose of the root in the file's own world: x, y, z, qw, qx, qy, qz.
         fixed_base: Whether the root is fixed (a mocap body) or floats on a free joint.
         qpos_limits: (D, 2) rad or m; infinite where there is none.
-        qvel_limits: From the file; inf where it has none. So `qf_limits`.
+        qvel_limits, qf_limits: From the file; inf where it has none.
         init_qpos: Initial positions.
         init_qvel: Initial velocities: the keyframe's, else 0.
         stiffness: Gains of drives and of the file's servos; 0 without either.
-        damping: Likewise; a joint without either has its own damping here.
+        damping: As `stiffness`; the passive damping of a joint without either.
         joint_damping: Passive damping of the joints themselves, from the file.
-        max_effort: Drive limits; inf is none.
-        max_velocity: Of position targets and velocity actions; 1e10 is none.
+        max_effort: Effort limits of drives; inf is no limit.
+        max_velocity: Limits of position targets and velocity actions; 1e10 is no limit.
         friction: Dry friction.
         armature: Reflected inertia, `added_armature` included.
-        added_armature: What was added so that limited drives do not chatter.
+        added_armature: Armature added so that limited drives do not chatter.
         mimic_ids: Joints that follow another: ``q = multiplier * q[parent] + offset``.
         control_parts: Part -> joint indices.
         tools: Part (``default`` is the whole robot) -> the link that is its tool point.
-        own_actuators: Whether actuators of the file are among its actuators.
+        own_actuators: Whether actuators of the file are kept.
         driven: (D,) joints with a drive of `drive_pros`, not a servo of the file.
-        drives: (D,) names of the actuators that take the joints' targets, drives and the file's
-            servos; an empty string where there is none.
-        servos: Both, as numbers.
-        control_names: (M,) its controls: the file's actuators in their order, then the drives.
-        ctrl_limits: (M, 2) what clamps the controls: the file's ranges, a drive's joint limits;
-            infinite where there is nothing.
+        drives: (D,) names of the actuators that take the joints' targets (drives and the file's
+            servos); an empty string where there is none.
+        servos: Parameters of these actuators.
+        control_names: (M,) names of controls: the file's actuators in their order, then the drives.
+        ctrl_limits: (M, 2) limits of controls: the file's ranges, joint limits for drives; infinite
+            where there is none.
         init_ctrl: (M,) initial controls.
         init_act: (K,) initial activations, in the order of its actuators.
-        keyframe: Where the file's keyframe puts the root and ball joints, or None.
-        notes: What a user should be told about the file, one line each.
+        keyframe: The file's keyframe, for the root and ball joints, or None.
+        notes: Messages for the user about the file, one line each.
     """
 
     uid: str
@@ -131,7 +135,7 @@ class ParsedArticulation:
     control_parts: dict[str, tuple[int, ...]]
     tools: dict[str, str]
     own_actuators: bool
-    driven: NDArray[np.bool_]
+    driven: Mask
     drives: tuple[str, ...]
     servos: Servos
     control_names: tuple[str, ...]
@@ -142,7 +146,7 @@ class ParsedArticulation:
     notes: tuple[str, ...]
 
     def with_given_armature(self, armature: Mapping[str, float]) -> ParsedArticulation:
-        """The same as if the config gave the armature that was added: joint -> kg m^2 or kg."""
+        """Return it as if the config gave the added armature: joint -> kg m^2 or kg."""
         drives = self.cfg.drive_pros
         given = drives.armature if isinstance(drives.armature, Mapping) else {}
         names = {exact_pattern(name): value for name, value in armature.items()}
@@ -154,7 +158,7 @@ class ParsedArticulation:
         )
 
     def without_model(self) -> ParsedArticulation:
-        """The same with an empty `spec` and `model`, which are large."""
+        """Return it with an empty `spec` and `model`, which are large."""
         empty = mujoco.MjSpec()
         return replace(self, spec=empty, model=empty.compile())
 
@@ -165,14 +169,14 @@ def parse_articulation(
     step: PhysicsStep | None = None,
     changes: Sequence[DriveChange] = (),
 ) -> ParsedArticulation:
-    """Read an articulation's file and apply its config; reads anew at every call.
+    """Read an articulation's file and apply its config; every call reads the file again.
 
     Args:
         uid: Its name in the scene.
         cfg: Its config.
         step: Time step and integrator of the scene, for the armature that limited drives need; None
-            leaves the armature as it is.
-        changes: What events may draw for its drives and links.
+            adds no armature.
+        changes: Values that events may draw for its drives and links.
 
     Raises:
         ConfigError: If the file is missing or malformed, or the config does not fit it; every
@@ -180,7 +184,7 @@ def parse_articulation(
     """
     parsed, problems = parse_with_problems(uid, cfg, step, changes)
     if parsed is None or problems:
-        raise ConfigError([Problem(f"{uid}.{p.path}", p.message, p.hint) for p in problems])
+        raise ConfigError(below(uid, problems))
     return parsed
 
 
@@ -190,10 +194,10 @@ def parse_with_problems(
     step: PhysicsStep | None = None,
     changes: Sequence[DriveChange] = (),
 ) -> tuple[ParsedArticulation | None, list[Problem]]:
-    """As `parse_articulation`, but return the mistakes, with paths below the config.
+    """As `parse_articulation`, but return the mistakes, with paths relative to the config.
 
-    Mistakes in the config leave an articulation that can still be asked for names; one in the file
-    leaves None.
+    With mistakes in the config the articulation is returned, for its names; with one in the file,
+    None.
     """
     try:
         file = read_robot(cfg)
@@ -202,19 +206,18 @@ def parse_with_problems(
             p if p.path.startswith("urdf_cfg") else Problem("fpath", str(p), "")
             for p in error.problems
         ]
-    problems = _unsupported(cfg, file)
-    _checked(lambda: initial_pose(cfg), problems)
+    problems = [*_unsupported(cfg, file), *check_pose(cfg)]
     joints = read_joints(file.model, file.velocity_limits, is_urdf=file.is_urdf)
     mimics = read_mimics(file.model)
     parts, wrong = _control_parts(getattr(cfg, "control_parts", None), joints.names)
     problems += wrong
     gains, wrong = resolve_drives(cfg.drive_pros, joints, parts, mimics.ids)
-    problems += [Problem(f"drive_pros.{p.path}", p.message, p.hint) for p in wrong]
+    problems += below("drive_pros", wrong)
     keyframe = read_keyframe(file.spec, file.model)
     qpos, wrong = resolve_qpos(cfg.init_qpos, joints, mimics, keyframe)
     problems += wrong
-    problems += check_attachments(file.spec, cfg.attachments)
     links = [body.name for body in file.spec.bodies[1:]]  # the first is the world
+    problems += check_attachments(links, cfg.attachments)
     tools, wrong = resolve_tools(cfg, parts, [*links, *cfg.attachments])
     problems += wrong
     said = [*strip_world(file.spec), *_unused(file.spec, keyframe)]
@@ -227,10 +230,9 @@ def parse_with_problems(
         if not problems:
             add_attachments(file.spec, cfg.attachments)
             add_tools(file.spec, tools)
-        if cfg.gravcomp is not None:
-            for body in file.spec.bodies[1:]:  # the first is the world
-                body.gravcomp = float(cfg.gravcomp)
         for body in file.spec.bodies[1:]:
+            if cfg.gravcomp is not None:
+                body.gravcomp = float(cfg.gravcomp)
             body.simple = 0  # its centre of mass may move: see `add_object`
         spec, root = set_root(file.spec, cfg.fix_base)
         model = compile_quietly(spec)
@@ -242,7 +244,7 @@ def parse_with_problems(
         text = str(error) if isinstance(error, ConfigError) else as_line(error)[0]
         return None, [*problems, Problem("fpath", f"{file.path}: {text}")]
     servos = read_servos(model, movable_joints(model))
-    # A damping ratio is a gain only now: inertias may have changed.
+    # Convert damping ratios to gains here: inertias may have changed.
     kept = ~gains.driven & (servos.drive >= 0)
     init_ctrl, init_act = initial_controls(model, servos, gains.driven, qpos, keyframe)
     return (
@@ -304,22 +306,12 @@ def _quieten(
     step: PhysicsStep,
     changes: Sequence[DriveChange],
 ) -> tuple[F64, list[str]]:
-    """Raise the armature that the config does not give, in a spec and in the model made of it.
+    """Raise armature that the config does not give, in a spec and its model.
 
     Returns:
-        (D,) what was added, and what a user should be told.
+        (D,) added armature, and messages for the user.
     """
-    lacking = quiet_armature(
-        model,
-        names,
-        stiffness=np.where(gains.driven, gains.stiffness, 0.0),
-        damping=np.where(gains.driven, gains.damping, 0.0),
-        max_effort=gains.max_effort,
-        home=home,
-        parts=parts,
-        step=step,
-        changes=changes,
-    )
+    lacking = quiet_armature(model, names, gains, home, parts, step, changes)
     given = gains.armature_given | drawn_joints("armature", names, parts, changes)
     added = np.where(given, 0.0, lacking)
     for i in np.flatnonzero(added > 0).tolist():
@@ -337,23 +329,33 @@ def _quieten(
 
 
 def _rounded(values: F64) -> F64:
-    """12 digits after the point: what a config that gives the armature says."""
+    """Round to 12 decimals, as a config that gives the armature has."""
     return np.array([round(float(value), 12) for value in values])
 
 
 def _armature_note(
-    what: str, names: Sequence[str], enough: F64, joints: NDArray[np.bool_], step: PhysicsStep
+    what: str, names: Sequence[str], enough: F64, joints: Mask, step: PhysicsStep
 ) -> str:
     listed = ", ".join(f"{names[i]}: {enough[i]:.4g}" for i in np.flatnonzero(joints).tolist())
     because = f"limited drives would chatter at a time step of {step.dt:g} s"
     return f"drive_pros.armature {what}: {because}; enough is {{{listed}}}" if listed else ""
 
 
-def _checked(check: Callable[[], Any], problems: list[Problem]) -> None:
-    try:
-        check()
-    except ConfigError as error:
-        problems += error.problems
+def read_robot(cfg: ArticulationCfg) -> ModelFile:
+    """Read the file of an articulation, or the files of a robot with a `urdf_cfg`.
+
+    Raises:
+        ConfigError: If a file is missing or malformed, or a component is wrong; problems of
+            components have paths that begin with ``urdf_cfg``.
+    """
+    urdf: URDFCfg | None = getattr(cfg, "urdf_cfg", None)
+    convex_parts = cfg.collision == "decompose"
+    if urdf is not None and not cfg.fpath:
+        return assemble(urdf, convex_parts)
+    file = read_model(locate(cfg.fpath), convex_parts)
+    if urdf is not None:
+        file.notes.append("urdf_cfg has no effect: fpath names the robot's file")
+    return file
 
 
 def _unsupported(cfg: ArticulationCfg, file: ModelFile) -> list[Problem]:
@@ -405,7 +407,7 @@ def _ctrl_limits(model: mujoco.MjModel, drives: Sequence[str], qpos_limits: F64)
 
 
 def _unused(spec: mujoco.MjSpec, keyframe: Keyframe | None) -> list[str]:
-    """Say which keyframes are left out, and which mocap bodies stand still."""
+    """Return messages about unused keyframes and about mocap bodies, which do not move."""
     said: list[str] = []
     others = [repr(key.name) for key in spec.keys if keyframe is None or key.name != keyframe.name]
     if others:

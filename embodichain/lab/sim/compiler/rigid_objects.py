@@ -1,27 +1,26 @@
-"""Rigid objects: one body, its shape or mesh, and how the body moves."""
+"""Rigid objects: initial pose, body, shape or mesh, contact and damping."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
 from embodichain.data import DataNotFoundError, get_data_path
-from embodichain.lab.sim.cfg import RigidObjectCfg
+from embodichain.lab.sim.cfg import ObjectBaseCfg, RigidObjectCfg
 from embodichain.lab.sim.compiler.index import F64
-from embodichain.lab.sim.compiler.rigid_math import inertia_about_axes, initial_pose
-from embodichain.lab.sim.compiler.robot_bodies import COLLISION_GROUP, VISUAL_GROUP
-from embodichain.lab.sim.compiler.visuals import surface
 from embodichain.lab.sim.meshes.mesh_conversion import (
+    MadePart,
     MadeVisual,
     convert_collision,
     convert_visual,
+    decompose,
     has_materials,
     reads,
 )
-from embodichain.lab.sim.meshes.mesh_decomposition import decompose
-from embodichain.lab.sim.meshes.mesh_part import MeshError
+from embodichain.lab.sim.meshes.mesh_reading import MeshError
 from embodichain.lab.sim.shapes import (
     AnyShapeCfg,
     CapsuleCfg,
@@ -30,144 +29,93 @@ from embodichain.lab.sim.shapes import (
     MeshCfg,
     PlaneCfg,
     SphereCfg,
+    VisualMaterialCfg,
 )
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import euler_xyz_to_quat, matrix_to_quat, normalize_quat
 
 __all__ = [
-    "add_mesh",
+    "COLLISION_GROUP",
+    "HULL_VERTICES",
+    "VISUAL_GROUP",
     "add_object",
     "add_shape",
-    "check_mesh",
     "check_object",
+    "check_pose",
     "check_shape",
     "damping_of",
+    "inertia_about_axes",
+    "initial_pose",
     "set_contact",
 ]
 
+VISUAL_GROUP = 2
+"""Group of visual shapes; by default MuJoCo draws groups 0 to 2."""
+COLLISION_GROUP = 3
+"""Group of collision shapes of bodies that have visual ones: not drawn."""
 HULL_VERTICES = 64
+"""Maximum number of vertices of a mesh's convex hull."""
+_PALETTE = (
+    (0.86, 0.36, 0.26),
+    (0.25, 0.55, 0.75),
+    (0.93, 0.69, 0.25),
+    (0.38, 0.65, 0.42),
+    (0.58, 0.44, 0.69),
+)
 _GEOM, _INERTIA = mujoco.mjtGeom, mujoco.mjtMeshInertia
 
 
-def check_mesh(shape: MeshCfg, max_parts: int | None = 1) -> list[Problem]:
-    """Return what is wrong with a mesh; its file is read, which `add_mesh` needs anyway.
+def initial_pose(cfg: ObjectBaseCfg) -> tuple[F64, F64]:
+    """Return position (3,) in metres and unit wxyz quaternion (4,).
 
-    Args:
-        shape: The mesh.
-        max_parts: Convex parts that collide: 1, its hull; None: as many as it takes.
+    `init_local_pose` overrides `init_quat`, which overrides `init_rot` (degrees, intrinsic XYZ).
+
+    Raises:
+        ConfigError: If a value has the wrong shape, is not finite, or is not a rotation.
     """
-    if not shape.fpath:
-        return [Problem("shape.fpath", "a Mesh needs a file")]
+    if cfg.init_local_pose is not None:
+        matrix = _vector(cfg.init_local_pose, 16, "init_local_pose").reshape(4, 4)
+        rotation = matrix[:3, :3]
+        off = np.abs(rotation @ rotation.T - np.eye(3)).max()
+        if off > 1e-3 or np.linalg.det(rotation) < 0 or not np.allclose(matrix[3], [0, 0, 0, 1]):
+            message = "must be a 4x4 rigid transform: a rotation, a translation, last row 0 0 0 1"
+            raise ConfigError([Problem("init_local_pose", message)])
+        return matrix[:3, 3].copy(), matrix_to_quat(rotation)
+    pos = _vector(cfg.init_pos, 3, "init_pos")
+    if cfg.init_quat is not None:
+        quat = _vector(cfg.init_quat, 4, "init_quat")
+        try:
+            return pos, normalize_quat(quat)
+        except ValueError as error:
+            raise ConfigError([Problem("init_quat", f"{error}, got {quat.tolist()}")]) from error
+    return pos, euler_xyz_to_quat(_vector(cfg.init_rot, 3, "init_rot") * (math.pi / 180.0))
+
+
+def _vector(value: object, size: int, key: str) -> F64:
     try:
-        path = Path(get_data_path(shape.fpath))
-        if not reads(path):
-            convert_collision(path)
-        if max_parts != 1:
-            decompose(path, max_parts)
-        if shape.visual_material is None:
-            _look(path)
-    except (DataNotFoundError, MeshError, OSError) as error:
-        return [Problem("shape.fpath", str(error))]
+        array = np.asarray(value, np.float64)
+    except (TypeError, ValueError):
+        raise ConfigError([Problem(key, f"must be {size} numbers, got {value!r}")]) from None
+    if array.size != size or not np.isfinite(array).all():
+        raise ConfigError([Problem(key, f"must be {size} finite numbers, got {array.tolist()}")])
+    return array.reshape(-1).copy()
+
+
+def check_pose(cfg: ObjectBaseCfg) -> list[Problem]:
+    """Return what is wrong with an initial pose."""
+    try:
+        initial_pose(cfg)
+    except ConfigError as error:
+        return list(error.problems)
     return []
-
-
-def add_mesh(
-    spec: mujoco.MjSpec,
-    geom: mujoco.MjsGeom,
-    uid: str,
-    shape: MeshCfg,
-    scale: F64,
-    number: int,
-    max_parts: int | None = 1,
-) -> None:
-    """Make a geom the mesh, and add geoms to its body where one cannot be all of it.
-
-    The geom weighs, and collides by its hull. Parts of several colours are drawn by geoms of their
-    own, without mass and contacts; so are convex parts added, which collide in its place.
-
-    Args:
-        spec: The scene.
-        geom: The body's first.
-        uid: Prefix of the names in the scene.
-        shape: The mesh, checked.
-        scale: (3,) factors.
-        number: Chooses a colour where neither config nor file has one.
-        max_parts: See `check_mesh`.
-    """
-    path, body = Path(get_data_path(shape.fpath)), geom.parent
-    look = _look(path) if shape.visual_material is None else None
-    single = look is not None and len(look.parts) == 1
-    file = look.parts[0].mesh if look is not None and single else _shape_file(path)
-    mesh = _mesh(spec, f"{uid}/mesh", file, scale)
-    if not reads(path):
-        mesh.inertia = _INERTIA.mjMESH_INERTIA_CONVEX
-    geom.type, geom.meshname = _GEOM.mjGEOM_MESH, mesh.name
-    if look is None:
-        geom.material = surface(spec, uid, shape.visual_material, number)
-    elif single:
-        geom.material = _material(spec, f"{uid}/material", look, 0)
-    else:
-        geom.group = COLLISION_GROUP
-        for i, part in enumerate(look.parts):
-            drawn = _mesh(spec, f"{uid}/visual_{i}", part.mesh, scale)
-            drawn.inertia = _INERTIA.mjMESH_INERTIA_SHELL
-            added = _add(body, drawn.name, VISUAL_GROUP)
-            added.contype = added.conaffinity = 0
-            added.material = _material(
-                spec, f"{uid}/material_{i}" if i else f"{uid}/material", look, i
-            )
-    if max_parts != 1:
-        geom.contype = geom.conaffinity = 0
-        for i, convex in enumerate(decompose(path, max_parts)):
-            _add(body, _mesh(spec, f"{uid}/part_{i}", convex, scale).name, COLLISION_GROUP)
-
-
-def _add(body: mujoco.MjsBody, name: str, group: int) -> mujoco.MjsGeom:
-    return body.add_geom(name=name, type=_GEOM.mjGEOM_MESH, meshname=name, mass=0.0, group=group)
-
-
-def _mesh(spec: mujoco.MjSpec, name: str, file: Path, scale: F64) -> mujoco.MjsMesh:
-    mesh = spec.add_mesh(name=name, file=str(file))
-    mesh.scale, mesh.maxhullvert = scale, HULL_VERTICES
-    return mesh
-
-
-def _shape_file(path: Path) -> Path:
-    return path if reads(path) else convert_collision(path)
-
-
-def _look(path: Path) -> MadeVisual | None:
-    """Return the file's parts if it has colours; None if MuJoCo draws all that there is of it."""
-    if reads(path) and not has_materials(path):
-        return None
-    made = convert_visual(path)
-    colored = any(part.rgba is not None or part.texture is not None for part in made.parts)
-    return made if colored else None
-
-
-def _material(spec: mujoco.MjSpec, name: str, look: MadeVisual, number: int) -> str:
-    part = look.parts[number]
-    material = spec.add_material(name=name, specular=0.2, shininess=0.3)
-    if part.rgba is not None:
-        material.rgba = part.rgba
-    if part.texture is not None:
-        spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=str(part.texture))
-        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
-    return name
-
-
-_GEOM = mujoco.mjtGeom
 
 
 def check_object(cfg: RigidObjectCfg) -> list[Problem]:
     """Return every mistake in an object's config, with paths below it."""
-    problems: list[Problem] = []
-    try:
-        initial_pose(cfg)
-    except ConfigError as error:
-        problems += error.problems
+    problems = check_pose(cfg)
     scale = np.asarray(cfg.body_scale, np.float64)
     if scale.shape != (3,) or not (scale > 0).all():
-        problems.append(Problem("body_scale", f"wants 3 positive numbers, got {scale.tolist()}"))
+        problems.append(Problem("body_scale", f"must be 3 positive numbers, got {scale.tolist()}"))
         scale = np.ones(3)
     if not cfg.max_convex_hull_num >= 1:
         message = f"must be at least 1, got {cfg.max_convex_hull_num}"
@@ -185,18 +133,16 @@ def check_object(cfg: RigidObjectCfg) -> list[Problem]:
     for name in ("mass", "linear_damping", "angular_damping", "dynamic_friction"):
         value = getattr(attrs, name)
         if not (value >= 0 and np.isfinite(value)):
-            problems.append(
-                Problem(f"attrs.{name}", f"must be finite and not negative, got {value}")
-            )
+            message = f"must be finite and not negative, got {value}"
+            problems.append(Problem(f"attrs.{name}", message))
     if attrs.mass == 0 and not attrs.density > 0:
-        problems.append(
-            Problem("attrs.density", f"must be positive as mass is 0, got {attrs.density}")
-        )
+        message = f"must be positive as mass is 0, got {attrs.density}"
+        problems.append(Problem("attrs.density", message))
     return problems
 
 
 def _convex_parts(cfg: RigidObjectCfg) -> int | None:
-    """Most convex parts of a mesh: 1, its hull; None: as many as it takes."""
+    """Maximum number of convex parts of a mesh; 1 is its hull, None as many as needed."""
     if cfg.max_convex_hull_num > 1:
         return int(cfg.max_convex_hull_num)
     return None if cfg.collision == "decompose" else 1
@@ -206,9 +152,9 @@ def check_shape(shape: AnyShapeCfg, scale: F64, max_parts: int | None = 1) -> li
     """Return every mistake in a shape; paths begin with ``shape`` or ``body_scale``.
 
     Args:
-        shape: The shape.
+        shape: The shape; a mesh file is read (`add_shape` needs it as well).
         scale: (3,) factors.
-        max_parts: Convex parts that a mesh collides by: 1, its hull; None: as many as it takes.
+        max_parts: Maximum number of convex collision parts; 1 is the hull, None as many as needed.
     """
     problems = []
     for name in ("size", "radius", "height"):
@@ -222,30 +168,37 @@ def check_shape(shape: AnyShapeCfg, scale: F64, max_parts: int | None = 1) -> li
     if isinstance(shape, (CylinderCfg, CapsuleCfg)) and scale[0] != scale[1]:
         message = f"a {shape.shape_type} scales equally along x and y, got {scale.tolist()}"
         problems.append(Problem("body_scale", message))
-    if isinstance(shape, MeshCfg):
-        problems += check_mesh(shape, max_parts)
+    if isinstance(shape, MeshCfg) and not shape.fpath:
+        problems.append(Problem("shape.fpath", "a Mesh needs a file"))
+    elif isinstance(shape, MeshCfg):
+        try:
+            path = Path(get_data_path(shape.fpath))
+            _shape_file(path)
+            if max_parts != 1:
+                decompose(path, max_parts)
+            if shape.visual_material is None:
+                _look(path)
+        except (DataNotFoundError, MeshError, OSError) as error:
+            problems.append(Problem("shape.fpath", str(error)))
     return problems
 
 
-def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) -> tuple[F64, F64]:
+def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) -> None:
     """Add body `uid`, its geom ``uid/geom`` and, if dynamic, its joint ``uid/free``.
 
     Args:
         spec: The scene.
         uid: The object's name.
         cfg: Its config, checked.
-        number: Its place among the objects: chooses a colour where the config has none.
-
-    Returns:
-        Its initial position and orientation.
+        number: Its index among the objects: selects a colour if the config has none.
     """
     pos, quat = initial_pose(cfg)
     body = spec.worldbody.add_body(name=uid, pos=pos, quat=quat)
     body.mocap = cfg.body_type == "kinematic"
     if cfg.body_type == "dynamic":
         body.add_freejoint(name=f"{uid}/free")
-        # A body compiled as "simple" has a diagonal mass matrix, and could never get another
-        # centre of mass per environment.
+        # A body compiled as "simple" has a diagonal mass matrix and cannot have a different centre
+        # of mass per environment.
         body.simple = 0
     scale = np.asarray(cfg.body_scale, np.float64)
     geom = add_shape(spec, body, uid, cfg.shape, scale, number, _convex_parts(cfg))
@@ -255,7 +208,6 @@ def add_object(spec: mujoco.MjSpec, uid: str, cfg: RigidObjectCfg, number: int) 
     else:
         geom.density = float(attrs.density)
     set_contact(body, float(attrs.dynamic_friction), attrs.enable_collision)
-    return pos, quat
 
 
 def add_shape(
@@ -271,18 +223,18 @@ def add_shape(
 
     Args:
         spec: The scene.
-        body: What gets it; a mesh of several colours or convex parts adds more geoms.
+        body: Its body; a mesh of several colours or convex parts adds more geoms.
         uid: Prefix of the names.
         shape: The shape, checked.
         scale: (3,) factors.
-        number: Chooses a colour where there is none.
+        number: Selects a colour if there is none.
         max_parts: See `check_shape`.
     """
     geom = body.add_geom(name=f"{uid}/geom")
     if isinstance(shape, MeshCfg):
-        add_mesh(spec, geom, uid, shape, scale, number, max_parts)
+        _add_mesh(spec, geom, uid, shape, scale, number, max_parts)
         return geom
-    geom.material = surface(spec, uid, shape.visual_material, number)
+    geom.material = _surface(spec, uid, shape.visual_material, number)
     if isinstance(shape, CubeCfg):
         geom.type, geom.size = _GEOM.mjGEOM_BOX, 0.5 * np.asarray(shape.size) * scale
     elif isinstance(shape, SphereCfg):
@@ -300,6 +252,98 @@ def add_shape(
     return geom
 
 
+def _surface(spec: mujoco.MjSpec, uid: str, cfg: VisualMaterialCfg | None, number: int) -> str:
+    """Add an object's material and return its name; without a config, `number` sets the colour."""
+    name = f"{uid}/material"
+    if cfg is None:
+        rgba = [*_PALETTE[number % len(_PALETTE)], 1.0]
+        spec.add_material(name=name, rgba=rgba, specular=0.2, shininess=0.3)
+        return name
+    spec.add_material(
+        name=name,
+        rgba=[float(c) for c in cfg.base_color],
+        specular=0.5 * (1.0 - float(cfg.roughness)),
+        shininess=1.0 - float(cfg.roughness),
+        metallic=float(cfg.metallic),
+        roughness=float(cfg.roughness),
+        emission=float(cfg.emissive_intensity) * float(max(cfg.emissive)),
+    )
+    return name
+
+
+def _add_mesh(
+    spec: mujoco.MjSpec,
+    geom: mujoco.MjsGeom,
+    uid: str,
+    shape: MeshCfg,
+    scale: F64,
+    number: int,
+    max_parts: int | None,
+) -> None:
+    """Turn a geom into the mesh, and add geoms to its body where one is not enough.
+
+    The geom has the mass and its hull collides. For several colours, geoms without mass and
+    contacts are added that are drawn; for convex parts, geoms that collide in its place.
+    """
+    path, body = Path(get_data_path(shape.fpath)), geom.parent
+
+    def mesh(name: str, file: Path) -> mujoco.MjsMesh:
+        added = spec.add_mesh(name=f"{uid}/{name}", file=str(file))
+        added.scale, added.maxhullvert = scale, HULL_VERTICES
+        return added
+
+    def add(name: str, group: int) -> mujoco.MjsGeom:
+        kind = _GEOM.mjGEOM_MESH
+        return body.add_geom(name=name, type=kind, meshname=name, mass=0.0, group=group)
+
+    look = _look(path) if shape.visual_material is None else None
+    single = look is not None and len(look.parts) == 1
+    whole = mesh("mesh", look.parts[0].mesh if look is not None and single else _shape_file(path))
+    if not reads(path):
+        whole.inertia = _INERTIA.mjMESH_INERTIA_CONVEX
+    geom.type, geom.meshname = _GEOM.mjGEOM_MESH, whole.name
+    if look is None:
+        geom.material = _surface(spec, uid, shape.visual_material, number)
+    elif single:
+        geom.material = _add_material(spec, f"{uid}/material", look.parts[0])
+    else:
+        geom.group = COLLISION_GROUP
+        for i, part in enumerate(look.parts):
+            visual = mesh(f"visual_{i}", part.mesh)
+            visual.inertia = _INERTIA.mjMESH_INERTIA_SHELL
+            drawn = add(visual.name, VISUAL_GROUP)
+            drawn.contype = drawn.conaffinity = 0
+            name = f"{uid}/material_{i}" if i else f"{uid}/material"
+            drawn.material = _add_material(spec, name, part)
+    if max_parts != 1:
+        geom.contype = geom.conaffinity = 0
+        for i, convex in enumerate(decompose(path, max_parts)):
+            add(mesh(f"part_{i}", convex).name, COLLISION_GROUP)
+
+
+def _shape_file(path: Path) -> Path:
+    return path if reads(path) else convert_collision(path)
+
+
+def _look(path: Path) -> MadeVisual | None:
+    """Return the file's parts if it has colours; None if MuJoCo draws the file as it is."""
+    if reads(path) and not has_materials(path):
+        return None
+    made = convert_visual(path)
+    colored = any(part.rgba is not None or part.texture is not None for part in made.parts)
+    return made if colored else None
+
+
+def _add_material(spec: mujoco.MjSpec, name: str, part: MadePart) -> str:
+    material = spec.add_material(name=name, specular=0.2, shininess=0.3)
+    if part.rgba is not None:
+        material.rgba = part.rgba
+    if part.texture is not None:
+        spec.add_texture(name=name, type=mujoco.mjtTexture.mjTEXTURE_2D, file=str(part.texture))
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
+    return name
+
+
 def set_contact(body: mujoco.MjsBody, friction: float, collides: bool) -> None:
     """Set the sliding friction of a body's geoms, and whether they collide."""
     for geom in body.geoms:
@@ -312,10 +356,26 @@ def damping_of(model: mujoco.MjModel, body: int, cfg: RigidObjectCfg) -> F64:
     """Return the free joint's damping (6,) that makes velocities decay at the config's rates.
 
     Force = -linear_damping x mass x v, torque = -angular_damping x inertia x w, so that velocities
-    fall by ``exp(-damping t)`` whatever the body's size. MuJoCo's joint damping is one number an
-    axis: of an inertia tensor that is not diagonal in the body's axes its diagonal is taken.
+    decay as ``exp(-damping t)`` for any size of body. MuJoCo's joint damping is one number per
+    axis: only the diagonal of the inertia tensor in the body's axes is used.
     """
     inertia = inertia_about_axes(model.body_iquat[body], model.body_inertia[body])
-    attrs = cfg.attrs
-    linear = np.full(3, attrs.linear_damping * model.body_mass[body])
-    return np.concatenate([linear, attrs.angular_damping * inertia])
+    linear = np.full(3, cfg.attrs.linear_damping * model.body_mass[body])
+    return np.concatenate([linear, cfg.attrs.angular_damping * inertia])
+
+
+def inertia_about_axes(iquat: F64, moments: F64) -> F64:
+    """Diagonal of the inertia tensor in the body's axes.
+
+    Terms are added in a fixed order, so results do not depend on the number of environments.
+
+    Args:
+        iquat: (4,) orientation of the principal axes in the body, wxyz.
+        moments: (..., 3) principal moments, kg m^2.
+    """
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, iquat)
+    squares = rotation.reshape(3, 3) ** 2
+    found: F64 = moments[..., :1] * squares[:, 0]
+    found = found + moments[..., 1:2] * squares[:, 1]
+    return found + moments[..., 2:] * squares[:, 2]

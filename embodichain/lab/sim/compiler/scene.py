@@ -1,4 +1,4 @@
-"""`compile_scene`: parsed articulations, objects, lights and sensors into one model."""
+"""`compile_scene`: builds one model from parsed articulations, objects, lights and sensors."""
 
 from __future__ import annotations
 
@@ -12,11 +12,16 @@ import numpy as np
 from embodichain.lab.sim.cfg import LightCfg, RigidObjectCfg, SimulationManagerCfg
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation
 from embodichain.lab.sim.compiler.index import F64, EntityIndex, Ids
-from embodichain.lab.sim.compiler.model_files import MUJOCO_ERRORS, as_line, compile_quietly
-from embodichain.lab.sim.compiler.names import check_uid
-from embodichain.lab.sim.compiler.rigid_math import initial_pose
-from embodichain.lab.sim.compiler.rigid_objects import add_object, check_object, damping_of
-from embodichain.lab.sim.compiler.robot_bodies import MAX_MASKED, separate
+from embodichain.lab.sim.compiler.names import GROUND, check_uid
+from embodichain.lab.sim.compiler.rigid_objects import (
+    add_object,
+    check_object,
+    check_pose,
+    damping_of,
+    initial_pose,
+)
+from embodichain.lab.sim.compiler.robot_files import MUJOCO_ERRORS, as_line, compile_quietly
+from embodichain.lab.sim.compiler.robot_links import MAX_MASKED, separate
 from embodichain.lab.sim.compiler.scene_sensors import (
     SensorIndex,
     SensorPlan,
@@ -24,17 +29,10 @@ from embodichain.lab.sim.compiler.scene_sensors import (
     index_sensors,
     silent_sensors,
 )
-from embodichain.lab.sim.compiler.visuals import (
-    GROUND,
-    add_ground,
-    add_lights,
-    aim_camera,
-    set_look,
-)
-from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.errors import ConfigError, Problem, below
 from embodichain.utils.math import quat_multiply, quat_rotate
 
-__all__ = ["CompiledScene", "apply_options", "compile_scene", "replace_options"]
+__all__ = ["CompiledScene", "SceneParts", "check_light", "compile_scene"]
 
 _INTEGRATORS = {
     "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
@@ -63,10 +61,10 @@ _FLAGS: dict[str, type[Any]] = {
 }
 
 
-def apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
+def _apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
     """Set a scene's physics options.
 
-    Auto-reset is off: it would put a diverged simulation back to qpos0 in the middle of a step.
+    Auto-reset is off: it would reset a diverged simulation to qpos0 within a step.
 
     Raises:
         ConfigError: If the timestep is not positive.
@@ -83,16 +81,16 @@ def apply_options(spec: mujoco.MjSpec, cfg: SimulationManagerCfg) -> None:
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
 
 
-def replace_options(child: mujoco.MjSpec, scene: mujoco.MjSpec) -> list[str]:
-    """Give a child the scene's options.
+def _replace_options(child: mujoco.MjSpec, scene: mujoco.MjSpec) -> list[str]:
+    """Replace a child's options by the scene's.
 
     Returns:
-        ``name: value in the file -> value of the scene`` for each option that the file sets to
-        something other than MuJoCo's default and the scene does not share.
+        ``name: value in the file -> value of the scene`` for each option of the file that differs
+        from MuJoCo's default and from the scene.
     """
     default = mujoco.MjSpec().option
     replaced: list[str] = []
-    for name in _names(default):
+    for name in (name for name in dir(default) if not name.startswith("_")):
         old, new = getattr(child.option, name), getattr(scene.option, name)
         if name in _FLAGS:
             theirs = int(old) & ~int(new)
@@ -104,10 +102,6 @@ def replace_options(child: mujoco.MjSpec, scene: mujoco.MjSpec) -> list[str]:
     return replaced
 
 
-def _names(option: Any) -> list[str]:
-    return [name for name in dir(option) if not name.startswith("_")]
-
-
 def _show(name: str, value: Any) -> str:
     if name in _ENUMS:
         return str(_ENUMS[name](int(value)).name.split("_")[-1].lower())
@@ -117,12 +111,8 @@ def _show(name: str, value: Any) -> str:
 
 def _flags(name: str, bits: int) -> str:
     known = [flag for flag in _FLAGS[name].__members__.values() if int(flag) & bits]
-    names = [flag.name.split("_")[-1].lower() for flag in known if _one_bit(int(flag))]
+    names = [flag.name.split("_")[-1].lower() for flag in known if int(flag).bit_count() == 1]
     return ", ".join(names) or hex(bits)
-
-
-def _one_bit(value: int) -> bool:
-    return value > 0 and value & (value - 1) == 0
 
 
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -130,19 +120,19 @@ _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 
 @dataclass(frozen=True, eq=False)
 class CompiledScene:
-    """One model of everything declared.
+    """One model of all declared entities.
 
     Attributes:
-        model: The compiled model. A free object's damping and the camera's place are set in it
-            after compiling; MJCF cannot say the former (one number for all six axes).
-        spec: What it was compiled from, for export as XML or archive.
-        entities: Where each entity is in the model.
-        initial_row: (nstate,) `mjSTATE_INTEGRATION` of the start: MuJoCo's reset state with every
-            entity at its configured place, targets of drives at the configured joint positions,
-            and what else a file's keyframe says.
-        sensors: Where each sensor is.
-        notes: What a user should be told, one line each: options of the robots' files that the
-            scene's replace, sensors that can report nothing.
+        model: The compiled model. Damping of free objects and the camera's pose are set after
+            compiling; MJCF has only one damping for all six axes of a free joint.
+        spec: The spec it was compiled from, for export as XML or archive.
+        entities: Indices of each entity in the model.
+        initial_row: (nstate,) initial `mjSTATE_INTEGRATION`: MuJoCo's reset state with entities at
+            their configured poses, drive targets at the configured joint positions, and other
+            values of the files' keyframes.
+        sensors: Columns of each sensor.
+        notes: Messages for the user, one line each: options of the robots' files that the scene
+            replaces, sensors that can never report anything.
     """
 
     model: mujoco.MjModel
@@ -153,6 +143,16 @@ class CompiledScene:
     notes: tuple[str, ...] = ()
 
 
+SceneParts = tuple[
+    SimulationManagerCfg,
+    Sequence[ParsedArticulation],
+    Mapping[str, RigidObjectCfg],
+    Mapping[str, LightCfg],
+    Mapping[str, SensorPlan],
+]
+"""The arguments of `compile_scene`."""
+
+
 def compile_scene(
     sim_cfg: SimulationManagerCfg,
     articulations: Sequence[ParsedArticulation],
@@ -160,7 +160,7 @@ def compile_scene(
     lights: Mapping[str, LightCfg],
     sensors: Mapping[str, SensorPlan] | None = None,
 ) -> CompiledScene:
-    """Compile one model; everything of an entity is named ``uid/NAME`` in it.
+    """Compile one model, in which elements of an entity are named ``uid/NAME``.
 
     Args:
         sim_cfg: Timestep, physics options, ground plane.
@@ -177,7 +177,7 @@ def compile_scene(
     spec = mujoco.MjSpec()
     spec.modelname = "embodichain"
     spec.compiler.degree = False
-    apply_options(spec, sim_cfg)
+    _apply_options(spec, sim_cfg)
     set_look(spec)
     if sim_cfg.ground_plane:
         add_ground(spec)
@@ -224,7 +224,7 @@ def _check(
         problems += check_uid(uid, uid, taken)
         taken[uid] = "another entity"
     for uid, cfg in objects.items():
-        problems += [Problem(f"{uid}.{p.path}", p.message, p.hint) for p in check_object(cfg)]
+        problems += below(uid, check_object(cfg))
     masked = [p.uid for p in articulations if p.cfg.disable_self_collision]
     if len(masked) > MAX_MASKED:
         message = f"at most {MAX_MASKED} articulations of a scene can do without self-collision"
@@ -234,8 +234,8 @@ def _check(
 
 
 def _attach(spec: mujoco.MjSpec, child: mujoco.MjSpec, parsed: ParsedArticulation) -> list[str]:
-    """Attach an articulation at its pose; return what a user should be told."""
-    what = "; ".join(replace_options(child, spec))
+    """Attach an articulation at its pose; return messages for the user."""
+    what = "; ".join(_replace_options(child, spec))
     options = f"{parsed.uid}: the scene's physics replaces options of {parsed.path}: {what}"
     pos, quat = initial_pose(parsed.cfg)
     frame = spec.worldbody.add_frame(pos=pos, quat=quat)
@@ -281,7 +281,7 @@ def _index_articulation(model: mujoco.MjModel, parsed: ParsedArticulation) -> En
 
 
 def _first_controls(model: mujoco.MjModel, actuators: Ids) -> Ids:
-    """Return the first control of each actuator; -1 stays."""
+    """Return the first control of each actuator; -1 for -1."""
     columns: Ids = np.full(len(actuators), -1, np.int64)
     known = actuators >= 0
     columns[known] = model.actuator_ctrladr[actuators[known]]
@@ -344,3 +344,155 @@ def _start(
             data.qpos[joint.qposadr[0] : joint.qposadr[0] + 4] = quat
             data.qvel[joint.dofadr[0] : joint.dofadr[0] + 3] = speed
     return data
+
+
+# --------------------------------------------------------------------------------------- appearance
+
+CAMERA = "default"
+SUN = "default"
+
+_FULL_INTENSITY = 30.0
+_FOVY = 40.0
+_VIEW = np.array([1.0, -0.8, 0.32])
+"""Direction from the scene to the camera: front, right, above."""
+_LIGHTS = {
+    "point": mujoco.mjtLightType.mjLIGHT_POINT,
+    "sun": mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+    "direction": mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+    "spot": mujoco.mjtLightType.mjLIGHT_SPOT,
+}
+
+
+def set_look(spec: mujoco.MjSpec) -> None:
+    """Set sky, haze, ambient light and sizes; add the camera (placed by `aim_camera`)."""
+    visual = spec.visual
+    visual.global_.offwidth, visual.global_.offheight = 1920, 1440
+    visual.global_.fovy = _FOVY
+    visual.quality.shadowsize = 4096
+    visual.map.znear, visual.map.zfar = 0.01, 60.0
+    visual.map.fogstart, visual.map.fogend = 6.0, 20.0
+    visual.headlight.ambient = [0.32, 0.33, 0.35]
+    visual.headlight.diffuse = [0.38, 0.38, 0.38]
+    visual.headlight.specular = [0.05, 0.05, 0.05]
+    visual.rgba.haze = [0.80, 0.86, 0.92, 1.0]
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
+        rgb1=[0.42, 0.56, 0.72],
+        rgb2=[0.86, 0.90, 0.94],
+        width=256,
+        height=1536,
+    )
+    spec.worldbody.add_camera(name=CAMERA, fovy=_FOVY)
+
+
+def add_ground(spec: mujoco.MjSpec) -> None:
+    """Add the ground plane at z = 0, with tiles of one metre."""
+    spec.add_texture(
+        name=GROUND,
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        mark=mujoco.mjtMark.mjMARK_EDGE,
+        rgb1=[0.72, 0.74, 0.76],
+        rgb2=[0.66, 0.68, 0.71],
+        markrgb=[0.55, 0.57, 0.60],
+        width=512,
+        height=512,
+    )
+    material = spec.add_material(
+        name=GROUND, texuniform=True, texrepeat=[0.5, 0.5], reflectance=0.08
+    )
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = GROUND
+    spec.worldbody.add_geom(
+        name=GROUND,
+        type=mujoco.mjtGeom.mjGEOM_PLANE,
+        size=[0.0, 0.0, 1.0],
+        material=GROUND,
+    )
+
+
+def check_light(cfg: LightCfg) -> list[Problem]:
+    """Return every mistake in a light's config, with paths below it."""
+    problems = check_pose(cfg)
+    color, direction = np.asarray(cfg.color, np.float64), np.asarray(cfg.direction, np.float64)
+    if not ((color >= 0) & (color <= 1)).all():
+        problems.append(Problem("color", f"RGB in [0, 1], got {color.tolist()}"))
+    if not cfg.intensity >= 0:
+        problems.append(Problem("intensity", f"must not be negative, got {cfg.intensity}"))
+    if not (np.isfinite(direction).all() and np.linalg.norm(direction) > 1e-9):
+        problems.append(Problem("direction", f"must not be zero, got {direction.tolist()}"))
+    return problems
+
+
+def add_lights(spec: mujoco.MjSpec, lights: Mapping[str, LightCfg]) -> None:
+    """Add the declared lights, or a sun with soft shadows if there are none."""
+    if not lights:
+        spec.worldbody.add_light(
+            name=SUN,
+            type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+            pos=[0.0, 0.0, 6.0],
+            dir=[-0.35, 0.45, -1.0],
+            diffuse=[0.62, 0.61, 0.58],
+            specular=[0.2, 0.2, 0.2],
+            castshadow=True,
+        )
+    for uid, cfg in lights.items():
+        strength = np.asarray(cfg.color, np.float64) * (float(cfg.intensity) / _FULL_INTENSITY)
+        spec.worldbody.add_light(
+            name=uid,
+            type=_LIGHTS[cfg.light_type],
+            pos=initial_pose(cfg)[0],
+            dir=[float(x) for x in cfg.direction],
+            diffuse=strength,
+            specular=0.3 * strength,
+            castshadow=cfg.light_type != "point",
+        )
+
+
+def aim_camera(spec: mujoco.MjSpec, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Place camera ``default`` so that it shows everything but infinite planes.
+
+    Args:
+        spec: The scene; its camera is set too, for saved files.
+        model: The compiled scene; its camera is changed.
+        data: The initial state, with positions computed.
+    """
+    center, radius = _bounds(model, data)
+    back = _VIEW / np.linalg.norm(_VIEW)
+    distance = radius / np.sin(np.radians(_FOVY / 2))
+    pos = center + distance * back
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right /= np.linalg.norm(right)
+    matrix = np.stack([right, np.cross(back, right), back], axis=1)
+    quat = np.zeros(4)
+    mujoco.mju_mat2Quat(quat, matrix.reshape(9))
+    camera = model.camera(CAMERA)
+    camera.pos[:], camera.quat[:] = pos, quat
+    camera.pos0[:], camera.poscom0[:], camera.mat0[:] = pos, pos, matrix.reshape(9)
+    written = spec.camera(CAMERA)
+    written.pos, written.quat = pos, quat
+    _aim_sun(spec, model, center, radius)
+    for stat in (model.stat, spec.stat):
+        stat.extent, stat.center = max(2.0 * radius, 1.0), center
+
+
+def _aim_sun(spec: mujoco.MjSpec, model: mujoco.MjModel, center: F64, radius: float) -> None:
+    """Move the default light near the scene: its shadow map covers only its surroundings."""
+    sun = spec.light(SUN)
+    if sun is not None:
+        light = model.light(SUN)
+        light.pos[:] = sun.pos = center - 2.0 * radius * light.dir
+        light.pos0[:] = light.poscom0[:] = light.pos
+
+
+def _bounds(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[F64, float]:
+    """Return centre and radius of a sphere around all finite geoms."""
+    finite = np.flatnonzero(model.geom_rbound > 0)
+    if not len(finite):
+        return np.array([0.0, 0.0, 0.3]), 1.0
+    reach = model.geom_rbound[finite, None]
+    low = (data.geom_xpos[finite] - reach).min(axis=0)
+    high = (data.geom_xpos[finite] + reach).max(axis=0)
+    low[2] = max(low[2], 0.0) if high[2] > 0 else low[2]
+    return 0.5 * (low + high), max(0.5 * float(np.linalg.norm(high - low)), 0.15)

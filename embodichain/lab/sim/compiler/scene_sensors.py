@@ -1,4 +1,4 @@
-"""Sensors of a scene: the links they are fixed on, what MuJoCo computes, and in which columns."""
+"""Sensors of a scene: their links, MuJoCo's sensors for them, and their columns."""
 
 from __future__ import annotations
 
@@ -9,9 +9,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from embodichain.lab.sim.compiler.entity_names import Known, check_reference
-from embodichain.lab.sim.compiler.names import check_uid, match
-from embodichain.lab.sim.compiler.visuals import GROUND
+from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
 from embodichain.lab.sim.sensors.cfg import (
     ContactSensorCfg,
     ForceTorqueSensorCfg,
@@ -19,7 +17,7 @@ from embodichain.lab.sim.sensors.cfg import (
     LinksCfg,
     SensorCfg,
 )
-from embodichain.utils.errors import Problem
+from embodichain.utils.errors import Problem, below
 
 __all__ = [
     "SensorIndex",
@@ -37,15 +35,15 @@ _TYPES = (ContactSensorCfg, ImuSensorCfg, ForceTorqueSensorCfg)
 
 @dataclass(frozen=True)
 class SensorPlan:
-    """A declared sensor whose names are known to exist.
+    """A declared sensor with checked names.
 
     Attributes:
         uid: Its name.
         cfg: Its config.
-        links: (n,) the links it is fixed on, as users call them.
-        bodies: (n,) the same as bodies of the model.
-        others: What a contact sensor's links touch: MuJoCo's object type and name of each; empty is
-            anything.
+        links: (n,) names of the links it is fixed on.
+        bodies: (n,) names of their bodies in the model.
+        others: Objects with which contacts count: MuJoCo's object type and name of each; empty is
+            any object.
     """
 
     uid: str
@@ -61,7 +59,7 @@ def plan_sensors(
     """Look up the links of all declared sensors; see `plan_sensor`.
 
     Returns:
-        The plans of those that are right, and every mistake, with paths relative to the task.
+        The plans of valid sensors, and every mistake, with paths relative to the task.
     """
     plans: dict[str, SensorPlan] = {}
     problems: list[Problem] = []
@@ -73,7 +71,7 @@ def plan_sensors(
         if cfg.uid not in (None, "", uid):
             message = f"the key {uid!r} is its uid; it cannot be {cfg.uid!r}: leave uid out"
             found = [Problem("uid", message), *found]
-        problems += [Problem(f"{path}.{p.path}", p.message, p.hint) for p in found]
+        problems += below(path, found)
         if plan is not None:
             plans[uid] = plan
     return plans, problems
@@ -82,18 +80,18 @@ def plan_sensors(
 def plan_sensor(
     uid: str, cfg: SensorCfg, known: Known, *, ground: bool = True, open_scene: bool = False
 ) -> tuple[SensorPlan | None, list[Problem]]:
-    """Look up the links that a sensor means.
+    """Look up the links of a sensor.
 
     Args:
         uid: Its name.
         cfg: Its config.
         known: The entities of the scene.
         ground: Whether the scene has the ground plane.
-        open_scene: Whether Python code may add entities: an unknown one is then no mistake.
+        open_scene: Whether Python code may add entities, so that unknown ones are allowed.
 
     Returns:
-        The plan (None if it is wrong or not all known yet), and every mistake, with paths relative
-        to the sensor's config.
+        The plan (None if something is wrong or unknown), and every mistake, with paths relative to
+        the sensor's config.
     """
     if not isinstance(cfg, _TYPES):
         types = ", ".join(str(kind().sensor_type) for kind in _TYPES)
@@ -118,22 +116,17 @@ def plan_sensor(
 def _links(
     path: str, cfg: LinksCfg, known: Known, open_scene: bool
 ) -> tuple[tuple[str, ...], list[Problem]]:
-    """The links that a config picks, all of them if it names none."""
-    fields = {"uid": cfg.uid, "link_names": cfg.link_names}
-    problems = check_reference(path, fields, known, open_scene)
+    """The links that a config picks; by default all."""
+    picked, problems = pick(path, vars(cfg), known, open_scene)
     entity = known.get(cfg.uid)
     if problems or entity is None:
         return (), problems
     names = (cfg.uid,) if isinstance(entity, str) else entity.link_names
     if cfg.link_names is None:
         return names, []
-    patterns = [cfg.link_names] if isinstance(cfg.link_names, str) else cfg.link_names
-    picked = [i for p in patterns for i in match(p, names, "link", path)[0]]
-    unique = list(dict.fromkeys(picked))
-    ordered = unique if cfg.preserve_order else sorted(unique)
-    if not ordered:
+    if not picked.links:
         return (), [Problem(f"{path}.link_names", "names no link; leave it out for all")]
-    return tuple(names[i] for i in ordered), []
+    return tuple(names[i] for i in picked.links), []
 
 
 def _one(
@@ -156,7 +149,7 @@ def _check_mount(cfg: ImuSensorCfg) -> list[Problem]:
         value: Any = getattr(cfg, key)
         array = np.asarray(value, np.float64)
         if array.shape != (size,) or not np.isfinite(array).all():
-            problems.append(Problem(key, f"wants {size} finite numbers, got {value!r}"))
+            problems.append(Problem(key, f"must be {size} finite numbers, got {value!r}"))
         elif key == "quat" and not array.any():
             problems.append(Problem(key, "must not be zero: it is a rotation, wxyz"))
     return problems
@@ -165,13 +158,13 @@ def _check_mount(cfg: ImuSensorCfg) -> list[Problem]:
 def _others(
     cfg: LinksCfg, known: Known, ground: bool, open_scene: bool
 ) -> tuple[tuple[tuple[mujoco.mjtObj, str], ...], list[Problem]]:
-    """What contacts count: the ground's shape, an entity's whole tree, or single links."""
+    """Objects with which contacts count: the ground's geom, an entity's tree, or links."""
     if cfg.uid == GROUND and ground:
         if cfg.link_names is not None:
             return (), [Problem("against.link_names", f"{GROUND!r} has no links")]
         return ((_OBJECT.mjOBJ_GEOM, GROUND),), []
     if ground:
-        known = {GROUND: "ground plane", **known}  # for the list of what there is
+        known = {GROUND: "ground plane", **known}  # for the list in messages
     links, problems = _links("against", cfg, known, open_scene)
     entity = known.get(cfg.uid)
     if not links or entity is None:
@@ -201,12 +194,12 @@ _KINDS: dict[str, tuple[mujoco.mjtSensor, ...]] = {
 
 @dataclass(frozen=True)
 class SensorIndex:
-    """Where the compiled model keeps one sensor.
+    """Columns of one sensor in the compiled model.
 
     Attributes:
-        columns: Its part of ``sensordata``.
-        shape: What the columns mean: (links, others, 4) for contacts (how many, then force in N),
-            (10,) for an IMU (wxyz, rad/s, m/s^2), (links, 6) for force and torque (N, N m).
+        columns: Its columns in ``sensordata``.
+        shape: Shape of its data: (links, others, 4) for contacts (count, then force in N), (10,)
+            for an IMU (wxyz, rad/s, m/s^2), (links, 6) for force and torque (N, N m).
     """
 
     columns: slice
@@ -214,7 +207,7 @@ class SensorIndex:
 
 
 def add_sensors(spec: mujoco.MjSpec, plans: Mapping[str, SensorPlan]) -> None:
-    """Add what MuJoCo computes for sensors, named ``UID/...``, each sensor's in one piece."""
+    """Add MuJoCo's sensors, named ``UID/...``; those of one sensor are contiguous."""
     for plan in plans.values():
         if isinstance(plan.cfg, ContactSensorCfg):
             _add_contacts(spec, plan)
@@ -223,7 +216,7 @@ def add_sensors(spec: mujoco.MjSpec, plans: Mapping[str, SensorPlan]) -> None:
 
 
 def _add_contacts(spec: mujoco.MjSpec, plan: SensorPlan) -> None:
-    """One MuJoCo sensor for every pair of a link and what it touches."""
+    """Add a MuJoCo sensor for every pair of a link and an object of `others`."""
     for i, body in enumerate(plan.bodies):
         for j, (kind, name) in enumerate(plan.others or ((_OBJECT.mjOBJ_UNKNOWN, ""),)):
             sensor = spec.add_sensor(name=f"{plan.uid}/{i}/{j}", type=_SENSOR.mjSENS_CONTACT)
@@ -233,7 +226,7 @@ def _add_contacts(spec: mujoco.MjSpec, plan: SensorPlan) -> None:
 
 
 def _add_sites(spec: mujoco.MjSpec, plan: SensorPlan) -> None:
-    """A site on every link, and the sensors that read there."""
+    """Add a site on every link, and the sensors at it."""
     cfg = plan.cfg
     for i, name in enumerate(plan.bodies):
         site = spec.body(name).add_site(name=f"{plan.uid}/{i}", size=[1e-3] * 3, group=5)
@@ -252,7 +245,7 @@ def index_sensors(model: mujoco.MjModel, plans: Mapping[str, SensorPlan]) -> dic
 
 
 def silent_sensors(model: mujoco.MjModel, plans: Mapping[str, SensorPlan]) -> list[str]:
-    """Return one line for every contact sensor that can never report anything."""
+    """Return a message for every contact sensor that can never report a contact."""
     collides = (model.geom_contype | model.geom_conaffinity) != 0
     collides[np.concatenate([model.pair_geom1, model.pair_geom2])] = True  # a file's own pairs
     bodies = set(model.geom_bodyid[collides].tolist())

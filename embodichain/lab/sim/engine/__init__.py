@@ -1,1 +1,1 @@
-"""What steps the batch: one contract (`base`), one implementation a device."""
+"""Engines that step the batch: one interface (`api`), one implementation per device."""

@@ -1,4 +1,4 @@
-"""`Engine`: the contract of what steps N environments, its state rows, and what it reports.
+"""`Engine`: interface for stepping N environments; state rows and listeners.
 
 `CpuEngine` implements it on `mujoco.batch`.
 """
@@ -21,7 +21,6 @@ __all__ = [
     "PhysicsEvent",
     "Write",
     "WriteOp",
-    "entries",
     "row_layout",
 ]
 
@@ -39,9 +38,9 @@ class Write(NamedTuple):
 
     Attributes:
         op: ``state`` sets columns of state rows; ``model`` sets columns of a per-environment model
-            field; ``reset`` gives rows MuJoCo's reset state (`mj_resetData`), ``values`` is None;
-            ``set_const`` recomputes the constants that MuJoCo derives, ``values`` is None;
-            ``forward`` ran `mj_forward` (it may change nothing of the row), ``values`` is None.
+            field; ``reset`` sets rows to MuJoCo's reset state (`mj_resetData`); ``set_const``
+            recomputes derived constants (`mj_setConst`); ``forward`` ran `mj_forward` (the row may
+            be unchanged). ``values`` is None for the last three.
         field: A component of the state row (``qpos``, ``ctrl``, ``mocap_pos``, ``row`` for whole
             rows...) or a model field (``body_mass``, ``opt.gravity``); empty for other ops.
         env_ids: (n,) int64, or None for all N.
@@ -60,11 +59,12 @@ class PhysicsEvent(NamedTuple):
     """Physics is about to step (``before``) or has just stepped (``after``).
 
     Attributes:
-        phase: Which of the two.
+        phase: ``before`` or ``after``.
         nstep: Physics steps of this call.
         env_ids: (n,) environments that step, or None for all.
         rows: (N, nstate) **live** integration-state rows: copy them to store them.
-        failed: After: (m,) environments in which the engine raised and kept the previous row.
+        failed: (m,) environments in which MuJoCo raised and the previous row was kept; set in
+            phase ``after``.
     """
 
     phase: Literal["before", "after"]
@@ -75,7 +75,7 @@ class PhysicsEvent(NamedTuple):
 
 
 class EngineListener(Protocol):
-    """Receives everything that changes the simulation."""
+    """Is called for everything that changes the simulation."""
 
     def on_write(self, write: Write) -> None:
         """Called after a write was applied to the rows or model fields."""
@@ -87,13 +87,13 @@ class EngineListener(Protocol):
 class Engine(Protocol):
     """N simulations of one model.
 
-    All arrays are float64 numpy, row *i* is environment *i*. `env_ids` is None (all) or sorted
-    unique int64. Reads marked *fresh* run the position and velocity stages of environments whose
-    rows changed since.
+    All arrays are float64 numpy; row *i* is environment *i*. `env_ids` is None (all) or sorted
+    unique int64. Reads marked *fresh* first run the position and velocity stages of environments
+    in which rows have changed.
     """
 
     version: int
-    """Rises with everything that may change positions, velocities or the model."""
+    """Increases with every change that may affect positions, velocities or the model."""
     model: mujoco.MjModel
     num_envs: int
     listeners: list[EngineListener]
@@ -106,14 +106,14 @@ class Engine(Protocol):
         """Columns of a state component (``qpos``, ``mocap_pos``...) within a row.
 
         Raises:
-            KeyError: If there is none of that name; lists them.
+            KeyError: If there is no such component; lists them.
         """
 
     def state(self, name: str) -> F64:
         """(N, width) live view of a state component. Do not write: use `write`.
 
-        The view of a component is the same array as long as the engine lives, so handles may store
-        it and slices of it.
+        A component's view remains valid for the engine's lifetime, so handles may store it and
+        slices of it.
         """
 
     def derived(self, name: str) -> F64:
@@ -122,26 +122,26 @@ class Engine(Protocol):
     def acceleration(self, name: str) -> F64:
         """(N, ...) acceleration-stage field (``qfrc_actuator``) of the last physics step.
 
-        After `forward` it is that of the state then. The first request of a field computes it at
-        the current state. The array is valid until the next step or full forward.
+        After `forward` it is that of the current state. The first request of a field computes it
+        at the current state. The array is valid until the next step or full `forward`.
         """
 
     def step(self, nstep: int, env_ids: EnvIndex | None = None) -> None:
         """Advance physics by ``nstep`` steps of the model's timestep; see `take_diverged`."""
 
     def forward(self, env_ids: EnvIndex | None = None) -> None:
-        """Compute every derived field, acceleration stage included, without stepping."""
+        """Compute all derived fields, acceleration stage included, without stepping."""
 
     def reset(self, env_ids: EnvIndex | None = None) -> None:
-        """Give rows MuJoCo's reset state: warm start, ctrl, act, applied forces, time.
+        """Set rows to MuJoCo's reset state (`mj_resetData`): time, ctrl, act, warm start...
 
-        Warning counters are cleared.
+        Also clears the warning counters.
         """
 
     def write(
         self, field: str, values: Any, env_ids: EnvIndex | None = None, columns: Columns = ALL
     ) -> None:
-        """Set columns of a state component: every change outside physics passes here.
+        """Set columns of a state component. All state changes outside physics use this method.
 
         Args:
             field: The component (``qpos``, ``ctrl``, ``mocap_pos``...), or ``row`` for whole rows.
@@ -156,30 +156,30 @@ class Engine(Protocol):
         """Set columns of a model field per environment, as `write` does; see `set_const`.
 
         Raises:
-            ValueError: If the field is none of `mujoco.batch.MODEL_FIELDS` (an `MjModel` field or
-                ``opt.NAME``), which can differ between environments.
+            ValueError: If the field (of `MjModel`, or ``opt.NAME``) is not in
+                `mujoco.batch.MODEL_FIELDS`, those that can differ between environments.
         """
 
     def model_field(self, field: str) -> NDArray[Any]:
         """(N, size) flattened per-environment values of a model field. Do not write."""
 
     def set_const(self, env_ids: EnvIndex | None = None) -> None:
-        """Recompute what MuJoCo derives from model fields (`mj_setConst`), at once."""
+        """Recompute derived model constants (`mj_setConst`) immediately."""
 
     def set_const_later(self, env_ids: EnvIndex | None = None) -> None:
-        """The same before the next read or step: once for all writes until then."""
+        """Call `set_const` before the next read or step, once for all writes until then."""
 
     def take_diverged(self) -> NDArray[np.bool_] | None:
         """(N,) mask of environments that diverged since the last call, or None."""
 
     def model_of(self, env_id: int) -> mujoco.MjModel:
-        """A copy of one environment's model, its own field values included."""
+        """A copy of one environment's model, with that environment's field values."""
 
     def data_of(self, env_id: int) -> mujoco.MjData:
-        """One environment as an MjData: derived fields computed, its model with its own values."""
+        """One environment as an MjData with derived fields computed; its model as in `model_of`."""
 
     def model_fields(self) -> dict[str, NDArray[Any]]:
-        """Name -> (N, ...) copies of per-environment model fields, derived ones as they are."""
+        """Name -> (N, ...) copies of per-environment model fields, derived ones included."""
 
     def state_dict(self) -> dict[str, Any]:
         """Rows, per-environment model fields, warning counters, acceleration fields (copies)."""
@@ -226,10 +226,3 @@ def row_layout(model: mujoco.MjModel) -> dict[str, slice]:
             layout[bits.get(bit, f"state_{position}")] = slice(start, start + size)
             start += size
     return layout
-
-
-def entries(env_ids: EnvIndex | None, columns: Columns) -> tuple[Any, Any]:
-    """Return the index of columns in the rows of environments; None is all environments."""
-    if env_ids is None:
-        return ALL, columns
-    return (env_ids if isinstance(columns, slice) else env_ids[:, None]), columns

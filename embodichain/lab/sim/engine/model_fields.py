@@ -1,6 +1,6 @@
 """`ModelFields`: model fields that differ between a batch's environments.
 
-It knows which fields are expanded, which environments' derived constants are out of date, and
+It tracks which fields are expanded, in which environments derived constants are out of date, and
 whether all environments are reset to the same row.
 """
 
@@ -33,13 +33,13 @@ DERIVED_FIELDS = frozenset(
     }
 )
 # fmt: on
-"""What `mj_setConst` writes: `MJSETCONST_ARRAYS` of MuJoCo 4.0.0's `mjxmacro.h`."""
+"""Fields that `mj_setConst` writes: `MJSETCONST_ARRAYS` of MuJoCo 4.0.0's `mjxmacro.h`."""
 _RESET_FIELDS = frozenset(
     {"qpos0", "body_pos", "body_quat", "body_mocapid", "eq_active0", "opt.timestep"}
 )
 _RESET_WORDS = ("history", "delay", "plastic", "plugin", "sleep", "interval")
-"""What `mj_resetData` reads: qpos0, the poses of mocap bodies, constraints that are active, and how
-buffers of delays, histories and plastic deformation begin."""
+"""Parts of names of fields that `mj_resetData` reads, besides qpos0, poses of mocap bodies and
+active constraints: initial buffers of delays, histories and plastic deformation."""
 
 
 class ModelFields:
@@ -51,21 +51,21 @@ class ModelFields:
 
     Attributes:
         resets_alike: Whether every environment is still reset to the same row.
-        stale: Whether constants are out of date anywhere.
+        stale: Whether constants are out of date in any environment.
     """
 
     def __init__(self, batch: mjbatch.Batch, num_envs: int) -> None:
         self._batch = batch
         self._num_envs = num_envs
         self._views: dict[str, NDArray[Any]] = {}
-        self._own: dict[str, NDArray[Any]] = {}
+        self._internal: dict[str, NDArray[Any]] = {}
         self._stale: NDArray[np.bool_] = np.zeros(num_envs, np.bool_)
         self.stale = False
         self.resets_alike = True
 
     @property
     def any(self) -> bool:
-        """Whether environments may have models of their own."""
+        """Whether environments may have different models."""
         return bool(self._views)
 
     def _expand(self, name: str) -> NDArray[Any]:
@@ -90,40 +90,40 @@ class ModelFields:
                 self.resets_alike = False
         return view
 
-    def own(self, name: str) -> NDArray[Any]:
+    def internal(self, name: str) -> NDArray[Any]:
         """(N, size) live values of a field that the engine changes for one call of the batch.
 
-        It does not count as expanded.
+        The field does not count as expanded.
         """
-        found = self._own.get(name)
+        found = self._internal.get(name)
         if found is None:
-            found = self._own[name] = self._expand(name)
+            found = self._internal[name] = self._expand(name)
         return found
 
     def expanded(self) -> dict[str, NDArray[Any]]:
-        """Name -> (N, ...) values of all expanded fields, those included that MuJoCo derived."""
-        names = mjbatch.MODEL_FIELDS - (self._own.keys() - self._views.keys())
+        """Name -> (N, ...) values of all expanded fields, derived ones included."""
+        names = mjbatch.MODEL_FIELDS - (self._internal.keys() - self._views.keys())
         found = {name: self._batch.expanded(name) for name in sorted(names)}
         return {name: values for name, values in found.items() if values is not None}
 
     def default(self, name: str) -> NDArray[Any]:
-        """(size,) the compiled values of a field, as much of it as `view` has."""
+        """(size,) compiled values of a field, as many as `view` has."""
         owner: Any = self._batch.model
         *path, last = name.split(".")
         for part in path:
             owner = getattr(owner, part)
-        # Of bounding volumes the batch keeps only the bodies', which precede the meshes'.
+        # The batch keeps bounding volumes of bodies only, which precede those of meshes.
         return np.asarray(getattr(owner, last)).reshape(-1)[: self.view(name).shape[1]]
 
     # -- derived constants -------------------------------------------------------------------------
 
     def mark(self, env_ids: EnvIndex | None) -> None:
-        """Remember that these environments' constants are out of date."""
+        """Mark the constants of these environments as out of date."""
         self.stale = True
         self._stale[slice(None) if env_ids is None else env_ids] = True
 
     def take_stale(self) -> EnvIndex | None:
-        """Environments whose constants are out of date (None is all); they are so no longer."""
+        """Return environments with constants out of date (None is all) and clear the marks."""
         ids = None if self._stale.all() else np.flatnonzero(self._stale)
         self._stale[:] = False
         self.stale = False

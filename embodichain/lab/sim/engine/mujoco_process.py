@@ -16,8 +16,8 @@ _logger = logging.getLogger("embodichain.mujoco")
 def install_log_handler() -> None:
     """Send MuJoCo's warnings to the logger ``embodichain.mujoco``, at level INFO.
 
-    MuJoCo would write them to MUJOCO_LOG.TXT in the working directory. INFO, because a divergence
-    is reported in `info` and in the log already. Another handler stays in place.
+    MuJoCo would write them to MUJOCO_LOG.TXT in the working directory. The level is INFO because
+    `info` and the log report divergence already. A handler set by the user is kept.
     """
     if mujoco.get_mju_user_warning() is None:
         mujoco.set_mju_user_warning(_log)
@@ -29,11 +29,11 @@ def _log(message: str | bytes) -> None:
 
 
 def stop_timers() -> None:
-    """Stop MuJoCo's timers (`mjData.timer`) in this process; another time callback stays.
+    """Stop MuJoCo's timers (`mjData.timer`) in this process; a user's time callback is kept.
 
-    Its Python package starts them, and every stage of a physics step reads the clock twice, about
-    1 us a step in all. Python has no call that stops them. ``mujoco.set_mjcb_time(None)`` starts
-    them again. Where the library's ``mjcb_time`` cannot be found (Windows), they keep running.
+    MuJoCo's Python package starts them, and every stage of a physics step reads the clock twice,
+    about 1 us per step in total. Python has no call that stops them; ``mujoco.set_mjcb_time(None)``
+    restarts them. Where the library's ``mjcb_time`` cannot be found (Windows), they keep running.
     """
     if mujoco.get_mjcb_time() is not None:
         return

@@ -1,4 +1,7 @@
-"""Mesh files into OBJ and PNG files that MuJoCo reads, made once and cached by content."""
+"""Converts mesh files to OBJ and PNG files that MuJoCo reads, cached by content.
+
+CoACD splits concave meshes into convex parts (Wei et al., SIGGRAPH 2022).
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,14 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import sha256
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
 
-from embodichain.lab.sim.meshes.mesh_part import MeshPart, Rgba, joined
-from embodichain.lab.sim.meshes.mesh_reading import read_mesh
+import numpy as np
+
+from embodichain.lab.sim.meshes.mesh_reading import MeshError, MeshPart, Rgba, joined, read_mesh
 
 __all__ = [
     "MAX_STL_FACES",
@@ -36,7 +41,7 @@ _MANIFEST = "manifest.json"
 
 
 def cache_folder() -> Path:
-    """Return where made meshes are kept; it need not exist.
+    """Return the folder of converted meshes; it need not exist.
 
     It is ``meshes`` in ``$EMBODICHAIN_CACHE``, else in ``$XDG_CACHE_HOME/embodichain``, else in
     ``~/.cache/embodichain``.
@@ -47,11 +52,11 @@ def cache_folder() -> Path:
 
 
 def digest(recipe: str, files: list[Path]) -> str:
-    """Return the name of what a recipe makes of files: 32 hexadecimal digits of their SHA-256.
+    """Return the name of a cache entry: 32 hexadecimal digits of a SHA-256.
 
     Args:
-        recipe: How it is made; another version of that has another text.
-        files: What it is made from, the main file first. One that is missing counts as such.
+        recipe: Kind and version of the conversion.
+        files: The source files, the main file first. Missing ones count as missing.
     """
     total = sha256(recipe.encode())
     for path in files:
@@ -63,12 +68,12 @@ def digest(recipe: str, files: list[Path]) -> str:
 
 
 def entry(name: str, make: Callable[[Path], dict[str, Any]]) -> tuple[Path, dict[str, Any]]:
-    """Return an entry's folder and manifest; it is made if it is not there.
+    """Return an entry's folder and manifest; it is created if it does not exist.
 
     Args:
         name: From `digest`.
-        make: Writes the entry's files into an empty folder and returns its manifest, which JSON can
-            hold. What it raises leaves nothing behind.
+        make: Writes the entry's files to an empty folder and returns its manifest, as JSON values.
+            If it raises, no entry remains.
 
     Raises:
         OSError: If the cache cannot be written.
@@ -88,7 +93,7 @@ def entry(name: str, make: Callable[[Path], dict[str, Any]]) -> tuple[Path, dict
         except OSError:
             if not (place / _MANIFEST).is_file():
                 raise
-            # Another process was first, with the same content.
+            # Another process has created the same entry.
     finally:
         shutil.rmtree(stage, ignore_errors=True)
     return place, manifest
@@ -98,9 +103,11 @@ NATIVE = (".obj", ".stl", ".msh")
 """Suffixes that MuJoCo reads."""
 
 MAX_STL_FACES = 200_000
-"""MuJoCo's limit."""
+"""MuJoCo's limit on faces of an STL file."""
 
-_VERSION = 2  # of what is written: raised with every change of it
+_VERSION = 2  # increased with every change of the output
+_PARTS_VERSION = 1  # likewise, for convex parts
+_HULL_VERTICES = 64  # per part, as the compiler keeps of a hull
 _STL_HEAD, _STL_FACE = 84, 50  # bytes
 
 
@@ -110,8 +117,8 @@ class MadePart:
 
     Attributes:
         mesh: OBJ file.
-        rgba: Its colour; None where the file has none.
-        texture: PNG file, or None. MuJoCo multiplies it with the colour.
+        rgba: Its colour; None if the file has none.
+        texture: PNG file, or None. MuJoCo multiplies it by the colour.
     """
 
     mesh: Path
@@ -121,14 +128,14 @@ class MadePart:
 
 @dataclass(frozen=True)
 class MadeVisual:
-    """A visual mesh: its parts, and what was lost, one line each with the file's name."""
+    """A visual mesh: its parts, and notes about lost data, one line each with the file's name."""
 
     parts: tuple[MadePart, ...]
     notes: tuple[str, ...]
 
 
 def reads(path: Path) -> bool:
-    """Whether MuJoCo reads a mesh file as it is: not an ASCII or an overlong STL, for one."""
+    """Whether MuJoCo reads a mesh file as it is (not, for example, ASCII or very large STL)."""
     suffix = path.suffix.lower()
     if suffix != ".stl":
         return suffix in NATIVE
@@ -140,19 +147,19 @@ def reads(path: Path) -> bool:
 
 
 def has_materials(path: Path) -> bool:
-    """Whether it is an OBJ file with a material file: MuJoCo reads its triangles alone."""
+    """Whether it is an OBJ file with a material file, which MuJoCo ignores."""
     return path.suffix.lower() == ".obj" and bool(_libraries(path))
 
 
 def convert_visual(path: Path) -> MadeVisual:
-    """Make a mesh file into parts of one material each, as OBJ, with textures as PNG.
+    """Convert a mesh file to one OBJ file per material, with textures as PNG.
 
     Raises:
         MeshError: If it cannot be read, or a library that reads it is missing.
         OSError: If the cache cannot be written.
     """
     name = digest(f"visual {_VERSION} {path.name}", [path, *referenced(path)])
-    stem = f"{path.stem}-{name[:8]}"  # MuJoCo names meshes by their files: one name, one content
+    stem = f"{path.stem}-{name[:8]}"  # MuJoCo names meshes by file: one name, one content
 
     def make(folder: Path) -> dict[str, Any]:
         data = read_mesh(path)
@@ -172,7 +179,7 @@ def convert_visual(path: Path) -> MadeVisual:
 
 
 def convert_collision(path: Path) -> Path:
-    """Make a mesh file into one OBJ file of all its triangles; MuJoCo collides their hull.
+    """Convert a mesh file to one OBJ file of all its triangles; their hull collides.
 
     Raises:
         MeshError: If it cannot be read, or a library that reads it is missing.
@@ -188,8 +195,62 @@ def convert_collision(path: Path) -> Path:
     return entry(name, make)[0] / file
 
 
+def decompose(path: Path, max_parts: int | None = None) -> tuple[Path, ...]:
+    """Split a mesh into convex parts, as OBJ files; deterministic (seed 0).
+
+    Takes seconds to minutes the first time.
+
+    Args:
+        path: The mesh file.
+        max_parts: Maximum number; None is as many as CoACD's default concavity of 0.05 needs.
+
+    Raises:
+        MeshError: If it cannot be read, or CoACD is missing or fails.
+        OSError: If the cache cannot be written.
+    """
+    try:
+        version = metadata.version("coacd")
+    except metadata.PackageNotFoundError as error:
+        message = "splitting into convex parts needs coacd: pip install 'embodichain[decompose]'"
+        raise MeshError(f"{path}: {message}") from error
+    most = -1 if max_parts is None else max_parts
+    recipe = f"parts {_PARTS_VERSION} coacd {version} {most} {path.name}"
+    name = digest(recipe, [path, *referenced(path)])
+
+    def make(folder: Path) -> dict[str, Any]:
+        files = []
+        for number, part in enumerate(_split(path, most)):
+            files.append(f"{path.stem}-{name[:8]}-{number}.obj")
+            write_obj(part, folder / files[-1])
+        return {"files": files}
+
+    folder, manifest = entry(name, make)
+    return tuple(folder / file for file in manifest["files"])
+
+
+def _split(path: Path, most: int) -> list[MeshPart]:
+    import coacd
+
+    coacd.set_log_level("error")
+    whole = joined(read_mesh(path).parts)
+    mesh = coacd.Mesh(whole.vertices.astype(np.float64), whole.faces)
+    try:
+        parts = coacd.run_coacd(
+            mesh,
+            max_convex_hull=most,
+            decimate=True,
+            max_ch_vertex=_HULL_VERTICES,
+            seed=0,
+        )
+    except (RuntimeError, ValueError) as error:
+        raise MeshError(f"{path}: CoACD cannot split it: {error}") from error
+    if not parts:
+        raise MeshError(f"{path}: CoACD cannot split it: it returned no parts")
+    return [MeshPart(v.astype(np.float32), f.astype(np.int32)) for v, f in parts]
+
+
 def write_obj(part: MeshPart, path: Path) -> None:
-    """Write triangles, with texture coordinates where they have them."""
+    """Write triangles, with texture coordinates if there are any."""
     lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in part.vertices.tolist()]
     faces = (part.faces + 1).tolist()
     if part.uv is None:
@@ -201,7 +262,7 @@ def write_obj(part: MeshPart, path: Path) -> None:
 
 
 def _save(part: MeshPart, folder: Path, stem: str) -> dict[str, Any]:
-    """Write a part and its texture; return what the manifest says of it."""
+    """Write a part and its texture; return its entry in the manifest."""
     write_obj(part, folder / f"{stem}.obj")
     texture = None
     if part.texture is not None:
@@ -213,7 +274,7 @@ def _save(part: MeshPart, folder: Path, stem: str) -> dict[str, Any]:
 
 
 def referenced(path: Path) -> list[Path]:
-    """Return the files that a mesh file names: their content is part of what is made of it."""
+    """Return the files that a mesh file refers to, on which its conversion depends."""
     suffix = path.suffix.lower()
     if suffix == ".obj":
         libraries = _libraries(path)
@@ -234,7 +295,7 @@ def _libraries(path: Path) -> list[Path]:
 
 
 def _named(path: Path, pattern: bytes) -> list[Path]:
-    """Return the files that a file names; options before a texture's name are left out."""
+    """Return the files that a file refers to, without options before a texture's name."""
     names = re.findall(pattern, path.read_bytes())
     texts = [name.decode("utf-8", "replace").strip() for name in names]
     return [path.parent / unquote(t.removeprefix("file://")).split(" ")[-1] for t in texts if t]

@@ -1,4 +1,4 @@
-"""Handles: the Python objects over one entity in all environments."""
+"""Handles: each is a Python object for one entity in all environments."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Crossing the border between users' tensors and the engine's numpy rows.
+"""Conversion between users' tensors and the engine's numpy rows.
 
-Checks of environment indices, shapes, devices and finiteness live here, once.
+Environment indices, shapes, devices and finiteness are checked here.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.compiler.names import match
-
 if TYPE_CHECKING:
     import mujoco
 
@@ -26,32 +24,31 @@ __all__ = [
     "as_rows",
     "columns_of",
     "field_values",
-    "names_matching",
     "to_tensor",
 ]
 
 
 def all_finite(values: NDArray[np.floating[Any]]) -> bool:
-    """Whether no number is infinite or NaN."""
-    # A search for a zero byte costs half of a reduction on small arrays.
+    """Whether all numbers are finite."""
+    # Searching for a zero byte takes half the time of a reduction on small arrays.
     return b"\0" not in np.isfinite(values).tobytes()
 
 
 def to_tensor(array: NDArray[Any]) -> torch.Tensor:
-    """Return a float32 tensor that shares nothing with ``array``."""
+    """Return a float32 tensor that shares no memory with ``array``."""
     return torch.from_numpy(array.astype(np.float32))
 
 
 def field_values(
     model: mujoco.MjModel, fields: Mapping[str, NDArray[Any]], name: str, columns: Columns
 ) -> tuple[F64, F64]:
-    """Columns (k,) of a flattened model field, and the same as compiled.
+    """Return columns (k,) of a flattened model field: current values and compiled values.
 
     Args:
-        model: As compiled.
-        fields: Name -> (size,) values; absent ones are as compiled.
+        model: The compiled model.
+        fields: Name -> (size,) current values; other fields are as compiled.
         name: The field.
-        columns: (k,) of it.
+        columns: Its k columns.
     """
     compiled = getattr(model, name)
     now, before = (
@@ -62,7 +59,7 @@ def field_values(
 
 
 def columns_of(ids: Sequence[int] | NDArray[Any]) -> Columns:
-    """A slice where indices are evenly spaced and ascend (views, no copies), else the indices."""
+    """Return a slice if indices ascend evenly (gives views, not copies), else the indices."""
     return _columns(np.asarray(ids, np.int64).tobytes())
 
 
@@ -119,13 +116,13 @@ def as_rows(
     Args:
         values: A tensor, array or nested sequence of shape (rows, width).
         rows: Environments addressed.
-        width: Values an environment.
+        width: Values per environment.
         what: Name for messages.
         shared: Whether one row (width,) may stand for all environments.
         finite: Whether NaN and infinities are refused.
 
     Raises:
-        ValueError: If the shape, the device or a value is wrong; says what is wanted.
+        ValueError: If the shape, the device or a value is wrong; says what is expected.
     """
     if isinstance(values, torch.Tensor):
         if values.device.type != "cpu":
@@ -142,19 +139,3 @@ def as_rows(
         bad = np.flatnonzero(~np.isfinite(array).all(axis=1))
         raise ValueError(f"{what} is not finite in rows {bad[:8].tolist()}")
     return array
-
-
-def names_matching(patterns: str | Sequence[str], names: Sequence[str], what: str) -> list[int]:
-    """Indices of names that a pattern matches in full, in the order of ``names``.
-
-    Raises:
-        ValueError: If a pattern matches nothing; lists the names.
-    """
-    wanted = [patterns] if isinstance(patterns, str) else list(patterns)
-    found: set[int] = set()
-    for pattern in wanted:
-        indices, problems = match(pattern, names, what, "")
-        if problems:
-            raise ValueError(problems[0].message)
-        found |= set(indices)
-    return sorted(found)

@@ -1,4 +1,4 @@
-"""`Articulation`: handle over one jointed mechanism in N environments."""
+"""`Articulation`: handle of one jointed mechanism in N environments."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.sim.body_motion import origin_velocities
+from embodichain.lab.sim.compiler.names import match
 from embodichain.lab.sim.objects._arrays import (
     as_env_ids,
     columns_of,
-    names_matching,
     to_tensor,
 )
 from embodichain.lab.sim.objects.articulation_data import ArticulationData
@@ -38,11 +38,11 @@ Ids = NDArray[np.int64]
 class Articulation(BatchEntity):
     """One jointed mechanism in N environments: D one-degree joints in qpos order, L links.
 
-    Ball joints are simulated, but no joint array has a column for them.
+    Ball joints are simulated, but have no columns in joint arrays.
 
     Args:
-        cfg: Its config (kept as given).
-        parsed: Its file, read.
+        cfg: Its config (not modified).
+        parsed: Its file and config, parsed.
         host: The simulation.
 
     Attributes:
@@ -51,13 +51,13 @@ class Articulation(BatchEntity):
         body_data: Reads of joints, root and links.
         dof: D.
         joint_names: (D,) in qpos order.
-        all_joint_names: Same as `joint_names`: fixed joints are gone after parsing.
-        mimic_ids, mimic_parents: Joints that follow another one, and which one each follows.
+        all_joint_names: Same as `joint_names`: parsing removes fixed joints.
+        mimic_ids, mimic_parents: Joints that follow another one, and the joints they follow.
         mimic_multipliers, mimic_offsets: Slope and offset (rad or m) of each mimic joint.
-        active_joint_ids, active_joint_names, active_dof: The joints that mimic no other one.
+        active_joint_ids, active_joint_names, active_dof: All but mimic joints.
         link_names: (L,) parents before children.
         root_link_name: The root link.
-        actuator_names: (M,) controls: the actuator's name, with ``.INPUT`` where it has several.
+        actuator_names: (M,) names of controls: the actuator's, with ``.INPUT`` if it has several.
     """
 
     cfg: ArticulationCfg
@@ -95,12 +95,12 @@ class Articulation(BatchEntity):
             self._qpos = engine.state("qpos")[:, self._qpos_columns]
         if isinstance(self._dofs, slice):
             self._qvel = engine.state("qvel")[:, self._dofs]
-        # The first request of an acceleration field computes it anew, so it is made here.
+        # The first request of an acceleration field computes it, so make it here.
         engine.acceleration("qfrc_actuator")
         self.drives.bind()
 
     def destroy(self) -> None:
-        """Drop the engine and the model of the file; names and limits remain."""
+        """Release the engine and the file's model; names and limits remain."""
         super().destroy()
         self._qpos = self._qvel = None
         self.parsed = self.drives.parsed = self.parsed.without_model()
@@ -134,7 +134,7 @@ class Articulation(BatchEntity):
             return np.asarray(self.get_joint_ids(name), np.int64)
         return self._all if joint_ids is None else self._indices(joint_ids, self.dof, "joint_ids")
 
-    # -- reads of joints: (N, D) float64, live views or copies, not to be written or kept ----------
+    # -- reads of joints: (N, D) float64, live views or copies: do not write or store -------------
 
     def read_qpos(self) -> F64:
         """(N, D) joint positions, rad or m."""
@@ -157,7 +157,7 @@ class Articulation(BatchEntity):
         return self.engine.acceleration("qfrc_actuator")[:, self._dofs]
 
     def read_efforts(self) -> F64:
-        """(N, D) `read_qf`; efforts set by `set_qf` since the last physics step are read as set."""
+        """(N, D) `read_qf`, or the effort set by `set_qf` if set since the last physics step."""
         efforts = self.read_qf()
         if self._effort_times is None:
             return efforts
@@ -177,10 +177,10 @@ class Articulation(BatchEntity):
         return to_tensor(values[:, self.get_joint_ids(name)])
 
     def get_qf(self, name: str | None = None) -> torch.Tensor:
-        """Joint efforts (N, k): what `set_qf` has set, until a physics step.
+        """Joint efforts (N, k): those set by `set_qf`, until the next physics step.
 
-        After a step, and where nothing was set, they are what the drives gave in the last physics
-        step; an effort that was set still acts then, but is not counted.
+        After a step, and where none were set, they are the drives' efforts in the last physics
+        step, without efforts set by `set_qf`, which still act.
         """
         return to_tensor(self.read_efforts()[:, self.get_joint_ids(name)])
 
@@ -196,9 +196,9 @@ class Articulation(BatchEntity):
 
         Args:
             qpos: (n, k) rad or m, or (k,) for all n environments.
-            joint_ids: The k joints; None is all of them (with ``target``, all that have a drive).
+            joint_ids: The k joints; None is all of them (with ``target``, all with a drive).
             env_ids: The n environments; None is all N.
-            target: True sets the PD drives' targets, False the positions themselves.
+            target: True sets the PD drives' targets, False the joint positions.
             name: A control part, instead of ``joint_ids``.
 
         Raises:
@@ -212,7 +212,7 @@ class Articulation(BatchEntity):
     def write_target(
         self, values: F64, joints: Ids | None = None, ids: EnvIndex | None = None
     ) -> None:
-        """Set drive targets (n, k) from checked arrays; without ``joints`` of all with a drive."""
+        """Set drive targets (n, k) from checked arrays; None is all joints with a drive."""
         self.index  # noqa: B018  (compiles, which fills the columns)
         drives = self.drives
         if joints is not None:
@@ -241,7 +241,7 @@ class Articulation(BatchEntity):
         target: bool = True,
         name: str | None = None,
     ) -> None:
-        """Set drive velocity targets, or the velocities themselves; arguments as `set_qpos`."""
+        """Set drive velocity targets, or joint velocities; arguments as for `set_qpos`."""
         joints = self._joints(joint_ids, name)
         values, ids = self._checked(qvel, len(joints), env_ids, "qvel", shared=True)
         if target:
@@ -252,7 +252,7 @@ class Articulation(BatchEntity):
     def set_qf(
         self, qf: Any, joint_ids: Any = None, env_ids: Any = None, name: str | None = None
     ) -> None:
-        """Apply joint efforts (n, k) in N m or N beside the drives, until overwritten or reset.
+        """Apply joint efforts (n, k) in N m or N, added to the drives', until overwritten or reset.
 
         `get_qf` reads them back until the next physics step.
         """
@@ -279,7 +279,7 @@ class Articulation(BatchEntity):
         joint_ids: Any = None,
         env_ids: Any = None,
     ) -> None:
-        """Set gains per environment; each value has shape (n, k), None leaves it.
+        """Set gains per environment; each value has shape (n, k), None keeps the current one.
 
         Raises:
             ValueError: If a shape is wrong, a value is negative or a joint has no drive.
@@ -292,7 +292,7 @@ class Articulation(BatchEntity):
             array, ids = self._checked(value, len(joints), env_ids, name, finite=False)
             if not (array >= 0).all():
                 raise ValueError(f"{self.uid}: {name} must not be negative or NaN")
-            self.drives.put(name, array, ids, joints)
+            self.drives.write(name, array, ids, joints)
 
     def get_joint_drive(
         self, joint_ids: Any = None, env_ids: Any = None
@@ -313,19 +313,26 @@ class Articulation(BatchEntity):
 
     @property
     def ctrl_limits(self) -> torch.Tensor:
-        """(M, 2) lower and upper controls, infinite where nothing limits them.
+        """(M, 2) lower and upper limits of controls, infinite where there is none.
 
-        MuJoCo clamps controls of the file's actuators, a drive its target to the joint's limits.
+        MuJoCo clamps controls of the file's actuators; targets of drives are clamped to the joint's
+        limits.
         """
         return to_tensor(self.parsed.ctrl_limits)
 
     def find_actuators(self, patterns: str | Sequence[str]) -> list[int]:
-        """Indices of controls whose names a regex matches in full, in their order.
+        """Indices of controls with names that a regex matches in full, ascending.
 
         Raises:
             ValueError: If a pattern matches nothing; lists the controls.
         """
-        return names_matching(patterns, self.actuator_names, f"actuator of {self.uid}")
+        found: set[int] = set()
+        for pattern in [patterns] if isinstance(patterns, str) else patterns:
+            ids, problems = match(pattern, self.actuator_names, f"actuator of {self.uid}", "")
+            if problems:
+                raise ValueError(problems[0].message)
+            found.update(ids)
+        return sorted(found)
 
     def _picked(self, actuator_ids: Any, names: str | Sequence[str] | None) -> Ids:
         count = len(self.actuator_names)
@@ -338,7 +345,7 @@ class Articulation(BatchEntity):
     def get_ctrl(
         self, actuator_ids: Any = None, names: str | Sequence[str] | None = None
     ) -> torch.Tensor:
-        """(N, k) controls, by index or by regex over `actuator_names`; all M without a choice."""
+        """(N, k) controls, by index or by regex over `actuator_names`; by default all M."""
         return to_tensor(self.read_ctrl()[:, self._picked(actuator_ids, names)])
 
     def set_ctrl(
@@ -350,8 +357,8 @@ class Articulation(BatchEntity):
     ) -> None:
         """Set controls; they stay until they are overwritten or the environment is reset.
 
-        What a control means depends on the actuator (`embodichain show`): a force, a position or a
-        velocity target, a muscle's excitation.
+        The meaning of a control depends on the actuator (`embodichain show`): a force, a position
+        or velocity target, a muscle's excitation.
 
         Args:
             ctrl: (n, k) in the actuators' units, or (k,) for all n environments.
@@ -367,7 +374,7 @@ class Articulation(BatchEntity):
         self.write_ctrl(values, which, ids)
 
     def read_ctrl(self) -> F64:
-        """(N, M) controls: a live view or a copy; do not write or keep."""
+        """(N, M) controls: a live view or a copy; do not write or store."""
         return self.engine.state("ctrl")[:, self._controls]
 
     def write_ctrl(
@@ -377,9 +384,9 @@ class Articulation(BatchEntity):
 
         Args:
             values: The controls.
-            which: (k,) indices: the file's actuators in their order, then those of drives.
+            which: (k,) indices in `actuator_names`: the file's actuators, then drives.
             ids: (n,) environments, or None for all.
-            seconds: If given, targets of drives move within their `max_velocity` times it.
+            seconds: If given, targets of drives move at most `max_velocity` times this.
         """
         columns = self.index.own_ctrl_ids[which]
         values = self.drives.take_controls(values, columns, ids, seconds)
@@ -405,7 +412,7 @@ class Articulation(BatchEntity):
         return np.asarray([self.body_of(link) for link in links or self.link_names], np.int64)
 
     def pose_of(self, bodies: int | Ids) -> F64:
-        """(N, 7) pose of a body, x, y, z, qw, qx, qy, qz; or (N, k, 7) of k (MuJoCo's ids)."""
+        """(N, 7) x, y, z, qw, qx, qy, qz of a body (MuJoCo's id), or (N, k, 7) of k bodies."""
         pos = self.engine.derived("xpos")[:, bodies]
         return np.concatenate([pos, self.engine.derived("xquat")[:, bodies]], axis=-1)
 
@@ -441,7 +448,7 @@ class Articulation(BatchEntity):
     def write_mass(
         self, mass: F64, bodies: Ids, ids: EnvIndex | None, inertia: bool = True
     ) -> None:
-        """Set masses (n, k) in kg of MuJoCo's bodies (k,) from checked arrays.
+        """Set masses (n, k) in kg of bodies (k,), by MuJoCo's ids, from checked arrays.
 
         Inertias scale with the masses, unless ``inertia`` is False.
         """
@@ -468,7 +475,7 @@ class Articulation(BatchEntity):
             self.engine.write(field, 0.0, ids, dofs)
 
     def forget_targets(self, ids: EnvIndex | None) -> None:
-        """Note that a reset has given environments (n,), or all, their initial row."""
+        """Clear targets, and efforts of `set_qf`, after a reset of environments (n,), or all."""
         self.drives.clear(ids)
         if self._effort_times is not None:
             self._effort_times[slice(None) if ids is None else ids] = np.nan

@@ -12,8 +12,8 @@ __all__ = ["ArticulationData"]
 class ArticulationData(TensorReads):
     """Reads of an articulation: every attribute is a fresh float32 tensor.
 
-    D joints in qpos order, L links. Limits and gains are known as soon as the articulation is
-    added; the rest compiles the scene. Poses are in the environment's frame, velocities those of
+    D joints in qpos order, L links. Limits and gains are available once the articulation is added;
+    other reads compile the scene. Poses are in the environment's frame. Velocities are those of
     origins, linear then angular, in world axes.
     """
 
@@ -28,7 +28,7 @@ class ArticulationData(TensorReads):
     qacc = TensorRead(lambda a: a.read_qacc())
     """(N, D) rad/s^2 or m/s^2 of the last physics step."""
     qf = TensorRead(lambda a: a.read_efforts())
-    """(N, D) N m or N: total drive effort of the last physics step, or what was set since.
+    """(N, D) N m or N: drive effort of the last physics step, or the effort set since.
 
     See `Articulation.get_qf`.
     """

@@ -1,13 +1,12 @@
 """`Drives`: gains and targets of an articulation's PD drives, and its joints' limits.
 
-A drive is one actuator, whose force is ``clip(kp (target - q) - kd qvel, -effort, effort)``: what
-`drive_pros` adds, or a servo of the file. A velocity target adds ``kd target_qvel`` and enters the
-control as ``target + (kd / kp) target_qvel``. Without stiffness the control is the velocity target
-itself.
+A drive is an actuator with force ``clip(kp (target - q) - kd qvel, -effort, effort)``: one that
+`drive_pros` adds, or a servo of the file. A velocity target adds ``kd target_qvel``: the control is
+``target + (kd / kp) target_qvel``. Without stiffness the control is the velocity target itself.
 
-A servo of an MJCF file has a gear, ``length = gear * q``, and its control may be in other units
-than its length: ``ctrl = scale * target``. With the joint's stiffness k, damping d and control gain
-g (``force = g * target - k * q - d * qvel``), those of the actuator are ``k / gear**2``,
+A servo of an MJCF file has a gear, ``length = gear * q``, and its control may differ in units
+from its length: ``ctrl = scale * target``. With the joint's stiffness k, damping d and control gain
+g (``force = g * target - k * q - d * qvel``), the actuator's values are ``k / gear**2``,
 ``d / gear**2`` and ``g / (gear * scale)``. Drives of `drive_pros` have gear and scale 1.
 """
 
@@ -46,7 +45,7 @@ class JointLimits:
     """Position limits of D joints in N environments, rad or m; infinite where there are none.
 
     Args:
-        compiled: (D, 2) lower and upper limits that all environments begin with.
+        compiled: (D, 2) initial lower and upper limits of all environments.
         count: N.
     """
 
@@ -54,36 +53,36 @@ class JointLimits:
         self.compiled = compiled
         self._count = count
         self._low, self._high = compiled.T.copy()
-        self._own: F64 | None = None  # (N, D, 2), once an environment has limits of its own
+        self._varied: F64 | None = None  # (N, D, 2), once limits differ between environments
 
     @property
     def values(self) -> F64:
         """(N, D, 2); do not write."""
         shape = (self._count, *self.compiled.shape)
-        return np.broadcast_to(self.compiled, shape) if self._own is None else self._own
+        return np.broadcast_to(self.compiled, shape) if self._varied is None else self._varied
 
     def of(self, joints: Joints, ids: EnvIndex | None) -> tuple[F64, F64]:
         """Lower and upper limits of joints (k,) in environments (n,): (k,) each, or (n, k)."""
-        if self._own is None:
+        if self._varied is None:
             return self._low[joints], self._high[joints]
-        picked = self._own[_at(ids, joints)]
+        picked = self._varied[_at(ids, joints)]
         return picked[..., 0], picked[..., 1]
 
     def clamp(self, values: F64, joints: Joints, ids: EnvIndex | None) -> F64:
-        """Return positions (n, k) of joints, moved into their limits."""
+        """Return positions (n, k) of joints, clamped to their limits."""
         low, high = self.of(joints, ids)
         return np.minimum(np.maximum(values, low), high)
 
     def set(self, side: Literal[0, 1], values: F64, joints: Joints, ids: EnvIndex | None) -> None:
-        """Give environments limits of their own: (n, k) lower (0) or upper (1) ones."""
-        if self._own is None:
-            self._own = self.values.copy()
-        self._own[(*_at(ids, joints), side)] = values
+        """Set lower (0) or upper (1) limits (n, k) of joints in environments."""
+        if self._varied is None:
+            self._varied = self.values.copy()
+        self._varied[(*_at(ids, joints), side)] = values
 
     def restore(self, values: F64) -> None:
-        """Take over (N, D, 2) limits."""
+        """Set all limits, (N, D, 2)."""
         same = bool((values == self.compiled).all())
-        self._own = None if same else values.copy()
+        self._varied = None if same else values.copy()
 
 
 class Drives:
@@ -96,13 +95,13 @@ class Drives:
         parsed: Its compiled gains and limits.
 
     Attributes:
-        stiffness, damping, max_effort, max_velocity, friction, armature: (N, D) current values; the
-            damping of a joint without a drive is its own.
+        stiffness, damping, max_effort, max_velocity, friction, armature: (N, D) current values;
+            `damping` of a joint without a drive is its passive damping.
         joint_damping: (N, D) passive damping of the joints.
-        strength: (N, D) factors of what the drives' springs and effort limits yield.
+        strength: (N, D) factors of the drives' gains and effort limits.
         limits: Joint position limits.
         target_qvel: (N, D) velocity targets.
-        joints: (k,) the joints with a drive, once the scene is compiled.
+        joints: (k,) joints with a drive; empty before the scene is compiled.
         control_columns: Their columns in ``ctrl``.
     """
 
@@ -127,11 +126,13 @@ class Drives:
         self.joints: Joints = np.arange(0)
         self.control_columns: Columns = slice(0)
         self._joint_of_control: Joints = np.arange(0)  # column in ``ctrl`` -> joint, or -1
+        # Drives switched between position and velocity control in any environment.
+        self._switched: Joints = np.arange(0)
         self._springless = False  # whether a drive has no stiffness: its control is a velocity
-        self._limits_vary = False  # whether environments differ in which efforts are limited
+        self._limits_vary = False  # whether environments limit efforts of different joints
         servos = parsed.servos
         self._gear, self._scale, self._shares = servos.gear, servos.scale, servos.shares
-        self._scaled = bool((servos.scale != 1).any())  # whether a control is in other units
+        self._scaled = bool((servos.scale != 1).any())  # whether units of controls differ
 
     def bind(self) -> None:
         """Look up which joints have a drive; called once the scene is compiled."""
@@ -173,16 +174,16 @@ class Drives:
 
     @property
     def _mixes(self) -> bool:
-        """Whether a control is something else than the position target."""
+        """Whether controls may differ from position targets."""
         return self.has_velocity_target or self._springless or self._scaled
 
     def _control(self, target: F64, where: Any) -> F64:
-        """Controls of position targets (n, k) and of the velocity targets there."""
+        """Controls for position targets (n, k) and the current velocity targets."""
         control: F64 = self._mixed(target, where) * self._scale[where[1]]
         return control
 
     def _mixed(self, target: F64, where: Any) -> F64:
-        """The same, as if the actuator were the joint itself."""
+        """As `_control`, in units of the joint."""
         stiffness, velocity = self.stiffness[where], self.target_qvel[where]
         ratio = np.divide(
             self.damping[where], stiffness, out=np.zeros_like(stiffness), where=stiffness > 0
@@ -206,7 +207,7 @@ class Drives:
     def within_rate(
         self, target: F64, joints: Joints, seconds: float, ids: EnvIndex | None = None
     ) -> F64:
-        """Position targets (n, k) as far as `max_velocity` lets them move from now in a time."""
+        """Limit position targets (n, k) to what `max_velocity` lets them move in a time."""
         if self.max_velocity.min(initial=NO_LIMIT) >= NO_LIMIT:
             return target
         where = _at(ids, joints)
@@ -216,7 +217,7 @@ class Drives:
         return moved
 
     def write_target_qvel(self, target: F64, joints: Joints, ids: EnvIndex | None) -> None:
-        """Set velocity targets (n, k) and fold them into the control."""
+        """Set velocity targets (n, k) and update the controls."""
         columns, where = self.columns(joints), _at(ids, joints)
         position = self.read_target_qpos()[where]
         self.target_qvel[where] = target
@@ -225,7 +226,7 @@ class Drives:
         self._write_velocity_servos(joints, ids)
 
     def _write_velocity_servos(self, joints: Joints, ids: EnvIndex | None) -> None:
-        """Give velocity servos beside position servos their targets."""
+        """Write the targets of velocity servos that act beside position servos."""
         columns = self._handle.index.velocity_ctrl_ids[joints]
         if not (columns >= 0).any():
             return
@@ -236,15 +237,15 @@ class Drives:
     def take_controls(
         self, control: F64, columns: Joints, ids: EnvIndex | None, seconds: float | None = None
     ) -> F64:
-        """Return controls (n, k) as they are written; those of drives become their targets.
+        """Return controls (n, k) to be written, and store those of drives as their targets.
 
-        Position targets of drives that are not the file's are clamped to the joints' limits.
+        Position targets of drives of `drive_pros` are clamped to the joints' limits.
 
         Args:
             control: In the actuators' units.
             columns: (k,) columns in ``ctrl``.
             ids: The environments.
-            seconds: If given, targets keep to `max_velocity` (see `within_rate`).
+            seconds: If given, `max_velocity` limits the targets (see `within_rate`).
         """
         drives = np.flatnonzero(self._joint_of_control[columns] >= 0)
         if not len(drives):
@@ -264,15 +265,14 @@ class Drives:
         clamped = self.limits.clamp(target, joints, ids)
         target = np.where(stiff & self.parsed.driven[joints], clamped, target)
         changed = target * self._scale[joints]
-        out[:, drives] = np.where(target == asked, given, changed)  # the others to the bit
+        out[:, drives] = np.where(target == asked, given, changed)  # unchanged ones stay exact
         return out
 
     def clear(self, ids: EnvIndex | None) -> None:
-        """Forget velocity targets, as a reset does, which has set the controls as compiled."""
+        """Clear velocity targets after a reset, which has set the compiled controls."""
         self._forget_velocities(ids)
-        stiff, compiled = self.stiffness[:, self.joints] > 0, self.parsed.stiffness[self.joints] > 0
-        changed = self.joints[(stiff != compiled).any(axis=0)]
-        if len(changed):  # position drives that events or users made velocity drives, or back
+        changed = self._switched
+        if len(changed):
             where = _at(ids, changed)
             home = np.broadcast_to(self.parsed.init_qpos[changed], self.stiffness[where].shape)
             control = self._control(home, where)
@@ -287,14 +287,17 @@ class Drives:
         self.has_velocity_target = bool(self.target_qvel.any())
 
     def _note_gains(self) -> None:
-        self._springless = bool((self.stiffness[:, self.joints] == 0).any())
+        stiff = self.stiffness[:, self.joints] > 0
+        self._springless = not stiff.all()
+        changed = stiff != (self.parsed.stiffness[self.joints] > 0)
+        self._switched = self.joints[changed.any(axis=0)]
 
     # -- gains -----------------------------------------------------------------------------------
 
-    def put(self, name: str, values: F64, ids: EnvIndex | None, joints: Joints) -> None:
-        """Set one of the attributes, by name, to values (n, k) that are not negative.
+    def write(self, name: str, values: F64, ids: EnvIndex | None, joints: Joints) -> None:
+        """Set an attribute, by name, to non-negative values (n, k).
 
-        A `max_effort` of at least `NO_LIMIT` is no limit.
+        A `max_effort` of `NO_LIMIT` or more is no limit.
 
         Raises:
             ValueError: If a joint has no drive.
@@ -302,8 +305,8 @@ class Drives:
         engine, index = self._handle.engine, self._handle.index
         driven = index.actuator_ids[joints] >= 0
         if name == "damping" and not driven.all():
-            # What a joint without a drive has is its own damping.
-            self.put("joint_damping", values[:, ~driven], ids, joints[~driven])
+            # The damping of a joint without a drive is passive.
+            self.write("joint_damping", values[:, ~driven], ids, joints[~driven])
             joints, values = joints[driven], values[:, driven]
             if not len(joints):
                 return
@@ -316,7 +319,7 @@ class Drives:
                 engine.set_const_later(ids)
             elif name == "joint_damping" and not driven.all():
                 self.damping[_at(ids, joints[~driven])] = values[:, ~driven]
-        elif name != "max_velocity":  # which is for actions: MuJoCo has no velocity limit
+        elif name != "max_velocity":  # used by actions only: MuJoCo has no velocity limit
             self.columns(joints)
             if name != "max_effort":
                 self._note_gains()
@@ -351,11 +354,11 @@ class Drives:
             return
         finite = np.where(limited, limit * self.strength[where], 0.0)
         most = finite / np.abs(self._gear[where[1]])
-        low, high = self._shares[where[1]].T  # the range of a file's actuator may be uneven
+        low, high = self._shares[where[1]].T  # a file's force range may be asymmetric
         for side, bound in ((0, -most * low), (1, most * high)):
             engine.write_model("actuator_forcerange", bound, ids, columns_of(2 * actuators + side))
 
-    def put_limit(
+    def write_limit(
         self, side: Literal[0, 1], values: F64, ids: EnvIndex | None, joints: Joints
     ) -> None:
         """Set lower (0) or upper (1) position limits (n, k) of joints that have limits."""
@@ -366,21 +369,22 @@ class Drives:
 
     # -- whole simulations -------------------------------------------------------------------------
 
-    def take_over(self, ids: EnvIndex | None, fields: Mapping[str, NDArray[Any]]) -> None:
-        """Read gains and limits out of a model that environments were given; no targets.
+    def load_fields(self, ids: EnvIndex | None, fields: Mapping[str, NDArray[Any]]) -> None:
+        """Read gains and limits, not targets, from model fields that were loaded.
 
-        Where gains and effort limit of a drive are scaled alike, or only a limit is there, strength
-        is what scaled them; else it is taken as 1.
+        Where gains and effort limit of a drive have the same factor, or there is only a limit,
+        `strength` is that factor; else it is 1.
 
         Args:
             ids: The environments.
-            fields: Model fields, (size,) each, of all of them; absent ones are as compiled.
+            fields: The loaded fields, (size,) each, equal in these environments; others are as
+                compiled.
         """
         model, index, parsed = self._handle.engine.model, self._handle.index, self.parsed
         driven, gear = self.joints, self._gear[self.joints]
 
         def read(name: str, columns: Joints, declared: Any, unit: Any = 1.0) -> F64:
-            """(k,) columns of a field times a unit; where nothing changed, ``declared``."""
+            """(k,) columns of a field times ``unit``; ``declared`` where they are as compiled."""
             now, compiled = field_values(model, fields, name, columns)
             found: F64 = np.where(now == compiled, declared, now * unit)
             return found
@@ -401,7 +405,7 @@ class Drives:
         stiffness = read("actuator_biasprm", bias + 1, springs, -(gear**2))
         damping = read("actuator_biasprm", bias + 2, dampers, -(gear**2))
         low, high = self._shares[driven].T
-        larger = 2 * actuators + np.where(high >= low, 1, 0)  # the side that is the limit itself
+        larger = 2 * actuators + np.where(high >= low, 1, 0)  # the side with the larger limit
         effort = np.abs(read("actuator_forcerange", larger, most, gear))
         limited = read("actuator_forcelimited", actuators, -1.0)
         effort = np.where(limited == 0, 10 * NO_LIMIT, effort)
@@ -437,5 +441,5 @@ class Drives:
 
 
 def _at(ids: EnvIndex | None, joints: Joints) -> tuple[Any, Joints]:
-    """Index of joints (k,) in the (N, D) rows of environments; None is all."""
+    """Numpy index of joints (k,) in (N, D) arrays, for environments (n,) or all (None)."""
     return slice(None) if ids is None else ids[:, None], joints

@@ -1,4 +1,4 @@
-"""`Handle` of one thing in N environments, and `BatchEntity`: a handle of what has a pose."""
+"""`Handle` of one entity or sensor in N environments; `BatchEntity`, a handle with a pose."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Index = TypeVar("Index")
 
 
 class Handle(Generic[Index]):
-    """A named thing in N environments of a simulation.
+    """A named entity, light or sensor in N environments of a simulation.
 
     Args:
         uid: Its name.
@@ -77,19 +77,19 @@ class Handle(Generic[Index]):
     def _checked(
         self, values: Any, width: int, env_ids: Any, what: str, **options: bool
     ) -> tuple[F64, EnvIndex | None]:
-        """Values (n, width) and the n environments that they are for; options as in `as_rows`."""
+        """Return values (n, width) and their n environments; options as in `as_rows`."""
         ids = as_env_ids(env_ids, self.num_instances)
         rows = self.num_instances if ids is None else len(ids)
         return as_rows(values, rows, width, f"{self.uid}: {what}", **options), ids
 
     def _rows(self, env_ids: Any) -> Any:
-        """Index of the rows of environments."""
+        """Numpy index of the rows of environments."""
         ids = as_env_ids(env_ids, self.num_instances)
         return slice(None) if ids is None else ids
 
 
 class TensorRead:
-    """An attribute of `TensorReads`: a fresh float32 tensor of numbers that a handle reads."""
+    """An attribute of `TensorReads`: returns a new float32 tensor of what a handle reads."""
 
     def __init__(self, read: Callable[[Any], NDArray[Any]]) -> None:
         self._read = read
@@ -119,7 +119,7 @@ class BatchEntity(Handle["EntityIndex"]):
     """One entity in N environments.
 
     Args:
-        cfg: Its config (kept as given).
+        cfg: Its config (not modified).
         uid: Its name in the scene.
         host: The simulation.
     """
@@ -140,11 +140,12 @@ class BatchEntity(Handle["EntityIndex"]):
         return self.index
 
     def reset(self, env_ids: Any = None) -> None:
-        """Give the entity its configured state: root, joints and drive targets, no velocity."""
+        """Reset the entity to its configured root pose, joints and targets, at zero velocity."""
         self.host.reset_objects_state(env_ids, only=(self.uid,))
 
+    @cached_property
     def row_columns(self) -> NDArray[np.int64]:
-        """Sorted columns of the state row that belong to the entity."""
+        """Sorted columns of the entity in the state row."""
         engine, index = self.engine, self.index
         model = engine.model
         joints = np.flatnonzero(np.isin(model.jnt_bodyid, index.body_ids))  # ball and free as well
@@ -199,12 +200,12 @@ class BatchEntity(Handle["EntityIndex"]):
             write(fields[1], quat, env_ids, slice(starts[1], starts[1] + 4))
 
     def read_pose(self) -> tuple[F64, F64]:
-        """Root position (N, 3) and wxyz orientation (N, 4): live views, do not write or keep."""
+        """Root position (N, 3) and wxyz orientation (N, 4): live views, do not write or store."""
         root = self.motion(self.index.root_body_id)
         return root.position(), root.orientation()
 
     def motion(self, body: int) -> BodyMotion:
-        """Motion of a body of the entity, by MuJoCo's id: one object for all who read it."""
+        """Motion of a body of the entity, by MuJoCo's id; one shared object per body."""
         found = self._motions.get(body)
         if found is None:
             found = self._motions[body] = BodyMotion(self.engine, self.index, body)
@@ -216,7 +217,7 @@ class BatchEntity(Handle["EntityIndex"]):
         return to_tensor(pose_to_matrix(pose) if to_matrix else pose)
 
     def set_local_pose(self, pose: Any, env_ids: Any = None) -> None:
-        """Set the root pose in the environment's own frame.
+        """Set the root pose in the environment's frame.
 
         Args:
             pose: (n, 7) x, y, z, qw, qx, qy, qz, or (n, 4, 4). Quaternions are normalized.

@@ -1,4 +1,4 @@
-"""`Light`: handle over one light in N environments. Pictures show it; physics ignores it."""
+"""`Light`: handle of one light in N environments, for rendering; physics ignores it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["Light"]
 FULL_INTENSITY = 30.0
 """`LightCfg.intensity` at which MuJoCo's diffuse colour is the light's colour."""
 SPECULAR = 0.3
-"""MuJoCo's specular colour of a light, of its diffuse one (as compiled)."""
+"""Ratio of a light's specular colour to its diffuse colour, as compiled."""
 
 
 class Light(Handle[int]):
@@ -29,7 +29,7 @@ class Light(Handle[int]):
     Its index in the compiled model is MuJoCo's light id.
 
     Args:
-        cfg: Its config (kept as given).
+        cfg: Its config (not modified).
         uid: Its name in the scene.
         host: The simulation.
     """
@@ -50,7 +50,7 @@ class Light(Handle[int]):
         self.engine.write_model(field, values, ids, slice(start, start + 3))
 
     def write_emission(self, color: F64, intensity: F64, ids: EnvIndex | None) -> None:
-        """Set colours (n, 3) in [0, 1] and intensities (n, 1), which are taken as at least 0."""
+        """Set colours (n, 3) in [0, 1] and intensities (n, 1); negative ones count as 0."""
         where: Any = slice(None) if ids is None else ids
         self._color[where], self._intensity[where] = color, intensity
         diffuse = self._color[where] * (np.maximum(self._intensity[where], 0.0) / FULL_INTENSITY)
@@ -58,14 +58,14 @@ class Light(Handle[int]):
         self.write("light_specular", SPECULAR * diffuse, ids)
 
     def emission(self, ids: EnvIndex | None = None) -> tuple[F64, F64]:
-        """Colours (n, 3) and intensities (n, 1) as they are (copies)."""
+        """Current colours (n, 3) and intensities (n, 1) (copies)."""
         where: Any = slice(None) if ids is None else ids
         return self._color[where].copy(), self._intensity[where].copy()
 
     # -- EmbodiChain's handle ----------------------------------------------------------------------
 
     def _scalars(self, values: Any, env_ids: Any, what: str) -> tuple[F64, EnvIndex | None]:
-        """Values (n,), (n, 1) or one for all n, as (n, 1)."""
+        """Return values (n,), (n, 1) or a single one as (n, 1)."""
         array = _array(values)
         array = array.reshape(-1, 1) if array.size > 1 else array.reshape(-1)
         return self._checked(array, 1, env_ids, what, shared=True)
@@ -85,12 +85,12 @@ class Light(Handle[int]):
         self.write_emission(self.emission(ids)[0], values, ids)
 
     def set_falloff(self, falloffs: Any, env_ids: Any = None) -> None:
-        """Remember radii (n,), or one: without effect, as MuJoCo's lights have none."""
+        """Store radii (n,), or one. No effect: MuJoCo's lights have no falloff radius."""
         values, ids = self._scalars(falloffs, env_ids, "falloff")
         self._falloff[slice(None) if ids is None else ids] = values
 
     def get_local_pose(self, to_matrix: bool = False) -> torch.Tensor:
-        """Positions (N, 3) in metres, or matrices (N, 4, 4) that only translate."""
+        """Positions (N, 3) in metres, or matrices (N, 4, 4) with identity rotation."""
         start = 3 * self.index
         position = to_tensor(self.engine.model_field("light_pos")[:, start : start + 3])
         if not to_matrix:
@@ -110,7 +110,7 @@ class Light(Handle[int]):
         self.write("light_pos", values, ids)
 
     def reset(self, env_ids: Any = None) -> None:
-        """Give the light its configured position, colour and intensity."""
+        """Reset the light to its configured position, colour and intensity."""
         self.set_local_pose(self.cfg.init_pos, env_ids)
         self.set_color(self.cfg.color, env_ids)
         self.set_intensity(self.cfg.intensity, env_ids)
@@ -119,7 +119,7 @@ class Light(Handle[int]):
     # -- state -------------------------------------------------------------------------------------
 
     def state_dict(self) -> dict[str, F64]:
-        """Colour, intensity and falloff (copies); the engine keeps the rest."""
+        """Colour, intensity and falloff (copies); the engine stores the rest."""
         state = {"color": self._color, "intensity": self._intensity, "falloff": self._falloff}
         return {name: values.copy() for name, values in state.items()}
 

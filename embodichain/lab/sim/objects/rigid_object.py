@@ -1,4 +1,4 @@
-"""`RigidObject`: handle over one rigid body in N environments, and its `RigidBodyData`."""
+"""`RigidObject`: handle of one rigid body in N environments, and its `RigidBodyData`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.compiler.rigid_math import inertia_about_axes
+from embodichain.lab.sim.compiler.rigid_objects import inertia_about_axes
 from embodichain.lab.sim.objects._arrays import as_env_ids, field_values, to_tensor
 from embodichain.lab.sim.objects.entity import BatchEntity, TensorRead, TensorReads
 from embodichain.lab.sim.objects.solid import Solid
@@ -58,12 +58,11 @@ class RigidBodyData(TensorReads):
 class RigidObject(BatchEntity):
     """One rigid body with one shape, in N environments.
 
-    `dynamic` bodies are simulated, `kinematic` ones move only by `set_local_pose`, `static` ones
-    stand still unless `set_local_pose` moves them. Writes keep mass, inertia and damping of the
-    body consistent.
+    `dynamic` bodies are simulated; `kinematic` and `static` ones move only by `set_local_pose`.
+    Setters keep mass, inertia and damping of the body consistent.
 
     Args:
-        cfg: Its config (kept as given).
+        cfg: Its config (not modified).
         uid: Its name in the scene.
         host: The simulation.
     """
@@ -76,10 +75,10 @@ class RigidObject(BatchEntity):
         count, attrs = self.num_instances, cfg.attrs
         self._declared_damping = np.array([attrs.linear_damping, attrs.angular_damping], np.float64)
         self._damping: F64 = np.tile(self._declared_damping, (count, 1))  # 1/s
-        self._scale: F64 = np.ones((count, 3))  # over the compiled size
+        self._scale: F64 = np.ones((count, 3))  # relative to the compiled size
         self._zeros: F64 = np.zeros((count, 3))
         self._mass0 = 0.0
-        self._inertia: F64 = np.zeros((count, 3))  # at the compiled mass and the present scale
+        self._inertia: F64 = np.zeros((count, 3))  # at the compiled mass and the current scale
         self._solid: Solid | None = None
 
     def bind(self, engine: Engine, index: EntityIndex) -> None:
@@ -105,7 +104,7 @@ class RigidObject(BatchEntity):
 
     @property
     def body_state(self) -> torch.Tensor:
-        """(N, 13): pose 7, linear velocity 3, angular velocity 3."""
+        """(N, 13) pose (7), linear velocity (3), angular velocity (3)."""
         return torch.cat([self._data.pose, self._data.vel], dim=1)
 
     @property
@@ -121,7 +120,7 @@ class RigidObject(BatchEntity):
         return dofs
 
     def _columns(self, width: int) -> slice:
-        """Columns of the body in a flattened field with ``width`` numbers a body."""
+        """Columns of the body in a flattened field with ``width`` numbers per body."""
         body = self.index.root_body_id
         return slice(width * body, width * body + width)
 
@@ -139,15 +138,15 @@ class RigidObject(BatchEntity):
         if self._dofs is None:
             return self._zeros, self._zeros
         qacc = self.engine.acceleration("qacc")[:, self._dofs]
-        # A free joint's angular part is in the body's axes, its linear one in the world's.
+        # A free joint's angular part is in body axes, its linear part in world axes.
         return qacc[:, :3], rotate(self.motion(self.index.root_body_id).axes(), qacc[:, 3:])
 
     def set_velocity(self, lin_vel: Any = None, ang_vel: Any = None, env_ids: Any = None) -> None:
         """Set velocities of a dynamic body.
 
         Args:
-            lin_vel: (n, 3) m/s, world axes, or None to leave it.
-            ang_vel: (n, 3) rad/s, world axes, or None to leave it.
+            lin_vel: (n, 3) m/s, world axes, or None to keep it.
+            ang_vel: (n, 3) rad/s, world axes, or None to keep it.
             env_ids: The n environments; None is all N.
         """
         start = self._need_dynamic("set_velocity").start
@@ -190,7 +189,7 @@ class RigidObject(BatchEntity):
         self.stop(as_env_ids(env_ids, self.num_instances))
 
     def stop(self, ids: EnvIndex | None) -> None:
-        """`clear_dynamics` for checked indices."""
+        """Like `clear_dynamics`, for checked indices."""
         dofs = self._dofs
         if dofs is None:
             return
@@ -212,7 +211,7 @@ class RigidObject(BatchEntity):
         return to_tensor(self.read_inertia()[0][self._rows(env_ids)])
 
     def set_mass(self, mass: Any, env_ids: Any = None) -> None:
-        """Set the mass (n,) in kg; the inertia scales with it, so the body stays consistent.
+        """Set the mass (n,) in kg; the inertia scales with it.
 
         Raises:
             ValueError: If a mass is not positive.
@@ -224,18 +223,18 @@ class RigidObject(BatchEntity):
         self.write_mass(new[:, 0], ids)
 
     def write_mass(self, mass: F64, ids: EnvIndex | None, inertia: bool = True) -> None:
-        """Set the mass (n,) in kg from checked arrays, and with it damping.
+        """Set the mass (n,) in kg from checked arrays, and adapt the damping.
 
-        The inertia scales with it, unless ``inertia`` is False: another distribution of mass.
+        The inertia scales with the mass, unless ``inertia`` is False.
         """
-        moments = self._inertia[slice(None) if ids is None else ids]
-        self._write_inertia(ids, mass, moments * (mass / self._mass0)[:, None], inertia)
+        moments = self._inertia[self._rows(ids)] * (mass / self._mass0)[:, None]
+        self._write_inertia(ids, mass, moments if inertia else None)
 
     def write_inertia_scale(self, factor: F64, ids: EnvIndex | None) -> None:
-        """Scale the inertia that belongs to the present mass and size by (n,) checked factors."""
+        """Set the inertia to checked factors (n,) times that of the current mass and size."""
         mass = self.read_inertia(ids)[0]
-        moments = self._inertia[slice(None) if ids is None else ids]
-        self._write_inertia(ids, mass, moments * (mass / self._mass0 * factor)[:, None])
+        moments = self._inertia[self._rows(ids)] * (mass / self._mass0 * factor)[:, None]
+        self._write_inertia(ids, mass, moments)
 
     def get_inertia(self, env_ids: Any = None) -> torch.Tensor:
         """(n, 3) principal moments of inertia, kg m^2."""
@@ -258,20 +257,18 @@ class RigidObject(BatchEntity):
         self._inertia[self._rows(ids)] = new * (self._mass0 / mass)[:, None]
         self._write_inertia(ids, mass, new)
 
-    def _write_inertia(
-        self, ids: EnvIndex | None, mass: F64, moments: F64, inertia: bool = True
-    ) -> None:
+    def _write_inertia(self, ids: EnvIndex | None, mass: F64, moments: F64 | None) -> None:
         self.engine.write_model("body_mass", mass[:, None], ids, self._columns(1))
-        if inertia:
+        if moments is not None:
             self.engine.write_model("body_inertia", moments, ids, self._columns(3))
-        self._damp(ids, mass, moments if inertia else self.read_inertia(ids)[1])
+        self._damp(ids)
         self.engine.set_const_later(ids)
 
-    def _damp(self, ids: EnvIndex | None, mass: F64, moments: F64) -> None:
-        """Keep velocities decaying at the same rates; see the compiler's `damping_of`."""
+    def _damp(self, ids: EnvIndex | None) -> None:
+        """Adapt the damping to keep decay rates of velocities; see the compiler's `damping_of`."""
         if self._dofs is None:
             return
-        rate = self._damping[slice(None) if ids is None else ids]
+        rate, (mass, moments) = self._damping[self._rows(ids)], self.read_inertia(ids)
         values = np.empty((len(mass), 6))
         values[:, :3] = (rate[:, 0] * mass)[:, None]
         iquat = self.engine.model.body_iquat[self.index.root_body_id]
@@ -287,10 +284,10 @@ class RigidObject(BatchEntity):
         self._need_dynamic("set_damping")
         new, ids = self._checked(damping, 2, env_ids, "damping")
         self._damping[self._rows(ids)] = new
-        self._damp(ids, *self.read_inertia(ids))
+        self._damp(ids)
 
     def read_com_pose(self, compiled: bool = False) -> F64:
-        """(N, 7) centre-of-mass frame in the body's frame, now or as compiled."""
+        """(N, 7) centre-of-mass frame in the body's frame, current or compiled."""
         if compiled:
             model, body = self.engine.model, self.index.root_body_id
             row = np.concatenate([model.body_ipos[body], model.body_iquat[body]])
@@ -311,19 +308,19 @@ class RigidObject(BatchEntity):
 
     @property
     def solid(self) -> Solid:
-        """The shape at other sizes.
+        """The shape's formulas for other sizes.
 
         Raises:
-            ValueError: If the shape has no size that could change: a mesh or a plane.
+            ValueError: If the shape is a mesh or a plane, which cannot change size.
         """
         if self._solid is None:
             self._solid = Solid.of(self.uid, self.engine.model, int(self.index.geom_ids[0]))
         return self._solid
 
     def write_scale(self, scale: F64, ids: EnvIndex | None, fixed_density: bool = True) -> None:
-        """Scale the declared shape by checked factors (n, 3) along its axes, and its inertia.
+        """Scale the declared shape and its inertia by checked factors (n, 3) along its axes.
 
-        The mass follows the volume if the density is fixed; else it is the compiled one.
+        With fixed density the mass scales with the volume; else it is the compiled one.
         """
         solid, where = self.solid, self._rows(ids)
         size, volume, moments = solid.scaled(scale)
@@ -342,10 +339,10 @@ class RigidObject(BatchEntity):
         return to_tensor((np.asarray(self.cfg.body_scale) * self._scale)[self._rows(env_ids)])
 
     def set_body_scale(self, scale: Any, env_ids: Any = None) -> None:
-        """Set the shape's scale (n, 3); mass and inertia follow at the same density.
+        """Set the shape's scale (n, 3); mass and inertia change at constant density.
 
         Raises:
-            ValueError: If the shape is a mesh or a plane, or cannot be scaled so.
+            ValueError: If the shape is a mesh or a plane, or these factors would change its kind.
         """
         wanted, ids = self._checked(scale, 3, env_ids, "scale")
         relative = wanted / np.asarray(self.cfg.body_scale, np.float64)
@@ -360,7 +357,7 @@ class RigidObject(BatchEntity):
         return to_tensor(self.engine.model_field("geom_friction")[self._rows(env_ids), column])
 
     def set_friction(self, friction: Any, env_ids: Any = None) -> None:
-        """Set the sliding friction coefficient, (n,); a contact takes the larger of its two."""
+        """Set the sliding friction (n,); a contact takes the larger value of its two bodies."""
         new, ids = self._checked(np.reshape(friction, (-1, 1)), 1, env_ids, "friction")
         if (new < 0).any():
             raise ValueError(f"{self.uid}: friction must not be negative, got {new.min()}")
@@ -387,19 +384,20 @@ class RigidObject(BatchEntity):
         return torch.full((self.num_instances,), self.index.root_body_id, dtype=torch.int32)
 
     def set_visible(self, visible: bool = True) -> None:
-        """Draw the body or not, in pictures of every environment."""
+        """Show or hide the body when rendering, in all environments."""
         for geom in self.index.geom_ids.tolist():
             alpha = float(self.engine.model.geom_rgba[geom, 3]) if visible else 0.0
             self.engine.write_model("geom_rgba", alpha, None, slice(4 * geom + 3, 4 * geom + 4))
 
     # -- whole simulations -------------------------------------------------------------------------
 
-    def take_over(self, ids: EnvIndex | None, fields: Mapping[str, NDArray[Any]]) -> None:
-        """Read size, inertia and damping out of a model that environments were given.
+    def load_fields(self, ids: EnvIndex | None, fields: Mapping[str, NDArray[Any]]) -> None:
+        """Read size, inertia and damping from model fields that were loaded into environments.
 
         Args:
             ids: (n,) environments, or None for all.
-            fields: Model fields, (size,) each, of all of them; absent ones are as compiled.
+            fields: The loaded fields, (size,) each, equal in these environments; others are as
+                compiled.
         """
         where, model = self._rows(ids), self.engine.model
         mass, _ = field_values(model, fields, "body_mass", self._columns(1))
@@ -418,7 +416,7 @@ class RigidObject(BatchEntity):
         self._damping[where] = np.where(same, self._declared_damping, rate)
 
     def state_dict(self) -> dict[str, F64]:
-        """Values that are in no model field (copies)."""
+        """Values that no model field contains (copies)."""
         self.index  # noqa: B018  (compiles, which sets the inertia)
         state = {"damping": self._damping, "scale": self._scale, "inertia": self._inertia}
         return {name: values.copy() for name, values in state.items()}

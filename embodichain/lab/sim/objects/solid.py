@@ -1,4 +1,4 @@
-"""`Solid`: a primitive shape at other sizes, with the formulas of its volume and moments."""
+"""`Solid`: volume and moments of inertia of a primitive shape at other sizes."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ class Solid:
     """One primitive geom.
 
     Attributes:
-        uid: Its entity.
+        uid: The entity it belongs to.
         kind: ``box``, ``sphere``, ``ellipsoid``, ``cylinder`` or ``capsule``.
         geom: Its id in the model.
-        size: (3,) its compiled half sizes in metres: see MuJoCo's `geom_size`.
-        axes: (3,) which axis of the geom each principal axis of the body is.
+        size: (3,) its compiled half sizes in metres, as MuJoCo's `geom_size`.
+        axes: (3,) index of the geom axis parallel to each principal axis of the body.
     """
 
     uid: str
@@ -47,7 +47,7 @@ class Solid:
         """The shape of a geom.
 
         Raises:
-            ValueError: If it has no size that could differ between environments.
+            ValueError: If its size cannot differ between environments.
         """
         kind = _NAMES.get(int(model.geom_type[geom]))
         if kind is None:
@@ -64,14 +64,14 @@ class Solid:
 
     @property
     def equal_axes(self) -> tuple[int, ...]:
-        """Axes whose scales must be equal for the shape to stay what it is."""
+        """Axes that must have equal scales to keep the kind of shape."""
         return {"sphere": (0, 1, 2), "cylinder": (0, 1), "capsule": (0, 1)}.get(self.kind, ())
 
     def check(self, scale: F64) -> None:
-        """Refuse scales (n, 3) that are not positive or make another kind of shape.
+        """Check that scales (n, 3) are positive and keep the kind of shape.
 
         Raises:
-            ValueError: Says which.
+            ValueError: If they do not.
         """
         if not (scale > 0).all():
             raise ValueError(f"{self.uid}: scales must be positive, got {scale.min()}")
@@ -81,7 +81,7 @@ class Solid:
             raise ValueError(f"{self.uid}: a {self.kind} scales equally along {axes}")
 
     def scaled(self, scale: F64) -> tuple[F64, F64, F64]:
-        """Sizes (n, 3), and volume (n,) and moments at equal mass (n, 3) over the compiled ones.
+        """Sizes (n, 3); ratios to the compiled volume (n,) and moments at equal mass (n, 3).
 
         Args:
             scale: (n, 3) factors along the geom's axes.
@@ -98,7 +98,7 @@ class Solid:
 
 
 def _volume(kind: str, size: F64) -> F64:
-    """Up to a constant factor, (n,)."""
+    """Volume (n,), up to a constant factor."""
     a, b, c = size[:, 0], size[:, 1], size[:, 2]
     if kind == "sphere":
         return a * a * a
@@ -110,7 +110,7 @@ def _volume(kind: str, size: F64) -> F64:
 
 
 def _moments(kind: str, size: F64) -> F64:
-    """About the geom's axes per mass, up to a constant factor; (n, 3)."""
+    """Moments of inertia (n, 3) about the geom's axes per mass, up to a constant factor."""
     a, b, c = size[:, 0], size[:, 1], size[:, 2]
     if kind == "sphere":
         x = y = z = a * a
@@ -118,7 +118,7 @@ def _moments(kind: str, size: F64) -> F64:
         x = y = (3.0 * a * a + 4.0 * b * b) / 12.0
         z = 0.5 * a * a
     elif kind == "capsule":
-        ball = 4.0 / 3.0 * a / (2.0 * b + 4.0 / 3.0 * a)  # its share of the mass
+        ball = 4.0 / 3.0 * a / (2.0 * b + 4.0 / 3.0 * a)  # its share of mass
         tube = 1.0 - ball
         x = y = tube * (3.0 * a * a + 4.0 * b * b) / 12.0 + ball * (
             0.4 * a * a + b * b + 0.75 * a * b

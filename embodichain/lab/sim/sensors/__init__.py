@@ -1,20 +1,21 @@
-"""Sensors: contacts, inertial measurements, joint forces. Cameras have configs only."""
+"""Sensors: contacts, inertial measurements, joint forces. Cameras have only configs so far."""
 
 from typing import TYPE_CHECKING
 
 import lazy_loader
 
+from embodichain.lab.sim.sensors.cfg import (
+    AnySensorCfg,
+    CameraCfg,
+    ContactSensorCfg,
+    ForceTorqueSensorCfg,
+    ImuSensorCfg,
+    LinksCfg,
+    SensorCfg,
+    StereoCameraCfg,
+)
+
 if TYPE_CHECKING:
-    from embodichain.lab.sim.sensors.cfg import (
-        AnySensorCfg,
-        CameraCfg,
-        ContactSensorCfg,
-        ForceTorqueSensorCfg,
-        ImuSensorCfg,
-        LinksCfg,
-        SensorCfg,
-        StereoCameraCfg,
-    )
     from embodichain.lab.sim.sensors.sensor_handles import (
         BaseSensor,
         ContactSensor,
@@ -22,20 +23,11 @@ if TYPE_CHECKING:
         ImuSensor,
     )
 
+# Handles import torch, configs do not.
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "cfg": [
-            "AnySensorCfg",
-            "CameraCfg",
-            "ContactSensorCfg",
-            "ForceTorqueSensorCfg",
-            "ImuSensorCfg",
-            "LinksCfg",
-            "SensorCfg",
-            "StereoCameraCfg",
-        ],
-        "sensor_handles": ["BaseSensor", "ContactSensor", "ForceTorqueSensor", "ImuSensor"],
+        "sensor_handles": ["BaseSensor", "ContactSensor", "ForceTorqueSensor", "ImuSensor"]
     },
 )
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from embodichain.lab.sim.cfg import ObjectBaseCfg, Quat, Vec3
+from embodichain.lab.sim.cfg import Four, ObjectBaseCfg, Quat, Vec3
 from embodichain.utils.configclass import configclass
-from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.from_dict import from_dict
-from embodichain.utils.suggest import did_you_mean
+from embodichain.utils.type_errors import from_dict, member_from_dict
 
 __all__ = [
     "AnySensorCfg",
@@ -29,9 +26,9 @@ __all__ = [
 
 @configclass
 class LinksCfg:
-    """An entity and, optionally, links of it.
+    """An entity and, optionally, some of its links.
 
-    The order of links is the entity's own unless `preserve_order`, then that of the patterns.
+    Links are in the entity's order, or with `preserve_order` in the order of the patterns.
     """
 
     uid: str = ""
@@ -50,7 +47,7 @@ class SensorCfg:
     entity_cfg: LinksCfg = LinksCfg()
     """The links it is fixed on."""
     observe: bool = False
-    """Whether ``obs["sensor"][uid]`` holds its data; terms can read it in either case."""
+    """Whether ``obs["sensor"][uid]`` contains its data; terms can read it in either case."""
 
     @classmethod
     def from_dict(cls, init_dict: dict[str, Any]) -> SensorCfg:
@@ -59,18 +56,17 @@ class SensorCfg:
         Raises:
             ConfigError: If the type or a key is unknown; lists what exists.
         """
-        kind = str(init_dict.get("sensor_type", ""))
-        if cls is SensorCfg and kind not in _SENSORS:
-            hint = did_you_mean(kind, _SENSORS).strip()
-            message = f"unknown sensor_type {kind!r}; one of: {', '.join(_SENSORS)}."
-            raise ConfigError([Problem("sensor_type", message, hint)])
-        built: SensorCfg = from_dict(_SENSORS[kind] if cls is SensorCfg else cls, init_dict)
+        built: SensorCfg = (
+            from_dict(cls, init_dict)
+            if cls is not SensorCfg
+            else member_from_dict(_SENSORS, "sensor_type", init_dict)
+        )
         return built
 
 
 @configclass
 class ContactSensorCfg(SensorCfg):
-    """Which links are touched, and the net contact force on each."""
+    """Contact of links: whether each is touched, and the net contact force on it."""
 
     sensor_type: Literal["contact"] = "contact"
     against: LinksCfg | None = None
@@ -85,7 +81,7 @@ class ImuSensorCfg(SensorCfg):
     pos: Vec3 = (0.0, 0.0, 0.0)
     """Its position, metres in the link's frame."""
     quat: Quat = (1.0, 0.0, 0.0, 0.0)
-    """How it is turned, wxyz in the link's frame."""
+    """Its orientation, wxyz in the link's frame."""
 
 
 @configclass
@@ -109,7 +105,7 @@ _READINGS = {
 
 
 def readings(cfg: SensorCfg) -> tuple[str, ...]:
-    """Return the names of what a sensor's `get_data` gives."""
+    """Return the names of the entries of a sensor's `get_data`."""
     return _READINGS.get(cfg.sensor_type, ())
 
 
@@ -119,15 +115,12 @@ AnySensorCfg = Annotated[
 """The union that YAML is checked against; `sensor_type` selects the member."""
 
 
-_Intrinsics = Annotated[Sequence[float], Field(min_length=4, max_length=4)]
-
-
 @configclass
 class _OffsetCfg:
-    """A pose in the frame of a link, or of the environment without one."""
+    """A pose in the frame of a link, or without one in the environment's frame."""
 
     pos: Vec3 = (0.0, 0.0, 0.0)
-    quat: Annotated[Sequence[float], Field(min_length=4, max_length=4)] = (1.0, 0.0, 0.0, 0.0)
+    quat: Quat = (1.0, 0.0, 0.0, 0.0)
     """wxyz."""
     parent: str | None = None
     """A link of the robot."""
@@ -135,7 +128,7 @@ class _OffsetCfg:
 
 @configclass
 class _ExtrinsicsCfg(_OffsetCfg):
-    """Where a camera is: a pose, or the point it looks at."""
+    """Pose of a camera, given directly or by eye and target points."""
 
     eye: Vec3 | None = None
     target: Vec3 | None = None
@@ -156,7 +149,7 @@ class CameraCfg(ObjectBaseCfg):
     near: float = 0.005
     """Metres."""
     far: float = 100.0
-    intrinsics: _Intrinsics = (600.0, 600.0, 320.0, 240.0)
+    intrinsics: Four = (600.0, 600.0, 320.0, 240.0)
     """fx, fy, cx, cy in pixels."""
     extrinsics: _ExtrinsicsCfg = _ExtrinsicsCfg()
     enable_color: bool = True
@@ -171,7 +164,7 @@ class StereoCameraCfg(CameraCfg):
     """Two cameras side by side; see `CameraCfg`."""
 
     sensor_type: str = "StereoCamera"
-    intrinsics_right: _Intrinsics = (600.0, 600.0, 320.0, 240.0)
+    intrinsics_right: Four = (600.0, 600.0, 320.0, 240.0)
     left_to_right_pos: Vec3 = (0.05, 0.0, 0.0)
     """Metres."""
     left_to_right_rot: Vec3 = (0.0, 0.0, 0.0)
@@ -180,7 +173,7 @@ class StereoCameraCfg(CameraCfg):
 
 
 def no_camera(cfg: Any) -> NotImplementedError:
-    """Return the error of a camera that is to be built."""
+    """Return the error for building a camera."""
     return NotImplementedError(
         f"sensor {cfg.uid!r}: cameras are not available yet ({type(cfg).__name__}); leave it out. "
         "Pictures: SimulationManager.render, the event record_camera_data"

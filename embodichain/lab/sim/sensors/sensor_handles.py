@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 import torch
@@ -25,14 +25,17 @@ class BaseSensor(Handle["SensorIndex"]):
     """One sensor in N environments.
 
     Args:
-        plan: What it is and the links it is fixed on.
+        plan: Its config and the links it is fixed on.
         host: The simulation.
 
     Attributes:
+        reads: Names of its measurements; each has a method ``read_NAME``.
         cfg: Its config.
         uid: Its name.
         names: (n,) the links it is fixed on.
     """
+
+    reads: ClassVar[tuple[str, ...]]
 
     def __init__(self, plan: SensorPlan, host: Host) -> None:
         super().__init__(plan.uid, host)
@@ -43,32 +46,32 @@ class BaseSensor(Handle["SensorIndex"]):
     def bind(self, engine: Engine, index: SensorIndex) -> None:
         """Set the engine and the sensor's columns. Called once, by the simulation."""
         super().bind(engine, index)
-        # The first request of an acceleration field computes it anew, so it is made here.
+        # The first request of an acceleration field computes it, so make it here.
         engine.acceleration("sensordata")
 
     @property
     def observe(self) -> bool:
-        """Whether ``obs["sensor"]`` holds its data."""
+        """Whether ``obs["sensor"]`` contains its data."""
         return self.cfg.observe
 
     @property
     def body_ids(self) -> NDArray[np.int64]:
-        """(n,) MuJoCo's bodies of the links it is fixed on."""
+        """(n,) MuJoCo body ids of the links it is fixed on."""
         model = self.engine.model
         return np.array([model.body(name).id for name in self.plan.bodies], np.int64)
 
     def get_data(self) -> dict[str, torch.Tensor]:
-        """Return what ``obs["sensor"][uid]`` holds: float32 tensors (N, ...)."""
-        raise NotImplementedError
+        """Return all `reads` as float32 tensors (N, ...), as in ``obs["sensor"][uid]``."""
+        return {name: to_tensor(getattr(self, f"read_{name}")()) for name in self.reads}
 
     def _now(self) -> F64:
-        """(N, ...) its numbers at the present poses and velocities: a view, do not keep."""
+        """(N, ...) its values at the current poses and velocities: a view, do not store."""
         index = self.index
         rows = self.engine.derived("sensordata")[:, index.columns]
         return rows.reshape(len(rows), *index.shape)
 
     def _last(self) -> F64:
-        """(N, ...) its numbers of the last physics step, or of the last reset: a view."""
+        """(N, ...) its values at the last physics step, or at the last reset: a view."""
         index = self.index
         rows = self.engine.acceleration("sensordata")[:, index.columns]
         return rows.reshape(len(rows), *index.shape)
@@ -77,9 +80,11 @@ class BaseSensor(Handle["SensorIndex"]):
 class ContactSensor(BaseSensor):
     """Contacts of n links with anything, or with the entity that the config names.
 
-    Contacts belong to the acceleration stage: they are those of the last physics step, and after a
-    reset those of the state that it left. Shapes that collide with nothing report nothing.
+    Contacts belong to the acceleration stage: they are those of the last physics step or, after a
+    reset, of the reset state. Shapes that cannot collide report nothing.
     """
+
+    reads = ("found", "force")
 
     def read_found(self) -> NDArray[np.bool_]:
         """(N, n) whether each link is touched."""
@@ -92,27 +97,22 @@ class ContactSensor(BaseSensor):
     def read_force(self) -> F64:
         """(N, n, 3) N: net force that contacts exert on each link, world axes."""
         forces = self._last()[..., 1:]
-        # MuJoCo reports what the link exerts on the other.
+        # MuJoCo reports the force of the link on the other body.
         net: F64 = 0.0 - forces[:, :, 0]
         for other in range(1, forces.shape[2]):
             net -= forces[:, :, other]
         return net
 
-    def get_data(self) -> dict[str, torch.Tensor]:
-        """``found`` (N, n), 1 or 0, and ``force`` (N, n, 3) in N, world axes."""
-        return {
-            "found": to_tensor(self.read_found()),
-            "force": to_tensor(self.read_force()),
-        }
-
 
 class ForceTorqueSensor(BaseSensor):
-    """Force and torque between n links and their parents, read at each link's origin.
+    """Force and torque that parents exert on n links, at each link's origin.
 
-    They belong to the acceleration stage: those of the last physics step, and after a reset those
-    of the state that it left. They are what the parent exerts on the link: at rest, upwards as much
-    as the link and all it carries weigh.
+    They belong to the acceleration stage: they are those of the last physics step or, after a
+    reset, of the reset state. At rest the force points up and equals the weight of the link and its
+    descendants.
     """
+
+    reads = ("force", "torque")
 
     def read_force(self) -> F64:
         """(N, n, 3) N, link axes."""
@@ -122,24 +122,22 @@ class ForceTorqueSensor(BaseSensor):
         """(N, n, 3) N m about the link's origin, link axes."""
         return self._last()[..., 3:6].copy()
 
-    def get_data(self) -> dict[str, torch.Tensor]:
-        """``force`` (N, n, 3) and ``torque`` (N, n, 3)."""
-        return {"force": to_tensor(self.read_force()), "torque": to_tensor(self.read_torque())}
-
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 
 
 class ImuSensor(BaseSensor):
-    """An inertial measurement unit without noise; its axes are the link's, turned by the config.
+    """An inertial measurement unit without noise; its axes are the link's, rotated by the config.
 
-    Orientation and angular velocity are those of the present state. The specific force belongs to
-    the acceleration stage: it is that of the last physics step, and after a reset that of the state
-    that it left.
+    Orientation and angular velocity are those of the current state. The specific force belongs to
+    the acceleration stage: it is that of the last physics step or, after a reset, of the reset
+    state.
     """
 
+    reads = ("orientation", "angular_velocity", "acceleration", "projected_gravity")
+
     def read_orientation(self) -> F64:
-        """(N, 4) wxyz: sensor axes in the world."""
+        """(N, 4) wxyz orientation of the sensor in the world."""
         return self._now()[:, 0:4].copy()
 
     def read_angular_velocity(self) -> F64:
@@ -147,27 +145,14 @@ class ImuSensor(BaseSensor):
         return self._now()[:, 4:7].copy()
 
     def read_acceleration(self) -> F64:
-        """(N, 3) m/s^2 specific force (acceleration minus gravity's), sensor axes.
+        """(N, 3) m/s^2 specific force (acceleration minus gravity), sensor axes.
 
-        At rest it is 9.81 upwards, in free fall 0.
+        It is 9.81 upwards at rest and 0 in free fall.
         """
         return self._last()[:, 7:10].copy()
 
     def read_projected_gravity(self) -> F64:
-        """(N, 3) unit vector that points down in the world, sensor axes; upright (0, 0, -1)."""
+        """(N, 3) unit vector of gravity in sensor axes; (0, 0, -1) if upright."""
         quat = self.read_orientation()
         down: F64 = quat_rotate(quat_conjugate(quat), np.broadcast_to(_DOWN, (len(quat), 3)))
         return down
-
-    def get_data(self) -> dict[str, torch.Tensor]:
-        """Return the four readings.
-
-        ``orientation`` (N, 4), ``angular_velocity``, ``acceleration`` and ``projected_gravity``
-        (N, 3) each.
-        """
-        return {
-            "orientation": to_tensor(self.read_orientation()),
-            "angular_velocity": to_tensor(self.read_angular_velocity()),
-            "acceleration": to_tensor(self.read_acceleration()),
-            "projected_gravity": to_tensor(self.read_projected_gravity()),
-        }

@@ -1,5 +1,7 @@
 """Every mistake in a task's terms is reported at once, with its path."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -280,6 +282,7 @@ PARAM = {
             "value: cannot go gradually from 'b' to 'c'",
         ),
         ("modify_term_param", {**PARAM, "param": "target_entity_cfg.uid", "value": "c"}, None),
+        ("modify_term_param", {**PARAM, "param": "shape"}, "param: there is no 'shape'"),
     ],
 )
 def test_what_a_curriculum_points_at(func: str, params, expected: str | None) -> None:
@@ -292,3 +295,24 @@ def test_what_a_curriculum_points_at(func: str, params, expected: str | None) ->
     else:
         assert len(found) == 1
         assert found[0].startswith(f"curriculum.c.params.{expected}")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("shape.tanh", 0.05, None),
+        ("shape.tanh", -1.0, "value: shape.tanh.std: must be greater than 0.0"),
+        ("shape", {"tanh": 0.05}, None),
+        ("shape", "l1", "param: the shapes of a term stay the same"),
+        ("shape.tan", 1.0, "param: there is no 'tan' in shape; there is: tanh"),
+    ],
+)
+def test_a_curriculum_of_a_shape(name: str, value: Any, expected: str | None) -> None:
+    given = {**PARAM, "param": name, "value": value}
+    found = problems(
+        rewards={"near": RewardCfg(func="distance", params=PAIR, shape={"tanh": 0.1})},
+        curriculum={"c": CurriculumCfg(func="modify_term_param", params=given)},
+    )
+    assert [f.startswith(f"curriculum.c.params.{expected}") for f in found] == (
+        [] if expected is None else [True]
+    )

@@ -126,6 +126,22 @@ def test_two_changes_of_one_term_do_not_undo_each_other(make) -> None:
     assert env.cfg.rewards["r"].params == {"pair": [1.0, 2.0]}  # the config stays as it was
 
 
+def test_a_parameter_of_a_shape_changes(make) -> None:
+    env = make(
+        rewards={"r": RewardCfg(func=amount, params={"size": 4.0}, shape={"clip": [0.0, 1.0]})},
+        curriculum=param("rewards", param="shape.clip.1", value=3.0, num_steps=4, interpolate=True),
+        max_episode_steps=2,
+    )
+    env.reset()
+    saved = env.state_dict()
+    assert rewards(env, 6) == [1.0, 1.0, 2.0, 2.0, 3.0, 3.0]
+    late = env.state_dict()
+    env.load_state_dict(saved)
+    assert rewards(env, 2) == [1.0, 1.0]
+    env.load_state_dict(late)
+    assert rewards(env, 2) == [3.0, 3.0]
+
+
 class Summing:
     """A class that keeps a sum, and has a parameter."""
 

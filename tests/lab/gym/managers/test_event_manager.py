@@ -103,7 +103,7 @@ def test_a_global_interval_runs_through_resets(make) -> None:
     env.reset()
     steps(env, 1)
     assert ids_of(fired, "g") == [None]
-    env.event_manager.restart_global()
+    env.reset(seed=1)
     steps(env, 2)
     assert len(fired.events) == 1
     steps(env, 1)

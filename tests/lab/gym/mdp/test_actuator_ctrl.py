@@ -137,7 +137,7 @@ def test_a_class_that_picks_joints_is_given_joint_targets(make):
             {},
             "actions.ctrl.params.clip: actuators without a ctrlrange: wrist.qw, wrist.qx, "
             "wrist.qy, wrist.qz, brake, lag, pid.pos, pid.vel, walk, dc; give the bounds of the "
-            "action, as in actions: {ctrl: {func: actuator_ctrl, params: {entity_cfg: {uid: r}, "
+            "action, as in actions: {ctrl: {func: actuator_ctrl, params: {of: {uid: r}, "
             "clip: [-1, 1]}}}, or clip: {NAME: [-1, 1], ...}",
         ),
         (

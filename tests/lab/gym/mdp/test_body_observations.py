@@ -178,7 +178,7 @@ def test_joint_observations(look) -> None:
     )
     env.robot.set_qpos(np.tile([0.5, 2.0, 0.0], (3, 1)), target=False)
     assert same(env.get_obs()["share"], [0.0, 1.0])
-    env.robot.drives.put_limit(
+    env.robot.drives.write_limit(
         1, np.full((1, 1), 1.0), np.array([1]), np.array([0])
     )  # environment 1: [-1, 1]
     assert torch.allclose(env.get_obs()["share"][:, 0], torch.tensor([0.0, 0.5, 0.0]))

@@ -162,9 +162,9 @@ def qpos_event(**params) -> EventCfg:
 def test_joints_and_their_targets_move_around_home(make) -> None:
     env, drawn = build(make, qpos_event(qpos_range=[-0.1, 0.2]))
     qpos = env.robot.read_qpos()
-    assert np.allclose(qpos, np.array(HOME) + drawn.last["qpos"], atol=1e-12)
+    assert np.allclose(qpos, np.array(HOME) + drawn.last["position"], atol=1e-12)
     assert np.array_equal(env.robot.drives.read_target_qpos(), qpos)
-    assert drawn.last["qpos"].min() >= -0.1 and drawn.last["qpos"].max() <= 0.2
+    assert drawn.last["position"].min() >= -0.1 and drawn.last["position"].max() <= 0.2
     assert len(np.unique(qpos)) == 18
 
 
@@ -185,7 +185,7 @@ def test_some_joints_absolutely_and_clamped(make) -> None:
 @pytest.mark.parametrize(
     ("event", "part"),
     [
-        (qpos_event(qpos_range=[0.1, -0.1]), "low exceeds high"),
+        (qpos_event(qpos_range=[0.1, -0.1]), "low 0.1 exceeds high -0.1"),
         (qpos_event(qpos_range=[[0.0] * 5, [1.0] * 5]), "two rows of 6 values"),
         (qpos_event(qpos_range=[0.0, 1.0], joint_ids=[7]), "has 6 joints"),
         (

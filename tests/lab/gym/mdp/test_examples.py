@@ -13,6 +13,7 @@ import yaml
 
 from embodichain.cli.terms import SECTION_OF, TermEntry, all_entries
 from embodichain.lab.gym.envs.cfg import EnvCfg
+from embodichain.lab.gym.envs.managers.aliases import AliasSpec
 from tests.helpers.example_scene import environment
 
 ENTRIES = [e for e in all_entries() if e.spec.func.__module__.startswith("embodichain.")]
@@ -39,7 +40,8 @@ def declared(entry: TermEntry) -> dict[str, Any]:
 def example_of(entry: TermEntry, kind: str) -> dict[str, Any]:
     """The example as a section declares it; a quantity of several columns needs a shape there."""
     example = yaml.safe_load(entry.doc.example)
-    if entry.spec.lead is not None and kind != "observation" and not entry.is_alias:
+    is_alias = isinstance(entry.spec, AliasSpec)
+    if entry.spec.lead is not None and kind != "observation" and not is_alias:
         example.setdefault("shape", "l2")
     return {k: v for k, v in example.items() if k in KEYS[kind]}
 

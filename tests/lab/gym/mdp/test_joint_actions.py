@@ -84,13 +84,13 @@ def test_clip_as_pairs_of_each_joint(make) -> None:
         ({"offset": {"elbow": 1}}, "offset.elbow", "no joint of this term matches 'elbow'"),
         ({"scale": {"Joint.*": 1, "Joint1": 2}}, "scale.Joint1", "matched by 'Joint.*' as well"),
         ({"scale": {"Joint[": 1}}, "scale.Joint[", "malformed regex"),
-        ({"scale": "much"}, "scale", "wants a finite number"),
+        ({"scale": "much"}, "scale", "must be a finite number"),
         ({"scale": [1, 2]}, "scale", "one value or 6"),
         ({"clip": {"Joint1": [-1, 1]}}, "clip", "says nothing about joints: Joint2"),
-        ({"clip": [1, 2, 3]}, "clip", r"wants \[low, high\]"),
+        ({"clip": [1, 2, 3]}, "clip", r"must be \[low, high\]"),
         ({"clip": [[-1, 1]]}, "clip", "one value or 6"),
         ({"offset": float("nan")}, "offset", "finite"),
-        ({"scale": {}}, "scale", "wants a finite number"),
+        ({"scale": {}}, "scale", "must be a finite number"),
     ],
 )
 def test_wrong_values_are_named(make, params, path, part) -> None:

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from embodichain.lab.gym.envs.mdp._kernels import SIGMOIDS, Tolerance, gaussian, tanh_kernel
+from embodichain.lab.gym.envs.mdp.shapes import SIGMOIDS, Tolerance, gaussian_kernel, tanh_kernel
 from embodichain.utils.errors import ConfigError
 
 HALF = {  # value at x = 0.5 where 0.1 is wanted at x = 1, by the formulas of dm_control's paper
@@ -64,14 +64,14 @@ def test_what_is_no_number_stays_visible(sigmoid, margin) -> None:
 @pytest.mark.parametrize("sigmoid", sorted(SIGMOIDS))
 def test_a_value_at_the_margin_must_suit_the_sigmoid(sigmoid) -> None:
     if sigmoid not in ("linear", "cosine", "quadratic"):
-        with pytest.raises(ConfigError, match=r"value_at_margin: must lie in \(0, 1\)"):
+        with pytest.raises(ConfigError, match=r"value_at_margin: must be in \(0, 1\)"):
             Tolerance([0.0, 0.0], 1.0, sigmoid, 0.0)
     with pytest.raises(ConfigError, match="value_at_margin"):
         Tolerance([0.0, 0.0], 1.0, sigmoid, 1.0)
 
 
 def test_isaac_labs_kernels() -> None:
-    assert gaussian(np.array([0.0, 0.25]), 0.5) == pytest.approx([1.0, math.exp(-1)])
+    assert gaussian_kernel(np.array([0.0, 0.25]), 0.5) == pytest.approx([1.0, math.exp(-1)])
     assert tanh_kernel(np.array([0.0, 0.2]), 0.1) == pytest.approx([1.0, 1 - math.tanh(2)])
 
 

@@ -169,7 +169,7 @@ def test_drives_follow_randomization(make) -> None:
 
 
 def test_attributes_are_of_objects_and_drives_of_robots(make) -> None:
-    with pytest.raises(ConfigError, match="is no rigid object"):
+    with pytest.raises(ConfigError, match="is not a rigid object"):
         env_with(make, {"a": ("get_rigid_object_physics_attributes", ARM)})
     with pytest.raises(ConfigError, match="has no joints"):
         env_with(make, {"a": ("get_articulation_joint_drive", CUBE)})
@@ -209,7 +209,7 @@ def test_normalized_joint_data(make) -> None:
 @pytest.mark.parametrize(
     ("params", "part"),
     [
-        ({"joint_ids": [9]}, r"of which there are 6, numbered from 0; got \[9\]"),
+        ({"joint_ids": [9]}, r"of the 6 active joints, numbered from 0; got \[9\]"),
         ({"control_parts": "hand"}, "no control part of 'ur10' matches 'hand'"),
         ({"control_parts": "hand", "joint_ids": [1]}, "give either"),
         ({"limit": "limits"}, "'qpos_limits', 'qvel_limits', 'qf_limits'"),
@@ -275,7 +275,7 @@ def test_normalization_wants_the_joints_columns(make) -> None:
         "pair": ObservationCfg(func="relative_position", params=PAIR),
         "it": ObservationCfg(func="normalize_robot_joint_data", mode="modify", name="pair"),
     }
-    with pytest.raises(ValueError, match=r"wants \(3, 6\)"):
+    with pytest.raises(ValueError, match=r"needs \(3, 6\)"):
         make(observations=terms)
 
 

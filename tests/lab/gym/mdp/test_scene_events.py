@@ -275,7 +275,7 @@ def test_an_attribute_that_nobody_made_is_an_error(make) -> None:
     ("attr", "part"),
     [
         ({"name": "a", "value": 1}, "give either entity_uids or entity_cfg"),
-        ({"name": "a", "entity_uids": ["cube"]}, "a static attribute is its value"),
+        ({"name": "a", "entity_uids": ["cube"]}, "a static attribute needs a value"),
         ({"name": "a", "entity_uids": ["cub"], "value": 1}, "Did you mean 'cube'?"),
         (
             {"name": "a", "entity_uids": ["cube"], "mode": "callable", "func_name": "get_mas"},

@@ -104,7 +104,7 @@ def test_actions_are_averaged(make) -> None:
         ({"bounds": [0.0, 1.0], "margin": -1}, "margin: .*at least 0"),
         ({"bounds": [0.0, 1.0], "sigmoid": "gauss"}, "sigmoid: .*'gaussian'"),
         ({"bounds": [0.0, 1.0], "value_at_margin": 1.0}, "value_at_margin: .*less than 1"),
-        ({"bounds": [0.0, 1.0], "value_at_margin": 0.0}, "value_at_margin: must lie in"),
+        ({"bounds": [0.0, 1.0], "value_at_margin": 0.0}, "value_at_margin: must be in"),
     ],
 )
 def test_wrong_kernels_are_reported_by_parameter(make, params, part) -> None:

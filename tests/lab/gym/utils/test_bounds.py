@@ -4,7 +4,7 @@ import numpy as np
 
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.cfg import ActionTermCfg, EnvCfg
-from embodichain.lab.gym.utils.bounds import joint_bounds
+from embodichain.lab.gym.envs.managers.term import finite_limits
 from embodichain.lab.sim.cfg import JointDrivePropertiesCfg, RobotCfg
 
 ARM = """<mujoco><worldbody><body name="base"><geom size="0.1"/>
@@ -15,10 +15,9 @@ ARM = """<mujoco><worldbody><body name="base"><geom size="0.1"/>
 
 def test_unlimited_sides_get_a_turn_and_ids_choose() -> None:
     limits = [[-np.inf, np.inf], [-1.0, 2.0], [0.5, np.inf]]
-    low, high = joint_bounds(limits, [2, 0])
-    np.testing.assert_array_equal(low, np.float32([0.5, -2 * np.pi]))
-    np.testing.assert_array_equal(high, np.float32([2 * np.pi, 2 * np.pi]))
-    assert low.dtype == high.dtype == np.float32
+    low, high = finite_limits(limits, [2, 0])
+    np.testing.assert_array_equal(low, [0.5, -2 * np.pi])
+    np.testing.assert_array_equal(high, [2 * np.pi, 2 * np.pi])
 
 
 def test_default_actions_and_joint_position_have_the_same_bounds(tmp_path) -> None:

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from embodichain.lab.sim.cfg import RobotCfg, SimulationManagerCfg
-from embodichain.lab.sim.compiler import CompiledScene
+from embodichain.lab.sim.compiler.scene import CompiledScene
 from embodichain.lab.sim.sim_manager import SimulationManager
 
 UR10 = "UniversalRobots/UR10/UR10.urdf"
@@ -101,7 +101,7 @@ def scene_of(
     objects: Mapping[str, Any] | None = None,
     sim: SimulationManagerCfg | None = None,
 ) -> CompiledScene:
-    """The scene of a simulation with these entities, which logs what a user should be told."""
+    """The scene of a simulation with these entities, which logs messages for the user."""
     manager = SimulationManager(sim or SimulationManagerCfg(headless=True))
     for uid, cfg in robots.items():
         manager.add_robot(dataclasses.replace(cfg, uid=uid))

@@ -12,7 +12,8 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.compiler import compile_scene, parse_articulation
+from embodichain.lab.sim.compiler.articulation import parse_articulation
+from embodichain.lab.sim.compiler.scene import compile_scene
 from embodichain.utils.errors import ConfigError
 from tests.lab.sim.compiler.helpers import (
     GRIPPER_URDF,
@@ -261,7 +262,7 @@ def test_a_broken_visual_mesh_is_left_out_too(tmp_path, caplog):
     name = write(tmp_path / "m.urdf", meshed("broken.stl", "part.stl"))
     assert scene_of({"m": RobotCfg(fpath=name)}).model.ngeom == 2
     assert "visual mesh of link 'base' left out" in caplog.text
-    assert "broken.stl: it holds no triangles" in caplog.text
+    assert "broken.stl: it contains no triangles" in caplog.text
 
 
 def test_links_held_by_fixed_joints_without_an_inertial_have_no_mass(tmp_path):
@@ -294,7 +295,7 @@ BAD_FILES = {
         '<mujoco>\n<worldbody>\n<body>\n<geom type="boxx"/></body></worldbody></mujoco>',
         ":4: invalid keyword: 'boxx' (element 'geom')",
     ),
-    "world.xml": ("<mujoco><worldbody/></mujoco>", ": the file holds no bodies"),
+    "world.xml": ("<mujoco><worldbody/></mujoco>", ": the file contains no bodies"),
 }
 
 
@@ -318,7 +319,7 @@ def test_a_missing_file_says_where_it_was_looked_for_and_what_is_close():
     [
         (
             [0.0] * 5,
-            "a.init_qpos: wants 6 values, one for each joint (Joint1, Joint2, Joint3, Joint4, "
+            "a.init_qpos: must be 6 values, one for each joint (Joint1, Joint2, Joint3, Joint4, "
             "Joint5, Joint6), got 5",
         ),
         (
@@ -330,7 +331,7 @@ def test_a_missing_file_says_where_it_was_looked_for_and_what_is_close():
             {"Joint3": 3.5},
             "a.init_qpos: joint 'Joint3' starts at 3.5, outside its limits [-3.14159, 3.14159]",
         ),
-        ({"Joint1": "x"}, "a.init_qpos.Joint1: wants a number in rad or m, got 'x'"),
+        ({"Joint1": "x"}, "a.init_qpos.Joint1: must be a number in rad or m, got 'x'"),
         (
             [float("nan")] + [0.0] * 5,
             "a.init_qpos: joint 'Joint1' starts at nan, outside its limits [-6.28319, 6.28319]",

@@ -8,7 +8,7 @@ from embodichain.lab.sim.cfg import (
     RobotCfg,
     SimulationManagerCfg,
 )
-from embodichain.lab.sim.compiler import parse_articulation
+from embodichain.lab.sim.compiler.articulation import parse_articulation
 from embodichain.utils.errors import ConfigError
 from tests.lab.sim.compiler.helpers import GRIPPER_URDF, HOME, UR10, scene_of, start, write
 
@@ -161,7 +161,7 @@ def test_a_mimic_joint_follows_and_has_no_drive_of_its_own(tmp_path):
             "stiffness 0 instead",
         ),
         ({"max_velocity": 0.0}, "a.drive_pros.max_velocity: must be positive; null is no limit"),
-        ({"max_effort": "urdf"}, "a.drive_pros.max_effort: wants a number, got 'urdf'"),
+        ({"max_effort": "urdf"}, "a.drive_pros.max_effort: must be a number, got 'urdf'"),
     ],
 )
 def test_a_drive_that_does_not_fit_is_named(drives, message):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from embodichain.lab.sim.cfg import JointDrivePropertiesCfg, RobotCfg
-from embodichain.lab.sim.compiler import parse_articulation
+from embodichain.lab.sim.compiler.articulation import parse_articulation
 from embodichain.utils.errors import ConfigError
 from tests.helpers.mjcf_robots import HAND, ROBOTS, UR5E, UR5E_HOME, ZOO
 from tests.lab.sim.compiler.helpers import HOPPER_MJCF, scene_of, write
@@ -242,7 +242,7 @@ def test_drives_that_an_mjcf_has_no_place_for(text, values, message, tmp_path):
 
 
 def test_a_urdf_has_no_gains_to_take():
-    with pytest.raises(ConfigError, match="a URDF holds no gains: give numbers"):
+    with pytest.raises(ConfigError, match="a URDF has no gains: give numbers"):
         fpath = "UniversalRobots/UR10/UR10.urdf"
         parse_articulation("r", RobotCfg(fpath=fpath, drive_pros=drives(stiffness="file")))
 

@@ -11,11 +11,11 @@ from embodichain.lab.sim.meshes.mesh_conversion import (
     cache_folder,
     convert_collision,
     convert_visual,
+    decompose,
     entry,
     reads,
 )
-from embodichain.lab.sim.meshes.mesh_decomposition import decompose
-from embodichain.lab.sim.meshes.mesh_part import MeshError
+from embodichain.lab.sim.meshes.mesh_reading import MeshError
 from tests.lab.sim.meshes.files import collada
 
 

@@ -79,7 +79,7 @@ def test_an_uneven_force_range_stays_so_when_it_is_scaled(add):
     assert model.actuator_forcerange[0].tolist() == [-9, 11]
     robot.set_qpos([2.0], joint_ids=[joint])
     assert control(robot, "servo")[0] == 2.0
-    robot.drives.put("strength", np.array([[0.5], [1.0]]), np.array([0, 2]), np.array([joint]))
+    robot.drives.write("strength", np.array([[0.5], [1.0]]), np.array([0, 2]), np.array([joint]))
     # The joint's own limit of 6 stands behind the actuator's.
     assert forces(sim, robot, "servoed", -1.0, 0.0).tolist() == [5.5, 6.0, 6.0]
     robot.set_qpos([-1.0], joint_ids=[joint])

@@ -1,4 +1,4 @@
-"""Managers: what runs a task's declared terms. Also the registry of terms."""
+"""Managers, which run the declared terms of a task, and the registry of terms."""
 
 import lazy_loader
 

@@ -1,29 +1,173 @@
-"""`ActionManager`: each action term receives its slice of the action.
+"""Checking and applying the action given to `step`: `ActionCheck`, `ActionManager`.
 
-Terms are in `envs/mdp/actions`, delay and noise in `action_pipeline.py`.
+Each action term receives its slice; `drive_robot` moves a robot without action terms. Noise and
+delay are in `pipeline.py`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+import gymnasium as gym
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.cfg import ActionTermCfg
 from embodichain.lab.gym.envs.managers.manager import BuiltTerm, Manager
 from embodichain.lab.gym.envs.managers.pipeline import ActionPipeline
-from embodichain.lab.gym.envs.managers.term import ActionTerm
+from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
+from embodichain.lab.sim.objects._arrays import all_finite
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.tensor_mapping import leaves_of
 
 if TYPE_CHECKING:
-    import torch
-
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.objects.robot import Robot
+    from embodichain.lab.sim.types import EnvAction
 
-__all__ = ["ActionManager", "ActionTerm"]  # EmbodiChain has both here
+__all__ = [
+    "ActionCheck",
+    "ActionManager",
+    "ActionTerm",
+    "action_space",
+    "drive_robot",
+]
+
+
+def action_space(
+    robot: Robot | None, joint_ids: Sequence[int], manager: ActionManager
+) -> gym.spaces.Box:
+    """Return the action space of one environment: that of action terms, or joint positions.
+
+    Bounds are finite, for joints without limits too.
+    """
+    if len(manager):
+        return gym.spaces.Box(manager.low, manager.high, dtype=np.float32)
+    if robot is None:
+        return gym.spaces.Box(0.0, 0.0, (0,), np.float32)
+    low, high = finite_limits(robot.parsed.qpos_limits, joint_ids)
+    return gym.spaces.Box(low.astype(np.float32), high.astype(np.float32))
+
+
+class ActionCheck:
+    """Checks actions against a space, before anything is written.
+
+    Args:
+        space: Action space of one environment; shapes are checked if it is a Box.
+        num_envs: N.
+        device: The device that actions must be on.
+    """
+
+    def __init__(self, space: gym.Space[Any], num_envs: int, device: torch.device) -> None:
+        self._shape = (
+            (num_envs, *(space.shape or ())) if isinstance(space, gym.spaces.Box) else None
+        )
+        self._num_envs = num_envs
+        self._device = device
+
+    def __call__(self, action: Any) -> tuple[EnvAction, F64]:
+        """Check an action.
+
+        Args:
+            action: (N, A) floating tensor on the device, or a numpy array (converted to a float32
+                tensor), or a mapping of such tensors (such as a TensorDict).
+
+        Returns:
+            The action, and its numbers as (N, A) float64 that share no memory with it.
+
+        Raises:
+            TypeError: If it is not a floating tensor, array or mapping.
+            ValueError: If its shape or device is wrong or a number is not finite.
+        """
+        if isinstance(action, np.ndarray):
+            numbers = action
+            tensor = (
+                torch.from_numpy(action.astype(np.float32)) if action.dtype.kind == "f" else None
+            )
+        elif isinstance(action, torch.Tensor):
+            if action.device != self._device:
+                found = f"action is on {action.device}"
+                raise ValueError(f"{found}; this environment is on {self._device}")
+            tensor = action.detach() if action.requires_grad else action
+            numbers = tensor.numpy()
+        elif isinstance(action, Mapping):
+            return action, self._finite(self._joined(action))
+        else:
+            raise TypeError(f"an action is a tensor {self._wanted()}, got {type(action).__name__}")
+        if tensor is None or numbers.dtype.kind != "f":
+            raise TypeError(
+                f"an action is a floating point tensor {self._wanted()}, got {action.dtype}"
+            )
+        shape = numbers.shape
+        if shape != self._shape and (self._shape is not None or shape[:1] != (self._num_envs,)):
+            raise ValueError(f"action must have shape {self._wanted()}, got {shape}")
+        given = numbers.astype(np.float64)
+        return tensor, self._finite(given if given.ndim == 2 else given.reshape(len(given), -1))
+
+    def _wanted(self) -> str:
+        return f"({self._num_envs}, ...)" if self._shape is None else f"{self._shape}"
+
+    def _joined(self, action: Mapping[str, Any]) -> F64:
+        leaves = [leaf.detach().cpu().numpy() for _, leaf in leaves_of(action)]
+        if not leaves:
+            raise ValueError("the action is an empty mapping")
+        for leaf in leaves:
+            if leaf.shape[:1] != (self._num_envs,):
+                raise ValueError(
+                    f"action must have batch size ({self._num_envs},), got {leaf.shape[:1]}"
+                )
+        rows: list[NDArray[Any]] = [leaf.reshape(self._num_envs, -1) for leaf in leaves]
+        return np.concatenate(rows, axis=1).astype(np.float64)
+
+    @staticmethod
+    def _finite(values: F64) -> F64:
+        if not all_finite(values):
+            rows = np.flatnonzero(~np.isfinite(values).all(axis=1))
+            raise ValueError(f"action is not finite in environments {rows[:8].tolist()}")
+        return values
+
+
+def drive_robot(
+    robot: Robot | None, joint_ids: list[int], action: EnvAction, seconds: float
+) -> None:
+    """Give a robot absolute joint targets.
+
+    Args:
+        robot: The robot; None does nothing.
+        joint_ids: The A joints to move.
+        action: (N, A) position targets, clamped to the joints' limits and to the change that
+            `max_velocity` of the drives allows, or a mapping with any of ``qpos``, ``qvel``
+            (velocity targets) and ``qf`` (efforts), each (N, A).
+        seconds: The period of a control step.
+
+    Raises:
+        ValueError: If a shape or a key is wrong.
+    """
+    if robot is None:
+        return
+    joints = np.asarray(joint_ids, np.int64)
+    drives = robot.drives
+
+    def move(target: torch.Tensor, joint_ids: list[int]) -> None:
+        wanted = np.asarray(target, np.float64)
+        robot.set_qpos(drives.within_rate(wanted, joints, seconds), joint_ids=joint_ids)
+
+    def turn(target: torch.Tensor, joint_ids: list[int]) -> None:
+        most = drives.max_velocity[:, joints]
+        robot.set_qvel(np.clip(np.asarray(target, np.float64), -most, most), joint_ids=joint_ids)
+
+    if isinstance(action, torch.Tensor):
+        move(action, joint_ids)
+        return
+    setters: dict[Any, Any] = {"qpos": move, "qvel": turn, "qf": robot.set_qf}
+    unknown = [key for key in action.keys() if key not in setters]  # noqa: SIM118  (it may be a TensorDict)
+    if unknown:
+        raise ValueError(f"unknown action entries {unknown}; allowed: {', '.join(setters)}")
+    for key, value in action.items():
+        setters[key](value, joint_ids=joint_ids)
 
 
 class ActionManager(Manager[ActionTermCfg]):
@@ -68,7 +212,7 @@ class ActionManager(Manager[ActionTermCfg]):
         self._calls = [(self._receiver(n, t), self.slices[n]) for n, t in self.terms.items()]
 
     def _receiver(self, name: str, term: BuiltTerm[ActionTermCfg]) -> Callable[..., Any]:
-        """What takes a term's slice: without delay and noise, the term itself."""
+        """The function that receives a term's slice: the term, or its delay and noise."""
         call, cfg = term.call, term.cfg
         if cfg.delay == 0 and cfg.noise is None:
             return call
@@ -80,13 +224,13 @@ class ActionManager(Manager[ActionTermCfg]):
         return lambda action: call(pipeline(action))
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Reset terms, and what delays their actions; (n,) environments, or None for all."""
+        """Reset terms and delays of these environments; (n,), or None for all."""
         super().reset(env_ids)
         for pipeline in self._pipelines.values():
             pipeline.reset(env_ids)
 
     def state_dict(self) -> dict[str, Any]:
-        """State of terms and of actions under way (copies)."""
+        """State of terms, and delayed actions (copies)."""
         under_way = {name: p.state_dict() for name, p in self._pipelines.items()}
         return {**super().state_dict(), "pipelines": under_way}
 
@@ -98,7 +242,7 @@ class ActionManager(Manager[ActionTermCfg]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each column of the action moves: ``TERM/JOINT``."""
+        """Name of each column of the action: ``TERM/JOINT``."""
         found: list[str] = []
         for name, term in self.terms.items():
             width = self.slices[name].stop - self.slices[name].start
@@ -107,10 +251,10 @@ class ActionManager(Manager[ActionTermCfg]):
         return tuple(found)
 
     def apply(self, action: torch.Tensor) -> None:
-        """Hand every term its slice of the action.
+        """Apply every term to its slice of the action.
 
         Args:
-            action: (N, A) float32, finite: the environment has checked it.
+            action: (N, A) float32, finite (checked by the environment).
         """
         if len(self._calls) == 1:
             self._calls[0][0](action)
@@ -123,7 +267,7 @@ class ActionManager(Manager[ActionTermCfg]):
         return np.concatenate([np.zeros(0), *(t.instance.home() for t in self.terms.values())])
 
     def hold(self) -> NDArray[np.float64]:
-        """(N, A) the action that changes nothing now."""
+        """(N, A) the action that keeps the present targets."""
         held = np.empty((self.num_envs, self.action_dim))
         for name, term in self.terms.items():
             held[:, self.slices[name]] = term.instance.hold()

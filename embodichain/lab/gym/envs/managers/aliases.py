@@ -2,7 +2,7 @@
 
 ``"joint_vel_l2": alias("joint_velocity", "l2")`` makes ``{func: joint_vel_l2}`` mean ``{func:
 joint_velocity, shape: l2}``. A parameter of the target may have a fixed value, another name (`P`),
-or a value that a function makes of parameters of its own.
+or a value that a function computes from its own parameters.
 """
 
 from __future__ import annotations
@@ -37,21 +37,23 @@ class P:
     """A parameter of an alias.
 
     Attributes:
-        name: What the alias calls it; ``*`` stands for all parameters of a shape.
-        default: Its value where a config gives none; the target's default if absent.
+        name: Its name in the alias; ``*`` is all parameters of a shape.
+        default: Its default value; absent is the target's default.
         hint: Its type, if it is narrower than the target's.
-        needed: Whether a config must give it although the target has a default.
+        needed: Whether a config must set it although the target has a default.
+        text: Its description, if it differs from the target's.
     """
 
     name: str
     default: Any = _EMPTY
     hint: Any = None
     needed: bool = False
+    text: str = ""
 
 
 @dataclass(frozen=True)
 class Alias:
-    """What a name stands for; see `alias`."""
+    """The target, shapes and parameters of an alias; see `alias`."""
 
     target: str
     shapes: tuple[tuple[str, Any], ...]
@@ -90,7 +92,7 @@ def alias(
 
 @dataclass(frozen=True)
 class AliasSpec(TermSpec):
-    """A term whose name stands for another term, or for a quantity with shapes.
+    """A term that is another name of a term, or of a quantity with shapes.
 
     Attributes:
         target: The term.
@@ -99,6 +101,7 @@ class AliasSpec(TermSpec):
         fixed: The values that the alias sets, one map for each of `parts`.
         exposed: Parameter -> index in `parts` and its name there.
         narrower: Parameter -> its type, where it is narrower than the target's.
+        texts: Parameter -> its description, where it differs from the target's.
         example: Parameters in its example, as YAML; empty if they follow from those of `parts`.
     """
 
@@ -108,16 +111,17 @@ class AliasSpec(TermSpec):
     fixed: tuple[dict[str, Any], ...] = ()
     exposed: Mapping[str, tuple[int, str]] = field(default_factory=dict)
     narrower: Mapping[str, Any] = field(default_factory=dict)
+    texts: Mapping[str, str] = field(default_factory=dict)
     example: str = ""
 
     @property
     def place(self) -> str:
-        """Where the target is defined, and the name, which tells aliases apart."""
+        """The module and name of the target, and the alias's name, which makes it unique."""
         return f"{self.target.place} as {self.name}"
 
     @property
     def parts(self) -> tuple[TermSpec, ...]:
-        """What takes the parameters: the target, the shapes, and the functions in `makers`."""
+        """The owners of the parameters: the target, the shapes, and the functions in `makers`."""
         return (self.target, *self.steps, *self.makers.values())
 
     @property
@@ -126,14 +130,14 @@ class AliasSpec(TermSpec):
         return {key: name for name, (_, key) in self.exposed.items()}
 
     def hints(self) -> dict[str, Any]:
-        """Types of the parameters: those of what they stand for."""
+        """Types of the parameters, from the target or a shape."""
         hints = {n: self.parts[i].hints()[key] for n, (i, key) in self.exposed.items()}
         return {**hints, **self.narrower}
 
     def meaning(
         self, values: Mapping[str, Any], env: TermContext | None = None
     ) -> list[tuple[TermSpec, dict[str, Any]]]:
-        """The target and its parameters, then each shape and its own.
+        """The target and its parameters, then each shape and its parameters.
 
         Args:
             values: Parameters of the alias.
@@ -156,11 +160,11 @@ def register_aliases(table: Mapping[str, Alias], *kinds: Kind) -> None:
     """Register names as terms.
 
     Args:
-        table: Name -> what it stands for.
-        *kinds: The managers that may use it; none are those that the last shape allows: reward
-            and metric, and termination if it is a truth.
+        table: Name -> its meaning.
+        *kinds: The managers that may use it; by default those that the last shape allows: reward
+            and metric, and termination if it returns bool.
     """
-    TERMS["reward"]  # what they stand for is registered first
+    TERMS["reward"]  # targets are registered first
     for name, meant in table.items():
         last = meant.shapes[-1][0] if meant.shapes else ""
         for kind in kinds or (VALUE_KINDS[1:] if last in _TRUTHS else ("reward", "metric")):
@@ -188,6 +192,7 @@ def _spec(name: str, kind: Kind, meant: Alias) -> AliasSpec:
     exposed: dict[str, tuple[int, str]] = {}
     params: dict[str, inspect.Parameter] = {}
     narrower: dict[str, Any] = {}
+    texts: dict[str, str] = {}
     for part in (*range(1, len(parts)), 0):
         for key, value in given[part].items():
             if isinstance(value, P):
@@ -197,6 +202,8 @@ def _spec(name: str, kind: Kind, meant: Alias) -> AliasSpec:
                 params[value.name] = source.replace(default=_EMPTY if value.needed else default)
                 if value.hint is not None:
                     narrower[value.name] = value.hint
+                if value.text:
+                    texts[value.name] = value.text
     needed = [n for n, p in params.items() if p.default is _EMPTY]
     entities = [n for n in needed if exposed[n][1] in _OLD or n in _OLD.values()]
     order = dict.fromkeys([*entities, *needed, *params])
@@ -214,12 +221,13 @@ def _spec(name: str, kind: Kind, meant: Alias) -> AliasSpec:
         fixed=fixed,
         exposed=exposed,
         narrower=narrower,
+        texts=texts,
         example=meant.example,
     )
 
 
 def _of_shape(shape: TermSpec, given: Any) -> dict[str, Any]:
-    """Parameters of a shape as an alias gives them."""
+    """Parameters of a shape, as given in an alias."""
     if given is None:
         return {}
     if isinstance(given, P) and given.name == "*":
@@ -228,7 +236,7 @@ def _of_shape(shape: TermSpec, given: Any) -> dict[str, Any]:
 
 
 def _doc(meant: Alias, target: TermSpec) -> str:
-    """Say what a name stands for."""
+    """Describe the meaning of a name."""
     shapes = ", ".join(_written(name, given) for name, given in meant.shapes)
     shape = f", shape: {f'[{shapes}]' if len(meant.shapes) > 1 else shapes}" if shapes else ""
     shown = {
@@ -237,7 +245,7 @@ def _doc(meant: Alias, target: TermSpec) -> str:
     shown = {k: v for k, v in shown.items() if v not in (_EMPTY, target.params[k].default)}
     values = ", ".join(f"{k}: {_yaml(v)}" for k, v in shown.items())
     params = f", params: {{{values}}}" if values else ""
-    return f"Stands for ``{{func: {target.name}{shape}{params}}}``."
+    return f"Alias of ``{{func: {target.name}{shape}{params}}}``."
 
 
 def _written(name: str, given: Any) -> str:

@@ -1,7 +1,7 @@
-"""Checks of terms: their parameters against signatures, and what stands beside `func` and `params`.
+"""Checks of terms: their parameters against signatures, and their keys besides `func` and `params`.
 
-For a whole task and for one term that is being built. Entities that parameters point at are checked
-against the scene in `scene_check.py`. No torch here.
+For a whole task, and for one term when it is built. `scene_setup.py` checks that the entities in
+parameters exist. Imports no torch.
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ _ENTITIES = (
     *("entity_cfg", "source_entity_cfg", "target_entity_cfg", "end_effector_cfg", "object_cfg"),
     *("goal_cfg", "reference_entity_cfg"),
 )
-"""Parameters that EmbodiChain takes for references to entities by their names alone; so is
-`entity_cfgs`, a list of them."""
+"""Parameters that EmbodiChain reads as references to entities because of their names;
+`entity_cfgs` is a list of them."""
 _REFERENCES = {"command_name": "commands", "sensor": "sensors"}
-"""Parameters that name an entry of another section."""
+"""Parameters whose value is the name of an entry of another section."""
 
 
 def check_terms(cfg: EnvCfg, *, allow_import: bool = True) -> list[Problem]:
@@ -103,9 +103,9 @@ class CheckedTerm:
 def check_in_task(
     term: CheckedTerm, cfg: EnvCfg, path: str, allow_import: bool = True
 ) -> list[Problem]:
-    """Check what only the whole task shows: references to commands and sensors, and curricula.
+    """Check a term against the whole task: references to commands and sensors, and curricula.
 
-    A term class may bring a class method ``check_task(task, params, allow_import)`` that returns
+    A term class may have a class method ``check_task(task, params, allow_import)`` that returns
     such mistakes, with paths relative to the parameters.
 
     Args:
@@ -168,7 +168,7 @@ def check_term(
 def check_shape(
     shape: Any, path: str
 ) -> tuple[tuple[tuple[TermSpec, dict[str, Any]], ...], list[Problem]]:
-    """Check what a term's `shape` says.
+    """Check the `shape` of a term.
 
     Args:
         shape: A name, ``{name: parameters}``, or a list of these; None is none. Parameters are a
@@ -218,7 +218,7 @@ def _check_class(path: str, spec: TermSpec) -> list[Problem]:
 
 
 def _check_modifiers(cfg: EnvCfg) -> list[Problem]:
-    """An entry that is modified must have been added before, or be the robot's or a sensor's."""
+    """Check that modified entries were added before, or are the robot's or a sensor's."""
     known: list[str] = ["robot/qpos", "robot/qvel", "robot/qf"]
     for uid, sensor in cfg.sensors.items():
         known += [f"sensor/{uid}/{name}" for name in readings(sensor) if sensor.observe]
@@ -243,11 +243,11 @@ def check_params(
 
     Args:
         spec: The term.
-        params: What the config gives.
+        params: The parameters in the config.
         path: Key path of `params`, for messages.
 
     Returns:
-        The values as the annotations ask for them (dicts made `SceneEntityCfg`), without defaults,
+        The values in the types of the annotations (dicts made `SceneEntityCfg`), without defaults,
         and every mistake.
     """
     values: dict[str, Any] = {}
@@ -276,7 +276,7 @@ def check_params(
 
 
 def _meant(name: str, hint: Any, value: Any) -> Any:
-    """What a parameter is read as: without an annotation, its name tells references to entities."""
+    """Read a parameter; without an annotation, its name says whether it refers to an entity."""
     if hint is not Any or not isinstance(value, (Mapping, list)):
         return hint
     if name in _ENTITIES:
@@ -293,7 +293,7 @@ def _convert(hint: Any, value: Any) -> Any:
 
 @cache
 def _adapter(hint: Any) -> TypeAdapter[Any] | None:
-    """What checks values of a type; None if any passes, as of a user's own type."""
+    """The pydantic adapter that checks a type; None if any value is allowed (users' types)."""
     try:
         return TypeAdapter(hint)
     except PydanticSchemaGenerationError:
@@ -301,7 +301,7 @@ def _adapter(hint: Any) -> TypeAdapter[Any] | None:
 
 
 def _problems_of(error: ValidationError, path: str, hint: Any) -> list[Problem]:
-    """Pydantic's errors as problems, one for each place; a union's members each report."""
+    """Pydantic's errors as problems, one for each key path; members of a union all report."""
     places: dict[str, list[Any]] = {}
     for details in error.errors(include_url=False):
         tail = "".join(f".{part}" for part in details["loc"] if part not in FORMS)
@@ -335,7 +335,7 @@ _ALIASES = (("low", "n_min"), ("high", "n_max"))
 
 
 def check_fields(path: str, term: TermCfg) -> list[Problem]:
-    """Return the mistakes of one term beside `func` and `params`.
+    """Return the mistakes of one term in keys other than `func` and `params`.
 
     Args:
         path: Its key path.
@@ -376,7 +376,7 @@ def _check_disturbance(path: str, term: ActionTermCfg | ObservationCfg) -> list[
 
 
 def _check_noise(path: str, noise: Any) -> list[Problem]:
-    if not isinstance(noise, NoiseCfg):  # of Python's API: YAML's is checked for types before
+    if not isinstance(noise, NoiseCfg):  # from Python; in YAML pydantic has checked the type
         kind = type(noise).__name__
         return [Problem(path, f"must be a NoiseCfg, got {kind}; NoiseCfg.from_dict makes one")]
     if noise.type not in _NOISE:
@@ -422,7 +422,7 @@ def _check_noise_order(path: str, noise: NoiseCfg) -> list[Problem]:
 
 
 def check_corruption(cfg: EnvCfg) -> list[Problem]:
-    """Return the groups in `enable_corruption` that no observation is in."""
+    """Return the groups in `enable_corruption` that have no observation."""
     if isinstance(cfg.enable_corruption, bool):
         return []
     groups = list(dict.fromkeys(term.group for term in cfg.observations.values()))

@@ -1,7 +1,7 @@
 """Managers whose terms draw random numbers: `EventManager` and `CommandManager`.
 
-Each term has a random stream of its own, and what it draws is logged. `Timer` counts the control
-steps until a term is due.
+Each term has its own random stream, and its draws are logged. `Timer` counts the control steps
+until a term is due.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.gym.envs.managers.registry import Kind
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 else:
     torch = lazy_loader.load("torch")
 
@@ -43,7 +43,7 @@ class DrawingManager(Manager[C]):
     """A manager whose terms draw random numbers while they are called.
 
     A term draws by `draw` from a stream named ``SECTION.TERM``, so that adding, removing or
-    reordering terms changes no other term's numbers. What it drew goes to the environment's
+    reordering terms changes no other term's numbers. Draws are reported to the environment's
     observers.
     """
 
@@ -55,10 +55,10 @@ class DrawingManager(Manager[C]):
 
     @abstractmethod
     def _run(self, term: BuiltTerm[C], mode: str, env_ids: EnvIndex | None) -> None:
-        """Call a term, by `_call`, and do what follows from it."""
+        """Call a term by `_call`; subclasses add bookkeeping."""
 
     def _call(self, term: BuiltTerm[C], mode: str, env_ids: EnvIndex | None, *args: Any) -> None:
-        """Call a term with a stream of its own, and log what it drew."""
+        """Call a term with its own random stream, and log its draws."""
         self._stream = f"{self.section}.{term.name}"
         self._drawn = {}
         try:
@@ -74,10 +74,10 @@ class DrawingManager(Manager[C]):
     def draw(
         self, what: str, shape: Sequence[int], low: Any, high: Any, env_ids: EnvIndex | None
     ) -> F64:
-        """Draw uniform numbers for the term that is being called, and have them logged.
+        """Draw uniform numbers for the term that is being called, and log them.
 
         Args:
-            what: What they are, for the log: ``position``.
+            what: Their name in the log, such as ``position``.
             shape: Shape of one environment's draw.
             low: Scalar or array that broadcasts to ``shape``.
             high: Likewise; exclusive.
@@ -100,15 +100,15 @@ class DrawingManager(Manager[C]):
         env_ids: EnvIndex | None,
         normal: bool = False,
     ) -> F64:
-        """Draw several quantities at once, and have each logged under its name.
+        """Draw several quantities at once, and log each under its name.
 
         Args:
             columns: Name -> its columns of the draw.
             low: (k,) lower bounds.
             high: (k,) upper bounds.
             env_ids: (n,) environments that draw, or None for all.
-            normal: Normal instead of uniform numbers: the mean in the middle, the bounds at three
-                standard deviations, where the numbers are clipped.
+            normal: Whether to draw normal numbers: mean in the middle, clipped to the bounds at
+                three standard deviations.
 
         Returns:
             (n, k) float64. Do not write into it.
@@ -128,7 +128,7 @@ class DrawingManager(Manager[C]):
         return values
 
     def _replayed(self, what: str, shape: Sequence[int], env_ids: EnvIndex | None) -> F64 | None:
-        """(n, *shape) what a replayed term drew, or None."""
+        """(n, *shape) recorded draw of a term that is replayed, or None."""
         given = self._recorded.get(what)
         if given is None or given.shape != tuple(shape):
             return None
@@ -138,13 +138,13 @@ class DrawingManager(Manager[C]):
     def replay(
         self, name: str, mode: str, env_ids: EnvIndex | None, drawn: Mapping[str, NDArray[Any]]
     ) -> None:
-        """Call a term with numbers that were drawn before, when a log was recorded.
+        """Call a term with recorded draws instead of new ones.
 
         Args:
             name: The term.
             mode: The mode in which it was called.
             env_ids: (n,) environments, or None for all.
-            drawn: What one environment drew, by name; what is not here is drawn anew.
+            drawn: The draws of one environment, by name; missing ones are drawn.
         """
         self._recorded = drawn
         try:
@@ -169,7 +169,7 @@ class Timer:
         self._step_dt = step_dt
 
     def start(self, env_ids: EnvIndex | None, seconds: F64) -> None:
-        """Start it for (n,) seconds, rounded to control steps, at least one."""
+        """Start the timer for (n,) seconds, rounded to control steps, at least one."""
         steps = np.maximum(1, np.rint(seconds / self._step_dt)).astype(np.int64)
         self.left[slice(None) if env_ids is None else env_ids] = steps
 
@@ -177,11 +177,11 @@ class Timer:
         """Count control steps.
 
         Args:
-            env_ids: (n,) sorted environments that took them, or None for all.
-            steps: How many, one number or (n,).
+            env_ids: (n,) sorted environments that stepped, or None for all.
+            steps: Number of steps, one number or (n,).
 
         Returns:
-            Those of the environments in which it is due, sorted.
+            Those environments whose timer is due, sorted.
         """
         if env_ids is None:
             self.left -= steps
@@ -194,8 +194,8 @@ class EventManager(DrawingManager[EventCfg]):
     """Runs events and their timers.
 
     `interval` events count control steps per environment. A reset restarts the environment's
-    count, so nothing fires for an environment in the step that reset it. With `is_global` all
-    environments share one count that runs on through resets, and the event gets ``env_ids=None``.
+    count: no event fires for an environment in the step that reset it. With `is_global` all
+    environments share one count that resets do not change; the event receives ``env_ids=None``.
 
     Args:
         env: The environment; its scene is complete.
@@ -217,10 +217,10 @@ class EventManager(DrawingManager[EventCfg]):
             interval.term = self.terms[interval.term.name]
 
     def apply(self, mode: Literal["startup", "reset"], env_ids: EnvIndex | None = None) -> None:
-        """Fire every event of a mode; `startup` events fire once, whoever asks again.
+        """Fire every event of a mode; `startup` events fire once, however often this is called.
 
         Args:
-            mode: Which events.
+            mode: The mode of the events.
             env_ids: (n,) sorted unique int64 environments, or None for all.
         """
         if mode == "startup":
@@ -234,8 +234,8 @@ class EventManager(DrawingManager[EventCfg]):
         """Advance the timers by one control step and fire the `interval` events that are due.
 
         Args:
-            env_ids: (n,) environments that took the step, or None for all. Environments that were
-                reset instead of stepped are left out by the caller.
+            env_ids: (n,) environments that stepped, or None for all; without those that were reset
+                instead.
         """
         for interval in self._intervals:
             due = interval.advance(env_ids)
@@ -247,12 +247,6 @@ class EventManager(DrawingManager[EventCfg]):
         super().reset(env_ids)
         for interval in self._intervals:
             interval.restart(env_ids)
-
-    def restart_global(self) -> None:
-        """Start the timers anew that all environments share: for a reset with a seed."""
-        for interval in self._intervals:
-            if interval.is_global:
-                interval.timer.left[:] = 0
 
     def _run(self, term: BuiltTerm[EventCfg], mode: str, env_ids: EnvIndex | None) -> None:
         self._call(term, mode, env_ids, self.env, env_ids)
@@ -271,7 +265,7 @@ class EventManager(DrawingManager[EventCfg]):
 
 
 class _Interval:
-    """When an event fires next."""
+    """The timer of an event."""
 
     def __init__(self, env: TermContext, term: BuiltTerm[EventCfg]) -> None:
         self.term = term
@@ -282,7 +276,7 @@ class _Interval:
         self.timer = Timer(1 if cfg.is_global else env.num_envs, env.step_dt)
 
     def _start(self, env_ids: EnvIndex | None) -> None:
-        """Start the timer anew. A global one draws from environment 0's stream."""
+        """Restart the timer. A global one draws from environment 0's stream."""
         cfg = self.term.cfg
         if cfg.interval_range_s is None:
             self.timer.left[slice(None) if env_ids is None else env_ids] = cfg.interval_step
@@ -293,12 +287,12 @@ class _Interval:
         self.timer.start(env_ids, self._streams.uniform(name, (), low, high, ids))
 
     def restart(self, env_ids: EnvIndex | None) -> None:
-        """Begin to count anew where an episode begins; a global timer runs on."""
+        """Restart the timer of environments that begin an episode; a global one is not changed."""
         if not self.is_global and not self.every_step:
             self._start(env_ids)
 
     def advance(self, env_ids: EnvIndex | None) -> EnvIndex | None:
-        """Count one step; returns the environments that are due, None meaning all of them."""
+        """Count one step; return the environments that are due, None for all."""
         if self.every_step:
             return None if self.is_global else env_ids
         if self.is_global and self.timer.left[0] == 0:
@@ -311,11 +305,11 @@ class _Interval:
 
 
 class CommandManager(DrawingManager[CommandCfg]):
-    """Draws commands at resets, after reset events, and in between at their own intervals.
+    """Draws commands at resets (after reset events) and at their intervals within an episode.
 
-    A command draws by `draw`, from a stream of its own, and what it drew goes to the environment's
-    observers as an event of mode ``command``. Where a term gives metrics, their means over the
-    episode are ``info["metrics"]["COMMAND/METRIC"]``.
+    A command draws by `draw` from its own stream; draws are reported to the environment's observers
+    as an event of mode ``command``. The means of a term's metrics over the episode are
+    ``info["metrics"]["COMMAND/METRIC"]``.
 
     Args:
         env: The environment; its scene is complete.
@@ -354,13 +348,13 @@ class CommandManager(DrawingManager[CommandCfg]):
             if type(term).metrics is not CommandTerm.metrics
         ]
 
-    # -- what others read ----------------------------------------------------------------------
+    # -- read by terms -------------------------------------------------------------------------
 
     def require(self, name: str, key: str = "command_name") -> str:
-        """Return the name of a command if it exists: for terms that are built with one.
+        """Return the name of a command if it exists; for terms with a command parameter.
 
         Args:
-            name: What a parameter says.
+            name: The name.
             key: The parameter, for the message.
 
         Raises:
@@ -373,7 +367,7 @@ class CommandManager(DrawingManager[CommandCfg]):
         return name
 
     def values(self, name: str) -> F64:
-        """(N, K) float64 commands in force: a live view, not to be written to or kept."""
+        """(N, K) float64 commands in force: a live view; do not write to it or store it."""
         values: F64 = self.terms[name].instance.values
         return values
 
@@ -382,14 +376,14 @@ class CommandManager(DrawingManager[CommandCfg]):
         return torch.from_numpy(self.values(name).astype(np.float32))
 
     def names(self, name: str) -> tuple[str, ...]:
-        """What each column of a command is."""
+        """Names of the columns of a command."""
         instance = self.terms[name].instance
         return tuple(instance.names) or tuple(map(str, range(instance.values.shape[1])))
 
-    # -- what the environment calls ------------------------------------------------------------
+    # -- called by the environment -------------------------------------------------------------
 
     def resample(self, env_ids: EnvIndex | None) -> None:
-        """Draw every command anew: for environments that were reset.
+        """Draw every command, for environments that were reset.
 
         Args:
             env_ids: (n,) sorted unique int64, or None for all.
@@ -403,7 +397,7 @@ class CommandManager(DrawingManager[CommandCfg]):
         """Count one control step, draw the commands that are due, and update all.
 
         Args:
-            env_ids: (n,) environments that took the step, or None for all.
+            env_ids: (n,) environments that stepped, or None for all.
         """
         where: Any = slice(None) if env_ids is None else env_ids
         for name, timer in self._timers.items():
@@ -439,7 +433,7 @@ class CommandManager(DrawingManager[CommandCfg]):
         return bool(self._measured)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Start the episode of these environments; the draw itself comes after reset events."""
+        """Start the episode of these environments; `resample` draws, after reset events."""
         super().reset(env_ids)
         where: Any = slice(None) if env_ids is None else env_ids
         self._steps[where] = 0.0
@@ -454,7 +448,7 @@ class CommandManager(DrawingManager[CommandCfg]):
             timer.start(env_ids, self.env.streams.uniform(stream, (), low, high, env_ids))
 
     def update(self, env_ids: EnvIndex | None) -> None:
-        """Adjust the commands of environments to a state that they were given."""
+        """Adjust the commands of environments to a restored state."""
         for update in self._updates:
             update(env_ids)
 

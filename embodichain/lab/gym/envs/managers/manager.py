@@ -1,6 +1,6 @@
-"""`Manager`: builds the declared terms of one section once, resets and saves those with state.
+"""`Manager`: builds the terms of one section, and resets and saves those with state.
 
-`build_term` makes a declared term ready to be called. `CurriculumManager` is the simplest manager.
+`build_term` builds one declared term. `CurriculumManager` is the simplest manager.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = [
     "BuiltTerm",
@@ -46,10 +46,10 @@ class BuiltTerm(Generic[C]):
 
     Attributes:
         name: Its key in the config.
-        cfg: What the config says.
+        cfg: Its declaration.
         spec: The function or class behind it.
-        call: Takes what the manager passes; parameters are bound.
-        instance: What keeps something between calls: the object, if the term is a class.
+        call: The function that the manager calls, with parameters bound.
+        instance: The object with the term's state, if the term is a class.
     """
 
     name: str
@@ -70,7 +70,7 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
         path: Its key path.
 
     Raises:
-        ConfigError: If it is wrong, or what it refers to does not exist; holds every mistake.
+        ConfigError: If it is wrong or refers to something that does not exist; lists all mistakes.
     """
     checked, problems = check_term(kind, cfg, path)
     where = f"{path}.params"
@@ -97,7 +97,7 @@ def build_term(env: TermContext, kind: Kind, name: str, cfg: C, path: str) -> Bu
     else:
         read = partial(source.func, **source.arguments(values))
     lead = source.lead
-    if lead is None:  # a function or class of the kind's own signature
+    if lead is None:  # a function or class with the signature of its kind
         lead = ("obs",) if kind == "observation" else ("obs", "action", "info")
     call = _call(source.name, read, lead, shapes, kind, where)
     kept = [part for part in (instance, *shapes) if hasattr(part, "state_dict")]
@@ -129,11 +129,11 @@ def _call(
     kind: Kind,
     where: str,
 ) -> Callable[..., NDArray[Any]]:
-    """What a manager calls: reads the quantity and shapes it.
+    """Return the function that a manager calls: it reads the quantity and applies the shapes.
 
     Args:
         name: The quantity's name, for messages.
-        read: Takes the environment and what `lead` names.
+        read: The quantity: takes the environment and the arguments in `lead`.
         lead: Which of ``obs``, ``action`` and ``info`` it takes.
         shapes: Applied in order.
         kind: The manager; an observation of (N,) becomes (N, 1).
@@ -165,7 +165,7 @@ def _call(
 
 
 class _Several:
-    """Parts of a term that keep something between calls, as one."""
+    """The stateful parts of a term as one object."""
 
     def __init__(self, parts: list[Any]) -> None:
         self._parts = parts
@@ -183,7 +183,7 @@ class _Several:
 
 
 def _resolved_values(env: TermContext, checked: CheckedTerm, where: str) -> dict[str, Any]:
-    """The parameters, with references replaced by what they mean."""
+    """The parameters, with references replaced by the objects they refer to."""
     hints = checked.spec.hints()
     values: dict[str, Any] = {}
     problems: list[Problem] = []
@@ -203,7 +203,7 @@ def _resolved_values(env: TermContext, checked: CheckedTerm, where: str) -> dict
 
 
 def _resolved(env: TermContext, value: Any, path: str) -> Any:
-    """Replace references to entities, also within lists and maps, by what they mean."""
+    """Replace references to entities by `ResolvedEntity`, within lists and maps too."""
     if isinstance(value, SceneEntityCfg):
         return resolve_entity(env.sim, value, path)
     if isinstance(value, (list, tuple)):
@@ -215,7 +215,7 @@ def _resolved(env: TermContext, value: Any, path: str) -> Any:
 
 @contextmanager
 def _under(path: str, names: Mapping[str, str] | None = None) -> Iterator[None]:
-    """Put a path before those of a ConfigError that do not begin with it.
+    """Prefix the key paths of a ConfigError that do not begin with a path.
 
     Args:
         path: The path.
@@ -248,8 +248,8 @@ class Manager(Generic[C]):
         cfgs: Name -> declaration.
 
     Raises:
-        ConfigError: If a term or an entity that it points at does not exist, or a parameter is
-            wrong; holds the mistakes of all terms.
+        ConfigError: If a term or an entity that it refers to does not exist, or a parameter is
+            wrong; lists the mistakes of all terms.
     """
 
     def __init__(self, env: TermContext, section: str, kind: Kind, cfgs: Mapping[str, C]) -> None:
@@ -271,37 +271,39 @@ class Manager(Generic[C]):
         self._collect()
 
     def _collect(self) -> None:
-        """Look up what is called of the terms; again when one was built anew."""
+        """Collect the calls and states of the terms; repeated when a term is rebuilt."""
         instances = {n: t.instance for n, t in self.terms.items() if t.instance is not None}
         self._resets = [i.reset for i in instances.values() if hasattr(i, "reset")]
         self._stateful = {n: i for n, i in instances.items() if hasattr(i, "state_dict")}
         self._bind()
 
     def _bind(self) -> None:
-        """What a manager keeps of its terms besides; the default is nothing."""
+        """Collect what a subclass needs of its terms; the default does nothing."""
 
     def params(self, name: str) -> dict[str, Any]:
-        """The parameters that a term has now (a deep copy), as the config writes them."""
-        return copy.deepcopy(self._changed.get(name, self._declared[name].params))
+        """The current parameters of a term (a deep copy), as written in a config."""
+        return copy.deepcopy(self.terms[name].cfg.params)
 
-    def set_params(self, name: str, params: dict[str, Any]) -> None:
-        """Build a term anew with other parameters; what it keeps between calls is carried over.
+    def set_params(self, name: str, params: dict[str, Any], shape: Any = None) -> None:
+        """Rebuild a term with other parameters; its state is carried over.
 
         Args:
             name: The term.
-            params: All its parameters, as the config would write them.
+            params: All its parameters, as written in a config.
+            shape: Its shapes, the same ones with other parameters; None keeps them.
 
         Raises:
-            ConfigError: If they are wrong; the term stays as it was.
+            ConfigError: If they are wrong; the term is then not changed.
         """
         old = self.terms[name]
-        cfg = copy.copy(self._declared[name])
-        cfg.params = params
+        changed = {"params": params} if shape is None else {"params": params, "shape": shape}
+        cfg = copy.copy(old.cfg)
+        vars(cfg).update(changed)
         term = build_term(self.env, self._kind, name, cfg, f"{self.section}.{name}")
         if old.instance is not None and hasattr(old.instance, "state_dict"):
             term.instance.load_state_dict(old.instance.state_dict())
         self.terms[name] = term
-        self._changed[name] = copy.deepcopy(params)
+        self._changed[name] = copy.deepcopy(self._changed.get(name, {}) | changed)
         self._collect()
 
     def __len__(self) -> int:
@@ -313,7 +315,7 @@ class Manager(Generic[C]):
             reset(env_ids)
 
     def state_dict(self) -> dict[str, Any]:
-        """State of the terms that keep any (copies), by name."""
+        """State of the terms that have one (copies), by name."""
         return {
             "terms": {name: term.state_dict() for name, term in self._stateful.items()},
             "params": copy.deepcopy(self._changed),
@@ -322,8 +324,9 @@ class Manager(Generic[C]):
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         for name in {*self._changed, *state["params"]}:
-            params = state["params"].get(name, self._declared[name].params)
-            self.set_params(name, copy.deepcopy(params))
+            first = self._declared[name]
+            usual = {"params": first.params, "shape": getattr(first, "shape", None)}
+            self.set_params(name, **copy.deepcopy(usual | state["params"].get(name, {})))
         for name, term in self._stateful.items():
             term.load_state_dict(state["terms"][name])
 
@@ -332,7 +335,7 @@ def checked_rows(value: Any, num_envs: int, kind: Kind, name: str) -> None:
     """Check that a term's value is a tensor or an array of shape (N,).
 
     Raises:
-        ValueError: If it is not; names the term. (N, 1) is refused too: it would broadcast.
+        ValueError: If not; names the term. (N, 1) is refused too, because it would broadcast.
     """
     if not hasattr(value, "shape") or not hasattr(value, "dtype"):
         raise ValueError(
@@ -346,17 +349,18 @@ def checked_rows(value: Any, num_envs: int, kind: Kind, name: str) -> None:
 
 
 class CurriculumManager(Manager[CurriculumCfg]):
-    """Calls every term for environments that are about to be reset, before anything of the reset.
+    """Calls every term for environments that are about to be reset, before the reset.
 
-    A term returns what it has set, a number, or several by name, or None; ``info["curriculum"]`` of
-    every step holds them as they stand. Time is `env.control_step`, which goes on through resets.
+    A term returns the values it has set (a number, or several by name) or None;
+    ``info["curriculum"]`` of every step contains the current ones. Time is `env.control_step`,
+    which counts on through resets.
 
     Args:
         env: The environment, with all other managers.
         cfgs: Name -> curriculum.
 
     Attributes:
-        values: What the terms returned last: ``TERM``, or ``TERM/NAME``.
+        values: The last results of the terms, under ``TERM`` or ``TERM/NAME``.
     """
 
     def __init__(self, env: TermContext, cfgs: Mapping[str, CurriculumCfg]) -> None:
@@ -377,7 +381,7 @@ class CurriculumManager(Manager[CurriculumCfg]):
                 self.values[name] = float(value)
 
     def state_dict(self) -> dict[str, Any]:
-        """What was set, and the state of terms that are classes (copies)."""
+        """The values that were set, and the state of terms that are classes (copies)."""
         return {**super().state_dict(), "values": dict(self.values)}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

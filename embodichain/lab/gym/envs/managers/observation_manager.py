@@ -1,6 +1,6 @@
 """`ObservationManager`: evaluates observation terms, and returns groups of them as one vector.
 
-`ObservationEntry` is one term and what is done to its value.
+`ObservationEntry` is one term with its noise, clip, scale, delay and history.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.gym.envs.observation import ObservationLayout
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
 else:
     torch = lazy_loader.load("torch")
 
@@ -44,8 +44,8 @@ class ObservationEntry:
 
     Attributes:
         term: The term; `set_params` replaces it.
-        path: The entry's place in the observation.
-        modifies: Whether it changes an entry that exists.
+        path: The path of the entry in the observation.
+        modifies: Whether it changes an existing entry.
         key: Its key path in the config.
         remembers: Whether it has a state between steps.
     """
@@ -78,8 +78,8 @@ class ObservationEntry:
         """Evaluate the term.
 
         Args:
-            obs: What the term is called with: the observation, or the entry to modify.
-            rows: Environments for which noise is drawn and the past is extended.
+            obs: The argument of the term: the observation, or the entry to modify.
+            rows: Environments for which noise is drawn, and delay and history advance.
 
         Returns:
             (N, ...); it may share memory with the simulation.
@@ -180,7 +180,7 @@ class ObservationManager(Manager[ObservationCfg]):
 
     Attributes:
         stepped: (n,) environments that the next observation is for, or None for all.
-        layout: Columns of all entries, once the first observation was made.
+        layout: Columns of all entries; set after the first observation.
     """
 
     def __init__(self, env: TermContext, cfgs: Mapping[str, ObservationCfg]) -> None:
@@ -193,7 +193,7 @@ class ObservationManager(Manager[ObservationCfg]):
             self._entries.append(ObservationEntry(env, term, on))
         self._groups: dict[str, dict[tuple[str, ...], None]] = {}
         for entry in self._entries:
-            # A term that modifies an entry declares it as well; each is in the vector once.
+            # A modifying term has the path of an existing entry; each path is in the vector once.
             self._groups.setdefault(entry.term.cfg.group, {})[entry.path] = None
         self._modified = {e.path: i for i, e in enumerate(self._entries) if e.modifies}
         self._remembers = any(entry.remembers for entry in self._entries)
@@ -249,7 +249,7 @@ class ObservationManager(Manager[ObservationCfg]):
         """Add or modify the declared entries of nested tensors.
 
         Args:
-            obs: What is observed already; entries are set in it, float32 or not floating point.
+            obs: The entries so far; new ones are set in it, float32 or not floating point.
 
         Raises:
             ValueError: If a term's value is not (N, ...); names the term.
@@ -267,10 +267,10 @@ class ObservationManager(Manager[ObservationCfg]):
 
         Args:
             obs: The observation.
-            own: Path -> value (N, ...) of the entries before those of terms.
+            own: Path -> value (N, ...) of the entries that are not of terms.
 
         Raises:
-            ValueError: If a term's value has another shape than at first.
+            ValueError: If the shape of a term's value has changed.
         """
         unfinished: dict[tuple[str, ...], Any] = {}
         for path, value in own.items():
@@ -289,7 +289,7 @@ class ObservationManager(Manager[ObservationCfg]):
                 obs.layout.write(obs, entry.path, value)
 
     def _rows(self) -> Rows:
-        """The environments that this observation is for; the next one is for none."""
+        """The environments that stepped or were reset; the next call returns none."""
         if not self._remembers:
             return _BETWEEN_STEPS
         stepped, self.stepped = self.stepped, _NONE
@@ -300,7 +300,7 @@ class ObservationManager(Manager[ObservationCfg]):
         return Rows(stepped, fresh)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Begin these environments' episodes: delays are drawn, histories are filled anew."""
+        """Begin the episodes of these environments: draw delays and refill histories."""
         super().reset(env_ids)
         if self._remembers:
             self._fresh[slice(None) if env_ids is None else env_ids] = True
@@ -310,7 +310,7 @@ class ObservationManager(Manager[ObservationCfg]):
     def columns(self, group: str = "policy") -> dict[str, int]:
         """Widths of a group's entries in the flattened vector, by name, in its order.
 
-        They are known once the environment is built.
+        Available once the environment is built.
 
         Raises:
             ValueError: If no term is in the group; lists the groups.
@@ -320,7 +320,7 @@ class ObservationManager(Manager[ObservationCfg]):
         return {"/".join(path): widths.get(path, 0) for path in paths}
 
     def flatten(self, obs: Mapping[Any, Any], group: str = "policy") -> torch.Tensor:
-        """Return a group's entries in declared order as one vector an environment.
+        """Return a group's entries in declared order, as one vector per environment.
 
         Args:
             obs: An observation of the environment.
@@ -357,7 +357,7 @@ class ObservationManager(Manager[ObservationCfg]):
 
 
 def _tensor_of(value: Any) -> torch.Tensor:
-    """A tensor of its own, float32 or not floating point."""
+    """A new tensor, float32 or not floating point."""
     array = value if isinstance(value, np.ndarray) else value.numpy(force=True)
     wide = np.issubdtype(array.dtype, np.floating)
     return torch.from_numpy(np.array(array, np.float32 if wide else None))

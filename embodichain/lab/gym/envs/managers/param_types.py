@@ -22,7 +22,7 @@ from embodichain.utils.suggest import did_you_mean
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.sensors.sensor_handles import (
         ContactSensor,
         ForceTorqueSensor,
@@ -45,6 +45,7 @@ __all__ = [
     "ForceTorqueOf",
     "Fraction",
     "ImuOf",
+    "JointRange",
     "Joints",
     "NamedEntity",
     "NonNegative",
@@ -120,7 +121,7 @@ Box2 = Annotated[list[Vec2], Field(min_length=2, max_length=2), AfterValidator(_
 Box3 = Annotated[list[Vec3], Field(min_length=2, max_length=2), AfterValidator(_ordered)]
 """[[x, y, z] low, [x, y, z] high]."""
 FORMS = ("for all", "for all axes", "by name", "by axis")
-"""Tags of the forms that a range takes: they tell pydantic which form is meant, users nothing."""
+"""Tags of the forms of a range, with which pydantic picks a form; not shown to users."""
 
 
 def _named_form(value: Any) -> str:
@@ -149,6 +150,11 @@ RangeOrBox = Annotated[
     Discriminator(_axis_form),
 ]
 """[low, high], or [[x, y, z] low, [x, y, z] high]."""
+JointRange = Annotated[
+    Annotated[Range, Tag("for all")] | Annotated[Box, Tag("by axis")],
+    Discriminator(_axis_form),
+]
+"""[low, high] for all joints, or [[low of each joint], [high of each]]."""
 BoundsOrBox = Annotated[
     Annotated[Bounds, Tag("for all")] | Annotated[Box, Tag("by axis")],
     Discriminator(_axis_form),
@@ -167,7 +173,7 @@ Axes6 = dict[Literal["x", "y", "z", "roll", "pitch", "yaw"], Range]
 
 @dataclass
 class NamedEntity:
-    """Points at something of the scene that has no joints or links, such as a light."""
+    """Refers to an entity without joints or links, such as a light."""
 
     __pydantic_config__ = {"extra": "forbid"}
 
@@ -175,17 +181,17 @@ class NamedEntity:
 
 
 class Reference:
-    """Mark of an annotation ``Annotated[..., mark]``: what a value means, and whether it exists."""
+    """Mark in ``Annotated[..., mark]``: checks and resolves a value that refers to something."""
 
     def check(self, task: EnvCfg, value: Any) -> list[Problem]:
-        """Return what is wrong with a value as far as the task alone shows, paths left empty."""
+        """Return the mistakes in a value that the task alone shows; their paths are empty."""
         return []
 
     def resolve(self, env: TermContext, value: Any) -> Any:
-        """Return what the term receives.
+        """Return the object that the term receives for a value.
 
         Raises:
-            ConfigError: If there is no such thing; paths are empty, or the entity's own.
+            ConfigError: If it does not exist; paths are empty, or the entity's.
         """
         return value
 
@@ -214,7 +220,7 @@ class _Body(Reference):
 
 @dataclass(frozen=True)
 class _Sensor(Reference):
-    """A sensor of one kind, told by a method that subclasses of an environment may provide too."""
+    """A sensor of one kind, recognized by a method; sensors added in Python may have it too."""
 
     kind: str
     method: str
@@ -243,7 +249,7 @@ class _Sensor(Reference):
 
 @dataclass(frozen=True)
 class _Command(Reference):
-    """A command with at least so many columns; arrives as a function that reads it, (N, K)."""
+    """A command with a minimum number of columns; resolves to a function that reads it, (N, K)."""
 
     columns: int = 0
 

@@ -1,4 +1,4 @@
-"""What is done to the values of actions and observations: noise, delay, history."""
+"""Processing of actions and observations: noise, delay, history."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.utils.random import RandomStreams
 else:
     torch = lazy_loader.load("torch")
@@ -45,9 +45,9 @@ class Noise:
     The last draw is stored: an observation between two steps has the same noise again.
 
     Args:
-        cfg: What kind of noise.
-        shape: Of one environment's value.
-        path: Key path of the value: the name of its stream, and for messages.
+        cfg: The kind of noise.
+        shape: Shape of one environment's value.
+        path: Key path of the value: the name of its stream, also used in messages.
         streams: The environment's random numbers.
 
     Attributes:
@@ -77,7 +77,7 @@ class Noise:
             self._low, self._high = sized("low", "n_min"), sized("high", "n_max")
         else:
             self._low = self._high = sized("bias")
-        # Before the first draw nothing changes; a value that is replaced is the lower bound.
+        # Before the first draw the value is unchanged, or the lower bound if noise replaces it.
         start: Any = {"add": 0.0, "scale": 1.0, "abs": self._low}[cfg.operation]
         rows = np.broadcast_to(start if self._draws else self._low, (streams.num_envs, self._width))
         self.last = self._shaped(rows)
@@ -89,8 +89,8 @@ class Noise:
         """Return a value with noise.
 
         Args:
-            value: (N, ...), left as it is.
-            rows: (n,) environments that draw anew, or None for all.
+            value: (N, ...), not changed.
+            rows: (n,) environments that draw new noise, or None for all.
         """
         if self._draws and (rows is None or len(rows)):
             drawn = self._shaped(self._draw(rows))
@@ -112,7 +112,7 @@ class Noise:
 
 
 def _sized(cfg: NoiseCfg, names: tuple[str, ...], shape: tuple[int, ...], path: str) -> F64:
-    """(width,) read-only numbers of the first field that is given; a mean may be absent."""
+    """(width,) read-only numbers of the first given field; a mean may be absent."""
     name = next((n for n in names if getattr(cfg, n) is not None), names[0])
     given = first_given(getattr(cfg, name), 0.0)
     width = shape[-1] if shape else 1
@@ -126,7 +126,7 @@ def _sized(cfg: NoiseCfg, names: tuple[str, ...], shape: tuple[int, ...], path: 
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """Which environments an observation is of.
+    """The environments whose noise, delay and history an observation advances.
 
     Attributes:
         stepped: (n,) environments that stepped or were reset, or None for all; empty for an
@@ -160,7 +160,7 @@ class Past:
         """Append a value where environments stepped.
 
         Args:
-            value: (N, ...), left as it is.
+            value: (N, ...), not changed.
             rows: Environments that did not step keep their values; for fresh ones all values but
                 the last are `before`.
             before: (N, ...); None is the value itself.
@@ -194,7 +194,7 @@ def _column(mask: NDArray[np.bool_], like: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 class Delay:
-    """Returns the value of some steps ago; at the beginning of an episode the one before it.
+    """Delays values by some steps; at the start of an episode returns the value before it.
 
     Args:
         steps: Control steps, or [low, high]: each episode of each environment draws its own.
@@ -226,7 +226,7 @@ class Delay:
     def __call__(
         self, value: NDArray[Any], rows: Rows, before: NDArray[Any] | None = None
     ) -> NDArray[Any]:
-        """(N, ...) the delayed value; `before` is the one before an episode's first."""
+        """(N, ...) the delayed value; `before` is the value before the first of an episode."""
         recent = self.past.append(value, rows, before)
         delayed: NDArray[Any] = recent[self._rows, self._high - self.lag]
         return delayed
@@ -236,20 +236,20 @@ class ActionPipeline:
     """Delays the actions of one term by whole control steps, then adds noise.
 
     With a delay of d steps the term receives the action of d steps ago; in the first d steps of an
-    episode, when none has arrived, the one that changes nothing (`ActionTerm.hold`).
+    episode, the one that keeps the present targets (`ActionTerm.hold`).
 
     Args:
         name: The term's name.
         cfg: Its declaration.
-        width: Its columns A.
-        streams: Where random numbers come from: each environment draws its own, the delay once an
-            episode, the noise in every step.
+        width: Number A of its columns.
+        streams: Random numbers: each environment draws the delay once per episode, the noise in
+            every step.
 
     Attributes:
-        hold: Gives the action, (A,) or (N, A), that changes nothing now.
+        hold: Returns the action, (A,) or (N, A), that keeps the present targets.
 
     Raises:
-        ConfigError: If a list of the noise's is not one value a column.
+        ConfigError: If a list of the noise does not have one value per column.
     """
 
     hold: Callable[[], F64]
@@ -263,7 +263,7 @@ class ActionPipeline:
         self._noise = None if cfg.noise is None else Noise(cfg.noise, (width,), path, streams)
 
     def __call__(self, action: torch.Tensor) -> torch.Tensor:
-        """(N, A) float32 what the term receives for this step's action."""
+        """(N, A) float32 action that the term receives in this step."""
         values: NDArray[Any] = action.numpy()
         if self._delay is not None:
             rows, hold = Rows(None, None), None
@@ -277,14 +277,14 @@ class ActionPipeline:
         return torch.from_numpy(values)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Forget these environments' actions, and draw their delays."""
+        """Clear the delayed actions of these environments, and draw their delays."""
         self._fresh = self._fresh.copy()
         self._fresh[slice(None) if env_ids is None else env_ids] = True
         if self._delay is not None:
             self._delay.restart(env_ids)
 
     def state_dict(self) -> dict[str, Any]:
-        """Actions under way, and delays (copies)."""
+        """Delayed actions, and delays (copies)."""
         if self._delay is None:
             return {}
         past, lag = self._delay.past.values, self._delay.lag.copy()

@@ -1,9 +1,9 @@
-"""The terms that exist: `register_term`, `quantity`, `TERMS`, and finding a term by name or path.
+"""The registry of terms: `register_term`, `quantity`, `TERMS`, and lookup by name or path.
 
-A *quantity* is a function of the scene that gives numbers, ``(env, ...) -> (N,) or (N, K)``; a
-*shape* (`register_shape`) makes one number of each row of them; the section of a task says whether
-the result is a reward, a metric, a termination or an observation. Other terms are functions and
-classes with the signature of their kind. Imports no torch, so that listing and validating start
+A *quantity* is a function that reads numbers from the scene, ``(env, ...) -> (N,) or (N, K)``; a
+*shape* (`register_shape`) reduces each row of them to one number; the section of a task determines
+whether the result is a reward, a metric, a termination or an observation. Other terms are functions
+and classes with the signature of their kind. Imports no torch, so that listing and validating start
 fast; modules of terms load torch lazily for the same reason.
 """
 
@@ -67,7 +67,7 @@ SECTIONS: dict[str, Kind] = {
 }
 """Section of a task -> kind of its terms, in the order of pages and tables."""
 VALUE_KINDS: tuple[Kind, ...] = ("observation", "reward", "termination", "metric")
-"""Kinds whose terms are numbers: quantities serve all of them."""
+"""Kinds whose terms are numbers: quantities can be used in all of them."""
 SpecKind = Kind | Literal["policy", "shape"]
 LEADING: dict[SpecKind, tuple[str, ...]] = {
     "event": ("env", "env_ids"),
@@ -81,10 +81,10 @@ LEADING: dict[SpecKind, tuple[str, ...]] = {
     "policy": ("obs", "env"),
     "shape": ("env",),
 }
-"""What is passed first to a function of each kind. A class's `__init__` gets `env` (for policies,
-which are described here too but are no terms: nothing)."""
+"""First arguments of a function of each kind. The `__init__` of a class receives `env` (that of a
+policy, which is described here but is not a term, only parameters)."""
 _LEAD_OF_QUANTITIES = ("obs", "action", "info")
-"""What a quantity may take after `env`, in this order; none of it in observations."""
+"""Arguments that a quantity may take after `env`, in this order; not in observations."""
 
 _EEF_LATER = (
     "end-effector actions come with the IK solvers, in a later version; until then act on joints: "
@@ -94,9 +94,10 @@ logger = logging.getLogger(__name__)
 
 T = TypeVar("T", bound=Callable[..., Any])
 _BUILTIN = "embodichain.lab.gym.envs.mdp"
-_PACKAGES = ("actions", "commands", "curriculum", "events", "quantities")
+_MODULES = ("shapes", "sampled_commands", "curricula")
+_PACKAGES = ("actions", "events", "quantities")
 ENTRY_POINTS = "embodichain.terms"
-"""Entry point group of packages with terms: each names a module that is imported with ours."""
+"""Entry point group of packages with terms: each entry is a module to import with ours."""
 _PATH = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*:[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
 
 
@@ -105,15 +106,15 @@ class TermSpec:
     """One term: a function or class that a config names.
 
     Attributes:
-        name: How configs call it.
+        name: Its name in configs.
         kind: The manager that runs it.
         func: The function or class.
-        params: What a config may set, by name, in order: the leading arguments are not in it. A
-            Python name that ends in "_" (``from_``) is written without it.
+        params: The parameters that a config may set, by name, in order, without the leading
+            arguments. A Python name that ends in "_" (``from_``) is written without it.
         doc: Its docstring.
         open_params: Whether it takes ``**kwargs``, so that any further name is allowed.
-        lead: Of a quantity: which of ``obs``, ``action`` and ``info`` it takes after ``env``; of
-            other terms None.
+        lead: Which of ``obs``, ``action`` and ``info`` a quantity takes after ``env``; None for
+            other terms.
     """
 
     name: str
@@ -132,7 +133,7 @@ class TermSpec:
 
     @property
     def label(self) -> str:
-        """For messages: ``event term 'push'``."""
+        """Kind and name, for messages: ``event term 'push'``."""
         kind = self.kind if self.kind in ("policy", "shape") else f"{self.kind} term"
         return f"{kind} {self.name!r}"
 
@@ -142,7 +143,7 @@ class TermSpec:
         return _place(self.func)
 
     def hints(self) -> dict[str, Any]:
-        """Types of the parameters, evaluated. Only theirs: `env` and results may name torch."""
+        """Evaluated types of the parameters only: those of `env` and the result may need torch."""
         if not self._hints:
             target = self.func.__init__ if self.is_class else inspect.unwrap(self.func)
             scope = getattr(target, "__globals__", {})
@@ -151,7 +152,7 @@ class TermSpec:
         return self._hints
 
     def written(self, given: Iterable[str]) -> dict[str, str]:
-        """Names that a config gives -> the parameters they mean; the others are left out.
+        """Names in a config -> the parameters they mean; unknown names are left out.
 
         ``of``, ``from`` and ``to`` are written for ``entity_cfg``, ``source_entity_cfg`` and
         ``target_entity_cfg``, and the other way round.
@@ -166,7 +167,7 @@ class TermSpec:
         return meant
 
     def arguments(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Values by the parameters' names as keyword arguments of the function."""
+        """Return values by parameter name as keyword arguments of the function."""
         return {self.params[k].name if k in self.params else k: v for k, v in values.items()}
 
 
@@ -180,12 +181,12 @@ def _evaluated(annotation: Any, scope: dict[str, Any]) -> Any:
     holder: Any = SimpleNamespace(__annotations__={"it": annotation})
     try:
         return typing.get_type_hints(holder, scope, {}, include_extras=True)["it"]
-    except NameError:  # a name that only type checkers import: nothing to check against
+    except NameError:  # a name imported for type checkers only: its type cannot be checked
         return Any
 
 
 class _TermTable(Mapping[Kind, dict[str, TermSpec]]):
-    """kind -> name -> term; the built-in terms are imported at the first look."""
+    """kind -> name -> term; the built-in terms are imported at the first access."""
 
     def __init__(self) -> None:
         self.registered: dict[Kind, dict[str, TermSpec]] = {kind: {} for kind in KINDS}
@@ -194,12 +195,11 @@ class _TermTable(Mapping[Kind, dict[str, TermSpec]]):
 
     def __getitem__(self, kind: Kind) -> dict[str, TermSpec]:
         if not self._loaded:
-            self._loaded = True  # before: a module of terms may look terms up
+            self._loaded = True  # before importing: a module of terms may look up terms
             try:
-                importlib.import_module(f"{_BUILTIN}.shapes")
                 for package in _PACKAGES:
                     _import_modules(f"{_BUILTIN}.{package}")
-                for module in TERM_MODULES:
+                for module in (*(f"{_BUILTIN}.{name}" for name in _MODULES), *TERM_MODULES):
                     importlib.import_module(module)
             except BaseException:
                 self._loaded = False
@@ -215,12 +215,12 @@ class _TermTable(Mapping[Kind, dict[str, TermSpec]]):
 
 
 def _load_entry_points() -> list[str]:
-    """Import users' modules of terms; what cannot be imported is reported and left out."""
+    """Import users' modules of terms; modules that fail are reported and left out."""
     broken: list[str] = []
     for entry in sorted(entry_points(group=ENTRY_POINTS)):
         try:
             entry.load()
-        except Exception as error:  # whatever a user's module raises: everything else still works
+        except Exception as error:  # a user's module may raise anything; other terms must work
             owner = "" if entry.dist is None else f" of {entry.dist.name}"
             reason = f"{type(error).__name__}: {error}"
             broken.append(
@@ -249,10 +249,10 @@ def register_term(*kinds: Kind, name: str | None = None) -> Callable[[T], T]:
 
     Args:
         *kinds: The managers that may run it; one signature can serve several.
-        name: Its name; None is the function's own.
+        name: Its name; None is the function's name.
 
     Returns:
-        A decorator that leaves its argument as it is.
+        A decorator that returns its argument.
 
     Raises:
         ValueError: If a kind is unknown, or the name is taken by another object.
@@ -270,7 +270,7 @@ def register_term(*kinds: Kind, name: str | None = None) -> Callable[[T], T]:
 
 
 def add_term(spec: TermSpec) -> None:
-    """Register a term that is described already.
+    """Register a term from its `TermSpec`.
 
     Raises:
         ValueError: If its name is taken by another object.
@@ -283,20 +283,20 @@ def add_term(spec: TermSpec) -> None:
 
 
 def quantity(*kinds: Kind, name: str | None = None) -> Callable[[T], T]:
-    """Register a function (or class) of the scene that gives numbers.
+    """Register a function (or class) that reads numbers from the scene.
 
     A function takes ``env``, then those of ``obs``, ``action`` and ``info`` that it reads (a
-    quantity that reads any of them is no observation), then parameters. A class takes ``(env,
-    **params)`` and is called without arguments.
+    quantity that reads any of them cannot be an observation), then parameters. A class takes
+    ``(env, **params)`` and is called without arguments.
 
     Args:
-        *kinds: The managers that may use it; none are observation, reward, termination and metric,
-            as far as its arguments allow.
-        name: Its name; None is the function's own.
+        *kinds: The managers that may use it; by default observation, reward, termination and
+            metric, as far as its arguments allow.
+        name: Its name; None is the function's name.
 
     Returns:
-        A decorator that leaves its argument as it is. The value is float64 or bool, (N,) or (N, K);
-        observations may have more dimensions.
+        A decorator that returns its argument. The quantity must return float64 or bool, (N,) or
+        (N, K); observations may have more dimensions.
     """
 
     def decorate(func: T) -> T:
@@ -311,9 +311,9 @@ def quantity(*kinds: Kind, name: str | None = None) -> Callable[[T], T]:
 
 
 def register_shape(func: T) -> T:
-    """Register what makes one number of each row of a quantity, under its own name in lower case.
+    """Register a shape, which reduces rows of a quantity to numbers, under its lower-case name.
 
-    A "_" at the end of the name, which keeps it apart from another name of Python's, is left out.
+    A "_" at the end of the name, which avoids a clash with another Python name, is left out.
 
     ``(env, **params)`` returns a callable, or is a class with `__call__`: (N,) or (N, K) float64 or
     bool -> the same or (N,).
@@ -332,7 +332,7 @@ def _lead_of(func: Callable[..., Any]) -> tuple[str, ...]:
 
 
 _LEADS: dict[Callable[..., Any], tuple[str, ...]] = {}
-"""Quantities -> what they take after `env`."""
+"""Quantities -> the arguments that they take after `env`."""
 SHAPES: dict[str, TermSpec] = {}
 """Every registered shape by name; filled with the terms."""
 
@@ -342,7 +342,7 @@ def _place(func: Callable[..., Any]) -> str:
 
 
 def describe_term(kind: SpecKind, func: Callable[..., Any], name: str | None = None) -> TermSpec:
-    """Read a term's parameters off its signature.
+    """Describe a term by its signature.
 
     Raises:
         ValueError: If the signature lacks the arguments that the manager passes.
@@ -375,7 +375,7 @@ def resolve_term(
     """Find the term that a config's `func` names.
 
     Args:
-        kind: The manager that asks.
+        kind: The kind of the term.
         func: A registered name, ``package.module:function``, or a callable.
         allow_import: Whether an import path may be followed; False for configs read from a log.
 
@@ -415,7 +415,7 @@ def _described(kind: Kind, func: Callable[..., Any], name: str | None) -> TermSp
 
 
 def import_object(path: str) -> Any:
-    """Import what ``package.module:name`` names.
+    """Import the object ``package.module:name``.
 
     Raises:
         ConfigError: If the path is malformed, or its module or name does not exist.

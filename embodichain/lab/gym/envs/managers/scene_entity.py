@@ -1,8 +1,8 @@
-"""`ResolvedEntity`: what a `SceneEntityCfg` means in a scene, and what its joints and links read.
+"""`ResolvedEntity`: the entity, joints and links of a `SceneEntityCfg`, and their state.
 
-What a reference picks is `compiler.entity_names.pick`, which checks a config too. Arrays are the
-engine's own float64 numbers. Sums run over columns in a fixed order, because a reduction may round
-differently for another number of environments.
+`compiler.names.pick` picks joints and links, here and when a config is checked. Arrays are the
+engine's float64 arrays. Sums run over columns in a fixed order, because the rounding of a reduction
+may depend on the number of environments.
 """
 
 from __future__ import annotations
@@ -18,37 +18,37 @@ from pydantic import GetCoreSchemaHandler
 from embodichain.lab.gym.envs.cfg import SceneEntityCfg
 from embodichain.lab.sim.body_motion import BodyMotion, Frame, origin_velocities
 from embodichain.utils.errors import ConfigError, Problem
-from embodichain.utils.from_dict import from_dict
 from embodichain.utils.math import quat_conjugate, quat_multiply, quat_rotate
+from embodichain.utils.type_errors import from_dict
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
     from embodichain.lab.sim.sim_manager import SimulationManager
 
 __all__ = ["ResolvedEntity", "resolve_entity"]
 
 _HINGE = 3
-"""MuJoCo's ``mjJNT_HINGE``: terms are listed without MuJoCo."""
+"""MuJoCo's ``mjJNT_HINGE``; listing terms must not import MuJoCo."""
 UNLIMITED = 1e9
 """Speeds and efforts at least this large are no limits (EmbodiChain's default is 1e10)."""
 
 
 @dataclass(frozen=True, eq=False)
 class ResolvedEntity:
-    """An entity of the scene and the joints and links that were picked.
+    """An entity of the scene and its picked joints and links.
 
     A term's parameter annotated with this class, or with `SceneEntityCfg`, receives one.
 
     Attributes:
         uid: The entity.
         asset: Its handle: a `Robot`, `Articulation` or `RigidObject`.
-        joint_ids: Picked joints; without a choice all active ones (no mimic joints). Empty for
-            rigid objects.
-        joint_names: Their names.
-        link_ids: Picked links; without a choice none, which means the root.
-        link_names: Their names.
+        joint_ids: Picked joints; by default all active ones (no mimic joints). Empty for rigid
+            objects.
+        joint_names: Names of the picked joints.
+        link_ids: Picked links; by default none, which means the root.
+        link_names: Names of the picked links.
         control_parts: Picked control parts.
         path: Its key path, for messages; empty if Python code made it.
         all_joints: Whether `joint_ids` is every joint in the entity's order, so that no indexing
@@ -67,7 +67,7 @@ class ResolvedEntity:
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
-        """In a config it is written as a `SceneEntityCfg`."""
+        """Configs contain a `SceneEntityCfg` instead."""
         return handler.generate_schema(SceneEntityCfg)
 
     @property
@@ -134,11 +134,11 @@ class ResolvedEntity:
         return found
 
     def qpos(self) -> F64:
-        """(N, K) joint positions, rad or m: not to be written to or stored."""
+        """(N, K) joint positions, rad or m; do not write to it or store it."""
         return self._pick(self.asset.read_qpos())
 
     def qvel(self) -> F64:
-        """(N, K) joint velocities, rad/s or m/s: not to be written to or stored."""
+        """(N, K) joint velocities, rad/s or m/s; do not write to it or store it."""
         return self._pick(self.asset.read_qvel())
 
     def target_qpos(self) -> F64:
@@ -147,13 +147,13 @@ class ResolvedEntity:
         return found
 
     def effort(self) -> F64:
-        """(N, K) N m or N of the last physics step: drive, its damper, and efforts applied."""
+        """(N, K) efforts of the last physics step, N m or N: drive, damping and applied efforts."""
         applied = self.asset.engine.state("qfrc_applied")[:, self._dofs]
         found: F64 = self._pick(self.asset.read_qf()) + applied
         return found
 
     def hinges(self) -> NDArray[np.bool_]:
-        """(K,) whether a joint turns, instead of sliding."""
+        """(K,) whether a joint is a hinge, not a slide."""
         model = self.asset.engine.model
         turns: NDArray[np.bool_] = model.jnt_type[model.dof_jntid[self._dofs]] == _HINGE
         return turns
@@ -162,7 +162,7 @@ class ResolvedEntity:
         """Low and high position limits in force, (K,) or (N, K) each; infinite without a limit.
 
         Args:
-            soft_ratio: Share of the range, around its middle.
+            soft_ratio: Fraction of the range, about its middle.
 
         Raises:
             ConfigError: If no joint has a limit.
@@ -214,32 +214,32 @@ class ResolvedEntity:
         return found
 
     def position(self) -> F64:
-        """(N, 3) m: a live view, not to be written to or stored."""
+        """(N, 3) m: a live view; do not write to it or store it."""
         return self._motion.position()
 
     def orientation(self) -> F64:
-        """(N, 4) wxyz: a live view, not to be written to or stored."""
+        """(N, 4) wxyz: a live view; do not write to it or store it."""
         return self._motion.orientation()
 
     def axes(self) -> F64:
-        """(N, 3, 3) rotation matrix; not to be written to."""
+        """(N, 3, 3) rotation matrix; do not write to it."""
         return self._motion.axes()
 
     def linear_velocity(self, frame: Frame = "world") -> F64:
-        """(N, 3) m/s of the origin; not to be written to. See `BodyMotion.linear_velocity`."""
+        """(N, 3) m/s of the origin; do not write to it. See `BodyMotion.linear_velocity`."""
         return self._motion.linear_velocity(frame)
 
     def angular_velocity(self, frame: Frame = "world") -> F64:
-        """(N, 3) rad/s; not to be written to. See `BodyMotion.linear_velocity`."""
+        """(N, 3) rad/s; do not write to it. See `BodyMotion.linear_velocity`."""
         return self._motion.angular_velocity(frame)
 
     # -- all picked links; L is their number, 1 for the root -------------------------------------
 
     def link_poses(self, in_root_frame: bool = False) -> tuple[F64, F64]:
-        """Positions (N, L, 3) in m and orientations (N, L, 4), wxyz: not to be stored.
+        """Positions (N, L, 3) in m and orientations (N, L, 4), wxyz; do not store them.
 
         Args:
-            in_root_frame: Whether they are relative to the entity's root, in its axes.
+            in_root_frame: Whether they are relative to the root of the entity, in its axes.
         """
         root_position, root_quat = self.asset.read_pose()
         if not self.link_names:
@@ -257,7 +257,7 @@ class ResolvedEntity:
         """Linear in m/s, of the links' origins, and angular in rad/s, (N, L, 3) each.
 
         Args:
-            in_root_frame: Whether they are those minus the root's, in its axes.
+            in_root_frame: Whether the root's velocity is subtracted, in the root's axes.
         """
         root = self._root
         if self.link_names:
@@ -296,16 +296,16 @@ def resolve_entity(
 
     Args:
         sim: The scene.
-        cfg: What to look up; a mapping is read as a `SceneEntityCfg`.
+        cfg: The reference; a mapping is read as a `SceneEntityCfg`.
         path: Its key path.
 
     Raises:
-        ConfigError: If the entity, a joint or a link does not exist; lists what does.
+        ConfigError: If the entity, a joint or a link does not exist; lists those that do.
     """
     if isinstance(cfg, ResolvedEntity):
         return cfg
     from embodichain.lab.sim.compiler.articulation import ParsedArticulation  # imports MuJoCo
-    from embodichain.lab.sim.compiler.entity_names import pick
+    from embodichain.lab.sim.compiler.names import pick
 
     if not isinstance(cfg, SceneEntityCfg):
         cfg = _from_mapping(cfg)

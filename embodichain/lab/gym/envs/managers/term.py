@@ -1,4 +1,4 @@
-"""Bases of terms that are classes: `Term`, `ActionTerm`, `CommandTerm`; and what they draw from."""
+"""Base classes of terms: `Term`, `ActionTerm`, `CommandTerm`; and `Uniform` for their draws."""
 
 from __future__ import annotations
 
@@ -7,38 +7,61 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from embodichain.utils.random import constant
 
 if TYPE_CHECKING:
     import torch
 
     from embodichain.lab.gym.envs.context import Draws
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
-__all__ = ["ActionTerm", "CommandMarker", "CommandTerm", "Term", "Uniform", "constant"]
+__all__ = ["ActionTerm", "CommandMarker", "CommandTerm", "Term", "Uniform", "finite_limits"]
 
 
 class Term:
-    """Base of terms that keep something between calls.
+    """Base of terms with a state between calls.
 
-    A term class takes ``(env, **params)`` and is called with what its manager passes to functions
-    of that kind, without the parameters. Subclassing this is optional: any class with `__call__`
-    will do, and its `reset`, `state_dict` and `load_state_dict` are used where it has them.
+    A term class takes ``(env, **params)`` and is called with the arguments that its manager passes
+    to functions of that kind, without the parameters. Subclassing is optional: any class with
+    `__call__` works; `reset`, `state_dict` and `load_state_dict` are called if it has them.
     """
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Forget what belongs to the episode of these environments.
+        """Clear the state of the episode of these environments.
 
         Args:
             env_ids: (n,) sorted unique int64, or None for all.
         """
 
     def state_dict(self) -> dict[str, Any]:
-        """Everything that must be restored to continue to the bit (copies)."""
+        """The state from which the term continues bit for bit (copies)."""
         return {}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
+
+
+_UNLIMITED = 2.0 * np.pi
+"""Bound of an action for a joint without a limit, rad (or m): one turn in each direction.
+
+Action spaces must be finite, for learners and for random actions.
+"""
+
+
+def finite_limits(
+    limits: ArrayLike, joint_ids: Sequence[int] | NDArray[np.int64]
+) -> tuple[F64, F64]:
+    """Return (A,) lowest and highest positions, rad or m; unlimited sides get +-`_UNLIMITED`.
+
+    Args:
+        limits: (D, 2) joint limits, infinite where there is none.
+        joint_ids: The A joints, in the order of the action.
+    """
+    chosen = np.asarray(limits, np.float64)[np.asarray(joint_ids, np.int64)]
+    low, high = np.where(np.isfinite(chosen), chosen, [-_UNLIMITED, _UNLIMITED]).T
+    return low, high
 
 
 class ActionTerm(Term):
@@ -47,7 +70,7 @@ class ActionTerm(Term):
     Attributes:
         low: (A,) float32 lower bounds of its slice, finite.
         high: (A,) float32 upper bounds, finite.
-        names: What each column moves, for tables and logs.
+        names: Name of each column, for tables and logs.
     """
 
     low: NDArray[np.float32]
@@ -60,7 +83,7 @@ class ActionTerm(Term):
         return len(self.low)
 
     def apply(self, action: torch.Tensor) -> None:
-        """Act on the scene; called once a control step, before physics.
+        """Apply the action; called once per control step, before physics.
 
         Args:
             action: (N, A) float32, finite.
@@ -72,7 +95,7 @@ class ActionTerm(Term):
         return np.clip(np.zeros(len(self.low)), self.low, self.high)
 
     def hold(self) -> NDArray[np.float64]:
-        """(N, A) or (A,) the action that changes nothing now."""
+        """(N, A) or (A,) the action that keeps the present targets."""
         return self.home()
 
 
@@ -81,8 +104,8 @@ class CommandMarker:
     """How viewers draw a command.
 
     Attributes:
-        kind: What the columns are. ``pose``: x, y, z, qw, qx, qy, qz in the frame of the body.
-            ``velocity``: forward, to the left (m/s) and counter-clockwise (rad/s), in its heading.
+        kind: Meaning of the columns. ``pose``: x, y, z, qw, qx, qy, qz in the frame of the body.
+            ``velocity``: forward, left (m/s) and counter-clockwise (rad/s), in its heading frame.
         body: Id of the body.
     """
 
@@ -94,9 +117,9 @@ class CommandTerm(Term):
     """Base of commands; subclasses take ``(env, **params)`` and set `names` and `values`.
 
     Attributes:
-        names: What each column is, for tables and logs.
-        values: (N, K) float64, the commands in force. Terms read it live: write into it, never
-            replace it.
+        names: Name of each column, for tables and logs.
+        values: (N, K) float64, the commands in force. Other terms have views of it: write into it,
+            never replace it.
         marker: How viewers draw it, if they can.
     """
 
@@ -105,7 +128,7 @@ class CommandTerm(Term):
     marker: CommandMarker | None = None
 
     def resample(self, env_ids: EnvIndex | None) -> None:
-        """Draw new commands, by `CommandManager.draw`; touch no other environment.
+        """Draw new commands by `CommandManager.draw`; do not change other environments.
 
         Args:
             env_ids: (n,) sorted unique int64, or None for all.
@@ -120,23 +143,16 @@ class CommandTerm(Term):
         """
 
     def metrics(self) -> Mapping[str, F64]:
-        """How well the commands are followed now: name -> (N,). The default is nothing."""
+        """Tracking errors of the commands now: name -> (N,). The default is empty."""
         return {}
 
     def state_dict(self) -> dict[str, Any]:
-        """The commands in force (copies); terms that keep more add it."""
+        """The commands in force (copies); terms with more state add it."""
         return {"values": self.values.copy()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Continue where `state_dict` was taken."""
         self.values[:] = state["values"]
-
-
-def constant(values: Any) -> F64:
-    """A read-only float64 copy: streams scale many draws at once by bounds that cannot change."""
-    array = np.array(values, np.float64)
-    array.setflags(write=False)
-    return array
 
 
 class Uniform:
@@ -148,7 +164,7 @@ class Uniform:
         high: Likewise; exclusive.
 
     Attributes:
-        low, high: Those, read-only float64.
+        low, high: The bounds, read-only float64.
     """
 
     def __init__(self, name: str, low: Any, high: Any) -> None:

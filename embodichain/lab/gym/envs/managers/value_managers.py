@@ -1,4 +1,4 @@
-"""Managers of terms that give a number of each environment: rewards, terminations and metrics.
+"""Managers of terms with one number per environment: rewards, terminations and metrics.
 
 `TermRows` are their values by name; `check_shapes` calls each once when an environment is built.
 """
@@ -20,7 +20,7 @@ from embodichain.lab.gym.envs.managers.manager import Manager, checked_rows
 if TYPE_CHECKING:
     import torch
 
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
     from embodichain.lab.sim.types import EnvObs
 else:
     torch = lazy_loader.load("torch")
@@ -39,12 +39,12 @@ class TermRows(Mapping[str, "torch.Tensor"]):
     """Name -> (N,) tensor, a copy of a row.
 
     Args:
-        names: Of the terms, T of them.
+        names: Names of the T terms.
         rows: (T, N), or T arrays (N,); never written to afterwards.
 
     Attributes:
-        names: Those.
-        rows: Those; tensors that were read and changed since do not change them.
+        names: Names of the terms.
+        rows: Values of the terms; writing to returned tensors does not change them.
     """
 
     __slots__ = ("_tensors", "names", "rows")
@@ -111,11 +111,11 @@ class TerminationManager(Manager[TerminationCfg]):
         Args:
             obs: The step's observation.
             action: The step's action.
-            info: What `evaluate` gave, and ``elapsed_steps``.
+            info: The entries of `evaluate`, and ``elapsed_steps``.
 
         Returns:
             (N,) bool masks by kind, ``success``, ``fail``, ``time_out``; kinds without a term are
-            absent. Success and fail terminate, time_out truncates.
+            absent. ``success`` and ``fail`` terminate, ``time_out`` truncates.
 
         Raises:
             ValueError: If a term's value has another shape than (N,); names the term.
@@ -129,7 +129,7 @@ class TerminationManager(Manager[TerminationCfg]):
             if not self._checked:
                 checked_rows(value, self.num_envs, "termination", name)
             flags = value if type(value) is np.ndarray else value.numpy(force=True)
-            flags = flags.astype(np.bool_)  # a copy: the term may reuse its own
+            flags = flags.astype(np.bool_)  # a copy: the term may reuse its array
             values.append(flags)
             masks[kind] = masks[kind] | flags if kind in masks else flags
         self._checked = True
@@ -146,7 +146,7 @@ _REDUCE: dict[str, tuple[Callable[[Any, Any], Any], bool | float]] = {
     "max": (np.maximum, float("-inf")),
     "min": (np.minimum, float("inf")),
 }
-"""What joins the value so far with the next one, and the first value."""
+"""`reduce` -> the function of the value so far and the next one, and the first value."""
 
 
 class MetricManager(Manager[MetricCfg]):
@@ -162,7 +162,7 @@ class MetricManager(Manager[MetricCfg]):
 
     def __init__(self, env: TermContext, cfgs: Mapping[str, MetricCfg]) -> None:
         super().__init__(env, "metrics", "metric", cfgs)
-        # Arrays (N,), replaced and never written to: those handed out stay as they are.
+        # Arrays (N,), replaced and never written to: returned ones must not change.
         self._so_far: dict[str, NDArray[Any]] = {
             name: np.full(self.num_envs, start, dtype)
             for name, _, dtype, _, start, _ in self._calls
@@ -191,8 +191,8 @@ class MetricManager(Manager[MetricCfg]):
         Args:
             obs: The step's observation.
             action: The step's action.
-            info: ``metrics`` in it gains name -> (N,), this step included, which does not change
-                afterwards; entries of the environment's class remain.
+            info: Entries name -> (N,), this step included, are added to ``metrics`` in it, and do
+                not change afterwards; entries of the environment's class remain.
 
         Returns:
             (N,) bool, the metric ``success``; None if there is none.
@@ -220,7 +220,7 @@ class MetricManager(Manager[MetricCfg]):
         return success
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Start these environments' episodes anew."""
+        """Restart the episodes of these environments."""
         super().reset(env_ids)
         where: Any = slice(None) if env_ids is None else env_ids
         self._count = self._count.copy()
@@ -245,21 +245,21 @@ F32 = NDArray[np.float32]
 
 
 class RewardManager(Manager[RewardCfg]):
-    """Adds up value x weight over the terms; never x dt.
+    """Sums value x weight over the terms, without x dt.
 
     Args:
         env: The environment; its scene is complete.
         cfgs: Name -> reward.
 
     Attributes:
-        weights: Name -> current weight; another object when one has changed.
+        weights: Name -> current weight; replaced, not changed, by `set_weight`.
     """
 
     def __init__(self, env: TermContext, cfgs: Mapping[str, RewardCfg]) -> None:
         weights = {name: float(cfg.weight) for name, cfg in cfgs.items()}
         self.weights: Mapping[str, float] = MappingProxyType(weights)
         super().__init__(env, "rewards", "reward", cfgs)
-        # Arrays (T, N), replaced and never written to: those handed out stay as they are.
+        # Arrays (T, N), replaced and never written to: returned ones must not change.
         self._sums: F32 = np.zeros((len(self.terms), self.num_envs), np.float32)
         self._sums_before = self._sums
         self._names = tuple(self.terms)
@@ -278,7 +278,7 @@ class RewardManager(Manager[RewardCfg]):
         return TermRows(self._names, self._sums)
 
     def set_weight(self, name: str, weight: float) -> None:
-        """Give a term another weight from the next step on."""
+        """Change the weight of a term from the next step on."""
         if self.weights[name] != weight:
             self.weights = MappingProxyType({**self.weights, name: float(weight)})
             self._bind()
@@ -287,12 +287,12 @@ class RewardManager(Manager[RewardCfg]):
         """Evaluate every term of this step.
 
         Args:
-            rewards: (N,) of the environment's own hooks, or None; terms are added to it, and one
+            rewards: (N,) from hooks of the environment, or None; terms are added to it, and one
                 with ``mode: replace`` replaces the sum before it.
             obs: The step's observation.
             action: The step's action.
-            info: Gains ``rewards`` (values without weights) and ``episode_sums`` (with weights,
-                this step included), neither of which changes afterwards.
+            info: ``rewards`` (values without weights) and ``episode_sums`` (with weights, this step
+                included) are set in it, and do not change afterwards.
 
         Returns:
             (N,) float32.
@@ -314,7 +314,7 @@ class RewardManager(Manager[RewardCfg]):
         parts[0] = 0.0 if rewards is None else rewards
         weighted = np.multiply(values, self._factors, out=parts[1:])
         self._sums_before, self._sums = self._sums, self._sums + weighted
-        # One row after the other: the rounding does not depend on the number of environments.
+        # Row by row: the rounding does not depend on the number of environments.
         total: F32 = np.add.accumulate(parts[self._first :], axis=0)[-1]
         info["rewards"] = TermRows(self._names, values)
         info["episode_sums"] = self.episode_sums
@@ -325,7 +325,7 @@ class RewardManager(Manager[RewardCfg]):
         self._sums = np.where(rows, self._sums_before, self._sums)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Start the sums of these environments anew."""
+        """Set the sums of these environments to 0."""
         super().reset(env_ids)
         self._sums = self._sums.copy()
         self._sums[:, slice(None) if env_ids is None else env_ids] = 0.0
@@ -348,7 +348,7 @@ class RewardManager(Manager[RewardCfg]):
 
 
 class JudgedEnv(TermContext, Protocol):
-    """An environment whose managers of steps are built."""
+    """An environment with its termination, metric and reward managers."""
 
     @property
     def termination_manager(self) -> TerminationManager:
@@ -367,11 +367,11 @@ class JudgedEnv(TermContext, Protocol):
 
 
 def check_shapes(env: JudgedEnv, obs: EnvObs) -> None:
-    """Call every termination, metric and reward once, and take back what that changed.
+    """Call every termination, metric and reward once to check its shape, and undo the changes.
 
-    Random streams are put back and terms are reset, so that nothing of it shows later. For
-    environments whose `evaluate` is the default: another one may put entries into ``info`` that
-    terms rely on, and may need a reset first; there the first step checks.
+    Random streams are restored and terms are reset. Only for environments with the default
+    `evaluate`: another one may put entries into ``info`` that terms need, and may need a reset
+    first; for these the first step checks shapes.
 
     Args:
         env: The environment, complete.
@@ -384,11 +384,11 @@ def check_shapes(env: JudgedEnv, obs: EnvObs) -> None:
     if not any(len(manager) for manager in managers):
         return
     count = env.num_envs
-    nobody = torch.zeros(count, dtype=torch.bool)
+    none = torch.zeros(count, dtype=torch.bool)
     info: dict[str, Any] = {
         "elapsed_steps": env.elapsed_steps,
-        "success": nobody,
-        "fail": nobody.clone(),
+        "success": none,
+        "fail": none.clone(),
     }
     action = env.last_action
     saved = env.streams.state_dict()

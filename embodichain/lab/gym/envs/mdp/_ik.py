@@ -1,4 +1,4 @@
-"""Inverse kinematics: `tool_links` finds a robot's tool, `Reach` brings it to a pose."""
+"""Inverse kinematics: `tool_links` finds a robot's tool, `Reach` moves it to a pose."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     import mujoco
 
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 else:
     mujoco = lazy_loader.load("mujoco")
 
@@ -27,10 +27,10 @@ __all__ = [
 
 
 def tool_links(entity: ResolvedEntity) -> list[int]:
-    """The link that acts, as an index; several or none where that cannot be told.
+    """The index of the tool link; several or none where it is not unique.
 
-    It is the tool point that the robot's `solver_cfg` gives the picked control part (without one,
-    the whole robot), else the farthest link that all picked joints move.
+    It is the tool point in the robot's `solver_cfg` for the picked control part (or the whole
+    robot), else the farthest link that all picked joints move.
     """
     parsed, parts = entity.asset.parsed, entity.control_parts or ("default",)
     tool = parsed.tools.get(parts[0]) if len(parts) == 1 else None
@@ -40,9 +40,10 @@ def tool_links(entity: ResolvedEntity) -> list[int]:
 
 
 def _links_below(asset: Any, joints: Sequence[int]) -> list[int]:
-    """Links that all the given joints move, and none beyond; the farthest from the root only.
+    """Indices of the links that all the given joints move, the farthest from the root only.
 
-    As indices. A hand that is fixed to an arm's last link is the arm's; its fingers are not.
+    Links beyond another joint are left out: a hand fixed to an arm's last link counts, its fingers
+    do not.
     """
     model, index = asset.engine.model, asset.entity
     movers = {int(model.dof_bodyid[d]) for d in np.asarray(index.dof_adr)[list(joints)]}
@@ -69,7 +70,7 @@ _DAMPING = 1e-6
 _LONGEST_STEP = 0.5
 """Rad or m: no joint moves farther in one iteration."""
 _SHORTEST_STEP = 1e-5
-"""Rad or m: where no joint moves farther than this, nothing nearer to the pose is found."""
+"""Rad or m: the search ends when no joint moves farther than this in an iteration."""
 
 
 class Reach:
@@ -78,11 +79,11 @@ class Reach:
     Each step solves (J J^T + c I) y = e and moves the joints by J^T y, where e is the pose error
     and c = |e|^2 / 2 + 1e-6 (T. Sugihara, "Solvability-unconcerned inverse kinematics by the
     Levenberg-Marquardt method", IEEE Transactions on Robotics 27(5), 2011). Environments are solved
-    one by one with the compiled model, so that no result depends on another's.
+    one by one with the compiled model, so that results are independent.
 
     Args:
-        entity: The robot; its picked joints move, its picked link is the tool. Without one it is
-            the picked part's tool point, else the link farthest from the base that they all move.
+        entity: The robot; its picked joints move, its picked link is the tool (by default that of
+            `tool_links`).
         path: The parameter, for messages.
 
     Attributes:
@@ -123,14 +124,14 @@ class Reach:
     def solve(
         self, root_pos: F64, root_quat: F64, qpos: F64, pos: F64, quat: F64 | None
     ) -> tuple[F64, NDArray[np.bool_]]:
-        """Look for joint positions that bring the tool to a pose, from where the joints are.
+        """Search joint positions that move the tool to a pose.
 
         Args:
-            root_pos: (n, 3) of the robot's root, environment's frame, as every pose.
+            root_pos: (n, 3) of the robot's root; all poses are in the environment's frame.
             root_quat: (n, 4) wxyz.
-            qpos: (n, D) all joints, where to begin.
-            pos: (n, 3) wanted position.
-            quat: (n, 4) wanted orientation; None leaves it free.
+            qpos: (n, D) initial positions of all joints.
+            pos: (n, 3) target position.
+            quat: (n, 4) target orientation; None leaves it free.
 
         Returns:
             (n, D) joint positions within the limits, and (n,) whether they reach the pose within
@@ -146,7 +147,7 @@ class Reach:
     def _in_model(
         self, root_pos: F64, root_quat: F64, pos: F64, quat: F64 | None
     ) -> tuple[F64, F64 | None]:
-        """A pose relative to the root as the pose it is when the root is where it was compiled."""
+        """The pose with the same transform to the root, for the root's pose in the model."""
         mujoco.mj_kinematics(self._model, self._data)
         home_pos, home_quat = self._data.xpos[self._root], self._data.xquat[self._root]
         back_pos, back_quat = np.empty(3), np.empty(4)
@@ -159,7 +160,7 @@ class Reach:
         return pos, quat
 
     def _solve(self, qpos: F64, pos: F64, quat: F64 | None) -> bool:
-        """Change joint positions (D,) in place until they reach a pose; returns whether they do."""
+        """Change joint positions (D,) in place until they reach a pose; return whether they do."""
         model, data, rows = self._model, self._data, 3 if quat is None else 6
         jacobian, error = np.zeros((6, model.nv)), np.zeros(6)
         for _ in range(MAX_ITERATIONS):

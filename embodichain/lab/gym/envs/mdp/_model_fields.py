@@ -1,4 +1,4 @@
-"""`FIELDS`: what `randomize` may change of a model, as named values and how to write them."""
+"""`FIELDS`: the model fields that `randomize` may change, as named values and their writers."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from embodichain.utils.errors import ConfigError, Problem
 if TYPE_CHECKING:
     import mujoco
 
-    from embodichain.lab.sim.engine.base import F64, Engine, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
 else:
     mujoco = lazy_loader.load("mujoco")
 
@@ -34,7 +34,7 @@ __all__ = [
 ]
 
 Operation = Literal["add", "scale", "abs"]
-"""What a drawn number does to the compiled one: is added, multiplies it, or replaces it."""
+"""How a drawn number changes the compiled one: it is added, multiplies it, or replaces it."""
 Write = Callable[["F64", "EnvIndex | None"], None]
 """Writes values (n, m) in the environments given, or in all."""
 GROUND = "default_plane"
@@ -42,15 +42,15 @@ GROUND = "default_plane"
 
 @dataclass(frozen=True, eq=False)
 class Values:
-    """k values of named things: a field of one entity.
+    """A field of one entity: k named values, one for each body, joint or geom.
 
     Attributes:
-        names: What the things are called, for ranges by name and for messages.
+        names: Names of the values, for ranges by name and for messages.
         default: (k,) compiled values.
-        write: Gives what writes the values (n, m) of the things with indices (m,).
-        lowest: The least value that makes sense; None is any.
+        write: Returns the function that writes the values (n, m) with indices (m,).
+        lowest: The smallest valid value; None is any.
         unlimited: Why a default may be infinite, for messages.
-        needs_default: Whether an infinite default is an error whatever the operation.
+        needs_default: Whether an infinite default is an error for every operation.
     """
 
     names: Sequence[str]
@@ -63,7 +63,7 @@ class Values:
 
 @dataclass(frozen=True)
 class Options:
-    """What `randomize` takes besides ranges; described there."""
+    """The options of `randomize` besides ranges; described there."""
 
     recompute_inertia: bool
     min_mass: float
@@ -76,9 +76,9 @@ class Field:
     """A field by name.
 
     Attributes:
-        values: Finds an entity's values.
-        operation: The operation if none is given.
-        fixed: Whether no other operation makes sense.
+        values: Returns an entity's values.
+        operation: The default operation.
+        fixed: Whether no other operation is allowed.
     """
 
     values: Callable[[ResolvedEntity, Options], Values]
@@ -87,7 +87,7 @@ class Field:
 
 
 def need_object(entity: ResolvedEntity, dynamic: str = "") -> None:
-    """Refuse what is no rigid object, or one that is not dynamic if `dynamic` says what for.
+    """Check that an entity is a rigid object, and dynamic if `dynamic` names a reason.
 
     Raises:
         ConfigError: If it is not.
@@ -102,7 +102,7 @@ def need_object(entity: ResolvedEntity, dynamic: str = "") -> None:
 
 
 def need_articulation(entity: ResolvedEntity) -> None:
-    """Refuse what has no joints.
+    """Check that an entity has joints.
 
     Raises:
         ConfigError: If it has none.
@@ -117,7 +117,7 @@ def need_articulation(entity: ResolvedEntity) -> None:
 def _bodies(
     entity: ResolvedEntity, what: str = "", moving: bool = True
 ) -> tuple[list[str], NDArray[np.int64]]:
-    """Names and MuJoCo body ids of the picked links, of all without a choice, or of an object."""
+    """Names and MuJoCo body ids of the picked links (by default all), or of an object."""
     asset = entity.asset
     if not hasattr(asset, "parsed"):
         if moving:
@@ -196,7 +196,7 @@ def _scale(entity: ResolvedEntity, options: Options) -> Values:
     if width == 3 and len(equal) == 3:
         message = f"{solid.uid!r} is a {solid.kind}: its axes have one scale"
         raise ConfigError([Problem("same_scale_all_axes", message)])
-    # Which drawn column scales which axis: a capsule's x and y are one.
+    # The drawn column that scales each axis: x and y of a capsule share one.
     axes = np.arange(3) if width == 3 else np.zeros(3, np.int64)
     axes[equal] = axes[equal[0]] if equal else 0
 
@@ -210,7 +210,7 @@ def _scale(entity: ResolvedEntity, options: Options) -> Values:
 
 
 def _friction(entity: ResolvedEntity, options: Options, axis: int) -> Values:
-    """A coefficient of links or objects; all geoms of one that share the compiled one share it."""
+    """A coefficient of links or objects; geoms of a link with equal compiled values share it."""
     model = entity.asset.engine.model
     geoms = np.asarray(entity.asset.entity.geom_ids, np.int64)
     geoms = geoms[(model.geom_contype[geoms] | model.geom_conaffinity[geoms]) != 0]
@@ -268,7 +268,7 @@ def _drive(entity: ResolvedEntity, options: Options, name: str, driven: bool = F
     asset, joints = entity.asset, _joints(entity, driven)
 
     def write(ids: NDArray[np.int64]) -> Write:
-        return lambda values, env_ids: asset.drives.put(name, values, env_ids, joints[ids])
+        return lambda values, env_ids: asset.drives.write(name, values, env_ids, joints[ids])
 
     names = [asset.parsed.joint_names[i] for i in joints]
     compiled = np.asarray(getattr(asset.parsed, name), np.float64)[joints]
@@ -279,7 +279,7 @@ def _limit(entity: ResolvedEntity, options: Options, side: int) -> Values:
     asset, joints = entity.asset, _joints(entity, driven=False)
 
     def write(ids: NDArray[np.int64]) -> Write:
-        return lambda values, env_ids: asset.drives.put_limit(side, values, env_ids, joints[ids])
+        return lambda values, env_ids: asset.drives.write_limit(side, values, env_ids, joints[ids])
 
     names = [asset.parsed.joint_names[i] for i in joints]
     compiled = np.asarray(asset.parsed.qpos_limits, np.float64)[joints]
@@ -308,7 +308,7 @@ def _strength(entity: ResolvedEntity, options: Options) -> Values:
 
         def factors(values: F64, env_ids: EnvIndex | None) -> None:
             if len(drives):
-                asset.drives.put("strength", values[:, : len(drives)], env_ids, drives)
+                asset.drives.write("strength", values[:, : len(drives)], env_ids, drives)
             factor = values[:, len(drives) :]
             for name, columns, compiled, source in parts:
                 asset.engine.write_model(name, compiled * factor[:, source], env_ids, columns)
@@ -319,11 +319,11 @@ def _strength(entity: ResolvedEntity, options: Options) -> Values:
 
 
 _Part = tuple[str, NDArray[np.int64], "F64", NDArray[np.int64]]
-"""A model field, its columns, their compiled values, and whose factor each takes."""
+"""A model field, its columns, their compiled values, and the index of each one's factor."""
 
 
 def _proportional(model: mujoco.MjModel, actuators: NDArray[np.int64]) -> list[_Part]:
-    """Everything that the actuators' forces are proportional to."""
+    """The model fields that the actuators' forces are proportional to."""
 
     def part(field: str, which: NDArray[np.int64], used: int) -> _Part:
         table = getattr(model, field)
@@ -339,10 +339,10 @@ def _proportional(model: mujoco.MjModel, actuators: NDArray[np.int64]) -> list[_
 def _own_actuators(
     model: mujoco.MjModel, actuators: NDArray[np.int64], dofs: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """A file's actuators on the joints of these dofs, whose force is linear in its parameters.
+    """The file's actuators on the joints of these dofs; forces must be linear in the parameters.
 
     Raises:
-        ConfigError: If one has another force law, such as a muscle's.
+        ConfigError: If an actuator has another force law, such as a muscle's.
     """
     joints = model.dof_jntid[dofs]
     kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))

@@ -1,7 +1,7 @@
-"""Sums over the columns of (N, K) arrays, and what turns arrays into tensors.
+"""Sums over the columns of (N, K) arrays, and conversion of arrays to tensors.
 
-A sum is a dot product of each row that lies in memory side by side: it rounds alike for any number
-of environments, which a reduction of numpy's may not.
+A sum is a dot product of each contiguous row: its rounding does not depend on the number of
+environments, unlike that of a numpy reduction.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     import torch
     from numpy.typing import NDArray
 
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 else:
     torch = lazy_loader.load("torch")
 
@@ -64,14 +64,14 @@ def any_column(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def every_column(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Whether all of a row are True, (N,) or (N, K) -> (N,)."""
+    """Whether all columns of a row are True, (N,) or (N, K) -> (N,)."""
     return mask if mask.ndim == 1 else np.asarray(mask.all(axis=1))
 
 
 def angle_between(a: F64, b: F64) -> F64:
     """(N,) rad in [0, pi] of the rotation from one orientation to another, (N, 4) wxyz each.
 
-    2 atan2(|v|, |w|) of the difference, which is exact near 0 where an arc cosine is not.
+    2 atan2(|v|, |w|) of the difference, which is exact near 0, unlike an arc cosine.
     """
     from embodichain.utils.math import quat_conjugate, quat_multiply
 
@@ -85,7 +85,7 @@ def action_rows(action: Any) -> F64:
     """(N, A) float64 copy of the action that rewards receive.
 
     Raises:
-        TypeError: If it is no tensor: a `TensorDict` has no order of its own.
+        TypeError: If it is not a tensor: the columns of a `TensorDict` have no order.
     """
     if not hasattr(action, "detach") or not hasattr(action, "ndim"):
         raise TypeError(f"this term needs an action tensor, got {type(action).__name__}")
@@ -94,5 +94,5 @@ def action_rows(action: Any) -> F64:
 
 
 def tensor(array: NDArray[np.float64] | NDArray[np.bool_]) -> torch.Tensor:
-    """A tensor of its own: float32, or bool."""
+    """A new tensor, float32 or bool."""
     return torch.from_numpy(array if array.dtype == np.bool_ else array.astype(np.float32))

@@ -1,13 +1,13 @@
-"""Shapes: what makes one number of each row of a quantity.
+"""Shapes: functions that reduce each row of a quantity to one number.
 
-``{func: distance, shape: {tanh: 0.1}}``; several, in a list, are applied one after the other. Each
-takes (N,) or (N, K) float64 or bool. A number that a config gives instead of a map is the first
-parameter.
+``{func: distance, shape: {tanh: 0.1}}``; the shapes of a list are applied in order. Each takes (N,)
+or (N, K) float64 or bool. A number in a config instead of a map is the first parameter.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -22,34 +22,158 @@ from embodichain.lab.gym.envs.managers.param_types import (
 )
 from embodichain.lab.gym.envs.managers.registry import register_shape
 from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.mdp import _kernels
 from embodichain.lab.gym.envs.mdp._rows import any_column, every_column, mean, norm, squares, total
+from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
     Mask = NDArray[np.bool_]
 
 __all__ = [
+    "SIGMOIDS",
     "Rate",
+    "Sigmoid",
+    "Tolerance",
     "above",
     "at_most",
     "below",
     "clip",
     "excess",
     "gaussian",
+    "gaussian_kernel",
     "l1",
     "l2",
     "negative",
     "norm_",
     "outside",
     "tanh",
+    "tanh_kernel",
     "tolerance",
     "within",
 ]
+
+Sigmoid = Literal[
+    "gaussian",
+    "linear",
+    "hyperbolic",
+    "long_tail",
+    "cosine",
+    "tanh_squared",
+    "quadratic",
+    "reciprocal",
+]
+
+# Each takes x and the value at x = 1. Formulas: dm_control's `rewards` module
+# (Tassa et al., "dm_control: Software and tasks for continuous control", 2020, arXiv:2006.12983).
+
+
+def _gaussian(x: F64, value: float) -> F64:
+    scaled = x * math.sqrt(-2.0 * math.log(value))
+    return np.exp(-0.5 * scaled * scaled)
+
+
+def _linear(x: F64, value: float) -> F64:
+    return np.maximum(1.0 - x * (1.0 - value), 0.0)
+
+
+def _hyperbolic(x: F64, value: float) -> F64:
+    # cosh overflows to infinity for large errors: the value is then 0, which is correct.
+    with np.errstate(over="ignore"):
+        return 1.0 / np.cosh(x * math.acosh(1.0 / value))
+
+
+def _long_tail(x: F64, value: float) -> F64:
+    scaled = x * math.sqrt(1.0 / value - 1.0)
+    return 1.0 / (scaled * scaled + 1.0)
+
+
+def _cosine(x: F64, value: float) -> F64:
+    # x is clipped before the cosine, instead of replacing the result, so that NaN stays NaN.
+    scaled = np.minimum(x * (math.acos(2.0 * value - 1.0) / math.pi), 1.0)
+    return 0.5 * (1.0 + np.cos(math.pi * scaled))
+
+
+def _tanh_squared(x: F64, value: float) -> F64:
+    bent = np.tanh(x * math.atanh(math.sqrt(1.0 - value)))
+    return 1.0 - bent * bent
+
+
+def _quadratic(x: F64, value: float) -> F64:
+    scaled = x * math.sqrt(1.0 - value)
+    return np.maximum(1.0 - scaled * scaled, 0.0)
+
+
+def _reciprocal(x: F64, value: float) -> F64:
+    return 1.0 / (x * (1.0 / value - 1.0) + 1.0)
+
+
+SIGMOIDS: dict[str, Callable[[F64, float], F64]] = {
+    "gaussian": _gaussian,
+    "linear": _linear,
+    "hyperbolic": _hyperbolic,
+    "long_tail": _long_tail,
+    "cosine": _cosine,
+    "tanh_squared": _tanh_squared,
+    "quadratic": _quadratic,
+    "reciprocal": _reciprocal,
+}
+"""Name -> f(x >= 0, value at 1); each is 1 at 0 and decreases."""
+_MAY_END = ("linear", "cosine", "quadratic")
+
+
+class Tolerance:
+    """1 within bounds; beyond them a sigmoid of the excess divided by the margin.
+
+    dm_control's `rewards.tolerance`.
+
+    Args:
+        bounds: [low, high], in the unit of the quantity; either may be infinite.
+        margin: Distance from the bounds at which the value is ``value_at_margin``; 0 gives 0
+            everywhere outside.
+        sigmoid: The function outside the bounds.
+        value_at_margin: In (0, 1); 0 is allowed for linear, cosine and quadratic.
+
+    Raises:
+        ConfigError: If ``value_at_margin`` does not suit the sigmoid.
+    """
+
+    def __init__(
+        self, bounds: Sequence[float], margin: float, sigmoid: Sigmoid, value_at_margin: float
+    ) -> None:
+        low = value_at_margin >= 0.0 if sigmoid in _MAY_END else value_at_margin > 0.0
+        if not (low and value_at_margin < 1.0):
+            allowed = "[0, 1)" if sigmoid in _MAY_END else "(0, 1)"
+            message = f"must be in {allowed} for sigmoid {sigmoid!r}, got {value_at_margin}"
+            raise ConfigError([Problem("value_at_margin", message)])
+        self._low, self._high = (float(bound) for bound in bounds)
+        self._margin = float(margin)
+        self._sigmoid, self._value = SIGMOIDS[sigmoid], float(value_at_margin)
+
+    def __call__(self, x: F64) -> F64:
+        """Values in [0, 1] of the shape of ``x``; NaN stays NaN."""
+        # A bound at infinity is never exceeded: the difference is -inf, and the maximum 0.
+        excess = np.maximum(np.maximum(self._low - x, x - self._high), 0.0)
+        if self._margin > 0.0:
+            return self._sigmoid(np.ascontiguousarray(excess / self._margin), self._value)
+        inside: F64 = np.where(excess > 0.0, 0.0, 1.0)
+        return np.where(np.isnan(excess), excess, inside)
+
+
+def gaussian_kernel(squared: F64, std: float) -> F64:
+    """exp(-e^2 / std^2) of squared errors, the kernel of Isaac Lab's tracking rewards."""
+    found: F64 = np.exp(np.ascontiguousarray(squared) * (-1.0 / (std * std)))
+    return found
+
+
+def tanh_kernel(error: F64, std: float) -> F64:
+    """1 - tanh(e / std) of errors >= 0, the kernel of Isaac Lab's reaching rewards."""
+    found: F64 = 1.0 - np.tanh(np.ascontiguousarray(error) / std)
+    return found
+
 
 AtMargin = Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)]
 Values = Callable[["F64"], "F64"]
@@ -103,13 +227,13 @@ def tanh(env: TermContext, std: Positive) -> Values:
     The kernel of Isaac Lab's reaching rewards.
 
     Args:
-        std: Where the value has fallen to 0.24, in the quantity's unit.
+        std: The error at which the value is 0.24, in the quantity's unit.
 
     Example:
         ``{func: distance, shape: {tanh: 0.1}, weight: 1.0, params: {from: {uid: ur10, link_names:
         [ee_link]}, to: {uid: cube}}}``
     """
-    return lambda values: _kernels.tanh_kernel(_length(values), std)
+    return lambda values: tanh_kernel(_length(values), std)
 
 
 @register_shape
@@ -119,13 +243,13 @@ def gaussian(env: TermContext, std: Positive) -> Values:
     The kernel of Isaac Lab's tracking rewards.
 
     Args:
-        std: Where the value has fallen to 1/e, in the quantity's unit.
+        std: The error at which the value is 1/e, in the quantity's unit.
 
     Example:
         ``{func: linear_velocity_error, shape: {gaussian: 0.5}, weight: 1.0, params: {of: {uid:
         go}, command_name: velocity}}``
     """
-    return lambda values: _kernels.gaussian(squares(_columns(values)), std)
+    return lambda values: gaussian_kernel(squares(_columns(values)), std)
 
 
 @register_shape
@@ -133,7 +257,7 @@ def tolerance(
     env: TermContext,
     bounds: Bounds = (0.0, 0.0),
     margin: NonNegative = 0.0,
-    sigmoid: _kernels.Sigmoid = "gaussian",
+    sigmoid: Sigmoid = "gaussian",
     value_at_margin: AtMargin = 0.1,
 ) -> Values:
     """1 within bounds, a sigmoid of the excess beyond them, in [0, 1]; the mean over columns.
@@ -142,8 +266,8 @@ def tolerance(
 
     Args:
         bounds: [low, high] where the value is 1, in the quantity's unit; either may be infinite.
-        margin: Distance from the bounds at which it has fallen to `value_at_margin`; 0 is a step.
-        sigmoid: The shape of the fall: gaussian, linear, hyperbolic, long_tail, cosine,
+        margin: Distance from the bounds at which the value is `value_at_margin`; 0 is a step.
+        sigmoid: The function outside the bounds: gaussian, linear, hyperbolic, long_tail, cosine,
             tanh_squared, quadratic or reciprocal.
         value_at_margin: In (0, 1); linear, cosine and quadratic may take 0.
 
@@ -151,7 +275,7 @@ def tolerance(
         ``{func: height, shape: {tolerance: {bounds: [0.3, .inf], margin: 0.3, sigmoid: linear}},
         weight: 1.0, params: {of: {uid: cube}}}``
     """
-    kernel = _kernels.Tolerance(bounds, margin, sigmoid, value_at_margin)
+    kernel = Tolerance(bounds, margin, sigmoid, value_at_margin)
     return lambda values: kernel(values) if values.ndim == 1 else mean(kernel(values))
 
 
@@ -240,7 +364,7 @@ def excess(env: TermContext, threshold: Finite = 0.0) -> Values:
 
 @register_shape
 def clip(env: TermContext, bounds: Bounds) -> Values:
-    """The value within bounds, column by column.
+    """The value clipped to bounds, column by column.
 
     Args:
         bounds: [low, high] in the quantity's unit; either may be infinite.
@@ -279,7 +403,7 @@ def negative(env: TermContext) -> Values:
 
 @register_shape
 class Rate(Term):
-    """Change since the last control step, column by column; 0 before there is one in the episode.
+    """Change since the last control step, column by column; 0 in the first step of an episode.
 
     Args:
         per: ``second`` divides by the control step's duration; ``step`` does not.
@@ -315,12 +439,12 @@ class Rate(Term):
         return change
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Forget the steps of these environments."""
+        """Clear the stored steps of these environments."""
         self._left[slice(None) if env_ids is None else env_ids] = self._order
         self._all_known = False
 
     def state_dict(self) -> dict[str, Any]:
-        """The steps that are missing, and the values of the last ones (copies)."""
+        """The number of missing steps, and the values of the last ones (copies)."""
         return {"left": self._left.copy(), "past": [rows.copy() for rows in self._past]}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

@@ -9,9 +9,12 @@ import numpy as np
 from embodichain.lab.gym.envs.cfg import Names
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.managers.term import ActionTerm
-from embodichain.lab.gym.envs.mdp.actions.joint_action import Affine, JointClip, PerJoint
-from embodichain.lab.gym.utils.bounds import finite_limits
+from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
+from embodichain.lab.gym.envs.mdp.actions.joint_action import (
+    Affine,
+    JointClip,
+    PerJoint,
+)
 from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -20,7 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = ["ActuatorCtrl"]
 
@@ -29,23 +32,23 @@ __all__ = ["ActuatorCtrl"]
 class ActuatorCtrl(ActionTerm):
     """Controls of actuators (MuJoCo's ``ctrl``): ctrl = offset + scale x clamp(action, clip).
 
-    One column a control, in the model's order: the actuators of an MJCF file in the file's order,
+    One column per control, in the model's order: the actuators of an MJCF file in the file's order,
     then the drives that ``drive_pros`` adds, in joint order; an actuator with several inputs has
-    several columns (``NAME.INPUT``). Targets of drives and servos keep to ``max_velocity``. It is
-    the action of an MJCF robot whose task declares none.
+    several columns (``NAME.INPUT``). Targets of drives and servos respect ``max_velocity``. It is
+    the default action of an MJCF robot in a task without action terms.
 
     Example:
-        ``{func: actuator_ctrl, params: {entity_cfg: {uid: ur10}, actuator_names: "Joint[1-3]"}}``
+        ``{func: actuator_ctrl, params: {of: {uid: ur10}, actuator_names: "Joint[1-3]"}}``
 
     Args:
         entity_cfg: The robot.
         actuator_names: Regexes over the names of controls; null is all of them.
-        scale: Units of ctrl per unit of action: a number, one a control, or {regex: number}.
+        scale: Units of ctrl per unit of action: a number, a list per control, or {regex: number}.
         offset: Units of ctrl, likewise.
-        clip: Bounds of the action: [low, high], pairs one a control, or {regex: [low, high]}.
-            Without it they are the controls' ranges, seen through scale and offset: the file's
-            ctrlrange, and for position servos and drives without one the joint's limits (+-2 pi
-            where it has none).
+        clip: Bounds of the action: [low, high], a list of pairs, or {regex: [low, high]}. By
+            default (range - offset) / scale with the range of each control: the file's ctrlrange,
+            and for position servos and drives without one the joint's limits (+-2 pi where it has
+            none).
 
     Raises:
         ConfigError: If a regex matches no control, joints are picked, or a control has no range and
@@ -93,7 +96,7 @@ class ActuatorCtrl(ActionTerm):
         if endless:
             message = (
                 f"actuators without a ctrlrange: {', '.join(endless)}; give the bounds of the "
-                "action, as in actions: {ctrl: {func: actuator_ctrl, params: {entity_cfg: {uid: "
+                "action, as in actions: {ctrl: {func: actuator_ctrl, params: {of: {uid: "
                 f"{self._asset.uid}}}, clip: [-1, 1]}}}}}}, or clip: {{NAME: [-1, 1], ...}}"
             )
             raise ConfigError([Problem("clip", message)])
@@ -104,7 +107,7 @@ class ActuatorCtrl(ActionTerm):
         self._asset.write_ctrl(self._value(action), self._which, seconds=self._period)
 
     def home(self) -> F64:
-        """(A,) the action that gives the initial controls, within the bounds."""
+        """(A,) the action for the initial controls, within the bounds."""
         return self._action_for(self._initial)
 
     def hold(self) -> F64:

@@ -17,8 +17,7 @@ from pydantic import PlainValidator
 from embodichain.lab.gym.envs.managers.param_types import Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.managers.term import ActionTerm
-from embodichain.lab.gym.utils.bounds import finite_limits
+from embodichain.lab.gym.envs.managers.term import ActionTerm, finite_limits
 from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -28,7 +27,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
     "Affine",
@@ -56,7 +55,7 @@ def _numbers(value: Any) -> Any:
         else [value]
     )
     if not parts or not all(map(_is_number, parts)):
-        raise ValueError("wants a finite number, a list of one a joint, or {joint regex: number}")
+        raise ValueError("must be a finite number, a list of one a joint, or {joint regex: number}")
     return value
 
 
@@ -66,7 +65,7 @@ def _interval(value: Any) -> tuple[float, float]:
         value = (-value, value)
     if not (isinstance(value, (list, tuple)) and len(value) == 2 and all(map(_is_number, value))):
         raise ValueError(
-            "wants [low, high] or one number for both sides, a list of such pairs (one a joint), "
+            "must be [low, high] or one number for both sides, a list of such pairs (one a joint), "
             "or {joint regex: [low, high]}"
         )
     low, high = map(float, value)
@@ -105,22 +104,22 @@ def per_joint(
         value: As declared.
         names: The A joints.
         path: Key path of the parameter, for messages.
-        default: What joints get that no regex of a map matches; None demands that all match.
-        what: What a name is, for messages.
+        default: Value of joints that no regex of a map matches; None requires that all match.
+        what: The kind of the names, for messages.
 
     Returns:
         (A,) float64.
 
     Raises:
-        ConfigError: If a list is not one a joint; if a regex matches no joint, or one that another
-            regex matches as well; or if a joint is left without a value. Lists the joints.
+        ConfigError: If a list does not have one value per joint; if a regex matches no joint, or
+            one that another regex matches; or if a joint has no value. Lists the joints.
     """
     fallback = () if default is None else (default,)
     return _spread(value, names, path, fallback, False, what)[:, 0]
 
 
 def joint_clip(value: Any, names: Sequence[str], path: str, what: str = "joint") -> tuple[F64, F64]:
-    """Low and high, (A,) each, of a `JointClip`; raises as `per_joint`, without a default."""
+    """Low and high, (A,) each, of a `JointClip`; raises like `per_joint` without a default."""
     low, high = _spread(_intervals(value), names, path, (), True, what).T.copy()
     return low, high
 
@@ -128,7 +127,7 @@ def joint_clip(value: Any, names: Sequence[str], path: str, what: str = "joint")
 def _spread(
     value: Any, names: Sequence[str], path: str, default: Any, paired: bool, what: str
 ) -> F64:
-    """(A, width) one row a joint."""
+    """(A, width) one row per joint."""
     count, width = len(names), 2 if paired else 1
     if isinstance(value, Mapping):
         rows = _matched(value, names, path, what)
@@ -166,16 +165,16 @@ def _matched(
 
 
 class Affine:
-    """The values of an action, in float64, and the bounds that follow.
+    """The affine map from an action to values, in float64, and the bounds of the action.
 
     Args:
-        names: What the A columns move.
-        scale: `PerJoint`, not 0; names that a map leaves out get 1.
-        offset: `PerJoint`; names that a map leaves out get 0.
+        names: Names of the A columns.
+        scale: `PerJoint`, not 0; 1 for names that are not in a map.
+        offset: `PerJoint`; 0 for names that are not in a map.
         clip: `JointClip`, or None: the bounds of the action then follow from `limits`.
         centre: (A,) added to the offset.
-        limits: Low and high of the value, (A,) each, finite: needed without `clip`.
-        what: What a name is, for messages.
+        limits: Low and high of the value, (A,) each, finite; needed without `clip`.
+        what: The kind of the names, for messages.
 
     Attributes:
         low, high: (A,) float32 bounds of the action; unset with neither `clip` nor `limits`.
@@ -213,7 +212,7 @@ class Affine:
         return given if self._plain else self._centre + self._scale * given
 
     def action_for(self, value: F64 | float) -> F64:
-        """(A,) or (N, A) the action that gives a value, as far as the bounds allow."""
+        """(A,) or (N, A) the action for a value, clamped to the bounds."""
         found: F64 = np.clip((value - self._centre) / self._scale, self._least, self._most)
         return found
 
@@ -226,7 +225,7 @@ class JointTerm(ActionTerm):
 
     Args:
         env: The environment.
-        entity: The robot and the joints picked.
+        entity: The robot and its picked joints.
         driven: Whether every joint must have a drive.
         positions: Whether the drives must take position targets.
 
@@ -282,13 +281,13 @@ class JointTerm(ActionTerm):
         return targets
 
     def _qpos(self) -> F64:
-        """(N, A) measured positions: not to be written to or kept."""
+        """(N, A) measured positions; do not write to it or store it."""
         qpos: F64 = self._asset.read_qpos()
         return qpos if self._joints is None else qpos[:, self._ids]
 
 
 class VelocityTargets:
-    """Writes velocity targets: a velocity drive's, or a moving position target of a stiff drive.
+    """Writes velocity targets, of stiff drives as a moving position target.
 
     Args:
         asset: The articulation.
@@ -321,7 +320,7 @@ class VelocityTargets:
             self._asset.drives.write_target_qvel(target[:, self._free], joints, None)
 
     def _move(self, velocity: F64) -> None:
-        """Move the position targets of stiff drives, as far ahead as the drives can pull."""
+        """Move the position targets of stiff drives, only as far ahead as the drives can pull."""
         joints, asset = self._joints[self._stiff], self._asset
         drives = asset.drives
         target = drives.read_target_qpos()[:, joints] + velocity * self._period
@@ -347,7 +346,7 @@ class Efforts:
         stiff = joints[asset.drives.stiffness[0, joints] > 0]
         if len(stiff):
             logger.warning(
-                "joint_effort: joints %s have a drive with stiffness that holds its own target "
+                "joint_effort: joints %s have a drive with stiffness that keeps its own target "
                 "beside the effort; drive_pros: {stiffness: 0, damping: 0} leaves the effort alone",
                 ", ".join(asset.parsed.joint_names[j] for j in stiff),
             )
@@ -370,32 +369,32 @@ class JointAction(JointTerm):
     Computed in float64. Position targets are clamped to the joints' limits and move by at most
     ``max_velocity`` times the control period. With stiffness 0 a velocity is the drive's target,
     effort = damping x (target - velocity); with stiffness it moves the position target, which
-    never runs further ahead than the drive can pull (``max_effort`` / stiffness), so that the joint
-    is held at velocity 0. Efforts are applied to the joints themselves (MuJoCo's
-    ``qfrc_applied``), beside what a drive does: declare ``drive_pros: {drive_type: none}`` or
-    stiffness and damping 0 for pure effort control.
+    is never further ahead than the drive can pull (``max_effort`` / stiffness), so that the joint
+    is held at velocity 0. Efforts are applied to the joints (MuJoCo's ``qfrc_applied``) in addition
+    to those of drives: declare ``drive_pros: {drive_type: none}`` or stiffness and damping 0 for
+    pure effort control.
 
     Args:
         entity_cfg: The robot; its joint names or control parts pick joints.
-        control: What the value is: ``position`` (rad or m), ``velocity`` (rad/s or m/s), or
-            ``effort`` (N m or N), within +-``max_effort``.
+        control: The quantity of the value: ``position`` (rad or m), ``velocity`` (rad/s or m/s),
+            or ``effort`` (N m or N), within +-``max_effort``.
         centre: Of positions: ``zero``; ``home``, the initial position; ``qpos``, the measured
-            position; ``target``, the previous target, so that nothing sags under gravity;
+            position; ``target``, the previous target, so that joints do not sag under gravity;
             ``limits`` maps `range` to the joint's declared limits (+-2 pi without any), with
             u = clamp(offset + scale x clamp(action, clip), range), target = low + (high - low) x
             (u - range[0]) / (range[1] - range[0]).
-        scale: Units per unit of action: a number, one a joint, or {joint regex: number}.
+        scale: Units per unit of action: a number, a list per joint, or {joint regex: number}.
         offset: Units, likewise.
-        clip: Bounds of the action: [low, high], pairs one a joint, or {joint regex: [low, high]}.
-            None is the joints' limits (+-2 pi without any) seen through scale and offset for
-            positions about zero, `range` seen through them for ``limits``, else [-1, 1].
-        range: [low, high]: what ``centre: limits`` maps to the joints' limits.
+        clip: Bounds of the action: [low, high], a list of pairs, or {joint regex: [low, high]}.
+            None is (limits - offset) / scale with the joints' limits (+-2 pi without any) for
+            positions about zero, the same with `range` for ``centre: limits``, else [-1, 1].
+        range: [low, high] that ``centre: limits`` maps to the joints' limits.
 
     Raises:
-        ConfigError: If a joint has no drive, or not one for this control.
+        ConfigError: If a joint has no drive for this control.
 
     Example:
-        ``{func: joint_action, params: {entity_cfg: {uid: ur10}, centre: home, scale: 0.6}}``
+        ``{func: joint_action, params: {of: {uid: ur10}, centre: home, scale: 0.6}}``
     """
 
     def __init__(
@@ -454,15 +453,15 @@ class JointAction(JointTerm):
         self._write_targets(self._joint_low + (within - self._start) * self._slope)
 
     def _action_at(self, position: F64) -> F64:
-        """The action that gives position targets, as far as the bounds allow."""
+        """The action for position targets, clamped to the bounds."""
         if self._maps:
             position = self._start + (position - self._joint_low) / self._slope
         return self._action_for(position)
 
     def home(self) -> F64:
-        """(A,) the action that goes to the initial position, or that moves nothing."""
+        """(A,) the action that goes to the initial position, or that causes no motion."""
         return self._action_for(0.0) if self._moves else self._action_at(self._default)
 
     def hold(self) -> F64:
-        """(N, A) or (A,) the action that keeps the present targets, or that moves nothing."""
+        """(N, A) or (A,) the action that keeps the present targets, or that causes no motion."""
         return self.home() if self._moves else self._action_at(self._targets())

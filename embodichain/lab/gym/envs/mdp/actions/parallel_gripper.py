@@ -1,4 +1,4 @@
-"""The action that opens and closes a parallel gripper by one number."""
+"""The action that opens and closes a parallel gripper with one number."""
 
 from __future__ import annotations
 
@@ -8,8 +8,12 @@ import numpy as np
 
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.mdp.actions.joint_action import JointTerm, PerJoint, per_joint
-from embodichain.lab.gym.utils.bounds import finite_limits
+from embodichain.lab.gym.envs.managers.term import finite_limits
+from embodichain.lab.gym.envs.mdp.actions.joint_action import (
+    JointTerm,
+    PerJoint,
+    per_joint,
+)
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -17,7 +21,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = ["ParallelGripper"]
 
@@ -32,21 +36,21 @@ class ParallelGripper(JointTerm):
     0.3's ParallelGripperAction.
 
     Example:
-        ``{func: parallel_gripper, params: {entity_cfg: {uid: panda, joint_names: ".*finger.*1"}}}``
+        ``{func: parallel_gripper, params: {of: {uid: panda, joint_names: ".*finger.*1"}}}``
 
     Args:
         entity_cfg: The robot and the joints of its gripper.
         command_mode: ``continuous`` or ``binary``.
         use_joint_limits: Whether lower and upper are the joints' limits; false (or null where
             commands are given) takes the commands.
-        lower_command: rad or m at action -1: a number, one a joint, or {joint regex: number}.
+        lower_command: rad or m at action -1: a number, a list per joint, or {joint regex: number}.
         upper_command: At action +1, likewise.
         open_command: rad or m, likewise; binary mode needs it.
         close_command: Likewise.
 
     Raises:
-        ConfigError: If commands that the mode needs are missing, others are given, or both ends are
-            the same.
+        ConfigError: If commands of the mode are missing, commands of the other mode are given, or
+            both ends are the same.
     """
 
     def __init__(

@@ -22,7 +22,7 @@ from embodichain.utils.math import euler_xyz_to_quat, quat_conjugate, quat_multi
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = [
     "AXES",
@@ -44,7 +44,7 @@ AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 def six_axes(name: str, ranges: Mapping[Any, Sequence[float]] | None) -> Uniform | None:
     """A draw of shape (6,) from a map from axes to [low, high]; absent axes are 0.
 
-    None if no axis is named: there is nothing to draw.
+    None if the map is empty.
     """
     if not ranges:
         return None
@@ -58,7 +58,7 @@ def rpy_to_quat(angles: F64) -> F64:
 
 
 def need_free_root(entity: ResolvedEntity, path: str = "entity_cfg.uid") -> None:
-    """Refuse an entity whose root has no velocity.
+    """Check that the root of an entity has a velocity.
 
     Raises:
         ConfigError: If its base is fixed, or it is an object that is not dynamic.
@@ -96,10 +96,10 @@ def write_root_velocity(asset: Any, velocity: F64, env_ids: EnvIndex | None) -> 
 
 @register_term("event")
 def reset_scene_to_default(env: TermContext, env_ids: EnvIndex | None) -> None:
-    """Puts every entity into its configured state: poses, joints, drive targets, no velocity.
+    """Resets every entity to its configured state: poses, joints, drive targets, velocity 0.
 
-    Isaac Lab's event. A reset here does so before any event runs; as an `interval` event it puts
-    the scene back within an episode. Entities that are detached from resets are put back too.
+    Isaac Lab's event. A reset already does this before events run; as an `interval` event it resets
+    the scene within an episode. Entities that are excluded from resets are reset too.
 
     Args:
         env: The environment.
@@ -113,20 +113,20 @@ def reset_scene_to_default(env: TermContext, env_ids: EnvIndex | None) -> None:
 
 @register_term("event", name="reset_root_state_uniform")
 class ResetRootStateUniform(Term):
-    """Moves and turns an entity's root away from its configured pose, and gives it a velocity.
+    """Offsets an entity's root from its configured pose at random, and sets a random velocity.
 
-    pos = pos0 + U(x, y, z); quat = quat0 * q(roll, pitch, yaw) with q = Rz Ry Rx, so that the turn
-    is in the entity's own frame; velocity = U. Isaac Lab's event of the same name.
+    pos = pos0 + U(x, y, z); quat = quat0 * q(roll, pitch, yaw) with q = Rz Ry Rx: the rotation is
+    in the entity's frame; velocity = U. Isaac Lab's event of the same name.
 
     Args:
         entity_cfg: A rigid object or a robot.
         pose_range: {x, y, z: [low, high] in metres; roll, pitch, yaw: [low, high] in rad}. An axis
             that is absent is 0.
         velocity_range: {x, y, z: [low, high] in m/s; roll, pitch, yaw: in rad/s}, environment's
-            axes. Needs a dynamic object or a floating base; joints are left alone.
+            axes. Needs a dynamic object or a floating base; joints do not change.
 
     Example:
-        ``{func: reset_root_state_uniform, mode: reset, params: {entity_cfg: {uid: cube}, pose_range: {x: [-0.2, 0.2], yaw: [-3.14, 3.14]}, velocity_range: {z: [-0.5, 0.5]}}}``
+        ``{func: reset_root_state_uniform, mode: reset, params: {of: {uid: cube}, pose_range: {x: [-0.2, 0.2], yaw: [-3.14, 3.14]}, velocity_range: {z: [-0.5, 0.5]}}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
@@ -165,9 +165,9 @@ class ResetRootStateUniform(Term):
 
 @register_term("event", name="randomize_pose")
 class RandomizePose(Term):
-    """Places an object, or the root of a robot or articulation, at random and stops it.
+    """Places an object, or the root of a robot or articulation, at random, with velocity 0.
 
-    The pose is the declared initial pose, moved by uniform draws. Joint positions stay.
+    The pose is the declared initial pose plus uniform draws. Joint positions do not change.
 
     Args:
         entity_cfg: The object, robot or articulation.
@@ -175,16 +175,16 @@ class RandomizePose(Term):
         rotation_range: The same for Euler angles in **degrees**, intrinsic XYZ (R = Rx Ry Rz);
             None keeps the initial orientation.
         relative_position: True adds the draw to the initial position (or to `relative_to`), False
-            takes it as the position in the environment's frame.
-        relative_rotation: True turns the initial orientation by the draw, in the entity's own
-            frame; False takes it as the orientation.
-        relative_to: An entity, or a link of one, to whose present position the draw is added
-            instead; its orientation does not matter.
-        physics_update_step: Physics steps that these environments take afterwards, so that what
-            was placed can touch down; -1 or 0 takes none.
+            uses it as the position in the environment's frame.
+        relative_rotation: True rotates the initial orientation by the draw, in the entity's frame;
+            False uses it as the orientation.
+        relative_to: An entity, or a link of one; the draw is added to its present position instead
+            of the initial one. Its orientation is not used.
+        physics_update_step: Physics steps of these environments afterwards, so that the entity
+            can settle; -1 or 0 is none.
 
     Example:
-        ``{func: randomize_pose, mode: reset, params: {entity_cfg: {uid: cube}, position_range: [[-0.1, -0.1, 0], [0.1, 0.1, 0]], rotation_range: [[0, 0, -180], [0, 0, 180]]}}``
+        ``{func: randomize_pose, mode: reset, params: {of: {uid: cube}, position_range: [[-0.1, -0.1, 0], [0.1, 0.1, 0]], rotation_range: [[0, 0, -180], [0, 0, 180]]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
@@ -241,7 +241,7 @@ class RandomizePose(Term):
             self._asset.engine.step(self._steps, env_ids)
 
     def _is_turned_so(self, wanted: F64, env_ids: EnvIndex | None) -> bool:
-        """Whether orientations need no write, which a log would contain."""
+        """Whether the orientations are already set: a write would only enlarge the log."""
         if self._stop is not None or not self._asset.engine.listeners:
             return False
         now = self._asset.read_pose()[1]
@@ -253,20 +253,20 @@ _RIGHT_ANGLE = 1.5707963267948966
 
 @register_term("event", name="randomize_object_position_in_shell")
 class RandomizeObjectPositionInShell(Term):
-    """Places a rigid object between two spheres around an entity, uniformly in volume; stops it.
+    """Places a rigid object between two spheres around an entity, uniformly in volume.
 
     With u uniform: r = cbrt(U(r0^3, r1^3)), azimuth = U, sin(elevation) = U(sin e0, sin e1). The
     object keeps its initial orientation.
 
     Args:
         entity_cfg: The object.
-        relative_to: The entity, or link of one, at the centre, where it stands at that moment.
+        relative_to: The entity, or link of one, at the centre; its present position is used.
         radius_range: [low, high] in metres.
         azimuth_range: [low, high] in rad about z, from +x towards +y.
         elevation_range: [low, high] in rad above the horizontal, within +-pi/2.
 
     Example:
-        ``{func: randomize_object_position_in_shell, mode: reset, params: {entity_cfg: {uid: goal}, relative_to: {uid: ur10}, radius_range: [0.4, 1.1]}}``
+        ``{func: randomize_object_position_in_shell, mode: reset, params: {of: {uid: goal}, relative_to: {uid: ur10}, radius_range: [0.4, 1.1]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
@@ -318,11 +318,11 @@ class RandomizeObjectPositionInShell(Term):
 
 @register_term("event", name="randomize_robot_eef_pose")
 class RandomizeRobotEefPose(Term):
-    """Moves a robot's tool away from where it is, by inverse kinematics; the robot stops.
+    """Offsets the pose of a robot's tool at random, by inverse kinematics; velocities become 0.
 
-    The tool's pose is moved by U(position_range) in the environment's axes and turned by
-    U(rotation_range) in its own; joints are solved for from where they are (damped least squares),
-    and drive targets follow. An environment in which the pose is out of reach keeps its joints.
+    The tool's pose is moved by U(position_range) in the environment's axes and rotated by
+    U(rotation_range) in its own; damped least squares solves for joints, from their positions, and
+    drive targets are set to them. Where the pose is out of reach, joints do not change.
     EmbodiChain's event of the same name.
 
     Args:
@@ -333,7 +333,7 @@ class RandomizeRobotEefPose(Term):
             orientation.
 
     Example:
-        ``{func: randomize_robot_eef_pose, mode: reset, params: {entity_cfg: {uid: ur10, link_names: [ee_link]}, position_range: [[-0.05, -0.05, -0.05], [0.05, 0.05, 0.05]], rotation_range: [[-10, -10, -10], [10, 10, 10]]}}``
+        ``{func: randomize_robot_eef_pose, mode: reset, params: {of: {uid: ur10, link_names: [ee_link]}, position_range: [[-0.05, -0.05, -0.05], [0.05, 0.05, 0.05]], rotation_range: [[-10, -10, -10], [10, 10, 10]]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(

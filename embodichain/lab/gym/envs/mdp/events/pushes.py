@@ -1,4 +1,4 @@
-"""Events that push: sudden velocities, forces until the next firing, forces for a while."""
+"""Events that push: velocity changes, forces until the next firing, forces of random duration."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["ApplyBodyImpulse", "ApplyExternalForceTorque", "EpisodeTimer", "PushBySettingVelocity"]
 
 
 class EpisodeTimer:
-    """A timer of a term that is called in control steps, started anew in every episode.
+    """A timer of a term that is called in control steps, restarted in every episode.
 
     Args:
         env: The environment.
@@ -38,28 +38,28 @@ class EpisodeTimer:
         self._env = env
         self._timer = Timer(env.num_envs, env.step_dt)
         self._seen: NDArray[np.int64] = np.zeros(env.num_envs, np.int64)
-        """Control steps of the episode that were counted."""
+        """Counted control steps of the episode."""
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Stop it where an episode begins."""
+        """Stop the timer of these environments."""
         where: Any = slice(None) if env_ids is None else env_ids
         self._timer.left[where] = self._seen[where] = 0
 
     def stopped(self, env_ids: EnvIndex | None) -> EnvIndex:
-        """Those of the environments in which it was not started in this episode."""
+        """Return those environments whose timer has not been started in this episode."""
         stopped: EnvIndex = np.flatnonzero(self._timer.left == 0)
         return stopped if env_ids is None else np.intersect1d(stopped, env_ids)
 
     def advance(self, env_ids: EnvIndex | None) -> EnvIndex:
-        """Count the control steps since the last call; those in which it is due."""
+        """Count the control steps since the last call; return environments that are due."""
         ids = np.arange(len(self._seen)) if env_ids is None else env_ids
-        step = self._env.elapsed_steps.numpy()[ids].astype(np.int64) + 1  # it counts at its end
+        step = self._env.elapsed_steps.numpy()[ids].astype(np.int64) + 1  # the step ends later
         passed = step - self._seen[ids]
         self._seen[ids] = step
         return self._timer.advance(ids, passed)
 
     def start(self, seconds: Uniform, env_ids: EnvIndex) -> None:
-        """Start it where it is stopped or due, for a time that is drawn."""
+        """Start stopped or due timers for a drawn time."""
         if len(env_ids):
             self._timer.start(env_ids, seconds(self._env.event_manager, env_ids)[:, 0])
 
@@ -85,7 +85,7 @@ class EpisodeTimer:
 
 @register_term("event", name="push_by_setting_velocity")
 class PushBySettingVelocity(Term):
-    """Adds a random velocity to that of an entity's root: a push that takes no time.
+    """Adds a random velocity to that of an entity's root: an instantaneous push.
 
     v += U(velocity_range), environment's axes. Isaac Lab's and mjlab's event of the same name.
 
@@ -95,7 +95,7 @@ class PushBySettingVelocity(Term):
             axis that is absent is not pushed.
 
     Example:
-        ``{func: push_by_setting_velocity, mode: interval, interval_range_s: [1, 3], params: {entity_cfg: {uid: cube}, velocity_range: {x: [-0.5, 0.5], y: [-0.5, 0.5]}}}``
+        ``{func: push_by_setting_velocity, mode: interval, interval_range_s: [1, 3], params: {of: {uid: cube}, velocity_range: {x: [-0.5, 0.5], y: [-0.5, 0.5]}}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(self, env: TermContext, entity_cfg: ResolvedEntity, velocity_range: Axes6) -> None:
@@ -116,19 +116,19 @@ class PushBySettingVelocity(Term):
 
 @register_term("event", name="apply_external_force_torque")
 class ApplyExternalForceTorque(Term):
-    """Applies a random force and torque to bodies, until the next firing or a reset.
+    """Applies a random force and torque to bodies, until its next call or a reset.
 
-    Each component is uniform in its range, one draw a body; the force acts at the body's centre of
-    mass (MuJoCo's `xfrc_applied`), environment's axes. Isaac Lab's event of the same name (there in
-    the body's axes).
+    Each component is uniform in its range, one draw per body; the force acts at the body's centre
+    of mass (MuJoCo's `xfrc_applied`), in the environment's axes. Isaac Lab's event of the same name
+    (there in the body's axes).
 
     Args:
-        entity_cfg: A dynamic object, or a robot; its link names pick links, else it is the root.
+        entity_cfg: A dynamic object, or a robot; link names pick links, by default the root.
         force_range: [low, high] in N.
         torque_range: [low, high] in N m.
 
     Example:
-        ``{func: apply_external_force_torque, mode: interval, interval_range_s: [1, 2], params: {entity_cfg: {uid: ur10, link_names: [wrist_3_link]}, force_range: [-5, 5], torque_range: [-0.5, 0.5]}}``
+        ``{func: apply_external_force_torque, mode: interval, interval_range_s: [1, 2], params: {of: {uid: ur10, link_names: [wrist_3_link]}, force_range: [-5, 5], torque_range: [-0.5, 0.5]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
@@ -163,21 +163,21 @@ class ApplyExternalForceTorque(Term):
 
 @register_term("event", name="apply_body_impulse")
 class ApplyBodyImpulse(ApplyExternalForceTorque):
-    """Pushes bodies with a random force and torque for a random time, then rests, and so on.
+    """Applies a random force and torque to bodies for a random time, then none, repeatedly.
 
-    Give it `mode: interval` and `interval_step: 1`: it counts control steps. An episode begins with
-    a rest; times are rounded to control steps, at least one. mjlab's event of the same name. Of two
-    terms that push the same body only one has effect.
+    Needs `mode: interval` and `interval_step: 1`: it counts control steps. An episode begins
+    without a force; times are rounded to control steps, at least one. mjlab's event of the same
+    name. Of two terms that push the same body only one has effect.
 
     Args:
-        entity_cfg: A dynamic object, or a robot; its link names pick links, else it is the root.
-        force_range: [low, high] in N, a component each, environment's axes, at the centre of mass.
+        entity_cfg: A dynamic object, or a robot; link names pick links, by default the root.
+        force_range: [low, high] in N for each component, environment's axes, at the centre of mass.
         torque_range: [low, high] in N m, likewise.
         duration_s: [low, high] seconds of a push.
-        cooldown_s: [low, high] seconds of a rest.
+        cooldown_s: [low, high] seconds without a force.
 
     Example:
-        ``{func: apply_body_impulse, mode: interval, interval_step: 1, params: {entity_cfg: {uid: go}, force_range: [-30, 30], torque_range: [0, 0], duration_s: [0.1, 0.2], cooldown_s: [1, 3]}}``
+        ``{func: apply_body_impulse, mode: interval, interval_step: 1, params: {of: {uid: go}, force_range: [-30, 30], torque_range: [0, 0], duration_s: [0.1, 0.2], cooldown_s: [1, 3]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
@@ -196,12 +196,12 @@ class ApplyBodyImpulse(ApplyExternalForceTorque):
         self._pushes: NDArray[np.bool_] = np.zeros(env.num_envs, np.bool_)
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Begin with a rest; a reset of the scene has removed the forces."""
+        """Begin without a force: the reset of the scene has removed it."""
         self._timer.reset(env_ids)
         self._pushes[slice(None) if env_ids is None else env_ids] = False
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
-        """Begin and end what is due in these environments."""
+        """Begin and end the pushes that are due in these environments."""
         timer = self._timer
         timer.start(self._cooldown, timer.stopped(env_ids))
         due = timer.advance(env_ids)
@@ -215,7 +215,7 @@ class ApplyBodyImpulse(ApplyExternalForceTorque):
         self._pushes[due] = ~self._pushes[due]
 
     def state_dict(self) -> dict[str, Any]:
-        """Which environments are pushed, and for how long (copies)."""
+        """The pushed environments, and their timers (copies)."""
         return {**self._timer.state_dict(), "pushes": self._pushes.copy()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

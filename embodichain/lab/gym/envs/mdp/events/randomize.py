@@ -1,7 +1,7 @@
 """The event that randomizes model fields: masses, frictions, gains, sizes, gravity.
 
-An operation is folded into the bounds, so that the number drawn is the value itself; equal bounds
-then give exactly the compiled value times one, or plus nothing.
+An operation is applied to the bounds, so that the drawn number is the value; with equal bounds of 1
+(``scale``) or 0 (``add``) the value is exactly the compiled one.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.managers.param_types import Box3, Positive, Ranges, ScaleRange
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-from embodichain.lab.gym.envs.managers.term import Term, constant
 from embodichain.lab.gym.envs.mdp._model_fields import (
     FIELDS,
     SCENE_FIELDS,
@@ -26,10 +25,11 @@ from embodichain.lab.gym.envs.mdp._model_fields import (
 )
 from embodichain.lab.sim.compiler.names import match
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.random import constant
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = ["Randomize"]
 
@@ -39,10 +39,10 @@ bounds at three standard deviations, clipped there."""
 
 
 @register_term("event", name="randomize")
-class Randomize(Term):
-    """Draws model fields of an entity, or of the scene, in each environment by itself.
+class Randomize:
+    """Draws model fields of an entity, or of the scene, separately in each environment.
 
-    Every draw starts from the compiled values, so repeated firing does not drift. A range is
+    Every draw starts from the compiled values, so repeated calls do not drift. A range is
     [low, high] for all bodies or joints, or {name regex: [low, high]}; only fields with a range
     change. MuJoCo's derived constants are recomputed once a reset.
 
@@ -50,16 +50,16 @@ class Randomize(Term):
         entity_cfg: The robot, articulation or rigid object; joint names or control parts pick
             joints, link names pick links, else all. Without it the scene: gravity, and the
             friction of the ground plane.
-        entity_cfgs: Several entities instead, each with draws of its own.
+        entity_cfgs: Several entities instead, each with its own draws.
         scale: Factors of the size of a box, sphere, ellipsoid, cylinder or capsule: [low, high],
-            or [[x, y, z] low, [x, y, z] high]. Mass and inertia follow; `get_body_scale` says the
-            scale. The pose stays: place an object that grows higher. Meshes and planes, whose
-            size environments share, are refused.
+            or [[x, y, z] low, [x, y, z] high]. Mass and inertia follow; `get_body_scale` returns
+            the scale. The pose does not change: place a larger object higher. Meshes and planes,
+            whose size environments share, are refused.
         mass: kg, of an object or of each link; links without mass are left out.
         com: [[x, y, z] low, [x, y, z] high] in metres, in the body's frame, added to the compiled
-            centre of mass. Inertias about the centre of mass stay.
-        inertia: Factors, positive, of the three principal moments together, which belong to the
-            present mass.
+            centre of mass. Inertias about the centre of mass do not change.
+        inertia: Factors, positive, of the three principal moments together, for the mass at that
+            time.
         friction: Sliding coefficient of each object or link that collides. A contact takes the
             larger coefficient of its two geoms.
         torsional_friction: Torsional coefficient, m; acts where a geom's ``condim`` is 4 or 6.
@@ -70,7 +70,7 @@ class Randomize(Term):
             ``add`` need a declared ``max_effort``.
         joint_friction: Dry friction of joints, N m or N.
         armature: Reflected inertia of joints, kg m^2 or kg.
-        joint_damping: Passive damping of joints, beside that of drives, N m s/rad or N s/m.
+        joint_damping: Passive damping of joints, in addition to drives, N m s/rad or N s/m.
         lower_limit: Position limits of joints that have limits, rad or m; targets are clamped to
             them, action spaces keep the compiled ones.
         upper_limit: Likewise.
@@ -83,18 +83,18 @@ class Randomize(Term):
             `strength` always multiply.
         distribution: ``uniform``, ``log_uniform`` or ``gaussian`` within the range.
         recompute_inertia: Whether inertias (and an object's damping) follow a mass.
-        min_mass: Masses below it become it, kg.
-        same_scale_all_axes: Whether one factor scales all axes; False draws one an axis (round
+        min_mass: The smallest mass, kg: smaller draws are raised to it.
+        same_scale_all_axes: Whether one factor scales all axes; False draws one per axis (round
             shapes stay round).
         fixed_density: Whether the mass follows the volume of a scaled object; False keeps the
             compiled mass and changes the inertia only.
         shared_sample: Whether all of `entity_cfgs` are scaled by the same draw.
 
     Raises:
-        ConfigError: If the entity has no such field, or the range would give impossible values.
+        ConfigError: If the entity has no such field, or the range allows impossible values.
 
     Example:
-        ``{func: randomize, mode: reset, params: {entity_cfg: {uid: cube}, mass: [0.5, 2.0], friction: [0.3, 1.2]}}``
+        ``{func: randomize, mode: reset, params: {of: {uid: cube}, mass: [0.5, 2.0], friction: [0.3, 1.2]}}``
     """  # noqa: E501  (an example is one line)
 
     drive_ranges: ClassVar = {
@@ -217,7 +217,7 @@ def _check_limits(entity: ResolvedEntity, sides: Sequence[DrawnField | None]) ->
 
     Args:
         entity: The articulation.
-        sides: What is drawn of the lower and of the upper limits.
+        sides: The drawn lower and upper limits, None where not drawn.
     """
     drawn = [quantity for quantity in sides if quantity is not None]
     if not drawn:
@@ -235,22 +235,22 @@ def _check_limits(entity: ResolvedEntity, sides: Sequence[DrawnField | None]) ->
 
 
 class DrawnField:
-    """What some of an entity's values of one field are drawn from.
+    """The ranges of the drawn values of one field of an entity.
 
     Args:
         param: The parameter that gives the range, for messages.
         ranges: [low, high], {name regex: [low, high]}, or [[low, ...], [high, ...]] with a column
-            for every thing, or for each of a group of things that repeats.
+            for every value, or for each of a group of values that repeats.
         operation: See `Operation`.
-        values: The field's.
+        values: The values of the field.
 
     Attributes:
-        ids: (m,) which of the things are drawn.
+        ids: (m,) indices of the drawn values.
         low, high: (m,) bounds of the value.
         factors: (m,) bounds of the number drawn, low and high.
 
     Raises:
-        ConfigError: If a key matches nothing, or impossible values would be drawn.
+        ConfigError: If a key matches nothing, or the range allows impossible values.
     """
 
     def __init__(self, param: str, ranges: Any, operation: Operation, values: Values) -> None:
@@ -281,7 +281,7 @@ class DrawnField:
 
 
 def _by_name(param: str, ranges: Any, names: Sequence[str]) -> tuple[F64, F64]:
-    """Lower and upper bounds (k,) each; NaN for what no key names. Later keys win."""
+    """Lower and upper bounds (k,) each; NaN for names that no key matches. Later keys win."""
     low, high = np.full(len(names), np.nan), np.full(len(names), np.nan)
     if not isinstance(ranges, Mapping):
         bounds = np.asarray(ranges, np.float64).reshape(2, -1)
@@ -298,14 +298,14 @@ def _by_name(param: str, ranges: Any, names: Sequence[str]) -> tuple[F64, F64]:
 
 
 class Draw:
-    """Draws the quantities of one term together: one draw costs as much as a thousand numbers.
+    """Draws the quantities of one term together: the overhead of a draw is that of 1000 numbers.
 
     Args:
-        quantities: Name in the log -> what is drawn.
+        quantities: Name in the log -> field.
         distribution: See `Distribution`.
 
     Raises:
-        ConfigError: If there is nothing to draw, or a logarithm is asked of what is not positive.
+        ConfigError: If there is nothing to draw, or a bound of ``log_uniform`` is not positive.
     """
 
     def __init__(self, quantities: Mapping[str, DrawnField], distribution: Distribution) -> None:

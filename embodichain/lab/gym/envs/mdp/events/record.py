@@ -1,4 +1,4 @@
-"""Events that film environments: one MP4 an episode."""
+"""Events that record videos of environments: one MP4 per episode."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ Intrinsics = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 
 @register_term("event", name="record_camera_data")
 class RecordCameraData(Term):
-    """Films environments from a fixed place, one MP4 for each episode of each.
+    """Records images of environments, one MP4 for each episode of each environment.
 
-    Give it `mode: interval`; with `interval_step: 1` every control step is a picture. A file is
-    finished when its environment is reset or the task is closed, and is called
+    Needs `mode: interval`; with `interval_step: 1` every control step is an image. A file is
+    finished when its environment is reset or the task is closed, and is named
     ``NAME_envI_episodeK.mp4``. EmbodiChain's event of the same name; it needs the extra `video`.
 
     Args:
-        name: Begins the files' names.
+        name: Prefix of the file names.
         resolution: [width, height] in pixels, both even; None is [640, 480].
-        eye: Where the camera is, metres, environment's frame; None is [0, 0, 2].
-        target: What it looks at; None is the origin.
-        up: What is upwards in the picture; if it lies along the view, +x takes its place. None is
+        eye: Position of the camera, metres, environment's frame; None is [0, 0, 2].
+        target: The point it looks at; None is the origin.
+        up: The upward direction of the image; +x if it is parallel to the view. None is
             [0, 0, 1].
-        intrinsics: [fx, fy, cx, cy] in pixels: square pixels, and the axis in the middle. None is
-            a focal length of 600.
-        max_env_num: Environments filmed at most: the first ones. Each is one encoder process.
+        intrinsics: [fx, fy, cx, cy] in pixels, with fx = fy and the axis in the image centre. None
+            is a focal length of 600.
+        max_env_num: Number of recorded environments, from the first. Each has an encoder process.
         save_path: Folder; None is `videos` in the run's folder, or `outputs/videos` without one.
-        camera: A camera of the scene to film with instead, such as `default`.
-        fps: Pictures a second of the video; None is the control frequency: real time with
+        camera: A camera of the scene, such as `default`, instead of `eye` and `target`.
+        fps: Images per second of the video; None is the control frequency: real time with
             `interval_step: 1`.
 
     Example:
@@ -87,7 +87,7 @@ class RecordCameraData(Term):
         _finish_at_close(env, self)
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
-        """Take one picture of each environment that is filmed."""
+        """Render one image of each recorded environment."""
         ids = np.arange(env.num_envs) if env_ids is None else env_ids
         width, height = self._size
         for i in ids[ids < self._count].tolist():
@@ -119,7 +119,7 @@ def filmed_from(
     up: list[float] | None = None,
     intrinsics: list[float] | None = None,
 ) -> Any:
-    """The `View` that `record_camera_data` films from: its parameters, and their defaults.
+    """The `View` of `record_camera_data`, from its parameters and their defaults.
 
     Raises:
         ConfigError: If the rasterizer has no such view.
@@ -153,7 +153,7 @@ def _view(eye: list[float], target: list[float], up: list[float], fovy: float) -
 
 
 def _finish_at_close(env: TermContext, term: RecordCameraData) -> None:
-    """Have a term's files finished when the environment closes."""
+    """Finish the files of a term when the environment closes."""
 
     class Finisher(StepObserver):
         def on_close(self, env: ObservedEnv) -> None:

@@ -19,7 +19,7 @@ from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = ["WaitForDynamicObjectsToSettle", "set_detached_uids_for_env_reset"]
 
@@ -32,11 +32,11 @@ Count = Annotated[int, Field(ge=1)]
 def set_detached_uids_for_env_reset(
     env: TermContext, env_ids: EnvIndex | None, uids: list[str]
 ) -> None:
-    """From now on resets leave these entities where they are: EmbodiChain's event of this name.
+    """Excludes entities from later resets: EmbodiChain's event of the same name.
 
     Args:
         env: The environment.
-        env_ids: Unused: it holds for all environments.
+        env_ids: Unused: the event applies to all environments.
         uids: The entities.
 
     Raises:
@@ -50,25 +50,24 @@ def set_detached_uids_for_env_reset(
 
 @register_term("event", name="wait_for_dynamic_objects_to_settle")
 class WaitForDynamicObjectsToSettle(Term):
-    """Steps physics until dynamic objects are at rest, each environment for as long as it needs.
+    """Steps physics until dynamic objects are at rest, separately in each environment.
 
-    An environment rests when the speeds of all objects were at most the thresholds in
-    `required_stable_checks` checks in a row. Environments that rest, and those that the event does
-    not concern, are not stepped. The step counts of episodes do not advance. EmbodiChain's event of
-    the same name; there all environments are stepped, which is why it asks for
-    `allow_partial_envs`.
+    An environment is at rest when the speeds of all objects were at most the thresholds in
+    `required_stable_checks` consecutive checks. Environments at rest, and those outside of this
+    event, are not stepped. The step counts of episodes do not advance. EmbodiChain's event of the
+    same name, which steps all environments and therefore needs `allow_partial_envs`.
 
     Args:
-        entity_cfgs: Dynamic objects, or articulations (their links' speeds are looked at); None is
-            all of them but robots.
+        entity_cfgs: Dynamic objects, or articulations (the speeds of their links count); None is
+            all except robots.
         linear_velocity_threshold: m/s.
         angular_velocity_threshold: rad/s.
         min_steps: Physics steps before the first check.
-        max_steps: Physics steps at most.
+        max_steps: Largest number of physics steps.
         check_interval_steps: Physics steps between checks.
-        required_stable_checks: Checks in a row.
-        timeout_behavior: What happens if an environment does not come to rest: `warn` says so in
-            the log, `raise` raises `TimeoutError`.
+        required_stable_checks: Number of consecutive checks.
+        timeout_behavior: If an environment does not come to rest, `warn` logs a warning, `raise`
+            raises `TimeoutError`.
         allow_partial_envs: Accepted; partial resets always work here.
 
     Example:
@@ -105,7 +104,7 @@ class WaitForDynamicObjectsToSettle(Term):
         self._raises = timeout_behavior == "raise"
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
-        """Step these environments until they rest."""
+        """Step these environments until they are at rest."""
         engine = env.sim.engine
         ids: EnvIndex = np.arange(env.num_envs) if env_ids is None else env_ids
         stable: NDArray[np.int64] = np.zeros(len(ids), np.int64)

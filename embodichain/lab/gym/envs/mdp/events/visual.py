@@ -1,4 +1,4 @@
-"""Events that change how surfaces look, in each environment by itself. Physics does not notice."""
+"""Events that change the look of a scene: materials and colours, lights, cameras."""
 
 from __future__ import annotations
 
@@ -8,27 +8,36 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from embodichain.lab.gym.envs.managers.param_types import Box3, Range
+from embodichain.lab.gym.envs.managers.param_types import Box3, NamedEntity, Range
 from embodichain.lab.gym.envs.managers.registry import register_term
 from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.managers.term import Term, Uniform
+from embodichain.lab.gym.envs.mdp._rows import norm
 from embodichain.lab.sim.shapes import VisualMaterialCfg
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import euler_xyz_to_quat, quat_multiply
+from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
-__all__ = ["RandomizeVisualMaterial", "SetRigidObjectVisualMaterial"]
+__all__ = [
+    "RandomizeCameraFovy",
+    "RandomizeCameraPose",
+    "RandomizeLight",
+    "RandomizeVisualMaterial",
+    "SetRigidObjectVisualMaterial",
+]
 
 _HIDDEN_GROUP = 3
 
 
 class _Surface:
-    """The colours of an entity's visible shapes, and of an object its materials.
+    """The colours of an entity's visible shapes, and the materials of an object.
 
-    An object has materials of its own. Links may share theirs, so of a robot the shapes' own
-    colours are written, which MuJoCo prefers over a material's.
+    An object has its own materials. Links may share materials, so for a robot the colours of shapes
+    are written, which override a material's in MuJoCo.
     """
 
     def __init__(self, entity: ResolvedEntity) -> None:
@@ -52,7 +61,7 @@ class _Surface:
         self._columns: NDArray[np.int64] = np.concatenate([4 * i + np.arange(3) for i in ids])
 
     def paint(self, rgb: F64, env_ids: EnvIndex | None) -> None:
-        """Give every shape the colours (n, 3); opacity stays."""
+        """Set the colours (n, 3) of all shapes; opacity does not change."""
         count = len(self._columns) // 3
         self._engine.write_model(self._field, np.tile(rgb, (1, count)), env_ids, self._columns)
 
@@ -66,7 +75,7 @@ class _Surface:
         """Set an object's metallic value and roughness, (n, 1) or one for all.
 
         MuJoCo's rasterizer draws highlights instead: specular = (1 - roughness) / 2, shininess =
-        1 - roughness, as the compiler has it.
+        1 - roughness, as in the scene compiler.
         """
         if metallic is not None:
             self._write("mat_metallic", metallic, env_ids)
@@ -76,13 +85,13 @@ class _Surface:
             self._write("mat_shininess", 1.0 - roughness, env_ids)
 
     def emit(self, strength: float, env_ids: EnvIndex | None) -> None:
-        """Let an object shine by itself."""
+        """Set an object's emission."""
         self._write("mat_emission", strength, env_ids)
 
     def _write(
         self, field: str, values: Any, env_ids: EnvIndex | None, width: int = 1, column: int = 0
     ) -> None:
-        """Write one column of a field, which has `width` of them a material."""
+        """Write one column of a field with `width` columns per material."""
         for material in self._materials:
             at = width * material + column
             self._engine.write_model(field, values, env_ids, slice(at, at + 1))
@@ -96,23 +105,23 @@ def _within_one(name: str, values: Any) -> None:
 
 @register_term("event", name="randomize_visual_material")
 class RandomizeVisualMaterial(Term):
-    """Gives an entity a random colour, roughness and metallic value in each environment.
+    """Sets a random colour, roughness and metallic value of an entity in each environment.
 
-    Seen in pictures and in the viewer's log. EmbodiChain's event of the same name without textures
+    Visible in images and viewers. EmbodiChain's event of the same name without textures
     and refraction: MuJoCo compiles textures into the model, and its rasterizer does not refract.
 
     Args:
         entity_cfg: A rigid object or a robot; link names pick links.
-        base_color_range: [[r, g, b] low, [r, g, b] high] in [0, 1]; uniform a channel.
+        base_color_range: [[r, g, b] low, [r, g, b] high] in [0, 1]; uniform per channel.
         metallic_range: [low, high] in [0, 1]; rigid objects only. Kept in the model, but MuJoCo's
             rasterizer does not show it.
         roughness_range: [low, high] in [0, 1]; rigid objects only.
-        random_texture_prob: Accepted; it concerns textures.
-        texture_path: Not available: an error that says so.
-        ior_range: Not available: an error that says so.
+        random_texture_prob: Accepted without effect: there are no textures.
+        texture_path: Not available: an error.
+        ior_range: Not available: an error.
 
     Example:
-        ``{func: randomize_visual_material, mode: reset, params: {entity_cfg: {uid: cube}, base_color_range: [[0.2, 0, 0], [1, 0.6, 0.6]], roughness_range: [0.2, 0.9]}}``
+        ``{func: randomize_visual_material, mode: reset, params: {of: {uid: cube}, base_color_range: [[0.2, 0, 0], [1, 0.6, 0.6]], roughness_range: [0.2, 0.9]}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
@@ -152,7 +161,7 @@ class RandomizeVisualMaterial(Term):
             self._finish.append(Uniform(name, [bounds[0]], [bounds[1]]))
 
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
-        """Draw and write how the entity looks in these environments."""
+        """Draw and write the look of the entity in these environments."""
         if self._color is not None:
             self._surface.paint(self._color(env.event_manager, env_ids), env_ids)
         drawn = {value.name: value(env.event_manager, env_ids) for value in self._finish}
@@ -161,15 +170,15 @@ class RandomizeVisualMaterial(Term):
 
 @register_term("event", name="set_rigid_object_visual_material")
 class SetRigidObjectVisualMaterial(Term):
-    """Gives a rigid object a material: EmbodiChain's event of the same name.
+    """Sets the material of a rigid object: EmbodiChain's event of the same name.
 
     Args:
         entity_cfg: The object.
         mat_cfg: Keys of `VisualMaterialCfg`: `base_color` (RGBA in [0, 1]), `metallic`,
-            `roughness`, `emissive`, `emissive_intensity`; what is absent takes its default there.
+            `roughness`, `emissive`, `emissive_intensity`; absent keys have their defaults.
 
     Example:
-        ``{func: set_rigid_object_visual_material, mode: startup, params: {entity_cfg: {uid: cube}, mat_cfg: {base_color: [0.1, 0.5, 0.2, 1.0], roughness: 0.3}}}``
+        ``{func: set_rigid_object_visual_material, mode: startup, params: {of: {uid: cube}, mat_cfg: {base_color: [0.1, 0.5, 0.2, 1.0], roughness: 0.3}}}``
     """  # noqa: E501  (an example is one line)
 
     def __init__(
@@ -194,3 +203,145 @@ class SetRigidObjectVisualMaterial(Term):
         surface.fade(float(cfg.base_color[3]), env_ids)
         surface.finish(float(cfg.metallic), float(cfg.roughness), env_ids)
         surface.emit(float(cfg.emissive_intensity) * float(max(cfg.emissive)), env_ids)
+
+
+@register_term("event", name="randomize_light")
+class RandomizeLight(Term):
+    """Changes position, colour and intensity of a declared light, separately per environment.
+
+    EmbodiChain's event of the same name (where all environments share a light).
+
+    Args:
+        entity_cfg: A light of the task's section `lights`.
+        position_range: [[x, y, z] low, [x, y, z] high] in metres, added to the declared position.
+        color_range: [[r, g, b] low, [r, g, b] high] in [0, 1]: the colour itself.
+        intensity_range: [low, high], added to the declared intensity; never below 0. 30 is
+            MuJoCo's full diffuse colour.
+        direction_range: [[x, y, z] low, [x, y, z] high], added to the declared direction, which is
+            then made a unit vector.
+
+    Example:
+        ``{func: randomize_light, mode: reset, params: {of: {uid: lamp}, position_range: [[-0.5, -0.5, 0], [0.5, 0.5, 0.5]], intensity_range: [-10, 10]}}``
+    """  # noqa: E501  (an example is one line)
+
+    def __init__(
+        self,
+        env: TermContext,
+        entity_cfg: NamedEntity,
+        position_range: Box3 | None = None,
+        color_range: Box3 | None = None,
+        intensity_range: Range | None = None,
+        direction_range: Box3 | None = None,
+    ) -> None:
+        lights, uid = env.sim.lights, entity_cfg.uid
+        if uid not in lights:
+            message = f"no light is called {uid!r}; there are: {', '.join(lights) or 'none'}"
+            hint = did_you_mean(uid, lights).strip()
+            raise ConfigError([Problem("entity_cfg.uid", message, hint)])
+        if color_range is not None and not all(0 <= c <= 1 for row in color_range for c in row):
+            raise ConfigError([Problem("color_range", f"RGB in [0, 1], got {color_range}")])
+        self._light = lights[uid]
+        cfg, model = self._light.cfg, env.sim.engine.model
+        self._pos0: F64 = np.array(model.light(uid).pos, np.float64)
+        self._dir0: F64 = np.asarray(cfg.direction, np.float64)
+        self._color0: F64 = np.asarray(cfg.color, np.float64)
+        self._intensity0 = float(cfg.intensity)
+        self._move = Uniform.within("position", position_range)
+        self._turn = Uniform.within("direction", direction_range)
+        self._color = Uniform.within("color", color_range)
+        self._intensity = Uniform.within("intensity", intensity_range)
+
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+        """Draw and write the light of these environments."""
+        draws = env.event_manager
+        if self._move is not None:
+            moved = self._pos0 + self._move(draws, env_ids)
+            self._light.write("light_pos", moved, env_ids)
+        if self._turn is not None:
+            turned = self._dir0 + self._turn(draws, env_ids)
+            self._light.write("light_dir", turned / norm(turned)[:, None], env_ids)
+        if self._color is None and self._intensity is None:
+            return
+        color: F64 = self._color0[None, :]
+        if self._color is not None:
+            color = self._color(draws, env_ids)
+        strength: F64 = np.full((1, 1), self._intensity0)
+        if self._intensity is not None:
+            strength = self._intensity0 + self._intensity(draws, env_ids)
+        self._light.write_emission(color, np.maximum(strength, 0.0), env_ids)
+
+
+def _camera(env: TermContext, name: str) -> int:
+    model = env.sim.engine.model
+    cameras = [model.camera(i).name for i in range(model.ncam)]
+    if name not in cameras:
+        message = f"no camera is called {name!r}; there are: {', '.join(cameras)}"
+        raise ConfigError([Problem("camera", message, did_you_mean(name, cameras).strip())])
+    return cameras.index(name)
+
+
+@register_term("event", name="randomize_camera_pose")
+class RandomizeCameraPose(Term):
+    """Moves and rotates a camera of the scene, separately in each environment.
+
+    Like EmbodiChain's `randomize_camera_extrinsics` for mounted cameras, which takes a sensor.
+
+    Args:
+        position_range: [[x, y, z] low, [x, y, z] high] in metres, added to the compiled position.
+        rotation_range: The same for Euler angles in **degrees**, intrinsic XYZ, about the camera's
+            own axes (x right, y up, z towards the viewer).
+        camera: Its name; `default` is the one that renders images.
+
+    Example:
+        ``{func: randomize_camera_pose, mode: reset, params: {position_range: [[-0.1, -0.1, -0.1], [0.1, 0.1, 0.1]], rotation_range: [[-2, -2, -2], [2, 2, 2]]}}``
+    """  # noqa: E501  (an example is one line)
+
+    def __init__(
+        self,
+        env: TermContext,
+        position_range: Box3 | None = None,
+        rotation_range: Box3 | None = None,
+        camera: str = "default",
+    ) -> None:
+        self._id, self._engine = _camera(env, camera), env.sim.engine
+        model = self._engine.model
+        self._pos0: F64 = np.array(model.cam_pos[self._id], np.float64)
+        self._quat0: F64 = np.tile(model.cam_quat[self._id], (env.num_envs, 1))
+        self._move = Uniform.within("position", position_range)
+        self._turn = Uniform.within("rotation", rotation_range, degrees=True)
+
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+        """Draw and write the camera's pose in these environments."""
+        draws, engine = env.event_manager, self._engine
+        if self._move is not None:
+            moved = self._pos0 + self._move(draws, env_ids)
+            engine.write_model("cam_pos", moved, env_ids, slice(3 * self._id, 3 * self._id + 3))
+        if self._turn is not None:
+            turn = euler_xyz_to_quat(self._turn(draws, env_ids))
+            quat = quat_multiply(self._quat0[: len(turn)], turn)
+            engine.write_model("cam_quat", quat, env_ids, slice(4 * self._id, 4 * self._id + 4))
+
+
+@register_term("event", name="randomize_camera_fovy")
+class RandomizeCameraFovy(Term):
+    """Sets a random vertical field of view of a camera, separately in each environment.
+
+    Args:
+        fovy_range: [low, high] in **degrees**, within (0, 180).
+        camera: Its name; `default` is the one that renders images.
+
+    Example:
+        ``{func: randomize_camera_fovy, mode: reset, params: {fovy_range: [35, 50]}}``
+    """
+
+    def __init__(self, env: TermContext, fovy_range: Range, camera: str = "default") -> None:
+        low, high = fovy_range
+        if not 0 < low <= high < 180:
+            raise ConfigError([Problem("fovy_range", f"within (0, 180), got {list(fovy_range)}")])
+        self._id, self._engine = _camera(env, camera), env.sim.engine
+        self._fovy = Uniform("fovy", [low], [high])
+
+    def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
+        """Draw and write the field of view of these environments."""
+        drawn = self._fovy(env.event_manager, env_ids)
+        self._engine.write_model("cam_fovy", drawn, env_ids, slice(self._id, self._id + 1))

@@ -1,4 +1,4 @@
-"""Quantities of one entity, or of one link of it: where it is, how it is turned, how it moves.
+"""Quantities of one entity, or of one link of it: position, orientation and velocity.
 
 Robots' bases above all. Axes are the environment's unless `frame` says otherwise.
 """
@@ -11,45 +11,108 @@ import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import Body, Positive, Vec3
 from embodichain.lab.gym.envs.managers.registry import quantity
-from embodichain.lab.gym.envs.mdp import _kernels
-from embodichain.lab.gym.envs.mdp._rotations import (
-    Heading,
-    Rotation,
-    as_rotation,
-    heading,
-    unique_quat,
-)
+from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
 from embodichain.lab.gym.envs.mdp._rows import norm, squares, total
+from embodichain.lab.gym.envs.mdp.shapes import gaussian_kernel
 from embodichain.lab.sim.body_motion import Frame
 from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.math import quat_to_matrix
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
+    "Heading",
+    "Rotation",
     "angular_velocity",
+    "as_rotation",
     "at_rest",
+    "heading",
     "height",
     "linear_velocity",
+    "link_pose",
+    "link_velocity",
     "orientation",
+    "pose_matrix",
     "position",
     "projected_gravity",
     "root_quat_w",
     "speed",
     "tilt",
+    "unique_quat",
     "upright",
     "velocity",
     "yaw",
 ]
 
+Rotation = Literal["quat", "matrix", "rot6d"]
+Heading = Literal["yaw", "sin_cos"]
+
+
+def unique_quat(quat: F64) -> F64:
+    """The one of q and -q (the same rotation) with w >= 0, (..., 4)."""
+    return np.where(quat[..., :1] < 0.0, -quat, quat)
+
+
+def as_rotation(quat: F64, kind: Rotation) -> F64:
+    """Orientations as quaternions with w >= 0, matrices, or six numbers.
+
+    Six numbers are the first column of the matrix, then the second: a form without jumps (Zhou et
+    al., "On the continuity of rotation representations in neural networks", CVPR 2019).
+
+    Args:
+        quat: (..., 4) unit wxyz.
+        kind: The form.
+
+    Returns:
+        (..., 4), (..., 3, 3) or (..., 6).
+    """
+    if kind == "quat":
+        return unique_quat(quat)
+    matrix = quat_to_matrix(quat)
+    if kind == "matrix":
+        return matrix
+    return np.concatenate([matrix[..., 0], matrix[..., 1]], axis=-1)
+
+
+def heading(quat: F64, kind: Heading) -> F64:
+    """Direction of the x axis in the horizontal plane, about z from the world's x axis.
+
+    Args:
+        quat: (N, 4) unit wxyz.
+        kind: ``yaw``, the angle in (-pi, pi]; or ``sin_cos``, its sine and cosine, without a jump.
+
+    Returns:
+        (N, 1) rad or (N, 2); yaw 0 where the x axis is vertical.
+    """
+    w, x, y, z = (quat[:, i] for i in range(4))
+    ahead, left = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z)
+    if kind == "yaw":
+        found: F64 = np.arctan2(left, ahead)[:, None]
+        return found
+    length = np.sqrt(ahead * ahead + left * left)
+    vertical = length == 0.0
+    length = np.where(vertical, 1.0, length)
+    return np.stack([left / length, np.where(vertical, 1.0, ahead / length)], axis=1)
+
+
+def pose_matrix(position: F64, quat: F64) -> F64:
+    """(..., 4, 4) of positions (..., 3) and unit wxyz quaternions (..., 4)."""
+    out = np.zeros((*position.shape[:-1], 4, 4))
+    out[..., :3, :3] = quat_to_matrix(quat)
+    out[..., :3, 3] = position
+    out[..., 3, 3] = 1.0
+    return out
+
+
 Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
 
 
 def _of_axes(vectors: F64, axes: Axes) -> F64:
-    """Columns of (N, 3) by their letters."""
+    """Columns of (N, 3) vectors, picked by their letters."""
     if axes == "xyz":
         return vectors
     if axes == "xy":
@@ -87,12 +150,12 @@ def height(env: TermContext, of: Body, above: float = 0.0) -> F64:
 
 @quantity("observation")
 def orientation(env: TermContext, of: Body, representation: Rotation = "rot6d") -> F64:
-    """Orientation of an entity in the environment's frame, in the form of your choice.
+    """Orientation of an entity in the environment's frame, in a chosen representation.
 
     Args:
         of: The entity, or one link of it.
         representation: ``quat`` (N, 4) wxyz with w >= 0; ``matrix`` (N, 3, 3); ``rot6d`` (N, 6),
-            the matrix's first column, then its second (Zhou et al., CVPR 2019): without jumps.
+            the matrix's first column, then its second (Zhou et al., CVPR 2019): continuous.
 
     Example:
         ``{func: orientation, params: {of: {uid: cube}, representation: rot6d}}``
@@ -119,12 +182,12 @@ def root_quat_w(env: TermContext, of: Body, make_quat_unique: bool = False) -> F
 
 @quantity()
 def yaw(env: TermContext, of: Body, representation: Heading = "yaw") -> F64:
-    """Heading of an entity: where its x axis points in the horizontal plane.
+    """Heading of an entity: the direction of its x axis in the horizontal plane.
 
     Args:
         of: The entity, or one link of it.
         representation: ``yaw`` (N, 1), the angle in (-pi, pi] rad about z; ``sin_cos`` (N, 2), its
-            sine and cosine, which have no jump.
+            sine and cosine, which are continuous.
 
     Example:
         ``{func: yaw, params: {of: {uid: cube}, representation: sin_cos}}``
@@ -159,16 +222,16 @@ def tilt(env: TermContext, of: Body) -> F64:
         ``{func: tilt, params: {of: {uid: go}}}``
     """
     up = of.axes()[:, 2]
-    # Exact at both ends, where an arc cosine is not. The copy rounds alike for any N.
+    # Exact at both ends, unlike an arc cosine. With the copy, rounding does not depend on N.
     found: F64 = np.arctan2(norm(up[:, :2]), np.ascontiguousarray(up[:, 2]))
     return found
 
 
 @quantity()
 def upright(env: TermContext, of: Body, std: Positive | None = None) -> F64:
-    """(N,) how far a body's z axis points up: (1 + cos(tilt)) / 2, or exp(-sin^2(tilt) / std^2).
+    """(N,) uprightness of a body's z axis: (1 + cos(tilt)) / 2, or exp(-sin^2(tilt) / std^2).
 
-    The second is mjlab's of the same name; it does not tell upright from upside down.
+    The second is mjlab's of the same name; it is the same upright and upside down.
 
     Args:
         of: The entity, or a link of one.
@@ -180,14 +243,14 @@ def upright(env: TermContext, of: Body, std: Positive | None = None) -> F64:
     if std is None:
         return 0.5 * (1.0 + of.axes()[:, 2, 2])
     down = projected_gravity(env, of, "xy")
-    return _kernels.gaussian(squares(down), std)
+    return gaussian_kernel(squares(down), std)
 
 
 @quantity()
 def linear_velocity(env: TermContext, of: Body, frame: Frame = "world", axes: Axes = "xyz") -> F64:
     """(N, 3) linear velocity of an entity's origin, m/s.
 
-    Isaac Lab's is of the centre of mass of the root link, mjlab's ``link`` velocities are these.
+    Isaac Lab's is that of the root link's centre of mass; mjlab's ``link`` velocities are the same.
 
     Args:
         of: The entity, or a link of one.
@@ -203,7 +266,7 @@ def linear_velocity(env: TermContext, of: Body, frame: Frame = "world", axes: Ax
 
 @quantity()
 def angular_velocity(env: TermContext, of: Body, frame: Frame = "world", axes: Axes = "xyz") -> F64:
-    """(N, 3) angular velocity of an entity, rad/s; with ``frame: body`` what a gyroscope reads.
+    """(N, 3) angular velocity of an entity, rad/s; with ``frame: body`` that of a gyroscope.
 
     Args:
         of: The entity, or a link of one.
@@ -236,11 +299,11 @@ def speed(
     direction: Vec3 | None = None,
     frame: Literal["world", "body"] = "world",
 ) -> F64:
-    """(N,) length of an entity's linear velocity, or its part along a direction, m/s.
+    """(N,) length of an entity's linear velocity, or its component along a direction, m/s.
 
     Args:
-        of: The entity, or a link of one; its origin's velocity.
-        direction: Along which the velocity counts, of any length; None takes its length.
+        of: The entity, or a link of one; the velocity is that of its origin.
+        direction: A vector of any length; None gives the length of the velocity.
         frame: The axes of `direction`.
 
     Example:
@@ -268,12 +331,12 @@ def at_rest(
     linear_threshold: Positive | None = None,
     angular_threshold: Positive | None = None,
 ) -> NDArray[np.bool_]:
-    """True where an entity moves and turns slower than two thresholds.
+    """True where the linear and angular speed of an entity are below thresholds.
 
     Args:
         of: The entity, or a link of one.
-        linear_threshold: m/s; None is any.
-        angular_threshold: rad/s; None is any.
+        linear_threshold: m/s; None is no condition.
+        angular_threshold: rad/s; None is no condition.
 
     Example:
         ``{func: at_rest, params: {of: {uid: cube}, linear_threshold: 0.01, angular_threshold:
@@ -288,3 +351,49 @@ def at_rest(
     angular = np.inf if angular_threshold is None else angular_threshold
     slow: NDArray[np.bool_] = norm(of.linear_velocity()) < linear
     return slow & (norm(of.angular_velocity()) < angular)
+
+
+def _one_or_all(values: F64) -> F64:
+    """(N, L, ...), without L if that is 1."""
+    return values[:, 0] if values.shape[1] == 1 else values
+
+
+@quantity("observation")
+def link_pose(
+    env: TermContext, of: ResolvedEntity, to_matrix: bool = False, in_root_frame: bool = False
+) -> F64:
+    """Poses of the picked links, x, y, z, qw, qx, qy, qz: metres, wxyz.
+
+    (N, 7) of one link, (N, L, 7) of L; as matrices (N, 4, 4) or (N, L, 4, 4). Isaac Lab's
+    ``body_pose_w``.
+
+    Args:
+        of: The robot and links of it; without links its root.
+        to_matrix: Whether to give matrices.
+        in_root_frame: Whether poses are relative to the robot's root, instead of in the
+            environment's frame.
+
+    Example:
+        ``{func: link_pose, params: {of: {uid: ur10, link_names: [ee_link]}}}``
+    """
+    position, quat = of.link_poses(in_root_frame)
+    if to_matrix:
+        return _one_or_all(pose_matrix(position, quat))
+    return _one_or_all(np.concatenate([position, quat], axis=2))
+
+
+@quantity("observation")
+def link_velocity(env: TermContext, of: ResolvedEntity, in_root_frame: bool = False) -> F64:
+    """Linear velocity of the picked links' origins in m/s, then angular in rad/s.
+
+    (N, 6) of one link, (N, L, 6) of L. Isaac Lab's ``body_link_vel_w``.
+
+    Args:
+        of: The robot and links of it; without links its root.
+        in_root_frame: Whether the root's velocity is subtracted and the axes are the root's,
+            instead of the world's.
+
+    Example:
+        ``{func: link_velocity, params: {of: {uid: ur10, link_names: [ee_link]}}}``
+    """
+    return _one_or_all(np.concatenate(of.link_velocities(in_root_frame), axis=2))

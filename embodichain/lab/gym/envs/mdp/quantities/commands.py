@@ -1,4 +1,4 @@
-"""Quantities of commands: the command itself, and how far the robot is from it.
+"""Quantities of commands: the command itself, and the robot's error.
 
 A velocity command has the columns vx, vy (m/s) and wz (rad/s). A pose command is (N, 7): x, y, z in
 metres and a wxyz quaternion, in the frame of the robot's root.
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
     "angular_velocity_error",
@@ -42,7 +42,7 @@ __all__ = [
 
 @quantity()
 def command(env: TermContext, command_name: Command) -> F64:
-    """(N, K) the command in force, in the command's own units.
+    """(N, K) the command in force, in the units of the command.
 
     Args:
         command_name: The command.
@@ -62,8 +62,8 @@ def linear_velocity_error(
     Args:
         of: The robot, or a link of it.
         command_name: A command whose first two columns are vx and vy, m/s.
-        frame: Where the velocity is measured: in the ``body``'s own axes, or in its heading's
-            (``yaw``), which are level. ``world`` is the environment's axes.
+        frame: The axes of the velocity: those of the ``body``, of its heading (``yaw``), which are
+            level, or of the environment (``world``).
 
     Example:
         ``{func: linear_velocity_error, params: {of: {uid: go}, command_name: velocity}}``
@@ -83,7 +83,7 @@ def angular_velocity_error(
     Args:
         of: The robot, or a link of it.
         command_name: A command whose third column is wz, rad/s.
-        frame: About which z axis the rate is measured: the ``body``'s, or the ``world``'s.
+        frame: The z axis of the rate: that of the ``body`` or of the ``world``.
 
     Example:
         ``{func: angular_velocity_error, params: {of: {uid: go}, command_name: velocity}}``
@@ -99,13 +99,13 @@ def follows_velocity(
     linear_threshold: Positive,
     angular_threshold: Positive | None = None,
 ) -> NDArray[np.bool_]:
-    """True where velocity in the heading's frame and turning rate are close to a command.
+    """True where velocity in the heading frame and turning rate are close to a command.
 
     Args:
         of: The robot, or a link of it.
         command_name: A command whose columns are vx, vy (m/s) and wz (rad/s).
-        linear_threshold: m/s, of the distance in the plane.
-        angular_threshold: rad/s about the vertical; None does not measure it.
+        linear_threshold: Largest error in the plane, m/s.
+        angular_threshold: Largest error about the vertical, rad/s; None is no condition.
 
     Example:
         ``{func: follows_velocity, params: {of: {uid: go}, command_name: velocity,

@@ -1,7 +1,7 @@
 """Quantities of the episode and of the step: success, termination, time, actions; and a constant.
 
-Time is the simulation's own, from the first observation of the episode on; physics steps within
-reset events (waiting until objects are at rest) do not count.
+Time is simulation time from the first observation of the episode; physics steps in reset events
+(waiting until objects are at rest) do not count.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field
 
+from embodichain.lab.gym.envs.cfg import NO_LIMIT
 from embodichain.lab.gym.envs.managers.param_types import Finite, Positive
 from embodichain.lab.gym.envs.managers.registry import quantity, register_term
 from embodichain.lab.gym.envs.managers.term import Term
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
     Mask = NDArray[np.bool_]
 
@@ -43,14 +44,13 @@ __all__ = [
 ]
 
 Info = dict[str, Any]
-_NEVER = 2**31 - 1
 
 
 @quantity(name="action")
 def action_(env: TermContext, action: Any) -> F64:
-    """(N, A) the action as given to `step` (after `_preprocess_action`), in its own units.
+    """(N, A) the action as given to `step` (after `_preprocess_action`), in the action's units.
 
-    The observation of it is `last_action`.
+    The corresponding observation is `last_action`.
 
     Example:
         ``{func: action, shape: l2, weight: -0.01}``
@@ -60,7 +60,7 @@ def action_(env: TermContext, action: Any) -> F64:
 
 @quantity("reward", "metric")
 def constant(env: TermContext, value: float = 1.0) -> F64:
-    """(N,) the same number in every step: a price of time, or a point to start from.
+    """(N,) the same number in every step: a cost of time, or an offset.
 
     Args:
         value: The number.
@@ -73,10 +73,10 @@ def constant(env: TermContext, value: float = 1.0) -> F64:
 
 @quantity("reward", "metric")
 def success_reward(env: TermContext, info: Info) -> F64:
-    """(N,) 1 where the task's success holds at this step, else 0. EmbodiChain's of the same name.
+    """(N,) 1 where the task succeeds in this step, else 0. EmbodiChain's reward of the same name.
 
-    Success is the metric `success`; in a task without one, ``info["success"]``: what the
-    terminations of kind success or the environment's `evaluate` give.
+    Success is the metric `success`; in a task without one, ``info["success"]`` from terminations of
+    kind success or the environment's `evaluate`.
 
     Example:
         ``{func: success_reward, weight: 10.0}``
@@ -91,7 +91,7 @@ def success_reward(env: TermContext, info: Info) -> F64:
 def is_terminated(env: TermContext, info: Info) -> F64:
     """(N,) 1 where a termination of kind success or fail ends the episode, else 0.
 
-    Running out of time is no termination. An environment that diverges gets no reward at all.
+    A time-out is a truncation, not a termination. The reward of an environment that diverges is 0.
     Isaac Lab's reward of the same name: give it a negative weight.
 
     Example:
@@ -119,7 +119,7 @@ def _terminated(env: TermContext, info: Info) -> Mask:
 
 @quantity("termination", "metric")
 def time_out(env: TermContext, time_limit_s: Positive) -> Mask:
-    """True once an episode has lasted so long, this step included.
+    """True once an episode has lasted a given time, this step included.
 
     Args:
         time_limit_s: Seconds of simulated time, rounded to control steps.
@@ -149,22 +149,22 @@ class _Clock(Term):
         return now - self._start
 
     def limit(self) -> float:
-        """Seconds an episode lasts at most.
+        """Longest duration of an episode in seconds.
 
         Raises:
             ConfigError: If the task has no limit.
         """
-        if self._env.max_episode_steps == _NEVER:
+        if self._env.max_episode_steps == NO_LIMIT:
             message = "the task has no time limit (max_episode_steps: -1): nothing remains"
             raise ConfigError([Problem("", message)])
         return self._env.max_episode_steps * self._env.step_dt
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Time begins anew with the next observation."""
+        """Restart the time of these environments at the next observation."""
         self._fresh[slice(None) if env_ids is None else env_ids] = True
 
     def state_dict(self) -> dict[str, Any]:
-        """When episodes began (copies)."""
+        """Start times of the episodes (copies)."""
         return {"start": self._start.copy(), "fresh": self._fresh.copy()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -174,7 +174,7 @@ class _Clock(Term):
 
 @quantity("observation", name="current_time_s")
 class CurrentTime(_Clock):
-    """(N,) seconds the episode has lasted; 0 right after a reset. Isaac Lab's name.
+    """(N,) seconds since the episode began; 0 right after a reset. Isaac Lab's name.
 
     Example:
         ``{func: current_time_s}``
@@ -204,9 +204,9 @@ class RemainingTime(_Clock):
 
 @quantity("observation", name="elapsed_fraction")
 class ElapsedFraction(RemainingTime):
-    """(N,) share of the longest episode (``max_episode_steps``) that is over: from 0 to 1.
+    """(N,) elapsed fraction of the longest episode (``max_episode_steps``), from 0 to 1.
 
-    With it a value function can know when a time limit strikes (Pardo et al., "Time limits in
+    With it a value function can predict the time limit (Pardo et al., "Time limits in
     reinforcement learning", ICML 2018).
 
     Example:
@@ -225,8 +225,8 @@ class Phase(_Clock):
     A clock for gaits and other cycles: sin, cos of the first offset, then of the second...
 
     Args:
-        period_s: Seconds a cycle.
-        offsets: Positions within the cycle at t = 0, in periods, one for each pair of numbers.
+        period_s: Seconds per cycle.
+        offsets: Phases at t = 0, in periods, one for each pair of columns.
 
     Example:
         ``{func: phase, params: {period_s: 0.8, offsets: [0.0, 0.5]}}``
@@ -258,7 +258,7 @@ class LastAction(Term):
     Zeros after a reset. Isaac Lab's and mjlab's observation of the same name.
 
     Args:
-        action_name: One action term, to observe its slice alone; None is the whole action.
+        action_name: An action term, to observe only its slice; None is the whole action.
 
     Example:
         ``{func: last_action}``

@@ -1,6 +1,6 @@
-"""Terms made of terms: all or any of several predicates, a predicate held for some time, products.
+"""Terms made of terms: all or any of several predicates, a predicate over some time, products.
 
-The inner terms are declared as everywhere, ``{func: ..., params: {...}}``, and are checked, reset,
+The inner terms are declared like all terms, ``{func: ..., params: {...}}``, and are checked, reset,
 saved and restored with the outer one.
 """
 
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import EnvIndex
+    from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["AllOf", "AnyOf", "HeldFor", "ProductOf"]
 
 
 def _registered(term: ValueCfg) -> ValueCfg:
-    """Check an inner term as one of a manager's is checked, before anything is built."""
+    """Check an inner term like a term of a manager, before it is built."""
     from embodichain.lab.gym.envs.managers.check import check_term
 
     if isinstance(term.func, str) and ":" in term.func:
@@ -45,7 +45,7 @@ Info = dict[str, Any]
 
 
 class _Joined(Term):
-    """Builds the inner terms, joins their values, and passes on what happens to the outer one."""
+    """Builds the inner terms, joins their values, and forwards resets and states to them."""
 
     def __init__(
         self, env: TermContext, terms: Mapping[str, ValueCfg], join: np.ufunc, dtype: type
@@ -67,7 +67,7 @@ class _Joined(Term):
         self._inner.reset(env_ids)
 
     def state_dict(self) -> dict[str, Any]:
-        """Of the inner terms."""
+        """The states of the inner terms."""
         return self._inner.state_dict()
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -77,7 +77,7 @@ class _Joined(Term):
 
 @register_term("reward", "metric", "termination", name="all_of")
 class AllOf(_Joined):
-    """True where every one of several terms is true (not 0).
+    """True where all of several terms are true (not 0).
 
     Args:
         terms: Name -> metric term.
@@ -110,7 +110,7 @@ class AnyOf(_Joined):
 
 @register_term("reward", "metric", name="product_of")
 class ProductOf(_Joined):
-    """The product of several terms: large only where all are. dm_control's rewards are such.
+    """The product of several terms, as in dm_control: large only where all terms are large.
 
     Args:
         terms: Name -> metric term.
@@ -131,8 +131,8 @@ class HeldFor(_Joined):
 
     Args:
         term: A metric term.
-        steps: Control steps, this one included; or
-        time_s: Seconds of simulated time, rounded to control steps.
+        steps: Control steps, this one included.
+        time_s: Seconds of simulated time, rounded to control steps, instead of `steps`.
 
     Example:
         ``{func: held_for, params: {steps: 10, term: {func: distance, shape: {below: 0.05}, params:
@@ -159,7 +159,7 @@ class HeldFor(_Joined):
         return self._held >= self._steps
 
     def reset(self, env_ids: EnvIndex | None) -> None:
-        """Start counting anew in these environments."""
+        """Restart the count in these environments."""
         super().reset(env_ids)
         self._held = self._held.copy()
         self._held[slice(None) if env_ids is None else env_ids] = 0

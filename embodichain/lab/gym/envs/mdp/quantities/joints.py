@@ -1,7 +1,7 @@
-"""Quantities of joints: positions, velocities, efforts, and how far they are beyond limits.
+"""Quantities of joints: positions, velocities, efforts, and their excess over limits.
 
-K is the number of picked joints. Joints without a limit are never beyond it; if none of those
-picked has one, that is an error.
+K is the number of picked joints. Joints without a limit never exceed it; if no picked joint has a
+limit, that is an error.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
     "joint_effort",
@@ -47,7 +47,7 @@ __all__ = [
 
 
 def wrapped(angles: F64) -> F64:
-    """Angles brought into [-pi, pi) rad."""
+    """Angles wrapped to [-pi, pi) rad."""
     turn = 2.0 * math.pi
     return angles - turn * np.floor((angles + math.pi) / turn)
 
@@ -61,7 +61,7 @@ def joint_position(
     Args:
         of: The robot; its joint names or control parts pick joints.
         relative: Whether the initial positions are subtracted.
-        periodic: Whether positions are angles that are brought into [-pi, pi).
+        periodic: Whether positions are angles, which are wrapped to [-pi, pi).
 
     Example:
         ``{func: joint_position, params: {of: {uid: ur10}, relative: true}}``
@@ -100,8 +100,8 @@ def joint_speed(env: TermContext, of: Joints) -> F64:
 def joint_effort(env: TermContext, of: Joints) -> F64:
     """(N, K) efforts of the picked joints in the last physics step, N m or N.
 
-    The sum of what drives, their damping and effort actions give: Isaac Lab's applied torque. The
-    damping of a joint without a drive counts as well.
+    The sum of the efforts of drives, their damping and effort actions: Isaac Lab's applied torque.
+    The damping of a joint without a drive counts as well.
 
     Args:
         of: The robot; its joint names or control parts pick joints.
@@ -117,11 +117,11 @@ def joint_power(env: TermContext, of: Joints, positive_only: bool = False) -> F6
     """(N,) sum of |effort x qvel| over the picked joints, W: times the time step, energy.
 
     Efforts as in `joint_effort`, of the last physics step; velocities after it. mjlab's
-    `electrical_power_cost` counts only what motors give: `positive_only`.
+    `electrical_power_cost` counts only positive power: `positive_only`.
 
     Args:
         of: The robot; its joint names or control parts pick joints.
-        positive_only: Whether joints that are braked count 0.
+        positive_only: Whether negative power (braking) counts as 0.
 
     Example:
         ``{func: joint_power, params: {of: {uid: ur10}}}``
@@ -147,11 +147,11 @@ def joint_target_error(env: TermContext, of: Joints) -> F64:
 def joint_position_excess(env: TermContext, of: Joints, soft_ratio: Fraction = 1.0) -> F64:
     """(N, K) how far joints are beyond the nearer position limit, rad or m; negative within.
 
-    Limits give way a little under load: a `soft_ratio` of 1 may measure that.
+    Limits in MuJoCo are soft: positive values under load are possible with a `soft_ratio` of 1.
 
     Args:
         of: The robot; its joint names or control parts pick joints.
-        soft_ratio: Share of the range, around its middle, that is allowed.
+        soft_ratio: Allowed fraction of the range, about its middle.
 
     Example:
         ``{func: joint_position_excess, params: {of: {uid: ur10}, soft_ratio: 0.9}}``
@@ -165,14 +165,14 @@ def joint_position_excess(env: TermContext, of: Joints, soft_ratio: Fraction = 1
 def joint_velocity_excess(
     env: TermContext, of: Joints, soft_ratio: Fraction = 1.0, max_velocity: Positive | None = None
 ) -> F64:
-    """(N, K) how much faster joints are than allowed, rad/s or m/s; negative where they are slower.
+    """(N, K) excess of joint speeds over a limit, rad/s or m/s; negative where they are slower.
 
     The limit is the smaller of the drive's `max_velocity` and the file's; physics enforces neither.
 
     Args:
         of: The robot; its joint names or control parts pick joints.
-        soft_ratio: Share of the limit that is allowed.
-        max_velocity: The limit instead, rad/s or m/s.
+        soft_ratio: Allowed fraction of the limit.
+        max_velocity: Replaces the limit, rad/s or m/s.
 
     Example:
         ``{func: joint_velocity_excess, params: {of: {uid: ur10}, soft_ratio: 0.9}}``
@@ -183,14 +183,14 @@ def joint_velocity_excess(
 
 @quantity()
 def joint_effort_excess(env: TermContext, of: Joints, soft_ratio: Fraction = 1.0) -> F64:
-    """(N, K) effort beyond what is allowed, N m or N; negative where it is less.
+    """(N, K) excess of efforts over a limit, N m or N; negative where they are smaller.
 
     Effort as in `joint_effort`. The limit is the smaller of the drive's `max_effort` and the
-    file's. A drive with a finite `max_effort` is cut off there: use a `soft_ratio` below 1.
+    file's. A drive with a finite `max_effort` saturates there: use a `soft_ratio` below 1.
 
     Args:
         of: The robot; its joint names or control parts pick joints.
-        soft_ratio: Share of the limit that is allowed.
+        soft_ratio: Allowed fraction of the limit.
 
     Example:
         ``{func: joint_effort_excess, params: {of: {uid: ur10}, soft_ratio: 0.8}}``
@@ -220,7 +220,7 @@ def stand_still(
 
 @quantity("observation")
 def joint_sin_cos(env: TermContext, of: Joints) -> F64:
-    """(N, 2 K) sines of the picked joints' positions, then their cosines: for joints without end.
+    """(N, 2 K) sines of the picked joints' positions, then their cosines.
 
     Args:
         of: The robot; its joint names or control parts pick joints.
@@ -235,10 +235,10 @@ def joint_sin_cos(env: TermContext, of: Joints) -> F64:
 
 @quantity()
 def joint_pos_limit_normalized(env: TermContext, of: Joints) -> F64:
-    """(N, K) positions of the picked joints in their range: -1 at the lower limit, 1 at the upper.
+    """(N, K) normalized positions of the picked joints: -1 at the lower limit, 1 at the upper.
 
-    2 (q - low) / (high - low) - 1, with the limits in force; nothing is clipped. Isaac Lab's
-    observation of the same name.
+    2 (q - low) / (high - low) - 1, with the limits in force, not clipped. Isaac Lab's observation
+    of the same name.
 
     Args:
         of: The robot; its joint names or control parts pick joints.

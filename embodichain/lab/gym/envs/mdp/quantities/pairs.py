@@ -8,16 +8,15 @@ import numpy as np
 
 from embodichain.lab.gym.envs.managers.param_types import Angle, Body, Positive
 from embodichain.lab.gym.envs.managers.registry import quantity
-from embodichain.lab.gym.envs.mdp._rotations import Rotation, as_rotation, pose_matrix
 from embodichain.lab.gym.envs.mdp._rows import angle_between, norm
-from embodichain.lab.gym.envs.mdp.quantities.bodies import tilt
+from embodichain.lab.gym.envs.mdp.quantities.bodies import Rotation, as_rotation, pose_matrix, tilt
 from embodichain.utils.math import quat_conjugate, quat_multiply, rotate_back
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64
+    from embodichain.lab.sim.engine.api import F64
 
 __all__ = [
     "angle",
@@ -48,11 +47,11 @@ def distance(env: TermContext, from_: Body, to: Body, use_xy_only: bool = False)
 
 @quantity()
 def angle(env: TermContext, from_: Body, to: Body | None = None) -> F64:
-    """(N,) angle of the one rotation that takes an orientation into another, rad in [0, pi].
+    """(N,) angle of the rotation from one orientation to another, rad in [0, pi].
 
     Args:
         from_: An entity, or a link of one.
-        to: Likewise; None measures the z axis from the vertical, as `tilt`.
+        to: Likewise; None gives the angle of the z axis from the vertical, as `tilt`.
 
     Example:
         ``{func: angle, params: {from: {uid: ur10, link_names: [ee_link]}, to: {uid: goal}}}``
@@ -70,13 +69,13 @@ def within_pose(
     position_threshold: Positive,
     orientation_threshold: Angle,
 ) -> NDArray[np.bool_]:
-    """True where two entities are closer than one threshold and turned by less than another.
+    """True where the positions and the orientations of two entities are close.
 
     Args:
         from_: An entity, or a link of one.
         to: Likewise.
         position_threshold: Metres.
-        orientation_threshold: Radians, of the one rotation that takes the first into the second.
+        orientation_threshold: Radians, of the rotation from the first to the second.
 
     Example:
         ``{func: within_pose, params: {from: {uid: cube}, to: {uid: goal}, position_threshold:
@@ -94,8 +93,8 @@ def relative_position(
 
     Args:
         from_: An entity, or a link of one.
-        to: Likewise: the vector points to it.
-        in_source_frame: Whether it is given in the axes of `from`, instead of the environment's.
+        to: Likewise; the vector points to it.
+        in_source_frame: Whether the vector is in the axes of `from`, instead of the environment's.
 
     Example:
         ``{func: relative_position, params: {from: {uid: ur10, link_names: [ee_link]}, to: {uid:
@@ -153,12 +152,12 @@ def relative_velocity(
 ) -> F64:
     """(N, 6) velocity of `to` minus that of `from`: linear m/s, then angular rad/s.
 
-    The plain difference of the two origins' velocities; the turning of `from` is not subtracted.
+    The difference of the velocities of the two origins; the rotation of `from` is not subtracted.
 
     Args:
         from_: An entity, or a link of one.
         to: Likewise.
-        in_source_frame: Whether it is given in the axes of `from`, instead of the world's.
+        in_source_frame: Whether it is in the axes of `from`, instead of the world's.
 
     Example:
         ``{func: relative_velocity, params: {from: {uid: ur10, link_names: [ee_link]}, to: {uid:

@@ -1,8 +1,8 @@
 """Quantities of sensors: contacts, inertial measurements, forces at joints.
 
 Sensors are declared under `sensors:`; contact forces, specific forces and joint forces are those of
-the last physics step. Isaac Lab's contact rewards take the largest force of several physics steps
-where these take the last one. n is the number of a sensor's links.
+the last physics step (Isaac Lab's contact rewards take the largest of several physics steps). n is
+the number of links of a sensor.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from embodichain.lab.sim.body_motion import origin_velocities
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
-    from embodichain.lab.sim.engine.base import F64, EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
 
 __all__ = [
     "FeetAirTime",
@@ -53,7 +53,7 @@ def contact_found(env: TermContext, sensor: ContactOf, threshold: NonNegative | 
 
     Args:
         sensor: A contact sensor.
-        threshold: N; with it a link counts as touched where the length of its net force is above.
+        threshold: N; if given, a link counts as touched where its net force is larger.
 
     Example:
         ``{func: contact_found, params: {sensor: contacts, threshold: 1.0}}``
@@ -80,18 +80,18 @@ def contact_force(env: TermContext, sensor: ContactOf, norm: bool = False) -> F6
 
 @quantity("reward", "metric", name="feet_air_time")
 class FeetAirTime(Term):
-    """Sum over feet that land in this step of (time in the air - threshold), s: longer steps pay.
+    """Sum over feet that land in this step of (time in the air - threshold), s: rewards long steps.
 
-    0 where the command asks for less than `min_command`. Air time counts control steps, the one of
-    the landing included; feet that an episode begins in the air count from its first step. Isaac
+    0 where the commanded speed is less than `min_command`. Air time counts control steps, that of
+    the landing included; the air time of feet that start in the air begins with the episode. Isaac
     Lab's reward of the same name.
 
     Args:
         sensor: A contact sensor on the feet.
-        command_name: A command whose first two columns are vx and vy, m/s; None always pays.
-        threshold: s in the air that earns nothing; shorter steps cost.
+        command_name: A command whose first two columns are vx and vy, m/s; None is no condition.
+        threshold: Air time with reward 0, s; shorter steps give a negative one.
         min_command: m/s.
-        force_threshold: N above which a foot touches.
+        force_threshold: Force above which a foot is in contact, N.
 
     Example:
         ``{func: feet_air_time, weight: 0.5, params: {sensor: contacts, command_name: velocity,
@@ -112,7 +112,7 @@ class FeetAirTime(Term):
         self._air: F64 = np.zeros((env.num_envs, len(sensor.names)))
 
     def __call__(self) -> F64:
-        """(N,) s; the feet's clocks advance by one control step."""
+        """(N,) s; the clocks of the feet advance by one control step."""
         touched = _lengths(self._sensor.read_force()) > self._force
         lasted = self._air + self._dt
         landed = touched & (self._air > 0.0)
@@ -143,7 +143,7 @@ def feet_slide(env: TermContext, sensor: ContactOf, threshold: NonNegative = 1.0
 
     Args:
         sensor: A contact sensor on the feet.
-        threshold: N above which a foot touches.
+        threshold: Force above which a foot is in contact, N.
 
     Example:
         ``{func: feet_slide, weight: -0.1, params: {sensor: contacts}}``
@@ -156,7 +156,7 @@ def feet_slide(env: TermContext, sensor: ContactOf, threshold: NonNegative = 1.0
 
 @quantity()
 def imu_acceleration(env: TermContext, sensor: ImuOf) -> F64:
-    """(N, 3) specific force that an IMU measures, m/s^2, its axes: 9.81 upwards at rest.
+    """(N, 3) specific force that an IMU measures, m/s^2, in its axes: 9.81 upwards at rest.
 
     Isaac Lab's `imu_lin_acc`.
 
@@ -171,7 +171,7 @@ def imu_acceleration(env: TermContext, sensor: ImuOf) -> F64:
 
 @quantity()
 def imu_angular_velocity(env: TermContext, sensor: ImuOf) -> F64:
-    """(N, 3) angular velocity that an IMU measures, rad/s, its axes. Isaac Lab's `imu_ang_vel`.
+    """(N, 3) angular velocity that an IMU measures, rad/s, in its axes. Isaac Lab's `imu_ang_vel`.
 
     Args:
         sensor: An IMU.
@@ -184,7 +184,7 @@ def imu_angular_velocity(env: TermContext, sensor: ImuOf) -> F64:
 
 @quantity("observation")
 def imu_orientation(env: TermContext, sensor: ImuOf) -> F64:
-    """(N, 4) wxyz: an IMU's axes in the world. Isaac Lab's observation of the same name.
+    """(N, 4) orientation of an IMU in the world, wxyz. Isaac Lab's observation of the same name.
 
     Args:
         sensor: An IMU.
@@ -212,7 +212,7 @@ def imu_projected_gravity(env: TermContext, sensor: ImuOf) -> F64:
 
 @quantity()
 def body_incoming_wrench(env: TermContext, sensor: ForceTorqueOf) -> F64:
-    """(N, 6 n) force in N, then torque in N m, of each link of a force-torque sensor, its axes.
+    """(N, 6 n) force in N, then torque in N m, of each link of a force-torque sensor, in its axes.
 
     Isaac Lab's observation of the same name; the sign is the sensor's.
 

@@ -1,0 +1,241 @@
+"""The scene of a gym config: robots, articulations, rigid objects, lights and sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from embodichain.compat.gym_config import vocabulary as known
+from embodichain.compat.gym_config.draft import Draft, Path
+from embodichain.lab.sim.cfg import RobotCfg, name_of
+from embodichain.lab.sim.urdf_cfg import URDFCfg, URDFComponentCfg
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = [
+    "convert_articulations",
+    "convert_lights",
+    "convert_objects",
+    "convert_robot",
+    "convert_sensors",
+]
+
+_LIGHT_TYPES = ("point", "sun", "direction", "spot")
+_OTHER_LIGHT_TYPES = ("rect", "mesh")
+_PRESETS = {"URRobot": ("UniversalRobots/UR10/UR10.urdf", 6, {"arm": ["Joint[1-6]"]})}
+"""EmbodiChain's robot classes with one file -> the file, its joints, their control parts."""
+_PLAIN = ("Robot", "RobotCfg")
+"""The robot class that adds nothing to its config."""
+
+
+def convert_objects(draft: Draft, section: str, data: Any) -> None:
+    """Convert `rigid_object`, or `background`, whose bodies are static by default.
+
+    Args:
+        draft: The draft; the objects are added to it.
+        section: ``rigid_object`` or ``background``.
+        data: The list.
+    """
+    for source, item in draft.items(data, (section,)):
+        target = draft.entity(item, source, "objects")
+        if target is None or not draft.carry(item, source, target, known.RIGID_OBJECT):
+            continue
+        if item.get("shape") is not None:
+            _shape(draft, item["shape"], (*source, "shape"), (*target, "shape"))
+        if item.get("attrs") is not None:
+            _attrs(draft, item["attrs"], (*source, "attrs"), (*target, "attrs"))
+        _body_type(draft, section, item, source, target)
+
+
+def _attrs(draft: Draft, data: Any, source: Path, target: Path) -> None:
+    """Convert the attributes of a body: flat, or in the groups of release 0.3."""
+    if not isinstance(data, Mapping):
+        draft.carry(data, source, target, known.ATTRS)  # refuses it
+        return
+    flat = {k: v for k, v in data.items() if k not in known.ATTR_GROUPS}
+    draft.carry(flat, source, target, known.ATTRS)
+    for group in known.ATTR_GROUPS:
+        if data.get(group) is not None:
+            draft.carry(data[group], (*source, group), target, known.ATTRS)
+
+
+def convert_lights(draft: Draft, data: Any) -> None:
+    """Convert the section `light`: its direct lights."""
+    if data is None or not draft.carry(data, ("light",), (), known.LIGHTS):
+        return
+    for source, item in draft.items(data.get("direct"), ("light", "direct")):
+        kind = item.get("light_type") if isinstance(item, Mapping) else None
+        if kind in _OTHER_LIGHT_TYPES:
+            draft.note(source, f"lights of type {kind} are not drawn")
+            continue
+        target = draft.entity(item, source, "lights")
+        if target is None or not draft.carry(item, source, target, known.LIGHT):
+            continue
+        if kind is not None:
+            draft.put((*target, "light_type"), kind, (*source, "light_type"))
+
+
+def convert_sensors(draft: Draft, data: Any) -> None:
+    """Add a note for each sensor, with the reason why it is left out."""
+    for source, item in draft.items(data, ("sensor",)):
+        kind = str(item.get("sensor_type")) if isinstance(item, Mapping) else repr(item)
+        reason = known.SENSORS.get(kind)
+        if reason is None:
+            message = f"unknown sensor {kind!r}; known: {', '.join(known.SENSORS)}."
+            draft.refuse((*source, "sensor_type"), message, did_you_mean(kind, known.SENSORS))
+        else:
+            draft.note(source, reason)
+
+
+def _body_type(
+    draft: Draft, section: str, item: Mapping[str, Any], source: Path, target: Path
+) -> None:
+    kind, where = item.get("body_type"), (*source, "body_type")
+    if section == "background" and kind == "dynamic":
+        draft.refuse(where, "a background object is static or kinematic; use rigid_object")
+    elif kind is not None:
+        draft.put((*target, "body_type"), kind, where)
+    elif section == "background":
+        draft.put((*target, "body_type"), "static", source)
+
+
+def _shape(draft: Draft, data: Any, source: Path, target: Path) -> None:
+    written = str(data.get("shape_type", "")) if isinstance(data, Mapping) else ""
+    kind = written.removesuffix("Cfg")
+    if kind not in known.SHAPES and draft.ours:
+        draft.put(target, data, source)
+        return
+    if kind not in known.SHAPES:
+        message = f"unknown shape_type {written!r}; known: {', '.join(known.SHAPES)}."
+        draft.refuse((*source, "shape_type"), message, did_you_mean(kind, known.SHAPES))
+        return
+    draft.put((*target, "shape_type"), kind, (*source, "shape_type"))
+    keys = {k: v for k, v in data.items() if k not in ("shape_type", "visual_material")}
+    draft.carry(keys, source, target, known.SHAPES[kind])
+    material = data.get("visual_material")
+    if material is not None:
+        where = (*source, "visual_material")
+        draft.carry(material, where, (*target, "visual_material"), known.MATERIAL)
+
+
+def convert_robot(draft: Draft, data: Any) -> str:
+    """Convert the section `robot`; return the robot's uid, empty if it is unknown."""
+    source: Path = ("robot",)
+    if not draft.carry(data, source, ("robot",), known.ROBOT):
+        return ""
+    if data.get("uid"):
+        draft.put(("robot", "uid"), data["uid"], ("robot", "uid"))
+    joints = _file(draft, data)
+    _init_qpos(draft, data.get("init_qpos"), joints)
+    _solvers(draft, data.get("solver_cfg"))
+    _parts_of_articulation(draft, data, source, ("robot",))
+    fields = draft.task.get("robot", {})
+    uid, fpath = (str(fields.get(key) or "") for key in ("uid", "fpath"))
+    parts = fields.get("urdf_cfg", {}).get("components", [])
+    urdf = URDFCfg([URDFComponentCfg(urdf_path=str(part.get("urdf_path"))) for part in parts])
+    return name_of(RobotCfg(uid=uid, fpath=fpath, urdf_cfg=urdf)) if uid or fpath or parts else ""
+
+
+def convert_articulations(draft: Draft, data: Any) -> None:
+    """Convert the section `articulation`."""
+    for source, item in draft.items(data, ("articulation",)):
+        target = draft.entity(item, source, "articulations", fallback="fpath")
+        if target is not None and draft.carry(item, source, target, known.ARTICULATION):
+            _parts_of_articulation(draft, item, source, target)
+
+
+def _file(draft: Draft, data: Mapping[str, Any]) -> int | None:
+    """Set the robot's file; return its number of joints if a preset has it."""
+    kind_key = "class_type" if "class_type" in data else "robot_type"
+    kind, urdf, own = data.get(kind_key), data.get("urdf_cfg"), bool(data.get("fpath"))
+    joints = None
+    preset = _PRESETS.get(str(kind))
+    fpath = ""
+    if not own and preset is not None:
+        fpath, joints, parts = preset
+        if data.get("control_parts") is None:
+            draft.put(("robot", "control_parts"), parts, ("robot", kind_key))
+        if urdf is None:
+            draft.put(("robot", "fpath"), fpath, ("robot", kind_key))
+        else:
+            joints = None  # components add joints
+    elif kind is not None and preset is None and kind not in _PLAIN:
+        _unknown_kind(draft, kind, kind_key, own or urdf is not None)
+    if urdf is not None and own:
+        draft.note(("robot", "urdf_cfg"), "fpath names the robot's file")
+    elif urdf is not None:
+        _urdf(draft, urdf, fpath)
+    return joints
+
+
+def _unknown_kind(draft: Draft, kind: Any, key: str, own: bool) -> None:
+    message = f"the class {kind!r} is not here"
+    if own:
+        draft.note(("robot", key), f"{message}: only the keys of this file count")
+    else:
+        message = f"{message}; name the robot's file in fpath, or {', '.join(_PRESETS)}."
+        draft.refuse(("robot", key), message, did_you_mean(str(kind), _PRESETS))
+
+
+def _urdf(draft: Draft, urdf: Any, preset: str) -> None:
+    """Convert a robot assembled from files; the arm is the preset's file by default."""
+    source: Path = ("robot", "urdf_cfg")
+    if not draft.carry(urdf, source, source, known.URDF):
+        return
+    given, where = urdf.get("components"), (*source, "components")
+    if isinstance(given, Mapping):  # by component_type
+        given = [{"component_type": key, **dict(value or {})} for key, value in given.items()]
+    components: list[Any] = []
+    for place, component in draft.items(given, where):
+        if isinstance(component, Mapping):
+            keys = {key: value for key, value in component.items() if key in known.URDF_COMPONENT}
+            for key in component.keys() - keys.keys():
+                draft.note((*place, key), "it has no effect")
+            components.append(keys)
+        else:
+            draft.refuse(place, f"expected a map, got {component!r}")
+    kinds = [component.get("component_type") for component in components]
+    if preset and "arm" not in kinds:
+        components.append({"component_type": "arm", "urdf_path": preset})
+        if urdf.get("name_case") is None:  # later releases keep the names of files
+            draft.put((*source, "name_case"), {"joint": "none", "link": "none"}, source)
+    draft.put((*source, "components"), components, where)
+
+
+def _solvers(draft: Draft, data: Any) -> None:
+    """Tool points by control part; a solver without a part applies to the whole robot."""
+    source: Path = ("robot", "solver_cfg")
+    if isinstance(data, Mapping) and any(key in known.SOLVER for key in data):
+        draft.carry(data, source, (*source, "default"), known.SOLVER)
+        return
+    for where, part, solver in draft.entries(data, source):
+        draft.carry(solver, where, (*source, part), known.SOLVER)
+
+
+def _init_qpos(draft: Draft, values: Any, joints: int | None) -> None:
+    """Convert initial joint positions, without those of joints that only an assembly adds."""
+    if values is None:
+        return
+    where = ("robot", "init_qpos")
+    if joints is not None and isinstance(values, list) and len(values) > joints:
+        draft.note(where, f"values {values[joints:]} belong to components that are left out")
+        values = values[:joints]
+    draft.put(where, values, where)
+
+
+def _parts_of_articulation(
+    draft: Draft, data: Mapping[str, Any], source: Path, target: Path
+) -> None:
+    """Drives, attributes and properties of the root, by the names of releases 0.2 and 0.3."""
+    for key in ("drive_pros", "joint_drive_props"):
+        if data.get(key) is not None:
+            draft.carry(data[key], (*source, key), (*target, "drive_pros"), known.DRIVE)
+    if data.get("attrs") is not None:
+        _attrs(draft, data["attrs"], (*source, "attrs"), (*target, "attrs"))
+    root, where = data.get("root_props"), (*source, "root_props")
+    if root is not None and draft.carry(root, where, target, known.ROOT_PROPS):
+        if "fixed_base" in root:
+            draft.put((*target, "fix_base"), root["fixed_base"], (*where, "fixed_base"))
+        collides = root.get("self_collision_enabled")
+        if collides is not None:
+            name = (*where, "self_collision_enabled")
+            draft.put((*target, "disable_self_collision"), not collides, name)

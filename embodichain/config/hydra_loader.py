@@ -1,0 +1,218 @@
+"""Hydra's loader of the YAML trees, and its errors as one-line messages with file and line.
+
+The search path is `--config-dir`, `./conf`, this package's tree, plug-ins' trees. The first that
+has a file wins, so that a user's `task/reach.yaml` replaces the package's. A Hydra plug-in adds
+these folders to searches of this package's tree only: other Hydra applications in the process are
+not affected.
+"""
+
+from __future__ import annotations
+
+import importlib.metadata
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from importlib import resources
+from pathlib import Path
+
+import yaml
+from hydra import version
+from hydra._internal.config_loader_impl import ConfigLoaderImpl
+from hydra._internal.utils import create_config_search_path
+from hydra.core.config_loader import ConfigLoader
+from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.object_type import ObjectType
+from hydra.core.plugins import Plugins
+from hydra.errors import HydraException, MissingConfigException
+from hydra.plugins.search_path_plugin import SearchPathPlugin
+
+from embodichain.config.gymnasium_ids import CONFIG_MODULE, ENTRY_POINTS, LOCAL
+from embodichain.config.locate import COMMAND_LINE, display_path
+from embodichain.utils.errors import ConfigError, Problem
+from embodichain.utils.suggest import did_you_mean, listing
+
+__all__ = [
+    "COMPOSING",
+    "VERSION_BASE",
+    "config_loader",
+    "explain",
+    "explain_yaml",
+    "folder_of_source",
+    "user_configs",
+]
+
+VERSION_BASE = "1.3"
+COMPOSING = (HydraException, yaml.YAMLError, UnicodeDecodeError, OSError)
+"""Exceptions that composing may raise because of the user's files."""
+_SHOWN_BY = {"task": "embodichain list tasks"}
+# Options that the packages of the extra `sweep` provide.
+_PLUGINS = {("hydra/launcher", "joblib"), ("hydra/sweeper", "optuna")}
+_config_dir: ContextVar[Path | None] = ContextVar("config_dir", default=None)
+
+
+@contextmanager
+def user_configs(config_dir: str | Path | None) -> Iterator[None]:
+    """Search `config_dir` before everything else while the context lasts.
+
+    Args:
+        config_dir: A folder with the user's groups (``task/``...); None changes nothing.
+
+    Raises:
+        ConfigError: The folder does not exist.
+    """
+    folder = _config_dir.get() if config_dir is None else Path(config_dir).resolve()
+    if folder is not None and not folder.is_dir():
+        raise ConfigError(f"--config-dir {config_dir}: no such folder")
+    token = _config_dir.set(folder)
+    try:
+        yield
+    finally:
+        _config_dir.reset(token)
+
+
+@contextmanager
+def config_loader(config_dir: str | Path | None = None) -> Iterator[ConfigLoader]:
+    """Provide a loader of `embodichain.conf`.
+
+    It is separate from that of a running Hydra application, which `hydra.initialize` would replace.
+
+    Args:
+        config_dir: Searched first; None keeps the enclosing `user_configs`.
+
+    Raises:
+        ConfigError: `config_dir` does not exist.
+    """
+    if not hasattr(version.getbase(), "major"):
+        version.setbase(VERSION_BASE)  # unset until a Hydra application starts
+    with user_configs(config_dir):
+        yield _Loader(create_config_search_path(f"pkg://{CONFIG_MODULE}"))
+
+
+class _Loader(ConfigLoaderImpl):
+    """Gets a group's options from the sources; Hydra's loader copies them each time, in 10 ms."""
+
+    def get_group_options(
+        self,
+        group_name: str,
+        results_filter: ObjectType | None = ObjectType.CONFIG,
+        config_name: str | None = None,
+        overrides: list[str] | None = None,
+    ) -> list[str]:
+        return self.repository.get_group_options(group_name, results_filter)
+
+
+class EmbodichainSearchPath(SearchPathPlugin):
+    """Adds the user's folders before the package's tree, and plug-ins' trees after it."""
+
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        """Called by Hydra for every search path it makes."""
+        paths = [element.path or "" for element in search_path.get_path()]
+        if f"pkg://{CONFIG_MODULE}" not in paths:
+            return
+        own = _folder_of(CONFIG_MODULE).resolve()
+        for provider, folder in (
+            ("./conf", Path(LOCAL).resolve()),
+            ("--config-dir", _config_dir.get()),
+        ):
+            if folder is not None and folder.is_dir() and folder != own:
+                search_path.prepend(provider, f"file://{folder}")
+        for entry in sorted(importlib.metadata.entry_points(group=ENTRY_POINTS)):
+            search_path.append(entry.name, f"pkg://{entry.value}")
+
+
+Plugins.instance().register(EmbodichainSearchPath)
+
+
+def folder_of_source(scheme: str, path: str) -> Path | None:
+    """Return the folder of an entry of a search path; None for Hydra's own and for non-folders."""
+    if scheme == "file":
+        return Path(path)
+    return _folder_of(path) if scheme == "pkg" and not path.startswith("hydra") else None
+
+
+def _folder_of(module: str) -> Path:
+    return Path(str(resources.files(module)))
+
+
+def explain(error: Exception, loader: ConfigLoader) -> list[Problem]:
+    """Describe an error of composing.
+
+    Args:
+        error: One of `COMPOSING`.
+        loader: Provides groups, options and the search path.
+    """
+    if isinstance(error, yaml.YAMLError):
+        return [explain_yaml(error)]
+    if isinstance(error, UnicodeDecodeError):
+        return [Problem("", "not UTF-8 text", source=name) for name in _not_utf8(loader)]
+    if isinstance(error, OSError) and not isinstance(error, HydraException):
+        name = display_path(Path(str(error.filename)))
+        return [Problem("", f"cannot be read: {error.strerror}", source=name)]
+    unchosen = re.search(r"You must specify '([^']+)'", str(error))
+    if unchosen:
+        return [_unchosen(unchosen[1], loader)]
+    if isinstance(error, MissingConfigException):
+        return [_no_such_config(error, loader)]
+    twice = re.search(r"Multiple values for (\S+)\.|(\S+) appears more than once", str(error))
+    if twice:
+        group = twice[1] or twice[2]
+        message = f"an option is chosen already: write {group}=NAME, without +"
+        return [Problem(group, message, source=COMMAND_LINE)]
+    cause = error.__cause__ or error
+    lines = [line.strip() for line in str(cause).splitlines() if line.strip()]
+    key = next((line[9:].strip() for line in lines if line.startswith("full_key:")), "")
+    text = lines[0] if lines else type(cause).__name__
+    return [Problem(key, text, source=COMMAND_LINE)]
+
+
+def explain_yaml(error: yaml.YAMLError, path: Path | None = None) -> Problem:
+    """Describe malformed YAML, with the line where the parser stopped."""
+    mark = getattr(error, "problem_mark", None)
+    reason = getattr(error, "problem", None) or str(error)
+    context = getattr(error, "context", None)
+    where = "" if path is None else display_path(path)
+    if mark is not None:
+        name = where or (display_path(Path(mark.name)) if Path(mark.name).is_file() else mark.name)
+        where = f"{name}:{mark.line + 1}"
+    if reason.startswith("could not determine a constructor for the tag"):
+        reason = f"tags are not used here, found {reason.split()[-1]}"
+    detail = f"{reason} ({context})" if context else reason
+    return Problem("", f"malformed YAML: {detail}", source=where)
+
+
+def _unchosen(group: str, loader: ConfigLoader) -> Problem:
+    options = listing(loader.get_group_options(group), shown_by=_SHOWN_BY.get(group, ""))
+    message = f"missing value: choose one with {group}=NAME; there are: {options}"
+    return Problem(group, message, source=COMMAND_LINE)
+
+
+def _no_such_config(error: MissingConfigException, loader: ConfigLoader) -> Problem:
+    name = error.missing_cfg_file or ""
+    group, _, option = name.rpartition("/")
+    asked = re.search(r"In '([^']+)'", str(error))
+    place = f" (in the defaults list of '{asked[1]}')" if asked else ""
+    if (group, option) in _PLUGINS:
+        message = f"{option!r}{place} needs packages: pip install 'embodichain[sweep]'"
+        return Problem(group, message, source=COMMAND_LINE)
+    options = list(error.options or loader.get_group_options(group))
+    if not options:
+        return Problem("", f"there is no config '{name}'{place}", source=COMMAND_LINE)
+    there = listing(options, option, _SHOWN_BY.get(group, ""))
+    message = f"unknown option {option!r}{place}; {group} is one of: {there}."
+    return Problem(group, message, did_you_mean(option, options).strip(), COMMAND_LINE)
+
+
+def _not_utf8(loader: ConfigLoader) -> list[str]:
+    """The files of the search path that are not UTF-8: the error does not name the file."""
+    folders = [folder_of_source(source.scheme(), source.path) for source in loader.get_sources()]
+    paths = [path for folder in folders if folder for path in sorted(folder.rglob("*.yaml"))]
+    return [display_path(path) for path in paths if not _is_utf8(path)]
+
+
+def _is_utf8(path: Path) -> bool:
+    try:
+        path.read_text(encoding="utf-8")
+    except UnicodeDecodeError:
+        return False
+    return True

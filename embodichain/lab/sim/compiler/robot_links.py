@@ -1,0 +1,264 @@
+"""Links of an articulation: its root, visual and collision shapes, and added links.
+
+A config adds shapes fixed on links (`attachments`) and tool points of control parts (`solver_cfg`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from embodichain.lab.sim.cfg import (
+    ArticulationCfg,
+    AttachmentCfg,
+    ObjectBaseCfg,
+    RigidBodyAttributesCfg,
+    SolverCfg,
+)
+from embodichain.lab.sim.compiler.index import F64
+from embodichain.lab.sim.compiler.names import no_such
+from embodichain.lab.sim.compiler.rigid_objects import (
+    COLLISION_GROUP,
+    HULL_VERTICES,
+    VISUAL_GROUP,
+    add_shape,
+    check_pose,
+    check_shape,
+    initial_pose,
+    set_contact,
+)
+from embodichain.lab.sim.shapes import PlaneCfg
+from embodichain.utils.errors import ConfigError, Problem, below
+
+__all__ = [
+    "MAX_MASKED",
+    "ROOT_NAME",
+    "WHOLE",
+    "Tool",
+    "add_attachments",
+    "add_tools",
+    "check_attachments",
+    "collides",
+    "prepare_shapes",
+    "resolve_tools",
+    "separate",
+    "set_root",
+    "strip_world",
+]
+
+MAX_MASKED = 30
+"""Maximum number of articulations without self-collision: one contype bit each, except bit 0."""
+_ALL_BITS = 0x7FFFFFFF
+ROOT_NAME = "root"
+"""Name of the body added if a file's world has several bodies, or one with joints."""
+
+
+def collides(geom: mujoco.MjsGeom) -> bool:
+    """Whether a geom takes part in collision."""
+    return bool(geom.contype or geom.conaffinity)
+
+
+def prepare_shapes(spec: mujoco.MjSpec, cfg: ArticulationCfg, is_urdf: bool) -> None:
+    """Set groups of visual and collision shapes, and apply the config's attributes.
+
+    A URDF has no friction: `attrs.dynamic_friction` is used. An MJCF keeps its own unless the
+    config's differs from the default.
+    """
+    friction = float(cfg.attrs.dynamic_friction)
+    own_friction = not is_urdf and friction == RigidBodyAttributesCfg().dynamic_friction
+    for geom in spec.geoms:
+        if not own_friction:
+            geom.friction[0] = friction
+        if not cfg.attrs.enable_collision:
+            geom.contype = geom.conaffinity = 0
+    for mesh in spec.meshes:
+        if mesh.maxhullvert < 0:
+            mesh.maxhullvert = HULL_VERTICES
+    for body in spec.bodies if is_urdf else ():
+        # MuJoCo's URDF reader gives visual shapes no contact bits and group 1; collision shapes
+        # that the config has switched off are recognized by group 0.
+        geoms = list(body.geoms)
+        drawn = any(geom.group == 1 for geom in geoms)
+        for geom in geoms:
+            if geom.group == 1:
+                geom.group = VISUAL_GROUP
+            elif drawn:
+                geom.group = COLLISION_GROUP
+
+
+def separate(spec: mujoco.MjSpec, number: int) -> None:
+    """Disable collisions among the shapes of a spec; other collisions do not change.
+
+    Two geoms collide if one's contype matches the other's conaffinity: each articulation has one
+    contype bit and accepts all bits but that one.
+
+    Args:
+        spec: The articulation.
+        number: 1 to `MAX_MASKED`, different for each articulation.
+    """
+    bit = 1 << number
+    for geom in spec.geoms:
+        if collides(geom):
+            geom.contype, geom.conaffinity = bit, _ALL_BITS & ~bit
+
+
+def strip_world(spec: mujoco.MjSpec) -> list[str]:
+    """Remove lights, and planes in the world, from a robot file.
+
+    The scene has its own lights and ground. Other shapes of the file's world are kept.
+
+    Returns:
+        One line about removed planes, if any.
+    """
+    planes = [g for g in spec.worldbody.geoms if g.type == mujoco.mjtGeom.mjGEOM_PLANE]
+    names = ", ".join(repr(plane.name) for plane in planes)
+    for element in (*spec.lights, *planes):
+        spec.delete(element)
+    return [f"planes {names} of its world left out: the scene has its own ground"] if planes else []
+
+
+def set_root(spec: mujoco.MjSpec, fixed: bool) -> tuple[mujoco.MjSpec, str]:
+    """Make the root a mocap or free body; return the spec to use from now on and the root's name.
+
+    A fixed base is a mocap body, so its pose is state and can differ between environments. It has
+    no degrees of freedom and behaves as if fixed to the world, with one exception: MuJoCo lets the
+    children of a fixed body collide with it, but not those of a mocap body. Shapes that overlap at
+    the first joint are therefore harmless.
+
+    Raises:
+        ConfigError: If the file is empty, or has several bodies of which one floats.
+    """
+    tops = list(spec.worldbody.bodies)
+    if not tops:
+        raise ConfigError("the file contains no bodies")
+    root = tops[0]
+    floats = any(j.type == mujoco.mjtJoint.mjJNT_FREE for body in tops for j in body.joints)
+    if floats and len(tops) > 1:
+        names = ", ".join(repr(body.name) for body in tops)
+        message = f"one articulation is one tree, but the file contains free bodies: {names}"
+        raise ConfigError(message)
+    if not floats and (len(tops) > 1 or root.joints):
+        spec, root = _wrapped(spec)
+    for joint in list(root.joints):
+        spec.delete(joint)
+    root.mocap = fixed
+    if not fixed:
+        root.add_freejoint(name="free")
+    return spec, root.name
+
+
+def _wrapped(spec: mujoco.MjSpec) -> tuple[mujoco.MjSpec, mujoco.MjsBody]:
+    """Attach the whole world of a spec to a new body in a new spec."""
+    for body in spec.worldbody.bodies:
+        body.mocap = False
+    outer = mujoco.MjSpec()
+    outer.compiler.fusestatic = False
+    name = ROOT_NAME
+    while spec.body(name) is not None:
+        name = f"{name}_"
+    root = outer.worldbody.add_body(name=name)
+    outer.option = spec.option
+    outer.attach(spec, frame=root.add_frame(), prefix="")
+    return outer, root
+
+
+# ---------------------------------------------------------------------------------------- additions
+
+WHOLE = "default"
+"""EmbodiChain's name for the whole robot as a part."""
+_UNSCALED = np.ones(3)
+
+
+def check_attachments(
+    links: Sequence[str], attachments: Mapping[str, AttachmentCfg]
+) -> list[Problem]:
+    """Return every mistake, with paths in the articulation's config; `links` are the file's."""
+    problems: list[Problem] = []
+    for name, cfg in attachments.items():
+        path = f"attachments.{name}"
+        if name in links:
+            problems.append(Problem(path, "the file has a link of that name already"))
+        if cfg.link not in links:
+            problems.append(no_such("link", cfg.link, links, f"{path}.link"))
+        if isinstance(cfg.shape, PlaneCfg):
+            problems.append(Problem(f"{path}.shape", "a Plane cannot move"))
+        problems += below(path, [*check_shape(cfg.shape, _UNSCALED), *check_pose(cfg)])
+    return problems
+
+
+def add_attachments(spec: mujoco.MjSpec, attachments: Mapping[str, AttachmentCfg]) -> None:
+    """Add a body with one geom per checked attachment, as a child of its link."""
+    for number, (name, cfg) in enumerate(attachments.items()):
+        pos, quat = initial_pose(cfg)
+        body = spec.body(cfg.link).add_body(name=name, pos=pos, quat=quat)
+        geom = add_shape(spec, body, name, cfg.shape, _UNSCALED, number)
+        geom.mass = float(cfg.mass)
+        set_contact(body, float(cfg.dynamic_friction), cfg.enable_collision)
+
+
+@dataclass(frozen=True)
+class Tool:
+    """The tool point of a part.
+
+    Attributes:
+        end_link: Its parent link.
+        link: The link that is the tool point.
+        pose: Its position (3,) in metres and wxyz orientation in the frame of `end_link`; None is
+            that link's own frame.
+    """
+
+    end_link: str
+    link: str
+    pose: tuple[F64, F64] | None
+
+
+def resolve_tools(
+    cfg: ArticulationCfg, parts: Collection[str], links: Sequence[str]
+) -> tuple[dict[str, Tool], list[Problem]]:
+    """Return the tool point of each part that `solver_cfg` gives one, and every mistake.
+
+    Args:
+        cfg: The articulation's config.
+        parts: Its control parts.
+        links: The links of its file.
+    """
+    tools: dict[str, Tool] = {}
+    problems: list[Problem] = []
+    given = getattr(cfg, "solver_cfg", None) or {}
+    solvers: Mapping[str, SolverCfg] = {WHOLE: given} if isinstance(given, SolverCfg) else given
+    for part, solver in solvers.items():
+        path = f"solver_cfg.{part}"
+        if part not in parts and part != WHOLE:
+            problems.append(no_such("control part", part, [*parts, WHOLE], path))
+        for key in ("root_link_name", "end_link_name"):
+            name = getattr(solver, key)
+            if name is not None and name not in links:
+                problems.append(no_such("link", name, links, f"{path}.{key}"))
+        pose = None
+        if solver.tcp is not None and not np.array_equal(np.asarray(solver.tcp), np.eye(4)):
+            at = ObjectBaseCfg(init_local_pose=solver.tcp)
+            wrong = check_pose(at)
+            problems += [Problem(f"{path}.tcp", p.message) for p in wrong]
+            pose = None if wrong else initial_pose(at)
+        if solver.end_link_name is None:
+            if pose is not None:
+                message = "missing value: tcp is a pose in the frame of this link"
+                problems.append(Problem(f"{path}.end_link_name", message))
+            continue
+        name = "tcp" if part == WHOLE else f"{part}_tcp"
+        if pose is not None and name in links:
+            problems.append(Problem(f"{path}.tcp", f"the file has a link called {name!r} already"))
+        link = solver.end_link_name if pose is None else name
+        tools[part] = Tool(solver.end_link_name, link, pose)
+    return tools, problems
+
+
+def add_tools(spec: mujoco.MjSpec, tools: Mapping[str, Tool]) -> None:
+    """Add a massless body for each tool point that differs from a link's frame."""
+    for tool in tools.values():
+        if tool.pose is not None:
+            pos, quat = tool.pose
+            spec.body(tool.end_link).add_body(name=tool.link, pos=pos, quat=quat)
