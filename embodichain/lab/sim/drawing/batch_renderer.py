@@ -7,8 +7,7 @@ on N or on the other environments.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -30,87 +29,18 @@ from embodichain.lab.sim.drawing.shaders import (
     SHADOW_VERTEX,
 )
 from embodichain.lab.sim.drawing.textures import SceneTextures
+from embodichain.lab.sim.drawing.views import DrawnState, Optics, Pictures, View
 
-__all__ = ["BatchRenderer", "DrawnState", "Look", "Optics", "Output", "Pictures", "View"]
+__all__ = ["BatchRenderer"]
 
 F32 = NDArray[np.float32]
-Look = Literal["fast", "full"]
-Output = Literal["color", "depth", "mask"]
 _CHUNK_BYTES = 256 * 2**20
 _UNITS = {"poses": 0, "looks": 1, "views": 2, "lights": 3, "shadowViews": 4, "textures": 5}
 _SHADOW_UNIT = 6
 _GREY = np.array([0.5, 0.5, 0.5, 1.0], np.float32)
 _SHADOW_PIXELS = 1024
-import os
-MOST=int(os.environ.get("MOST","300"))
-
-
-class DrawnState(Protocol):
-    """What is drawn: an engine, or states that were recorded of one."""
-
-    model: mujoco.MjModel
-    num_envs: int
-
-    def derived(self, name: str) -> NDArray[np.float64]:
-        """(N, ...) a field of MjData at the present poses: ``geom_xpos``, ``cam_xmat``..."""
-        ...
-
-    def drawn_field(self, name: str) -> NDArray[Any]:
-        """(N or 1, ...) a field of MjModel; one row if the environments share it."""
-        ...
-
-
-@dataclass(frozen=True)
-class Optics:
-    """A pinhole camera.
-
-    Attributes:
-        width, height: Pixels.
-        focal: fx, fy in pixels.
-        centre: cx, cy in pixels from the top left corner.
-        near, far: Metres along the axis.
-    """
-
-    width: int
-    height: int
-    focal: tuple[float, float]
-    centre: tuple[float, float]
-    near: float = 0.005
-    far: float = 100.0
-
-    @classmethod
-    def of_fovy(
-        cls, width: int, height: int, fovy: float, near: float = 0.005, far: float = 100.0
-    ) -> Optics:
-        """Square pixels, the axis in the middle; `fovy` in degrees."""
-        focal = height / (2.0 * np.tan(np.radians(fovy) / 2.0))
-        return cls(width, height, (focal, focal), (width / 2.0, height / 2.0), near, far)
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """One camera of all environments.
-
-    Attributes:
-        optics: Its lens; `focal` may differ between environments, see `focal`.
-        position: (N or 1, 3) m.
-        axes: (N or 1, 3, 3) rotation matrix: columns are right, up and backwards (OpenGL).
-        focal: (N, 2) fx, fy in pixels instead of those of `optics`, or None.
-        outputs: What is wanted.
-        look: ``fast`` or ``full``.
-    """
-
-    optics: Optics
-    position: NDArray[Any]
-    axes: NDArray[Any]
-    focal: NDArray[Any] | None = None
-    outputs: tuple[Output, ...] = ("color",)
-    look: Look = "fast"
-
-
-Pictures = dict[str, NDArray[Any]]
-"""``color`` (n, H, W, 4) uint8, ``depth`` (n, H, W) float32 m along the axis, 0 where there is
-nothing, ``mask`` (n, H, W) int32 ids of geoms, -1 where there is nothing."""
+_TRIANGLES = 300
+"""Triangles of a mesh after simplification."""
 
 
 class BatchRenderer:
@@ -126,7 +56,7 @@ class BatchRenderer:
     def __init__(self, model: mujoco.MjModel) -> None:
         self.context = Context()
         self._model = model
-        self._geometry = SceneGeometry.of_model(model, 24, MOST)
+        self._geometry = SceneGeometry.of_model(model, 24, _TRIANGLES)
         self._types = model.geom_type[self._geometry.geoms]
         self._textures = SceneTextures(model, _UNITS["textures"])
         self._buffers = VertexBuffers(self._geometry.vertices, self._geometry.triangles)
@@ -152,24 +82,21 @@ class BatchRenderer:
             The pictures of each view, n rows each.
         """
         rows = np.arange(state.num_envs) if envs is None else envs
-        found: list[Pictures] = [{} for _ in views]
-        if not len(rows):
-            return found
         most = self._most(views)
-        for start in range(0, len(rows), most):
-            chunk = rows[start : start + most]
-            parts = self._draw_chunk(state, views, chunk)
-            for pictures, part in zip(found, parts, strict=True):
-                for name, values in part.items():
-                    pictures.setdefault(name, []).append(values)  # type: ignore[arg-type, union-attr]
+        starts = range(0, max(len(rows), 1), most)
+        chunks = [self._draw_chunk(state, views, rows[start : start + most]) for start in starts]
+        if len(chunks) == 1:
+            return chunks[0]
         return [
-            {k: v[0] if len(v) == 1 else np.concatenate(v) for k, v in pictures.items()}
-            for pictures in found
+            {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+            for parts in zip(*chunks, strict=True)
         ]
 
     def _most(self, views: Sequence[View]) -> int:
         """How many environments are drawn at once: bounded by layers, and by memory."""
-        pixels = sum(v.optics.width * v.optics.height * (16 if v.look == "full" else 4) for v in views)
+        pixels = sum(
+            v.optics.width * v.optics.height * (16 if v.look == "full" else 4) for v in views
+        )
         by_memory = _CHUNK_BYTES // max(1, 4 * pixels)
         return max(1, min(by_memory, self.context.max_layers // max(1, len(views))))
 
@@ -184,20 +111,22 @@ class BatchRenderer:
         # Views of one size and look are layers of one target.
         groups: dict[Any, list[int]] = {}
         for index, view in enumerate(views):
-            key = view.optics.width, view.optics.height
+            size = view.optics.width, view.optics.height
             if "color" in view.outputs and view.look == "full":
-                groups.setdefault((*key, ("color",), True), []).append(index)
+                groups.setdefault((*size, ("color",), True), []).append(index)
             rest = tuple(o for o in view.outputs if o != "color" or view.look == "fast")
             if rest:
-                groups.setdefault((*key, rest, False), []).append(index)
+                groups.setdefault((*size, rest, False), []).append(index)
         for (width, height, outputs, is_full), members in groups.items():
-            key = width, height, len(rows) * len(members), outputs, is_full
+            layers = len(rows) * len(members)
+            key = width, height, layers, outputs, is_full
             target = self._targets.get(key)
             if target is None:
                 self._forget_targets()
-                target = self._targets[key] = LayeredTarget(*key[:3], outputs, halved=is_full)
+                target = LayeredTarget(width, height, layers, outputs, halved=is_full)
+                self._targets[key] = target
             self._upload_views([views[i] for i in members], rows)
-            self._draw_into(target, len(rows) * len(members), is_full, shadow_light, state)
+            self._draw_into(target, layers, is_full, shadow_light, state)
             for name in outputs:
                 values = target.empty(name)
                 target.read(name, values)
@@ -327,9 +256,9 @@ class BatchRenderer:
                 self._buffers.draw(0, triangles, layers)
 
     def _any_transparent(self, state: DrawnState) -> bool:
-        colours = [state.drawn_field("geom_rgba").reshape(-1, 4)]
+        colours = [state.model_values("geom_rgba").reshape(-1, 4)]
         if self._model.nmat:
-            colours.append(state.drawn_field("mat_rgba").reshape(-1, 4))
+            colours.append(state.model_values("mat_rgba").reshape(-1, 4))
         return any(bool((c[:, 3] < 1.0).any()) for c in colours)
 
     def _draw_shadows(self, state: DrawnState, rows: NDArray[np.int64]) -> int:
@@ -378,7 +307,7 @@ class _Rows:
         self._state, self._rows = state, rows
 
     def __call__(self, name: str, width: int) -> NDArray[Any]:
-        values = self._state.drawn_field(name)
+        values = self._state.model_values(name)
         found = values if len(values) == 1 else values[self._rows]
         return found.reshape(len(found), -1, width) if width else found.reshape(len(found), -1)
 

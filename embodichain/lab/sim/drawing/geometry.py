@@ -164,8 +164,8 @@ def _upwards(points: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _grid(rows: int, columns: int, place: Any, normal: Any) -> tuple[NDArray[Any], Triangles]:
     """A surface over the unit square, (rows x columns) quads; x grows with u, y falls with v."""
-    v, u = np.meshgrid(np.linspace(0, 1, rows + 1), np.linspace(0, 1, columns + 1), indexing="ij")
-    u, v = u.reshape(-1), v.reshape(-1)
+    u = np.tile(np.linspace(0, 1, columns + 1), rows + 1)
+    v = np.repeat(np.linspace(0, 1, rows + 1), columns + 1)
     points = np.stack(place(u, v), axis=1)
     return _vertices(points, normal(points), np.stack([u, v], axis=1)), _quads(rows, columns)
 
@@ -183,8 +183,8 @@ def _round(
 ) -> tuple[NDArray[Any], Triangles]:
     """A unit sphere by rings of polar angles; those up to `ring` are the upper cap of a capsule."""
     stacks = len(polar) - 1
-    angle, polar_of = np.meshgrid(np.linspace(0, 2 * np.pi, slices + 1), polar)
-    angle, polar_of = angle.reshape(-1), polar_of.reshape(-1)
+    grid = np.meshgrid(np.linspace(0, 2 * np.pi, slices + 1), polar)
+    angle, polar_of = grid[0].reshape(-1), grid[1].reshape(-1)
     sine = np.sin(polar_of)
     points = np.stack([sine * np.cos(angle), sine * np.sin(angle), np.cos(polar_of)], axis=1)
     end: Any = 0.0

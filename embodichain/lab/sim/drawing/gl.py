@@ -182,8 +182,8 @@ class VertexBuffers:
         GL.glBindBuffer(GL.GL_ELEMENT_ARRAY_BUFFER, faces)
         flat = np.ascontiguousarray(triangles)
         GL.glBufferData(GL.GL_ELEMENT_ARRAY_BUFFER, flat.nbytes, flat, GL.GL_STATIC_DRAW)
-        assert vertices.dtype.fields is not None
-        for place, (kind, offset) in enumerate(v[:2] for v in vertices.dtype.fields.values()):
+        fields = (vertices.dtype.fields or {}).values()
+        for place, (kind, offset) in enumerate(field[:2] for field in fields):
             size = int(np.prod(kind.shape, dtype=np.int64))
             GL.glEnableVertexAttribArray(place)
             start = ctypes.c_void_p(offset)
@@ -195,9 +195,7 @@ class VertexBuffers:
 
         GL.glBindVertexArray(self._array)
         start = ctypes.c_void_p(12 * first)
-        GL.glDrawElementsInstanced(
-            GL.GL_TRIANGLES, 3 * count, GL.GL_UNSIGNED_INT, start, instances
-        )
+        GL.glDrawElementsInstanced(GL.GL_TRIANGLES, 3 * count, GL.GL_UNSIGNED_INT, start, instances)
 
     def draw_background(self, instances: int) -> None:
         """Draw one triangle behind everything else of every picture."""
@@ -281,7 +279,7 @@ class LayeredTarget:
 
     @contextmanager
     def color_alone(self, blended: bool = False) -> Iterator[None]:
-        """Within it, depth and mask stay as they are; blended, colours mix behind what is nearer."""
+        """Within it, only colour is written; blended, it mixes with what is behind."""
         from OpenGL import GL
 
         for place in (1, 2):
