@@ -164,6 +164,12 @@ class Engine(Protocol):
     def model_field(self, field: str) -> NDArray[Any]:
         """(N, size) flattened per-environment values of a model field. Do not write."""
 
+    def model_values(self, field: str) -> NDArray[Any]:
+        """(N or 1, ...) values of a model field; one row if all environments share it.
+
+        Unlike `model_field`, it does not make the field one that differs. Do not write.
+        """
+
     def set_const(self, env_ids: EnvIndex | None = None) -> None:
         """Recompute derived model constants (`mj_setConst`) immediately."""
 

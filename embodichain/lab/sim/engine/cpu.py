@@ -254,6 +254,12 @@ class CpuEngine(Engine):
             self._set_const_now()
         return fields.view(field)
 
+    def model_values(self, field: str) -> NDArray[Any]:
+        fields = self._fields
+        if fields.stale and field in DERIVED_FIELDS:
+            self._set_const_now()
+        return fields.values(field)
+
     def set_const(self, env_ids: EnvIndex | None = None) -> None:
         self._call(self._batch.set_const, env_ids)
         self._mark(env_ids)
