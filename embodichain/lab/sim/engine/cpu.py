@@ -196,6 +196,7 @@ class CpuEngine(Engine):
         elif not self._all_dirty:
             self._dirty[env_ids] = False
             self._any_dirty = bool(self._dirty.any())
+        self.version += 1
         self._notify(Write("forward", "", env_ids, ALL, None))
 
     def _call(self, function: Any, *args: Any, **kwargs: int) -> EnvIndex | None:
