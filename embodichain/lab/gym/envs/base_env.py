@@ -442,7 +442,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         for observer in self.observers:
             observer.on_reset(self, ids)
         obs = self._observe_reset(ids, {})
-        missing = restoring.not_restored(snapshot, self.sim.engine.model, self.managers)
+        missing = restoring.not_restored(snapshot, self.sim, self.managers)
         return obs, {**self.get_info(), "not_restored": missing}
 
     def state_dict(self) -> dict[str, Any]:

@@ -98,6 +98,8 @@ def plan_sensor(
         name = getattr(cfg, "sensor_type", "") or type(cfg).__name__
         return None, [Problem("sensor_type", f"no sensor {name!r}; there are: {types}")]
     links, problems = _links("entity_cfg", cfg.entity_cfg, known, open_scene)
+    if cfg.rate is not None and not 0 < cfg.rate < np.inf:
+        problems.append(Problem("rate", f"must be positive and finite, Hz, got {cfg.rate!r}"))
     if isinstance(cfg, ImuSensorCfg):
         links, found = _one(cfg.entity_cfg, links, known)
         problems += found + _check_mount(cfg)
