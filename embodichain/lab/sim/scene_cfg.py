@@ -86,7 +86,7 @@ class GroundCfg:
     tile: Length = 1.0
     """Metres: edge of a tile, length of a plank."""
     size: Length | None = None
-    """Metres: edge of the drawn square around the origin; None is endless. Collisions always are."""
+    """Metres: edge of the drawn square around the origin; None is endless, as collisions are."""
     reflectance: Share = 0.0
     """Share of mirrored light; a mirror draws the scene twice."""
 
@@ -140,7 +140,7 @@ class SceneCfg:
     fpath: str | None = None
     """An MJCF file: its bodies, lights, cameras and materials; the ground is then its own."""
     keyframe: str | None = None
-    """The file's keyframe with the initial state; None is `home`, else the first, else no keyframe."""
+    """The file's keyframe with the initial state; None is ``home``, else the first, if any."""
     ground: GroundCfg | None = None
     """None is a checker, or no ground if there is a file."""
     sky: SkyCfg | None = None
@@ -176,7 +176,7 @@ class ViewCfg:
     fovy: Annotated[float, Field(gt=0, lt=180)] | None = None
     """Vertical field of view in degrees; None is 40, or the camera's."""
     body: str | None = None
-    """An entity, or ``uid/LINK``, that the camera follows; `eye` and `target` are relative to it."""
+    """An entity, or ``uid/LINK``, that it follows; `eye` and `target` are relative to it."""
     follow: Literal["position", "pose"] = "position"
     """``position``: the view does not turn with `body`. ``pose``: it is fixed on it, and `eye` and
     `target` are in its frame."""

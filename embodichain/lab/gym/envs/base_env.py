@@ -22,12 +22,13 @@ from embodichain.lab.gym.envs import restoring, scene_setup
 from embodichain.lab.gym.envs.cfg import EnvCfg
 from embodichain.lab.gym.envs.env_reads import EnvReads
 from embodichain.lab.gym.envs.episodes import Episodes, add_finals, parse_mode, seed_globals, zeroed
-from embodichain.lab.gym.envs.hooks import EnvHooks, overridden_hooks
+from embodichain.lab.gym.envs.hooks import EnvHooks, overridden_hooks, set_extensions
 from embodichain.lab.gym.envs.judging import StateDump, StepJudge, as_mask, none_set, reset_ids
 from embodichain.lab.gym.envs.managers.action_manager import (
     ActionCheck,
     ActionManager,
     action_space,
+    default_actions,
 )
 from embodichain.lab.gym.envs.managers.drawing import CommandManager, EventManager
 from embodichain.lab.gym.envs.managers.manager import CurriculumManager, Manager
@@ -37,11 +38,10 @@ from embodichain.lab.gym.envs.managers.value_managers import (
     RewardManager,
     TerminationManager,
 )
-from embodichain.lab.gym.envs.observation import Observation
+from embodichain.lab.gym.envs.observation import Observation, observation_space
 from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
 from embodichain.lab.gym.envs.observers import Observers, StepRecord
 from embodichain.lab.gym.envs.snapshot import Snapshot, SnapshotSource
-from embodichain.lab.gym.utils.spaces import observation_space
 from embodichain.lab.sim.objects._arrays import as_env_ids
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
@@ -150,7 +150,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         has_space = getattr(self, "single_action_space", None) is not None
         chosen = has_space or self.active_joint_ids or "_step_action" in self.overridden
         if self.drives_robot and not chosen:
-            cfg.actions = scene_setup.default_actions(self.robot)
+            cfg.actions = default_actions(self.robot)
             self.drives_robot = not cfg.actions
         if self.robot is not None and not self.active_joint_ids:
             self.active_joint_ids = list(self.robot.active_joint_ids)
@@ -158,7 +158,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         scene_setup.add_declared_scene(sim, cfg)
         sensors = self._setup_sensors(**kwargs) or {}
         self.sensors = {**scene_setup.add_declared_sensors(sim, cfg), **sensors}
-        scene_setup.set_extensions(self, cfg.extensions)
+        set_extensions(self, cfg.extensions)
         sim.compile()
         scene_setup.open_window(sim, cfg.sim_cfg)
 
@@ -443,7 +443,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         for observer in self.observers:
             observer.on_reset(self, ids)
         obs = self._observe_reset(ids, {})
-        missing = restoring.not_restored(snapshot, self.sim.engine.model, self.managers)
+        missing = restoring.not_restored(snapshot, self.sim, self.managers)
         return obs, {**self.get_info(), "not_restored": missing}
 
     def state_dict(self) -> dict[str, Any]:

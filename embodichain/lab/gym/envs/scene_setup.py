@@ -11,15 +11,15 @@ import copy
 import dataclasses
 import logging
 import math
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
-from embodichain.lab.gym.envs.cfg import NO_LIMIT, ActionTermCfg, EnvCfg, EventCfg, SceneEntityCfg
+from embodichain.lab.gym.envs.cfg import NO_LIMIT, EnvCfg, EventCfg
 from embodichain.lab.gym.envs.managers.aliases import AliasSpec
 from embodichain.lab.gym.envs.managers.check import check_terms
 from embodichain.lab.gym.envs.managers.param_types import NamedEntity
 from embodichain.lab.gym.envs.managers.registry import SECTIONS, TERMS
+from embodichain.lab.gym.envs.managers.scene_entity import references_in
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
     LightCfg,
@@ -45,7 +45,7 @@ from embodichain.lab.sim.compiler.scene_sensors import plan_sensors
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.lab.sim.scene_cfg import SceneCfg
 from embodichain.lab.sim.viewer import has_display
-from embodichain.utils.errors import ConfigError, Problem, below
+from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
 if TYPE_CHECKING:
@@ -57,12 +57,10 @@ __all__ = [
     "add_declared_robots",
     "add_declared_scene",
     "add_declared_sensors",
-    "default_actions",
     "describe",
     "drive_changes",
     "frozen_cfg",
     "open_window",
-    "set_extensions",
     "with_all_problems",
 ]
 
@@ -114,7 +112,7 @@ def _check_surroundings(cfg: EnvCfg) -> list[Problem]:
         return []
     from embodichain.lab.sim.compiler.furniture import check_pedestal
 
-    return below("scene.pedestal", check_pedestal(scene.pedestal, _base(cfg)))
+    return [p.below("scene.pedestal") for p in check_pedestal(scene.pedestal, _base(cfg))]
 
 
 def _scene(cfg: EnvCfg) -> SceneCfg:
@@ -282,19 +280,12 @@ def _parse(
             found = check_object(cfg)
         elif isinstance(cfg, LightCfg):
             found = check_light(cfg)
-        problems += below(path, found)
+        problems += [p.below(path) for p in found]
     return parsed, problems
-
-
-_FIELDS = frozenset(SceneEntityCfg.__dataclass_fields__)
-_KEY = re.compile(r"(.*_)?(entity_cfg|cfg|relative_to)|of|from|to")
 
 
 def check_references(cfg: EnvCfg, known: Known, open_scene: bool) -> list[Problem]:
     """Return every reference to an entity, joint, link or control part that does not exist.
-
-    A parameter is a reference if it is a `SceneEntityCfg`, or a map with only its keys that has
-    ``uid`` or is named like one (``of``, ``from``, ``to``, ``..._cfg``, ``relative_to``).
 
     Args:
         cfg: The task.
@@ -306,7 +297,7 @@ def check_references(cfg: EnvCfg, known: Known, open_scene: bool) -> list[Proble
         for name, term in getattr(cfg, section).items():
             spec = TERMS[kind].get(term.func) if isinstance(term.func, str) else None
             of_light = spec is not None and NamedEntity in spec.hints().values()
-            for path, fields in _references(f"{section}.{name}.params", term.params):
+            for path, fields in references_in(f"{section}.{name}.params", term.params):
                 if of_light:
                     problems += _check_light(path, str(fields.get("uid") or ""), known, open_scene)
                 else:
@@ -320,23 +311,6 @@ def _check_light(path: str, uid: str, known: Known, open_scene: bool) -> list[Pr
         return []
     message = f"no light is called {uid!r}; there are: {listing(lights, uid)}"
     return [Problem(f"{path}.uid", message, did_you_mean(uid, lights).strip())]
-
-
-def _references(path: str, params: Any) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    """Key path and fields of every reference within parameters."""
-    items: Any = params.items() if isinstance(params, Mapping) else ()
-    for key, value in enumerate(params) if isinstance(params, (list, tuple)) else items:
-        where = f"{path}.{key}"
-        if isinstance(value, SceneEntityCfg):
-            yield where, vars(value)
-        elif (
-            isinstance(value, Mapping)
-            and ("uid" in value or _KEY.fullmatch(str(key)))
-            and _FIELDS.issuperset(value)
-        ):
-            yield where, value
-        else:
-            yield from _references(where, value)
 
 
 # -- draws of events -------------------------------------------------------------------------------
@@ -479,24 +453,6 @@ def add_declared_sensors(sim: SimulationManager, cfg: EnvCfg) -> dict[str, BaseS
     return sensors
 
 
-def set_extensions(env: object, extensions: dict[str, Any]) -> None:
-    """Set ``extensions`` as attributes of an environment.
-
-    Raises:
-        ConfigError: If the environment has an attribute of that name already.
-    """
-    taken = [key for key in extensions if not key.isidentifier() or hasattr(env, key)]
-    if taken:
-        raise ConfigError(
-            [
-                Problem(f"extensions.{key}", "taken by the environment, or not a name")
-                for key in taken
-            ]
-        )
-    for key, value in extensions.items():
-        setattr(env, key, value)
-
-
 def with_all_problems(error: ConfigError, cfg: EnvCfg, built_by_hooks: bool) -> ConfigError:
     """Return an error with every mistake of the config, not only the one that stopped the build.
 
@@ -513,18 +469,6 @@ def with_all_problems(error: ConfigError, cfg: EnvCfg, built_by_hooks: bool) -> 
     if any(p.path == q.path for p in found for q in problems):
         found = []  # the same mistake with another message
     return ConfigError([*problems, *found]) if problems else error
-
-
-def default_actions(robot: Robot | None) -> dict[str, ActionTermCfg]:
-    """Return the action term of an MJCF robot with actuators in its file; else an empty dict."""
-    if robot is None:
-        return {}
-    parsed = robot.parsed
-    passive = any(not parsed.drives[i] for i in robot.active_joint_ids)
-    if parsed.own_actuators or (passive and parsed.control_names):
-        params = {"entity_cfg": SceneEntityCfg(uid=robot.uid)}
-        return {"ctrl": ActionTermCfg(func="actuator_ctrl", params=params)}
-    return {}
 
 
 def open_window(sim: SimulationManager, cfg: SimulationManagerCfg) -> None:

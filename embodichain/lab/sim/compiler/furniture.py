@@ -1,4 +1,4 @@
-"""The table and the pedestal of a scene: static rigid objects, with legs and wood where declared."""
+"""The table and the pedestal of a scene: static rigid objects."""
 
 from __future__ import annotations
 

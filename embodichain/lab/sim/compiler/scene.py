@@ -36,7 +36,7 @@ from embodichain.lab.sim.compiler.scene_sensors import (
 )
 from embodichain.lab.sim.compiler.views import add_views, place_views, scene_bounds
 from embodichain.lab.sim.scene_cfg import GroundCfg
-from embodichain.utils.errors import ConfigError, Problem, below
+from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_multiply, quat_rotate
 
 __all__ = ["CompiledScene", "SceneParts", "compile_scene"]
@@ -208,7 +208,7 @@ def compile_scene(
     roots = {p.uid: f"{p.uid}/{p.root_link_name}" for p in articulations}
     problems = add_views(spec, sim_cfg.views, roots)
     if problems:
-        raise ConfigError(below("views", problems))
+        raise ConfigError(p.below("views") for p in problems)
     try:
         model = compile_quietly(spec)
     except MUJOCO_ERRORS as error:
@@ -244,7 +244,7 @@ def _check(
         problems += check_uid(uid, uid, taken)
         taken[uid] = "another entity"
     for uid, cfg in objects.items():
-        problems += below(uid, check_object(cfg))
+        problems += [p.below(uid) for p in check_object(cfg)]
     masked = [p.uid for p in articulations if p.cfg.disable_self_collision]
     if len(masked) > MAX_MASKED:
         message = f"at most {MAX_MASKED} articulations of a scene can do without self-collision"

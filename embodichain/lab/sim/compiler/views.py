@@ -16,7 +16,7 @@ from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
 if TYPE_CHECKING:
-    from embodichain.lab.sim.compiler.index import EntityIndex
+    pass
 
 __all__ = ["DEFAULT_VIEW", "add_views", "check_view", "place_views", "scene_bounds"]
 
@@ -123,6 +123,7 @@ def place_views(
         spec: The scene; its cameras are set too, for saved files.
         model: The compiled scene; its cameras are changed.
         data: The initial state, with positions computed.
+        views: The declared views.
     """
     shown = _shown(model, data)
     middle = 0.5 * (shown.min(axis=0) + shown.max(axis=0))
@@ -182,9 +183,9 @@ def _axes(back: F64, up: Sequence[float]) -> F64:
 def _standing_back(shown: F64, axes: F64, fovy: float, target: Sequence[float] | None) -> F64:
     """Return the camera position (3,) from which points (n, 3) just fill the picture.
 
-    With slope t of a side of the view, a camera at (a, c) in the plane of one axis and the view sees
-    a point (x, z) if |x - a| <= t (c - z). So c t + a >= max(x + t z) and c t - a >= max(-x + t z):
-    both are equal for the nearest camera, or, if `target` fixes a, the larger c counts.
+    With slope t of a side of the view, a camera at (a, c) in the plane of one axis and the view
+    shows a point (x, z) if |x - a| <= t (c - z), so t c + a >= max(x + t z) = high and
+    t c - a >= max(t z - x) = low. The nearest camera has a = (high - low) / 2; `target` fixes a.
     """
     local = shown @ axes
     aim = None if target is None else np.asarray(target, np.float64) @ axes
@@ -222,7 +223,7 @@ def _shown(model: mujoco.MjModel, data: mujoco.MjData) -> F64:
     geoms = np.flatnonzero(of_bodies if of_bodies.any() else drawn)
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, 8).T
     if not len(geoms):
-        empty: F64 = 0.3 * (signs + [0, 0, 1])
+        empty: F64 = 0.3 * (signs + np.array([0, 0, 1]))
         return empty
     boxes = model.geom_aabb[geoms]
     corners = boxes[:, None, :3] + signs * boxes[:, None, 3:]
