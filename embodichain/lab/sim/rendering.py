@@ -110,6 +110,7 @@ class SceneRenderer:
 
     def __init__(self, model: mujoco.MjModel, width: int, height: int) -> None:
         self.size = (width, height)
+        self._first = True
         self._option = mujoco.MjvOption()
         self._camera = mujoco.MjvCamera()
         self._cameras = [model.camera(i).name for i in range(model.ncam)]
@@ -153,6 +154,9 @@ class SceneRenderer:
         )
         if isinstance(camera, View):
             camera.aim(self._renderer.scene)
+        if self._first:  # the first picture of a context differs from the others by rounding
+            self._renderer.render()
+            self._first = False
         picture: np.ndarray[Any, np.dtype[np.uint8]] = self._renderer.render().copy()
         return picture
 

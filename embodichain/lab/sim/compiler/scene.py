@@ -186,8 +186,6 @@ def compile_scene(
     spec.compiler.degree = False
     _apply_options(spec, sim_cfg)
     set_look(spec, sim_cfg.scene)
-    if sim_cfg.has_ground:
-        add_ground(spec, sim_cfg.scene.ground or GroundCfg())
     add_lights(spec, lights)
     masked = 0
     notes: list[str] = []
@@ -197,6 +195,8 @@ def compile_scene(
             masked += 1
             separate(child, masked)
         notes += _attach(spec, child, parsed)
+    if sim_cfg.has_ground:
+        add_ground(spec, sim_cfg.scene.ground or GroundCfg())
     for number, (uid, cfg) in enumerate(objects.items()):
         add_object(spec, uid, cfg, number)
     table = sim_cfg.scene.table

@@ -18,6 +18,8 @@ WOOD_LENGTH = 1.0
 _PIXELS = 512
 _PLANKS = 8
 """Planks of one image across y."""
+_LEVELS = 24
+"""Shades: more are not visible, and cost 3 kB a shade in every log."""
 
 
 def add_wood(
@@ -47,11 +49,11 @@ def add_wood(
 def _png(light: tuple[float, ...], dark: tuple[float, ...], planks: bool) -> bytes:
     from PIL import Image
 
-    shade = wood(planks)[..., None]
+    shade = np.round(_LEVELS * wood(planks)[..., None]) / _LEVELS
     rgb = np.asarray(light) * shade + np.asarray(dark) * (1.0 - shade)
     buffer = io.BytesIO()
     image = Image.fromarray(np.clip(255.0 * rgb + 0.5, 0.0, 255.0).astype(np.uint8))
-    image.save(buffer, format="PNG", compress_level=1)
+    image.save(buffer, format="PNG")
     return buffer.getvalue()
 
 
