@@ -119,23 +119,25 @@ def display_path(path: Path) -> str:
     return str(resolved.relative_to(here)) if resolved.is_relative_to(here) else str(resolved)
 
 
-@dataclass(frozen=True)
 class Locator:
     """Finds the source of dotted key paths.
 
-    Attributes:
-        read: Reads the composed files, called at the first query; if two set a key, the later
+    Args:
+        files: Reads the composed files, called at the first query; if two set a key, the later
             wins.
         overrides: Value overrides, applied after all files.
     """
 
-    read: Callable[[], Sequence[ConfigFile]]
-    overrides: Sequence[Override] = ()
+    def __init__(
+        self, files: Callable[[], Sequence[ConfigFile]], overrides: Sequence[Override] = ()
+    ) -> None:
+        self._read = files
+        self.overrides = tuple(overrides)
 
     @cached_property
     def files(self) -> tuple[ConfigFile, ...]:
         """The composed files."""
-        return tuple(self.read())
+        return tuple(self._read())
 
     def source(self, path: str) -> str:
         """Return ``FILE:LINE`` or ``command line`` of a key, or of its nearest ancestor.
