@@ -314,6 +314,9 @@ class SimulationManager:
         for handle in chosen:
             if isinstance(handle, Articulation):
                 handle.forget_targets(ids)
+        if only is None:
+            for sensor in self.sensors.values():
+                sensor.reset(ids)
 
     # -- rendering -----------------------------------------------------------------------------
 
@@ -371,6 +374,7 @@ class SimulationManager:
             "drives": {uid: h.drives.state_dict() for uid, h in self._scene.jointed.items()},
             "objects": {uid: o.state_dict() for uid, o in self.rigid_objects.items()},
             "lights": {uid: light.state_dict() for uid, light in self.lights.items()},
+            "sensors": {uid: sensor.state_dict() for uid, sensor in self.sensors.items()},
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -383,6 +387,8 @@ class SimulationManager:
             self.rigid_objects[uid].load_state_dict(properties)
         for uid, light in state.get("lights", {}).items():  # states of older releases have none
             self.lights[uid].load_state_dict(light)
+        for uid, sensor in self.sensors.items():
+            sensor.load_state_dict(state.get("sensors", {}).get(uid, {}))
 
     def enable_physics(self, enable: bool = True) -> None:
         """Switch physics on or off; while it is off, `update` takes no steps.
