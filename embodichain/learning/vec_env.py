@@ -19,7 +19,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
 from embodichain.lab.gym.envs.judging import none_set
-from embodichain.lab.gym.utils.spaces import named_obs
+from embodichain.lab.gym.envs.observation import named_obs
 from embodichain.learning.spaces import (
     ActionScale,
     flat_observation,
@@ -219,7 +219,7 @@ class SB3VecEnv(VecEnv):
         """
         if self.render_mode != "rgb_array":
             return [None] * self.num_envs
-        return [self.base.sim.render(i) for i in range(self.num_envs)]
+        return list(self.base.sim.render(None))
 
     # -- attributes and methods of the batched environment -------------------------------------
 

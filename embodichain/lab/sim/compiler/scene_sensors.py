@@ -17,7 +17,7 @@ from embodichain.lab.sim.sensors.cfg import (
     LinksCfg,
     SensorCfg,
 )
-from embodichain.utils.errors import Problem, below
+from embodichain.utils.errors import Problem
 
 __all__ = [
     "SensorIndex",
@@ -71,7 +71,7 @@ def plan_sensors(
         if cfg.uid not in (None, "", uid):
             message = f"the key {uid!r} is its uid; it cannot be {cfg.uid!r}: leave uid out"
             found = [Problem("uid", message), *found]
-        problems += below(path, found)
+        problems += [p.below(path) for p in found]
         if plan is not None:
             plans[uid] = plan
     return plans, problems
@@ -98,6 +98,8 @@ def plan_sensor(
         name = getattr(cfg, "sensor_type", "") or type(cfg).__name__
         return None, [Problem("sensor_type", f"no sensor {name!r}; there are: {types}")]
     links, problems = _links("entity_cfg", cfg.entity_cfg, known, open_scene)
+    if cfg.rate is not None and not 0 < cfg.rate < np.inf:
+        problems.append(Problem("rate", f"must be positive and finite, Hz, got {cfg.rate!r}"))
     if isinstance(cfg, ImuSensorCfg):
         links, found = _one(cfg.entity_cfg, links, known)
         problems += found + _check_mount(cfg)

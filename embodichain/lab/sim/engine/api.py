@@ -93,7 +93,8 @@ class Engine(Protocol):
     """
 
     version: int
-    """Increases with every change that may affect positions, velocities or the model."""
+    """Increases with every change that may affect positions, velocities, accelerations or the
+    model."""
     model: mujoco.MjModel
     num_envs: int
     listeners: list[EngineListener]
@@ -162,6 +163,12 @@ class Engine(Protocol):
 
     def model_field(self, field: str) -> NDArray[Any]:
         """(N, size) flattened per-environment values of a model field. Do not write."""
+
+    def model_values(self, field: str) -> NDArray[Any]:
+        """(N or 1, ...) values of a model field; one row if all environments share it.
+
+        Unlike `model_field`, it does not make the field one that differs. Do not write.
+        """
 
     def set_const(self, env_ids: EnvIndex | None = None) -> None:
         """Recompute derived model constants (`mj_setConst`) immediately."""

@@ -38,7 +38,8 @@ _STAGE_ACC = int(mujoco.mjtStage.mjSTAGE_ACC)
 KINEMATIC_STAGES = dict.fromkeys(
     (
         "xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "geom_xpos", "geom_xmat",
-        "site_xpos", "site_xmat", "subtree_com", "cdof",
+        "site_xpos", "site_xmat", "cam_xpos", "cam_xmat", "light_xpos", "light_xdir",
+        "subtree_com", "cdof",
     ),
     _STAGE_POS,
 ) | dict.fromkeys(("cvel", "cdof_dot", "sensordata"), _STAGE_VEL)  # fmt: skip
@@ -195,6 +196,7 @@ class CpuEngine(Engine):
         elif not self._all_dirty:
             self._dirty[env_ids] = False
             self._any_dirty = bool(self._dirty.any())
+        self.version += 1
         self._notify(Write("forward", "", env_ids, ALL, None))
 
     def _call(self, function: Any, *args: Any, **kwargs: int) -> EnvIndex | None:
@@ -252,6 +254,12 @@ class CpuEngine(Engine):
         if fields.stale and field in DERIVED_FIELDS:
             self._set_const_now()
         return fields.view(field)
+
+    def model_values(self, field: str) -> NDArray[Any]:
+        fields = self._fields
+        if fields.stale and field in DERIVED_FIELDS:
+            self._set_const_now()
+        return fields.values(field)
 
     def set_const(self, env_ids: EnvIndex | None = None) -> None:
         self._call(self._batch.set_const, env_ids)

@@ -90,6 +90,12 @@ class ModelFields:
                 self.resets_alike = False
         return view
 
+    def values(self, name: str) -> NDArray[Any]:
+        """(N, ...) values of an expanded field, (1, ...) of another."""
+        found = self._batch.expanded(name) if name in mjbatch.MODEL_FIELDS else None
+        shared: NDArray[Any] = np.asarray(getattr(self._batch.model, name))[None]
+        return shared if found is None else found
+
     def internal(self, name: str) -> NDArray[Any]:
         """(N, size) live values of a field that the engine changes for one call of the batch.
 

@@ -48,6 +48,9 @@ class SensorCfg:
     """The links it is fixed on."""
     observe: bool = False
     """Whether ``obs["sensor"][uid]`` contains its data; terms can read it in either case."""
+    rate: float | None = None
+    """Hz of simulated time; between measurements, reads return the last one. None measures at every
+    read. A reset measures anew."""
 
     @classmethod
     def from_dict(cls, init_dict: dict[str, Any]) -> SensorCfg:

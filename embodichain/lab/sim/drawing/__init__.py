@@ -1,0 +1,1 @@
+"""Pictures: one contract for N environments and M cameras, drawn in one call."""

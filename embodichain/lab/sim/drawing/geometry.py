@@ -1,0 +1,298 @@
+"""`SceneGeometry`: the triangles of a model's visible geoms, in buffers that one draw call takes.
+
+Primitives are of unit size, so that a geom's size is a number an environment uploads. A vertex is
+``position x scale``, moved along z by ``end x half length``: that is what the two caps of a capsule
+need, which keep their radius when its length changes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["VERTEX", "SceneGeometry", "geom_scales"]
+
+VERTEX = np.dtype(
+    [
+        ("position", np.float32, 3),
+        ("normal", np.float32, 3),
+        ("texcoord", np.float32, 2),
+        ("geom", np.float32),
+        ("end", np.float32),
+    ]
+)
+"""A vertex; ``geom`` counts the drawn geoms, ``end`` is -1, 0 or 1."""
+
+F32 = NDArray[np.float32]
+Triangles = NDArray[np.uint32]
+
+_PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
+_HFIELD = int(mujoco.mjtGeom.mjGEOM_HFIELD)
+_SPHERE = int(mujoco.mjtGeom.mjGEOM_SPHERE)
+_CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
+_ELLIPSOID = int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)
+_CYLINDER = int(mujoco.mjtGeom.mjGEOM_CYLINDER)
+_BOX = int(mujoco.mjtGeom.mjGEOM_BOX)
+_MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
+
+VISIBLE_GROUPS = 3
+"""Geoms of the groups 0, 1, 2 are drawn, as in MuJoCo's own viewers; 3 to 5 are for collisions."""
+
+
+@dataclass(frozen=True, eq=False)
+class SceneGeometry:
+    """What is drawn of a model.
+
+    Attributes:
+        geoms: (G,) ids of the drawn geoms; ``VERTEX["geom"]`` counts in it.
+        vertices: (V,) of `VERTEX`.
+        triangles: (T, 3) indices of vertices, those of a geom side by side.
+        ranges: (G, 2) first triangle of a geom, and the number of its triangles.
+        infinite: (G,) planes without an edge.
+    """
+
+    geoms: NDArray[np.int64]
+    vertices: NDArray[Any]
+    triangles: Triangles
+    ranges: NDArray[np.int64]
+    infinite: NDArray[np.bool_]
+
+    @classmethod
+    def of_model(
+        cls, model: mujoco.MjModel, slices: int, most_triangles: int | None = None
+    ) -> SceneGeometry:
+        """Collect the geoms that are visible.
+
+        Args:
+            model: The compiled scene.
+            slices: Around a sphere or cylinder.
+            most_triangles: Meshes without texture coordinates are simplified to about so many.
+        """
+        geoms: list[int] = []
+        parts: list[NDArray[Any]] = []
+        triangles: list[Triangles] = []
+        ranges: list[tuple[int, int]] = []
+        vertex = first = 0
+        for geom in range(model.ngeom):
+            if model.geom_group[geom] >= VISIBLE_GROUPS:
+                continue
+            shape = _shape_of(model, geom, slices, most_triangles)
+            if shape is None:
+                continue
+            part, faces = shape
+            part["geom"] = len(geoms)
+            geoms.append(geom)
+            parts.append(part)
+            triangles.append(faces + np.uint32(vertex))
+            ranges.append((first, len(faces)))
+            vertex, first = vertex + len(part), first + len(faces)
+        ids = np.array(geoms, np.int64)
+        sizes = model.geom_size[ids, :2]
+        return cls(
+            ids,
+            np.concatenate([np.zeros(0, VERTEX), *parts]),
+            np.concatenate([np.zeros((0, 3), np.uint32), *triangles]),
+            np.array(ranges, np.int64).reshape(-1, 2),
+            (model.geom_type[ids] == _PLANE) & (sizes <= 0).any(axis=1),
+        )
+
+
+def geom_scales(types: NDArray[np.int32], sizes: NDArray[Any], far: float) -> F32:
+    """(..., G, 4) scales of unit shapes along x, y, z, and half lengths, of geoms' sizes.
+
+    Args:
+        types: (G,) of `mjtGeom`.
+        sizes: (..., G, 3) `geom_size`.
+        far: Half the width of a plane without an edge, m.
+    """
+    scales: F32 = np.ones((*sizes.shape[:-1], 4), np.float32)
+    x, y, z = sizes[..., 0], sizes[..., 1], sizes[..., 2]
+    scales[..., 3] = 0.0
+    for kind, values in (
+        (_PLANE, (np.where(x > 0, x, far), np.where(y > 0, y, far), np.ones_like(x))),
+        (_SPHERE, (x, x, x)),
+        (_CAPSULE, (x, x, x)),
+        (_ELLIPSOID, (x, y, z)),
+        (_CYLINDER, (x, x, y)),
+        (_BOX, (x, y, z)),
+    ):
+        of_kind = types == kind
+        for axis, value in enumerate(values):
+            scales[..., of_kind, axis] = value[..., of_kind]
+    capsules = types == _CAPSULE
+    scales[..., capsules, 3] = y[..., capsules]
+    return scales
+
+
+def _shape_of(
+    model: mujoco.MjModel, geom: int, slices: int, most_triangles: int | None
+) -> tuple[NDArray[Any], Triangles] | None:
+    kind = int(model.geom_type[geom])
+    if kind == _MESH:
+        found = _mesh(model, int(model.geom_dataid[geom]))
+        most = len(found[1]) if most_triangles is None else most_triangles
+        textured = model.mesh_texcoordadr[int(model.geom_dataid[geom])] >= 0
+        return found if textured or len(found[1]) <= most else _simplified(*found, most)
+    if kind == _HFIELD:
+        return _height_field(model, int(model.geom_dataid[geom]))
+    if kind == _PLANE:
+        return _grid(1, 1, lambda u, v: (2 * u - 1, 1 - 2 * v, 0 * u), _upwards)
+    if kind in (_SPHERE, _ELLIPSOID):
+        return _round(slices, np.linspace(0.0, np.pi, slices // 2 + 1), None)
+    if kind == _CAPSULE:
+        half = np.linspace(0.0, np.pi / 2, slices // 4 + 1)
+        return _round(slices, np.concatenate([half, half + np.pi / 2]), slices // 4)
+    if kind == _CYLINDER:
+        return _cylinder(slices)
+    return _box() if kind == _BOX else None
+
+
+def _vertices(position: Any, normal: Any, texcoord: Any, end: Any = 0.0) -> NDArray[Any]:
+    found = np.zeros(len(position), VERTEX)
+    found["position"], found["normal"], found["texcoord"] = position, normal, texcoord
+    found["end"] = end
+    return found
+
+
+def _upwards(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.tile([0.0, 0.0, 1.0], (len(points), 1))
+
+
+def _grid(rows: int, columns: int, place: Any, normal: Any) -> tuple[NDArray[Any], Triangles]:
+    """A surface over the unit square, (rows x columns) quads; x grows with u, y falls with v."""
+    u = np.tile(np.linspace(0, 1, columns + 1), rows + 1)
+    v = np.repeat(np.linspace(0, 1, rows + 1), columns + 1)
+    points = np.stack(place(u, v), axis=1)
+    return _vertices(points, normal(points), np.stack([u, v], axis=1)), _quads(rows, columns)
+
+
+def _quads(rows: int, columns: int) -> Triangles:
+    """Two triangles for each quad of a grid of (rows + 1) x (columns + 1) vertices."""
+    a = (np.arange(rows)[:, None] * (columns + 1) + np.arange(columns)).reshape(-1)
+    b, c, d = a + columns + 1, a + columns + 2, a + 1
+    faces = np.stack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)], axis=1)
+    return faces.reshape(-1, 3).astype(np.uint32)
+
+
+def _round(
+    slices: int, polar: NDArray[np.float64], ring: int | None
+) -> tuple[NDArray[Any], Triangles]:
+    """A unit sphere by rings of polar angles; those up to `ring` are the upper cap of a capsule."""
+    stacks = len(polar) - 1
+    grid = np.meshgrid(np.linspace(0, 2 * np.pi, slices + 1), polar)
+    angle, polar_of = grid[0].reshape(-1), grid[1].reshape(-1)
+    sine = np.sin(polar_of)
+    points = np.stack([sine * np.cos(angle), sine * np.sin(angle), np.cos(polar_of)], axis=1)
+    end: Any = 0.0
+    if ring is not None:
+        end = np.where(np.arange(stacks + 1) <= ring, 1.0, -1.0).repeat(slices + 1)
+    texcoord = np.stack([angle / (2 * np.pi), polar_of / np.pi], axis=1)
+    return _vertices(points, points, texcoord, end), _quads(stacks, slices)
+
+
+def _cylinder(slices: int) -> tuple[NDArray[Any], Triangles]:
+    angle = np.linspace(0, 2 * np.pi, slices + 1)
+    cos, sin, one = np.cos(angle), np.sin(angle), np.ones(slices + 1)
+    parts: list[NDArray[Any]] = []
+    faces: list[Triangles] = []
+    start = 0
+
+    def add(rings: list[tuple[float, float]], normal: Any) -> None:
+        nonlocal start
+        points = [np.stack([r * cos, r * sin, z * one], axis=1) for r, z in rings]
+        down = np.repeat([0.0, 1.0], slices + 1)
+        texcoord = np.stack([np.tile(angle / (2 * np.pi), 2), down], axis=1)
+        parts.append(_vertices(np.concatenate(points), normal, texcoord))
+        faces.append(_quads(1, slices) + np.uint32(start))
+        start += 2 * (slices + 1)
+
+    around = np.stack([cos, sin, 0 * one], axis=1)
+    add([(1.0, 1.0), (1.0, -1.0)], np.tile(around, (2, 1)))
+    add([(0.0, 1.0), (1.0, 1.0)], np.array([0.0, 0.0, 1.0]))
+    add([(1.0, -1.0), (0.0, -1.0)], np.array([0.0, 0.0, -1.0]))
+    return np.concatenate(parts), np.concatenate(faces)
+
+
+def _box() -> tuple[NDArray[Any], Triangles]:
+    parts: list[NDArray[Any]] = []
+    faces: list[Triangles] = []
+    for axis in range(3):
+        for sign in (-1.0, 1.0):
+            part, quad = _grid(1, 1, lambda u, v: (2 * u - 1, 1 - 2 * v, 0 * u), _upwards)
+            turned = np.zeros((4, 3))
+            across, along = (axis + 1) % 3, (axis + 2) % 3
+            turned[:, across] = sign * part["position"][:, 0]
+            turned[:, along] = part["position"][:, 1]
+            turned[:, axis] = sign
+            normal = np.zeros(3)
+            normal[axis] = sign
+            parts.append(_vertices(turned, normal, part["texcoord"]))
+            faces.append(quad + np.uint32(4 * len(faces)))
+    return np.concatenate(parts), np.concatenate(faces)
+
+
+def _mesh(model: mujoco.MjModel, mesh: int) -> tuple[NDArray[Any], Triangles]:
+    """A mesh's faces; corners that differ in normal or texture coordinate are vertices apart."""
+
+    def part(name: str, first: str, count: str) -> NDArray[Any]:
+        start = int(getattr(model, first)[mesh])
+        if start < 0:
+            return np.zeros((0, 2), np.float32)
+        found: NDArray[Any] = getattr(model, name)[start : start + int(getattr(model, count)[mesh])]
+        return found
+
+    positions = part("mesh_vert", "mesh_vertadr", "mesh_vertnum")
+    normals = part("mesh_normal", "mesh_normaladr", "mesh_normalnum")
+    texcoords = part("mesh_texcoord", "mesh_texcoordadr", "mesh_texcoordnum")
+    face = slice(int(model.mesh_faceadr[mesh]), None)
+    count = int(model.mesh_facenum[mesh])
+    corners = [
+        model.mesh_face[face][:count].reshape(-1).astype(np.int64),
+        model.mesh_facenormal[face][:count].reshape(-1).astype(np.int64),
+    ]
+    if len(texcoords):
+        corners.append(model.mesh_facetexcoord[face][:count].reshape(-1).astype(np.int64))
+    unique, inverse = np.unique(np.stack(corners, axis=1), axis=0, return_inverse=True)
+    texcoord = texcoords[unique[:, 2]] if len(texcoords) else np.zeros((len(unique), 2))
+    found = _vertices(positions[unique[:, 0]], normals[unique[:, 1]], texcoord)
+    return found, inverse.reshape(-1, 3).astype(np.uint32)
+
+
+def _simplified(
+    vertices: NDArray[Any], triangles: Triangles, most: int
+) -> tuple[NDArray[Any], Triangles]:
+    """A mesh of about `most` triangles by quadric decimation, with smooth normals."""
+    import fast_simplification
+
+    points, joined = np.unique(vertices["position"], axis=0, return_inverse=True)
+    points, faces = fast_simplification.simplify(
+        points, joined[triangles].astype(np.int32), target_count=most
+    )
+    corners = points[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(points)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], across)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return _vertices(points, normals, np.zeros((len(points), 2))), faces.astype(np.uint32)
+
+
+def _height_field(model: mujoco.MjModel, field: int) -> tuple[NDArray[Any], Triangles]:
+    """The top of a height field, and nothing of its sides."""
+    rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
+    start = int(model.hfield_adr[field])
+    data = model.hfield_data[start : start + rows * columns].reshape(rows, columns)
+    x, y, top, _ = model.hfield_size[field]
+    heights = data[::-1].astype(np.float64) * top  # the first row of the data is at -y
+    slope_y, slope_x = np.gradient(heights, 2 * y / max(rows - 1, 1), 2 * x / max(columns - 1, 1))
+    normals = np.stack([-slope_x, slope_y, np.ones_like(heights)], axis=-1).reshape(-1, 3)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+
+    def place(u: Any, v: Any) -> tuple[Any, Any, Any]:
+        return (2 * u - 1) * x, (1 - 2 * v) * y, heights.reshape(-1)
+
+    return _grid(rows - 1, columns - 1, place, lambda points: normals)
