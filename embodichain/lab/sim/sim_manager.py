@@ -31,7 +31,8 @@ from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.scene import Entity, Scene
-from embodichain.lab.sim.sensors.cfg import CameraCfg, SensorCfg
+from embodichain.lab.sim.sensors.camera import Camera, StereoCamera
+from embodichain.lab.sim.sensors.cfg import SensorCfg
 from embodichain.lab.sim.sensors.sensor_handles import (
     BaseSensor,
     ContactSensor,
@@ -56,6 +57,10 @@ _SENSORS: dict[str, type[BaseSensor]] = {
     "contact": ContactSensor,
     "force_torque": ForceTorqueSensor,
     "imu": ImuSensor,
+    "camera": Camera,
+    "stereo_camera": StereoCamera,
+    "Camera": Camera,
+    "StereoCamera": StereoCamera,
 }
 
 
@@ -165,11 +170,10 @@ class SimulationManager:
         self.lights[light.uid] = light
         return light
 
-    def add_sensor(self, cfg: SensorCfg | CameraCfg) -> BaseSensor:
+    def add_sensor(self, cfg: SensorCfg) -> BaseSensor:
         """Add a sensor to entities that were added before.
 
         Raises:
-            NotImplementedError: If it is a camera.
             ConfigError: If an entity or a link does not exist, or a value is wrong.
             RuntimeError: If the scene is compiled already.
         """

@@ -29,6 +29,7 @@ from embodichain.lab.sim.cfg import (
     name_of,
 )
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
+from embodichain.lab.sim.compiler.cameras import check_memory
 from embodichain.lab.sim.compiler.drives import (
     DriveChange,
     DriveOperation,
@@ -191,7 +192,7 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
     problems += check_references(cfg, known, open_scene=open_scene)
     ground = cfg.sim_cfg.ground_plane
     sensors, found = plan_sensors(cfg.sensors, known, ground=ground, open_scene=open_scene)
-    problems += found
+    problems += found + check_memory(cfg.sensors, cfg.num_envs)
     if problems:
         return problems
     for path, articulation in parsed.items():

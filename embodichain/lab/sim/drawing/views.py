@@ -74,10 +74,11 @@ class View:
     """One camera of all environments.
 
     Attributes:
-        optics: Its lens; `focal` may differ between environments, see `focal`.
+        optics: Its lens; focal lengths and centre may differ between environments.
         position: (N or 1, 3) m.
         axes: (N or 1, 3, 3) rotation matrix: columns are right, up and backwards (OpenGL).
         focal: (N, 2) fx, fy in pixels instead of those of `optics`, or None.
+        centre: (N, 2) cx, cy in pixels instead of those of `optics`, or None.
         outputs: What is wanted.
         look: ``fast`` or ``full``.
     """
@@ -86,6 +87,7 @@ class View:
     position: NDArray[Any]
     axes: NDArray[Any]
     focal: NDArray[Any] | None = None
+    centre: NDArray[Any] | None = None
     outputs: tuple[Output, ...] = ("color",)
     look: Look = "fast"
 
