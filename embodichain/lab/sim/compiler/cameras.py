@@ -252,9 +252,7 @@ def pair_offset(cfg: StereoCameraCfg, side: int) -> tuple[F64, F64]:
     return offset, turn
 
 
-def entity_of_geom(
-    model: mujoco.MjModel, entities: Mapping[str, EntityIndex]
-) -> NDArray[np.int32]:
+def entity_of_geom(model: mujoco.MjModel, entities: Mapping[str, EntityIndex]) -> NDArray[np.int32]:
     """(ngeom + 1,) number in masks of each geom: the root body of its entity, 0 for the world's.
 
     The last is -1: geom -1 is the background.

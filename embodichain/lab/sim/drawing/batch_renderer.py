@@ -314,9 +314,7 @@ class _Rows:
         return found.reshape(len(found), -1, width) if width else found.reshape(len(found), -1)
 
 
-def _projection(
-    optics: Optics, focal: NDArray[Any], centre: NDArray[Any]
-) -> NDArray[np.float64]:
+def _projection(optics: Optics, focal: NDArray[Any], centre: NDArray[Any]) -> NDArray[np.float64]:
     """(n, 4, 4) OpenGL projections, upside down, so that the first row read is the top."""
     near, far = optics.near, optics.far
     width, height = optics.width, optics.height
