@@ -107,7 +107,6 @@ def frozen_cfg(cfg: EnvCfg | None, num_envs: int | None = None) -> EnvCfg:
 
     Raises:
         ConfigError: If a value is invalid; names its key path.
-        NotImplementedError: If an `EmbodiedEnvCfg` declares a camera.
     """
     cfg = copy.deepcopy(cfg) if cfg is not None else EnvCfg()
     cfg.complete()

@@ -72,10 +72,10 @@ def check_camera(cfg: CameraCfg) -> list[Problem]:
     elif not cfg.near < cfg.far < np.inf:
         problems.append(Problem("far", f"must be greater than near, {cfg.near} m, got {cfg.far}"))
     stereo = isinstance(cfg, StereoCameraCfg)
-    if not cfg.get_data_types():
-        problems.append(Problem("data_types", "names no image; leave it out for [color]"))
     if not stereo and "disparity" in (cfg.data_types or ()):
         problems.append(Problem("data_types", "disparity is an image of a stereo_camera"))
+    elif not cfg.get_data_types():
+        problems.append(Problem("data_types", "names no image; leave it out for [color]"))
     if cfg.camera is None:
         return problems + _check_extrinsics(cfg.extrinsics)
     if stereo:

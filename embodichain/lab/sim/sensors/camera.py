@@ -14,8 +14,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.compiler.cameras import PIXEL, pair_offset
-from embodichain.lab.sim.drawing.views import Optics, Output, Pictures, View
+from embodichain.lab.sim.compiler.cameras import pair_offset
+from embodichain.lab.sim.drawing.views import Output, Pictures, View, view_of
 from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows, to_tensor
 from embodichain.lab.sim.sensors.cfg import CameraCfg, StereoCameraCfg
 from embodichain.lab.sim.sensors.depth_images import (
@@ -32,7 +32,6 @@ from embodichain.utils.math import (
     matrix_to_quat,
     normalize_quat,
     pose_to_matrix,
-    quat_conjugate,
     quat_multiply,
     quat_rotate,
 )
@@ -72,7 +71,7 @@ class Camera(BaseSensor):
     SUPPORTED_DATA_TYPES: ClassVar[tuple[str, ...]] = (
         *("color", "depth", "distance", "mask", "normal", "position"),
     )
-    index: CameraIndex  # type: ignore[assignment]
+    index: CameraIndex
 
     def __init__(self, plan: SensorPlan, host: Host) -> None:
         super().__init__(plan, host)
@@ -108,55 +107,33 @@ class Camera(BaseSensor):
         return tuple(self._image(name, seen) for name in self.reads)
 
     def _draw(self, env_ids: EnvIndex | None) -> list[_Seen]:
-        cfg, engine = self.cfg, self.engine
         names = {name.removesuffix("_right") for name in self.reads}
         outputs: list[Output] = ["color"] if "color" in names else []
         outputs += ["depth"] if names & _BY_DEPTH else []
         outputs += ["mask"] if "mask" in names else []
-        views, places = [], []
-        rows: Any = slice(None) if env_ids is None else env_ids
-        for camera in self.index.ids:
-            lens = self._lens(camera)
-            eye = engine.derived("cam_xpos")[:, camera]
-            axes = engine.derived("cam_xmat")[:, camera].reshape(-1, 3, 3)
-            size, first = (cfg.width, cfg.height), lens[0]
-            focal, centre = (first[0], first[1]), (first[2], first[3])
-            optics = Optics(*size, focal, centre, cfg.near, cfg.far)
-            own = len(lens) > 1
-            views.append(
-                View(
-                    optics,
-                    eye,
-                    axes,
-                    lens[:, :2] if own else None,
-                    lens[:, 2:] if own else None,
-                    tuple(outputs),
-                    cfg.look,
-                )
-            )
-            places.append((eye[rows], axes[rows], lens[rows] if own else lens))
+        views = [self._view(camera, tuple(outputs)) for camera in self.index.ids]
         pictures = _drawn(self.engine, views, env_ids)
-        return [_Seen(*place, made) for place, made in zip(places, pictures, strict=True)]
 
-    def _lens(self, camera: int) -> F64:
-        """(N or 1, 4) fx, fy, cx, cy in pixels of one of the model's cameras."""
-        width, height = self.cfg.width, self.cfg.height
-        fields = [
-            self.engine.model_values(name)[:, camera]
-            for name in ("cam_sensorsize", "cam_intrinsic", "cam_fovy")
+        def rows(values: Any) -> Any:
+            return values if len(values) == 1 or env_ids is None else values[env_ids]
+
+        return [
+            _Seen(rows(view.position), rows(view.axes), rows(view.lens), made)
+            for view, made in zip(views, pictures, strict=True)
         ]
-        count = max(map(len, fields))
-        sensor, lengths, fovy = (np.asarray(f, np.float64) for f in fields)
-        lens = np.empty((count, 4))
-        if sensor[:, 1].any():
-            scale = np.array([width, height]) / sensor
-            lens[:, :2] = lengths[:, :2] * scale
-            # MuJoCo counts from the middle, to the left and up.
-            lens[:, 2:] = np.array([width, height]) / 2.0 - lengths[:, 2:] * scale
-            return lens
-        lens[:, :2] = (height / 2.0 / np.tan(np.radians(fovy) / 2.0))[:, None]
-        lens[:, 2:] = width / 2.0, height / 2.0
-        return lens
+
+    def _view(self, camera: int, outputs: tuple[Output, ...] = ()) -> View:
+        cfg = self.cfg
+        return view_of(
+            self.engine,
+            camera,
+            cfg.width,
+            cfg.height,
+            near=cfg.near,
+            far=cfg.far,
+            outputs=outputs,
+            look=cfg.look,
+        )
 
     def _image(self, name: str, seen: list[_Seen]) -> NDArray[Any]:
         eye, axes, lens, pictures = seen[1 if name.endswith("_right") else 0]
@@ -266,7 +243,7 @@ class Camera(BaseSensor):
 
     def read_intrinsics(self, side: int = 0) -> F64:
         """(N, 4) fx, fy, cx, cy in pixels."""
-        lens = self._lens(self.index.ids[side])
+        lens = self._view(self.index.ids[side]).lens
         return np.broadcast_to(lens, (self.num_instances, 4)).copy()
 
     def write_intrinsics(self, lens: F64, env_ids: EnvIndex | None, side: int = 0) -> None:
@@ -377,7 +354,7 @@ class StereoCamera(Camera):
         )
         return to_tensor(pose_to_matrix(left)), to_tensor(pose_to_matrix(right))
 
-    def set_intrinsics(
+    def set_intrinsics(  # type: ignore[override]  # EmbodiChain's signature
         self, intrinsics: Any, right_intrinsics: Any = None, env_ids: Any = None
     ) -> None:
         """Set fx, fy, cx, cy of the left and the right camera; without the latter, the same."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
@@ -123,6 +123,9 @@ class ExtrinsicsCfg(OffsetCfg):
     """The direction that is up in the picture; None is z."""
 
 
+_Extrinsics = ExtrinsicsCfg  # the name is also that of an attribute below
+
+
 @configclass
 class CameraCfg(SensorCfg):
     """A pinhole camera. Its pose is in the frame of the link that it is fixed on, if any.
@@ -130,8 +133,8 @@ class CameraCfg(SensorCfg):
     It is compiled into the model as a camera of its name.
     """
 
-    OffsetCfg = OffsetCfg
-    ExtrinsicsCfg = ExtrinsicsCfg
+    OffsetCfg: ClassVar[type] = OffsetCfg
+    ExtrinsicsCfg: ClassVar[type] = ExtrinsicsCfg
 
     sensor_type: Literal["camera", "Camera"] = "camera"
     width: int = 640
@@ -149,10 +152,10 @@ class CameraCfg(SensorCfg):
     fy are 1.25 heights and the axis is in the middle."""
     camera: str | None = None
     """A camera of an entity's file, ``UID/NAME``, with the pose and the lens that it has there."""
-    extrinsics: ExtrinsicsCfg = ExtrinsicsCfg()
-    convention: Literal["opengl", "ros"] = "opengl"
+    extrinsics: _Extrinsics = _Extrinsics()
+    convention: Literal["opengl", "ros"] | None = None
     """Axes of `extrinsics.quat`. opengl: x right, y up, view along -z. ros: x right, y down, view
-    along z."""
+    along z. None is opengl."""
     data_types: list[CameraData] | None = None
     """The images; None is ``[color]``."""
     no_hit: Literal["zero", "far", "inf"] = "zero"

@@ -9,8 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from embodichain.utils.math import rotate
-
 __all__ = ["disparities", "distances", "normals", "positions", "slopes"]
 
 F32 = NDArray[np.float32]
@@ -39,7 +37,9 @@ def distances(depth: F32, right: F32, up: F32) -> F32:
     return found
 
 
-def positions(depth: F32, right: F32, up: F32, eye: NDArray[np.float64], axes: F32) -> F32:
+def positions(
+    depth: F32, right: F32, up: F32, eye: NDArray[np.float64], axes: NDArray[np.float64]
+) -> F32:
     """(N, H, W, 3) points in the environment's frame, m; 0 where nothing is drawn.
 
     Args:
@@ -49,9 +49,9 @@ def positions(depth: F32, right: F32, up: F32, eye: NDArray[np.float64], axes: F
         eye: (N or 1, 3) position of the camera.
         axes: (N or 1, 3, 3) its axes: right, up and backwards are columns.
     """
-    along = np.stack([depth * right, depth * up, -depth], axis=-1)
-    turned = rotate(np.asarray(axes, np.float32)[:, None, None], along)
-    found = turned + np.asarray(eye, np.float32)[:, None, None]
+    to = np.asarray(axes, np.float32)[:, None, None]
+    ray = right[..., None] * to[..., 0] + up[..., None] * to[..., 1] - to[..., 2]
+    found = depth[..., None] * ray + np.asarray(eye, np.float32)[:, None, None]
     return np.where((depth > 0)[..., None], found, np.float32(0.0))
 
 

@@ -36,7 +36,7 @@ def turned(eye: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 OPTICS = Optics(WIDTH, HEIGHT, (90.0, 80.0), (50.0, 30.0), 0.01, 20.0)
-VIEW = View(OPTICS, EYE[None], turned(EYE, np.array([0, 0, 0.4])), None, None, ("color", "depth", "mask"))
+VIEW = View(OPTICS, EYE[None], turned(EYE, np.array([0, 0, 0.4])), None, ("color", "depth", "mask"))
 
 
 @pytest.fixture(scope="module")
