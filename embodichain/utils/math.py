@@ -53,7 +53,7 @@ def _products(a: F64, b: F64) -> F64:
 
 def quat_multiply(a: F64, b: F64) -> F64:
     """Hamilton product of wxyz quaternions, (..., 4)."""
-    terms = _products(a, b)[..., _HAMILTON] * _HAMILTON_SIGNS
+    terms = _products(a, b).take(_HAMILTON, -1) * _HAMILTON_SIGNS
     found: F64 = terms[..., 0] + terms[..., 1] + terms[..., 2] + terms[..., 3]
     return found
 
@@ -67,7 +67,7 @@ def quat_conjugate(q: F64) -> F64:
 def cross(a: F64, b: F64) -> F64:
     """Cross product, (..., 3)."""
     products = _products(a, b)
-    found: F64 = products[..., _CROSS_PLUS] - products[..., _CROSS_MINUS]
+    found: F64 = products.take(_CROSS_PLUS, -1) - products.take(_CROSS_MINUS, -1)
     return found
 
 
@@ -109,7 +109,7 @@ def normalize_quat(q: F64) -> F64:
 def quat_to_matrix(q: F64) -> F64:
     """Rotation matrices (..., 3, 3) of unit wxyz quaternions (..., 4)."""
     products = _products(q, q)
-    sums = products[..., _FIRST] + _SECOND_SIGN * products[..., _SECOND]
+    sums = products.take(_FIRST, -1) + _SECOND_SIGN * products.take(_SECOND, -1)
     found: F64 = (_IDENTITY + _FACTOR * sums).reshape(*q.shape[:-1], 3, 3)
     return found
 
