@@ -209,7 +209,7 @@ def compile_scene(
     mujoco.mj_getState(model, data, row, _STATE)
     mujoco.mj_kinematics(model, data)
     aim_camera(spec, model, data)
-    sensor_index = index_sensors(model, sensors)
+    sensor_index = index_sensors(model, sensors, entities)
     return CompiledScene(model, spec, entities, row, sensor_index, tuple(notes))
 
 
