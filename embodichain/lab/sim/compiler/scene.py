@@ -229,7 +229,7 @@ def compile_scene(
         stat.extent, stat.center = max(2.0 * radius, 1.0), center
     place_lights(spec, model, lights, center, radius)
     place_views(spec, model, data, sim_cfg.views)
-    sensor_index = index_sensors(model, sensors)
+    sensor_index = index_sensors(model, sensors, entities)
     return CompiledScene(model, spec, entities, row, sensor_index, tuple(notes))
 
 
