@@ -24,11 +24,11 @@ from embodichain.lab.sim.compiler.robot_files import MUJOCO_ERRORS, as_line, com
 from embodichain.lab.sim.compiler.robot_links import MAX_MASKED, separate
 from embodichain.lab.sim.compiler.scene_sensors import (
     SensorIndex,
-    SensorPlan,
     add_sensors,
     index_sensors,
     silent_sensors,
 )
+from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
 from embodichain.utils.errors import ConfigError, Problem, below
 from embodichain.utils.math import quat_multiply, quat_rotate
 
@@ -209,7 +209,7 @@ def compile_scene(
     mujoco.mj_getState(model, data, row, _STATE)
     mujoco.mj_kinematics(model, data)
     aim_camera(spec, model, data)
-    sensor_index = index_sensors(model, sensors)
+    sensor_index = index_sensors(model, sensors, entities)
     return CompiledScene(model, spec, entities, row, sensor_index, tuple(notes))
 
 

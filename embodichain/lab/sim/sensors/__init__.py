@@ -1,4 +1,4 @@
-"""Sensors: contacts, inertial measurements, joint forces. Cameras have only configs so far."""
+"""Sensors: contacts, inertial measurements, forces at joints, poses, rays."""
 
 from typing import TYPE_CHECKING
 
@@ -9,25 +9,44 @@ from embodichain.lab.sim.sensors.cfg import (
     CameraCfg,
     ContactSensorCfg,
     ForceTorqueSensorCfg,
+    FramePoseSensorCfg,
+    HeightScanSensorCfg,
     ImuSensorCfg,
+    JointsCfg,
+    JointTorqueSensorCfg,
     LinksCfg,
+    RayFanCfg,
+    RayGridCfg,
+    RayPatternCfg,
+    RaySensorCfg,
     SensorCfg,
     StereoCameraCfg,
 )
 
 if TYPE_CHECKING:
+    from embodichain.lab.sim.sensors.ray_sensors import HeightScanSensor, RaySensor
     from embodichain.lab.sim.sensors.sensor_handles import (
         BaseSensor,
         ContactSensor,
         ForceTorqueSensor,
+        FramePoseSensor,
         ImuSensor,
+        JointTorqueSensor,
     )
 
 # Handles import torch, configs do not.
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "sensor_handles": ["BaseSensor", "ContactSensor", "ForceTorqueSensor", "ImuSensor"]
+        "ray_sensors": ["HeightScanSensor", "RaySensor"],
+        "sensor_handles": [
+            "BaseSensor",
+            "ContactSensor",
+            "ForceTorqueSensor",
+            "FramePoseSensor",
+            "ImuSensor",
+            "JointTorqueSensor",
+        ],
     },
 )
 
@@ -39,9 +58,21 @@ __all__ = [
     "ContactSensorCfg",
     "ForceTorqueSensor",
     "ForceTorqueSensorCfg",
+    "FramePoseSensor",
+    "FramePoseSensorCfg",
+    "HeightScanSensor",
+    "HeightScanSensorCfg",
     "ImuSensor",
     "ImuSensorCfg",
+    "JointTorqueSensor",
+    "JointTorqueSensorCfg",
+    "JointsCfg",
     "LinksCfg",
+    "RayFanCfg",
+    "RayGridCfg",
+    "RayPatternCfg",
+    "RaySensor",
+    "RaySensorCfg",
     "SensorCfg",
     "StereoCameraCfg",
 ]
