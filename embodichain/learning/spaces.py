@@ -12,8 +12,8 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
+from embodichain.lab.gym.envs.observation import entry_spaces
 from embodichain.lab.gym.single import SingleEnv
-from embodichain.lab.gym.utils.spaces import entry_spaces
 from embodichain.lab.gym.vector import NumpyVectorEnv
 from embodichain.utils.errors import ConfigError
 

@@ -18,7 +18,7 @@ from stable_baselines3.common.env_util import is_wrapped
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
-from embodichain.lab.gym.utils.spaces import named_obs
+from embodichain.lab.gym.envs.observation import named_obs
 from embodichain.learning.spaces import (
     ActionScale,
     flat_observation,

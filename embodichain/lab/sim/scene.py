@@ -19,7 +19,7 @@ from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.lab.sim.sensors.cfg import CameraCfg, SensorCfg, no_camera
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
-from embodichain.utils.errors import ConfigError, Problem, below
+from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["Entity", "Scene"]
 
@@ -106,7 +106,7 @@ class Scene:
         }
         plan, problems = plan_sensor(uid, cfg, known, ground=self._cfg.ground_plane)
         if plan is None:
-            raise ConfigError(below(uid, problems))
+            raise ConfigError(p.below(uid) for p in problems)
         return plan
 
     def remove(self, uid: str) -> bool:

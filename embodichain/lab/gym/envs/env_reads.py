@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.cfg import NO_LIMIT, EnvCfg
 from embodichain.lab.gym.envs.episodes import Episodes
 from embodichain.lab.gym.envs.managers.scene_entity import resolve_entity
+from embodichain.lab.gym.envs.observation import flat_space
 from embodichain.lab.gym.envs.observers import EventRecord, Observers, StepObserver
-from embodichain.lab.gym.utils.spaces import flat_space
 from embodichain.lab.sim.objects._arrays import as_env_ids, to_tensor
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean

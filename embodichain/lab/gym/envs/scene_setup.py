@@ -42,7 +42,7 @@ from embodichain.lab.sim.compiler.scene import check_light, compile_scene
 from embodichain.lab.sim.compiler.scene_sensors import plan_sensors
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.lab.sim.viewer import has_display
-from embodichain.utils.errors import ConfigError, Problem, below
+from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
 if TYPE_CHECKING:
@@ -243,7 +243,7 @@ def _parse(
             found = check_object(cfg)
         elif isinstance(cfg, LightCfg):
             found = check_light(cfg)
-        problems += below(path, found)
+        problems += [p.below(path) for p in found]
     return parsed, problems
 
 

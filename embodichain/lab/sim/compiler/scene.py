@@ -29,7 +29,7 @@ from embodichain.lab.sim.compiler.scene_sensors import (
     silent_sensors,
 )
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
-from embodichain.utils.errors import ConfigError, Problem, below
+from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_multiply, quat_rotate
 
 __all__ = ["CompiledScene", "SceneParts", "check_light", "compile_scene"]
@@ -224,7 +224,7 @@ def _check(
         problems += check_uid(uid, uid, taken)
         taken[uid] = "another entity"
     for uid, cfg in objects.items():
-        problems += below(uid, check_object(cfg))
+        problems += [p.below(uid) for p in check_object(cfg)]
     masked = [p.uid for p in articulations if p.cfg.disable_self_collision]
     if len(masked) > MAX_MASKED:
         message = f"at most {MAX_MASKED} articulations of a scene can do without self-collision"

@@ -19,7 +19,7 @@ from embodichain.lab.sim.sensors.cfg import (
     RayCastCfg,
     SensorCfg,
 )
-from embodichain.utils.errors import Problem, below
+from embodichain.utils.errors import Problem
 
 __all__ = ["SensorIndex", "add_sensors", "index_sensors", "plan_sensors", "silent_sensors"]
 
@@ -44,7 +44,7 @@ def plan_sensors(
         if cfg.uid not in (None, "", uid):
             message = f"the key {uid!r} is its uid; it cannot be {cfg.uid!r}: leave uid out"
             found = [Problem("uid", message), *found]
-        problems += below(path, found)
+        problems += [p.below(path) for p in found]
         if plan is not None:
             plans[uid] = plan
     return plans, problems

@@ -39,7 +39,8 @@ _STAGE_ACC = int(mujoco.mjtStage.mjSTAGE_ACC)
 KINEMATIC_STAGES = dict.fromkeys(
     (
         "xpos", "xquat", "xmat", "xipos", "ximat", "xanchor", "xaxis", "geom_xpos", "geom_xmat",
-        "site_xpos", "site_xmat", "subtree_com", "cdof",
+        "site_xpos", "site_xmat", "cam_xpos", "cam_xmat", "light_xpos", "light_xdir",
+        "subtree_com", "cdof",
     ),
     _STAGE_POS,
 ) | dict.fromkeys(("cvel", "cdof_dot", "sensordata"), _STAGE_VEL)  # fmt: skip

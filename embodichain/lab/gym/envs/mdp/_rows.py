@@ -22,8 +22,6 @@ else:
 __all__ = [
     "action_rows",
     "angle_between",
-    "any_column",
-    "every_column",
     "mean",
     "norm",
     "squares",
@@ -56,16 +54,6 @@ def norm(vectors: NDArray[Any]) -> F64:
     """Euclidean length of the rows, (N, K) -> (N,)."""
     found: F64 = np.sqrt(squares(vectors))
     return found
-
-
-def any_column(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Whether a row has a True, (N,) or (N, K) -> (N,)."""
-    return mask if mask.ndim == 1 else np.asarray(mask.any(axis=1))
-
-
-def every_column(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Whether all columns of a row are True, (N,) or (N, K) -> (N,)."""
-    return mask if mask.ndim == 1 else np.asarray(mask.all(axis=1))
 
 
 def angle_between(a: F64, b: F64) -> F64:
