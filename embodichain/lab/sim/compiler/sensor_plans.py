@@ -26,7 +26,7 @@ from embodichain.lab.sim.sensors.cfg import (
     RaySensorCfg,
     SensorCfg,
 )
-from embodichain.utils.errors import Problem, below
+from embodichain.utils.errors import Problem
 
 __all__ = ["SensorPlan", "plan_sensor"]
 
@@ -306,16 +306,18 @@ def _check_pattern(cfg: RayPatternCfg) -> list[Problem]:
         message = f"give one of {', '.join(vars(cfg))}; got {', '.join(given) or 'none'}"
         return [Problem("pattern", message)]
     if cfg.grid is not None:
-        return below("pattern.grid", _check_grid(cfg.grid)) or _check_count(_grid_size(cfg.grid))
+        found = [p.below("pattern.grid") for p in _check_grid(cfg.grid)]
+        return found or _check_count(_grid_size(cfg.grid))
     if cfg.fan is not None:
         count = cfg.fan.horizontal_count * cfg.fan.vertical_count
-        return below("pattern.fan", _check_fan(cfg.fan)) or _check_count(count)
+        return [p.below("pattern.fan") for p in _check_fan(cfg.fan)] or _check_count(count)
     directions = cfg.directions or []
     if not directions:
         return [Problem("pattern.directions", "names no ray")]
-    checked = [_check_direction(str(i), value) for i, value in enumerate(directions)]
-    problems = [problem for found in checked for problem in found]
-    return below("pattern.directions", problems) or _check_count(len(directions))
+    found = []
+    for i, value in enumerate(directions):
+        found += _check_direction(f"pattern.directions.{i}", value)
+    return found or _check_count(len(directions))
 
 
 def _check_count(rays: float) -> list[Problem]:
