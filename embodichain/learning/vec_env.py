@@ -222,7 +222,7 @@ class SB3VecEnv(VecEnv):
         """
         if self.render_mode != "rgb_array":
             return [None] * self.num_envs
-        return [self.base.sim.render(i) for i in range(self.num_envs)]
+        return list(self.base.sim.render(None))
 
     # -- attributes and methods of the batched environment -------------------------------------
 

@@ -39,8 +39,9 @@ from embodichain.utils.errors import ConfigError, DeviceError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
+    from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
+    from embodichain.lab.sim.drawing.views import Pictures, View, Viewpoint
     from embodichain.lab.sim.engine.api import F64
-    from embodichain.lab.sim.rendering import SceneRenderer, View
     from embodichain.lab.sim.viewer import NativeViewer
 
 __all__ = ["SimulationManager"]
@@ -119,7 +120,7 @@ class SimulationManager:
         self._destroyed = False
         self._engine: CpuEngine | None = None
         self._initial_row: F64 = np.zeros(0)
-        self._renderer: SceneRenderer | None = None
+        self._renderer: OffscreenRenderer | None = None
         self._viewer: NativeViewer | None = None
         self._physics_enabled = True
         self.physics_seconds = 0.0
@@ -322,28 +323,42 @@ class SimulationManager:
 
     # -- rendering -----------------------------------------------------------------------------
 
+    @property
+    def renderer(self) -> OffscreenRenderer:
+        """The off-screen renderer, opened at first use; RenderError if none works here."""
+        from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
+
+        if self._renderer is None:
+            self._renderer = OffscreenRenderer(self.scene.model)
+        return self._renderer
+
+    def draw(self, views: Sequence[View], env_ids: Any = None) -> list[Pictures]:
+        """Draw every view of environments (None: all) off screen, in one call.
+
+        Raises:
+            RenderError: If an output cannot be drawn here; names the packages to install.
+            ValueError: If there is no such environment.
+        """
+        return self.renderer.draw(self.engine, views, as_env_ids(env_ids, self.num_envs))
+
     def render(
         self,
-        env_id: int = 0,
-        camera: str | int | View = "default",
+        env_id: int | None = 0,
+        camera: str | int | Viewpoint = "default",
         width: int = 640,
         height: int = 480,
     ) -> np.ndarray[Any, np.dtype[np.uint8]]:
-        """Render one environment off screen, (height, width, 3) RGB.
+        """Render one environment in full look, (height, width, 3) RGB; None: (N, ...) all of them.
 
         Raises:
-            RenderError: If no OpenGL library works here; names the package to install.
+            RenderError: If no OpenGL library works here; names the packages to install.
             ValueError: If there is no such camera or environment.
         """
-        from embodichain.lab.sim.rendering import SceneRenderer
-
-        if not 0 <= env_id < self.num_envs:
+        if env_id is not None and not 0 <= env_id < self.num_envs:
             raise ValueError(f"env_id must be in [0, {self.num_envs}), got {env_id}")
-        if self._renderer is None or self._renderer.size != (width, height):
-            if self._renderer is not None:
-                self._renderer.close()
-            self._renderer = SceneRenderer(self.scene.model, width, height)
-        return self._renderer.draw(self.engine, env_id, camera)
+        ids = None if env_id is None else np.array([env_id])
+        found = self.renderer.pictures(self.engine, camera, (width, height), ids)
+        return found if env_id is None else found[0]
 
     def open_window(self, env_id: int = 0) -> None:
         """Open MuJoCo's viewer on one environment; `update` refreshes it.

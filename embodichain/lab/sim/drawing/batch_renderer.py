@@ -81,6 +81,7 @@ class BatchRenderer:
         Returns:
             The pictures of each view, n rows each.
         """
+        self.context.make_current()
         rows = np.arange(state.num_envs) if envs is None else envs
         most = self._most(views)
         starts = range(0, max(len(rows), 1), most)
