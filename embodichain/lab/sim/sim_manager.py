@@ -32,7 +32,7 @@ from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.scene import Entity, Scene
-from embodichain.lab.sim.sensors.cfg import CameraCfg, SensorCfg
+from embodichain.lab.sim.sensors.cfg import SensorCfg
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.lab.sim.unavailable import with_simulation_members
 from embodichain.utils.errors import ConfigError, DeviceError, Problem
@@ -57,8 +57,12 @@ _SENSORS = {
     "imu": "ImuSensor",
     "joint_torque": "JointTorqueSensor",
     "ray": "RaySensor",
+    "camera": "Camera",
+    "stereo_camera": "StereoCamera",
+    "Camera": "Camera",
+    "StereoCamera": "StereoCamera",
 }
-"""Names in `embodichain.lab.sim.sensors`, which imports the classes lazily."""
+"""Type of a sensor -> its handle, imported when it is added."""
 
 
 _Found = TypeVar("_Found")
@@ -167,17 +171,16 @@ class SimulationManager:
         self.lights[light.uid] = light
         return light
 
-    def add_sensor(self, cfg: SensorCfg | CameraCfg) -> BaseSensor:
+    def add_sensor(self, cfg: SensorCfg) -> BaseSensor:
         """Add a sensor to entities that were added before.
 
         Raises:
-            NotImplementedError: If it is a camera.
             ConfigError: If an entity or a link does not exist, or a value is wrong.
             RuntimeError: If the scene is compiled already.
         """
         plan = self._scene.plan_sensor(cfg)
-        handle: type[BaseSensor] = getattr(sensors, _SENSORS[plan.cfg.sensor_type])
-        sensor = self.sensors[plan.uid] = handle(plan, self)
+        kind: type[BaseSensor] = getattr(sensors, _SENSORS[plan.cfg.sensor_type])
+        sensor = self.sensors[plan.uid] = kind(plan, self)
         return sensor
 
     def remove_asset(self, uid: str) -> bool:

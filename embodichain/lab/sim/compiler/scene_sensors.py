@@ -7,11 +7,14 @@ from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
+from embodichain.lab.sim.compiler.cameras import add_camera, camera_names, entity_of_geom
 from embodichain.lab.sim.compiler.index import EntityIndex, Ids, Mask
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid
 from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
 from embodichain.lab.sim.sensors.cfg import (
+    CameraCfg,
     ContactSensorCfg,
     FramePoseSensorCfg,
     ImuSensorCfg,
@@ -21,7 +24,14 @@ from embodichain.lab.sim.sensors.cfg import (
 )
 from embodichain.utils.errors import Problem
 
-__all__ = ["SensorIndex", "add_sensors", "index_sensors", "plan_sensors", "silent_sensors"]
+__all__ = [
+    "CameraIndex",
+    "SensorIndex",
+    "add_sensors",
+    "index_sensors",
+    "plan_sensors",
+    "silent_sensors",
+]
 
 _OBJECT = mujoco.mjtObj
 
@@ -88,10 +98,25 @@ class SensorIndex:
     geoms: Mask = field(default_factory=lambda: np.zeros(0, np.bool_))
 
 
+@dataclass(frozen=True, eq=False)
+class CameraIndex(SensorIndex):
+    """A camera sensor in the compiled model; it has no columns.
+
+    Attributes:
+        ids: MuJoCo's ids of its cameras: one, or left and right.
+        entity_of_geom: (ngeom + 1,) int32 number in masks of each geom; the last is -1.
+    """
+
+    ids: tuple[int, ...] = ()
+    entity_of_geom: NDArray[np.int32] = field(default_factory=lambda: np.zeros(0, np.int32))
+
+
 def add_sensors(spec: mujoco.MjSpec, plans: Mapping[str, SensorPlan]) -> None:
-    """Add MuJoCo's sensors, named ``UID/...``; those of one sensor are contiguous."""
+    """Add MuJoCo's sensors, named ``UID/...``, contiguous for one sensor; and the cameras."""
     for plan in plans.values():
-        if isinstance(plan.cfg, ContactSensorCfg):
+        if isinstance(plan.cfg, CameraCfg):
+            add_camera(spec, plan.uid, plan.cfg, next(iter(plan.bodies), None))
+        elif isinstance(plan.cfg, ContactSensorCfg):
             _add_contacts(spec, plan)
         elif plan.cfg.sensor_type in _KINDS:
             _add_sites(spec, plan)
@@ -130,7 +155,7 @@ def index_sensors(
     plans: Mapping[str, SensorPlan],
     entities: Mapping[str, EntityIndex],
 ) -> dict[str, SensorIndex]:
-    """Find every sensor's columns, joints and geoms in the compiled model.
+    """Find every sensor's columns, joints, geoms and cameras in the compiled model.
 
     Args:
         model: The model.
@@ -157,6 +182,9 @@ def _index(
     model: mujoco.MjModel, plan: SensorPlan, entities: Mapping[str, EntityIndex]
 ) -> SensorIndex:
     cfg, count = plan.cfg, len(plan.names)
+    if isinstance(cfg, CameraCfg):
+        ids = tuple(int(model.camera(name).id) for name in camera_names(plan.uid, cfg))
+        return CameraIndex(ids=ids, entity_of_geom=entity_of_geom(model, entities))
     if isinstance(cfg, RayCastCfg):
         return SensorIndex(geoms=_targets(model, cfg, entities))
     if isinstance(cfg, JointTorqueSensorCfg):

@@ -9,8 +9,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from embodichain.lab.sim.compiler.cameras import check_camera, mount
 from embodichain.lab.sim.compiler.names import GROUND, Known, no_such, pick
 from embodichain.lab.sim.sensors.cfg import (
+    CameraCfg,
     ContactSensorCfg,
     ForceTorqueSensorCfg,
     FramePoseSensorCfg,
@@ -39,6 +41,7 @@ _TYPES = (
     JointTorqueSensorCfg,
     RaySensorCfg,
     HeightScanSensorCfg,
+    CameraCfg,
 )
 _MOST_RAYS = 100_000
 _ALIGNMENTS = ("base", "yaw", "world")
@@ -52,7 +55,8 @@ class SensorPlan:
     Attributes:
         uid: Its name.
         cfg: Its config.
-        names: (n,) names of the links it is fixed on, or of its joints.
+        names: (n,) names of the links it is fixed on, or of its joints; none for a camera or rays
+            fixed in the environment.
         bodies: (n,) names of the links' bodies in the model; empty for a sensor of joints.
         joints: (n,) names of its joints in the model.
         others: Objects with which contacts count, or in whose frame a pose is measured: MuJoCo's
@@ -93,7 +97,9 @@ def plan_sensor(
     problems = []
     if cfg.rate is not None and not 0 < cfg.rate < np.inf:
         problems.append(Problem("rate", f"must be positive and finite, Hz, got {cfg.rate!r}"))
-    if isinstance(cfg, JointTorqueSensorCfg):
+    if isinstance(cfg, CameraCfg):
+        plan, found = _plan_camera(uid, cfg, scene)
+    elif isinstance(cfg, JointTorqueSensorCfg):
         plan, found = _plan_joints(uid, cfg, scene)
     elif isinstance(cfg, RayCastCfg):
         plan, found = _plan_rays(uid, cfg, scene)
@@ -125,6 +131,19 @@ def _plan_links(uid: str, cfg: SensorCfg, scene: _Names) -> _Plan:
     if problems or not links:
         return None, problems
     return SensorPlan(uid, cfg, links, scene.bodies(entity.uid, links), others=others), []
+
+
+def _plan_camera(uid: str, cfg: CameraCfg, scene: _Names) -> _Plan:
+    problems = check_camera(cfg)
+    where, found = mount(cfg, scene.known)
+    problems += found
+    if where is None:
+        return SensorPlan(uid, cfg, ()), problems
+    links, found = scene.link("entity_cfg", where)
+    problems += found
+    if problems or not links:
+        return None, problems
+    return SensorPlan(uid, cfg, links, scene.bodies(where.uid, links)), []
 
 
 def _plan_frame(uid: str, cfg: FramePoseSensorCfg, scene: _Names) -> _Plan:

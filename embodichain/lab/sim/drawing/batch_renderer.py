@@ -210,7 +210,9 @@ class BatchRenderer:
             axes = np.asarray(view.axes, np.float64).reshape(-1, 3, 3)
             position, axes = (a if len(a) == 1 else a[rows] for a in (position, axes))
             focal = np.asarray(view.optics.focal)[None] if view.focal is None else view.focal[rows]
-            projection = _projection(view.optics, focal)
+            middle = np.asarray(view.optics.centre)[None]
+            centre = middle if view.centre is None else view.centre[rows]
+            projection = _projection(view.optics, focal, centre)
             turned = np.swapaxes(axes, 1, 2)  # world to camera
             world = np.zeros((len(axes), 4, 4))
             world[:, :3, :3] = turned
@@ -218,7 +220,7 @@ class BatchRenderer:
             world[:, 3, 3] = 1.0
             out[:, :4] = projection @ world
             out[:, 4, :3], out[:, 4, 3] = position, np.arange(len(rows))
-            corner, right, down = _rays(view.optics, focal, axes)
+            corner, right, down = _rays(view.optics, focal, centre, axes)
             out[:, 5, :3], out[:, 6, :3], out[:, 7, :3] = corner, right, down
         self._numbers["views"].upload(found)
 
@@ -313,23 +315,25 @@ class _Rows:
         return found.reshape(len(found), -1, width) if width else found.reshape(len(found), -1)
 
 
-def _projection(optics: Optics, focal: NDArray[Any]) -> NDArray[np.float64]:
+def _projection(optics: Optics, focal: NDArray[Any], centre: NDArray[Any]) -> NDArray[np.float64]:
     """(n, 4, 4) OpenGL projections, upside down, so that the first row read is the top."""
     near, far = optics.near, optics.far
     width, height = optics.width, optics.height
-    found = np.zeros((len(focal), 4, 4))
+    found = np.zeros((max(len(focal), len(centre)), 4, 4))
     found[:, 0, 0] = 2.0 * focal[:, 0] / width
-    found[:, 0, 2] = 1.0 - 2.0 * optics.centre[0] / width
+    found[:, 0, 2] = 1.0 - 2.0 * centre[:, 0] / width
     found[:, 1, 1] = -2.0 * focal[:, 1] / height
-    found[:, 1, 2] = 1.0 - 2.0 * optics.centre[1] / height
+    found[:, 1, 2] = 1.0 - 2.0 * centre[:, 1] / height
     found[:, 2, 2], found[:, 2, 3] = -(far + near) / (far - near), -2.0 * far * near / (far - near)
     found[:, 3, 2] = -1.0
     return found
 
 
-def _rays(optics: Optics, focal: NDArray[Any], axes: NDArray[Any]) -> tuple[Any, Any, Any]:
+def _rays(
+    optics: Optics, focal: NDArray[Any], centre: NDArray[Any], axes: NDArray[Any]
+) -> tuple[Any, Any, Any]:
     """(n, 3) each: the ray through the top left corner, and what one width and one height add."""
-    x, y = -optics.centre[0] / focal[:, :1], optics.centre[1] / focal[:, 1:]
+    x, y = -centre[:, :1] / focal[:, :1], centre[:, 1:] / focal[:, 1:]
     right, up, back = axes[..., 0], axes[..., 1], axes[..., 2]
     corner = x * right + y * up - back
     return corner, right * optics.width / focal[:, :1], -up * optics.height / focal[:, 1:]

@@ -1,4 +1,4 @@
-"""Sensors: contacts, inertial measurements, forces at joints, poses, rays."""
+"""Sensors: contacts, inertial measurements, forces, poses of frames, rays, cameras."""
 
 from typing import TYPE_CHECKING
 
@@ -8,6 +8,7 @@ from embodichain.lab.sim.sensors.cfg import (
     AnySensorCfg,
     CameraCfg,
     ContactSensorCfg,
+    ExtrinsicsCfg,
     ForceTorqueSensorCfg,
     FramePoseSensorCfg,
     HeightScanSensorCfg,
@@ -15,6 +16,7 @@ from embodichain.lab.sim.sensors.cfg import (
     JointsCfg,
     JointTorqueSensorCfg,
     LinksCfg,
+    OffsetCfg,
     RayFanCfg,
     RayGridCfg,
     RayPatternCfg,
@@ -24,6 +26,7 @@ from embodichain.lab.sim.sensors.cfg import (
 )
 
 if TYPE_CHECKING:
+    from embodichain.lab.sim.sensors.camera import Camera, StereoCamera
     from embodichain.lab.sim.sensors.ray_sensors import HeightScanSensor, RaySensor
     from embodichain.lab.sim.sensors.sensor_handles import (
         BaseSensor,
@@ -38,6 +41,7 @@ if TYPE_CHECKING:
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
+        "camera": ["Camera", "StereoCamera"],
         "ray_sensors": ["HeightScanSensor", "RaySensor"],
         "sensor_handles": [
             "BaseSensor",
@@ -53,9 +57,11 @@ __getattr__, __dir__, _ = lazy_loader.attach(
 __all__ = [
     "AnySensorCfg",
     "BaseSensor",
+    "Camera",
     "CameraCfg",
     "ContactSensor",
     "ContactSensorCfg",
+    "ExtrinsicsCfg",
     "ForceTorqueSensor",
     "ForceTorqueSensorCfg",
     "FramePoseSensor",
@@ -68,11 +74,13 @@ __all__ = [
     "JointTorqueSensorCfg",
     "JointsCfg",
     "LinksCfg",
+    "OffsetCfg",
     "RayFanCfg",
     "RayGridCfg",
     "RayPatternCfg",
     "RaySensor",
     "RaySensorCfg",
     "SensorCfg",
+    "StereoCamera",
     "StereoCameraCfg",
 ]

@@ -23,6 +23,7 @@ from embodichain.lab.sim.cfg import (
     SimulationManagerCfg,
 )
 from embodichain.lab.sim.sensors import (
+    CameraCfg,
     ContactSensorCfg,
     ForceTorqueSensorCfg,
     FramePoseSensorCfg,
@@ -314,10 +315,12 @@ def test_a_reading_is_a_reward(make) -> None:
         ("sensor_reading", {"sensor": "ray"}, "sensor", "Did you mean 'rays'"),
         ("sensor_reading", {"sensor": "rays", "reading": "normal"}, "reading", "has: distance"),
         ("sensor_reading", {"sensor": "frame", "reading": "positon"}, "reading", "'position'"),
+        ("sensor_reading", {"sensor": "eye"}, "sensor", "'eye' is a camera"),
         ("height_scan", {"sensor": "rays"}, "sensor", "is no height_scan sensor"),
     ],
 )
 def test_a_wrong_reading_is_refused(make, func, params, path, match) -> None:
+    sensors = {**spatial(), "eye": CameraCfg(width=8, height=8)}
     with pytest.raises(ConfigError, match=match) as error:
-        make(sensors=spatial(), observations={"o": ObservationCfg(func=func, params=params)})
+        make(sensors=sensors, observations={"o": ObservationCfg(func=func, params=params)})
     assert [p.path for p in error.value.problems] == [f"observations.o.params.{path}"]

@@ -7,7 +7,7 @@ the number of links of a sensor.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,7 +25,7 @@ from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._rows import norm, total
 from embodichain.lab.sim.body_motion import origin_velocities
-from embodichain.lab.sim.sensors.cfg import readings
+from embodichain.lab.sim.sensors.cfg import CameraCfg, readings
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64, EnvIndex
+    from embodichain.lab.sim.sensors.cfg import SensorCfg
 
 __all__ = [
     "FeetAirTime",
@@ -254,7 +255,9 @@ def height_scan(env: TermContext, sensor: HeightScanOf, offset: float = 0.5) -> 
 
 @quantity(name="sensor_reading")
 class SensorReading(Term):
-    """A reading of any sensor, (N, K): distances of rays, the pose of a frame, torques of joints.
+    """A reading of any sensor but a camera, (N, K).
+
+    Distances of rays, the position of a frame, torques of joints.
 
     Args:
         sensor: A sensor.
@@ -265,7 +268,7 @@ class SensorReading(Term):
     """
 
     def __init__(self, env: TermContext, sensor: SensorOf, reading: str | None = None) -> None:
-        problems = _check_reading(sensor.uid, reading, sensor.reads)
+        problems = _check_reading(sensor.uid, sensor.cfg, reading)
         if problems:
             raise ConfigError(problems)
         self._read = getattr(sensor, f"read_{sensor.reads[0] if reading is None else reading}")
@@ -276,7 +279,7 @@ class SensorReading(Term):
         cfg = task.sensors.get(params["sensor"])
         if cfg is None:
             return []  # added in Python, or reported as missing
-        return _check_reading(params["sensor"], params.get("reading"), readings(cfg))
+        return _check_reading(params["sensor"], cfg, params.get("reading"))
 
     def __call__(self) -> F64:
         """(N, K) the reading; its dimensions after the first are flattened."""
@@ -284,7 +287,10 @@ class SensorReading(Term):
         return values.reshape(len(values), -1)
 
 
-def _check_reading(sensor: str, reading: str | None, there: Sequence[str]) -> list[Problem]:
+def _check_reading(sensor: str, cfg: SensorCfg, reading: str | None) -> list[Problem]:
+    if isinstance(cfg, CameraCfg):
+        return [Problem("sensor", f"{sensor!r} is a camera: its images are not columns")]
+    there = readings(cfg)
     if reading is None or reading in there:
         return []
     message = f"sensor {sensor!r} has no reading {reading!r}; it has: {', '.join(there)}"
