@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import lazy_loader
 
-from embodichain.compat import finder
+from embodichain.compat import names
 from embodichain.config.gymnasium_ids import register_with_gymnasium
 
 if TYPE_CHECKING:
@@ -21,9 +21,9 @@ __getattr__, __dir__, _ = lazy_loader.attach(__name__, submod_attrs={"config.fac
 
 __all__ = ["__version__", "make"]
 
-finder.install()
+names.install()
 
-from embodichain.utils.plugins import TERM_MODULES  # noqa: E402  (found by the finder)
+from embodichain.utils.plugins import TERM_MODULES  # noqa: E402  (found by the hook)
 
 TERM_MODULES.append("embodichain.compat.terms")
 register_with_gymnasium()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
@@ -34,6 +35,7 @@ __all__ = [
     "log_of",
     "main",
     "overrides",
+    "pair",
     "split_overrides",
     "verb",
 ]
@@ -44,6 +46,7 @@ VERBS = {
     "eval": "Play a policy for exactly N episodes; print results with confidence intervals.",
     "play": "Show a trained policy in a window.",
     "compare": "Put trainings side by side: a table, and curves with intervals over seeds.",
+    "report": "Write one HTML page about a run: results, film, curves, config, how to repeat it.",
     "export": "Write a log in another format, or a policy as one ONNX or TorchScript file.",
     "replay": "Print what a log contains; with --verify simulate it again and compare every bit.",
     "view": "Print how to open a log in Foxglove or Lichtblick; open it, or play it to them.",
@@ -52,6 +55,7 @@ VERBS = {
     "bench": "Measure control steps/s beside the bare batch of the same model.",
     "list": "List tasks, robots or terms.",
     "show": "Show a task: resolved config, scene, spaces, terms; or one term.",
+    "render": "Write a picture of a task: one environment, or a grid of several.",
     "validate": "Check a task, build it as `run` does, and print every mistake.",
     "convert": "Write EmbodiChain's own config of a task as a task file.",
     "run-env": "EmbodiChain's command: run --gym-config, with its flags.",
@@ -443,3 +447,20 @@ def split_overrides(words: tuple[str, ...]) -> list[str]:
     if len(bare) > 1:
         raise ConfigError(f"one task at a time: {', '.join(bare)}. Values are given as key=value")
     return [*(f"task={word}" for word in bare), *(word for word in words if word not in bare)]
+
+
+def pair(option: str, text: str, form: str) -> tuple[int, int]:
+    """Return the numbers of an option's value such as ``640x480``.
+
+    Args:
+        option: The option.
+        text: Its value.
+        form: The allowed form, for the message.
+
+    Raises:
+        ConfigError: The value has another form, or a number is 0.
+    """
+    found = re.fullmatch(r"([1-9]\d{0,4})x([1-9]\d{0,4})", text)
+    if found is None:
+        raise ConfigError(f"{option} is {form}, not {text!r}")
+    return int(found[1]), int(found[2])

@@ -37,6 +37,7 @@ __all__ = [
     "execute",
     "film_progress",
     "job_options",
+    "pinned",
     "policy_of",
     "resolved_job",
     "start",
@@ -245,7 +246,7 @@ def execute(
     from embodichain.config.resolved import write_record
     from embodichain.config.run_folder import claim
 
-    resolved = _pinned(resolved)
+    resolved = pinned(resolved)
     if folder is None:
         folder = claim(resolved.root.output_dir, resolved.task_name)
     write_record(folder, resolved, command)
@@ -265,7 +266,7 @@ def execute(
         return value
 
 
-def _pinned(resolved: Resolved) -> Resolved:
+def pinned(resolved: Resolved) -> Resolved:
     """Replace `last` and links by the folder they refer to now, since later runs change it."""
     from embodichain.config.run_folder import CHECKPOINT, named_checkpoint, newest_run
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import sys
 from dataclasses import asdict
 from datetime import datetime
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from embodichain.cli import process
-from embodichain.cli.app import log_argument, log_of, verb
+from embodichain.cli.app import log_argument, log_of, pair, verb
 from embodichain.cli.jobs import ended_early, film_progress
 from embodichain.cli.output import print_facts, print_json, print_table, say_warnings
 from embodichain.cli.process import Interrupted, StopFlag
@@ -206,7 +205,8 @@ def _film(path: Path, options: SimpleNamespace) -> int:
 
     out = Path(options.video)
     part = options.env or 0, options.episode, options.start, options.last
-    how = options.speed or 1.0, _size(options.size or "640x480"), options.camera
+    pixels = pair("--size", options.size or "640x480", "WIDTHxHEIGHT in pixels, such as 640x480")
+    how = options.speed or 1.0, pixels, options.camera
     quiet = options.quiet or options.json
     display = ProgressDisplay("film", None, "pictures", quiet=quiet)
     with Log(path) as log, StopFlag() as stop, display:
@@ -222,13 +222,6 @@ def _film(path: Path, options: SimpleNamespace) -> int:
     if not (filmed.pictures and filmed.whole):
         raise Interrupted(ended_early(stop, filmed, out))
     return process.OK
-
-
-def _size(text: str) -> tuple[int, int]:
-    found = re.fullmatch(r"(\d{1,5})x(\d{1,5})", text)
-    if found is None:
-        raise ConfigError(f"--size is WIDTHxHEIGHT in pixels, such as 640x480, not {text!r}")
-    return int(found[1]), int(found[2])
 
 
 def _view(path: Path, options: SimpleNamespace) -> int:

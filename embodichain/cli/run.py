@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.policies import Policy
 
-__all__ = ["SUMMARY_FILE", "command", "run_job"]
+__all__ = ["SUMMARY_FILE", "command", "run_job", "summary_rows"]
 
 SUMMARY_FILE = "summary.json"
 _PICTURE_SIZE = (1280, 960)
@@ -75,7 +76,7 @@ def run_job(job: Job) -> float | None:
     if root.json:
         print_json(summary)
     elif not root.quiet:
-        _print_summary(summary)
+        print_facts(str(summary["task"]), summary_rows(summary))
     return summary["return"]["mean"] if summary["return"] is not None else None
 
 
@@ -183,8 +184,8 @@ def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
     write_text(folder / SUMMARY_FILE, to_json(summary, indent=2) + "\n")
 
 
-def _print_summary(summary: dict[str, Any]) -> None:
-    """Print the summary as a table."""
+def summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """Return the table that a run prints, from the content of its `summary.json`."""
     ends = {
         "finished": "every environment had its episodes",
         "max_steps": "max_steps reached",
@@ -208,8 +209,7 @@ def _print_summary(summary: dict[str, Any]) -> None:
     if summary["diverged"]:
         rows.append(("diverged", f"{summary['diverged']} episodes"))
     names = ("seed", "log", "video", "folder")
-    rows += [(name, summary[name]) for name in names if summary.get(name) is not None]
-    print_facts(str(summary["task"]), rows)
+    return [*rows, *((name, summary[name]) for name in names if summary.get(name) is not None)]
 
 
 def _mean_spread(spread: dict[str, float] | None) -> str:

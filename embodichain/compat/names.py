@@ -1,4 +1,8 @@
-"""The table of EmbodiChain's public names: the equivalent here, or what to use instead.
+"""EmbodiChain's public names: a table of their equivalents, and the import hook that finds them.
+
+For each name the table has the object here, or what to use instead. `install` inserts the hook,
+which applies only to modules of EmbodiChain: a module of this package is loaded as usual, and only
+a name that it lacks is looked up in the table.
 
 Functors (events, observations, rewards, actions) are not in it: they are looked up among the terms,
 and `compat.gym_config.functors` has reasons for missing ones. This module imports no other module
@@ -9,13 +13,18 @@ from __future__ import annotations
 
 import importlib
 import json
-from collections.abc import Mapping
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Final
 
-__all__ = ["OURS", "REASONS", "available", "find", "reason", "upstream_modules", "upstream_names"]
+__all__ = ["OURS", "REASONS", "install", "reason", "upstream_modules", "upstream_names"]
 
+_ROOT = "embodichain."
 _ENVS = "embodichain.lab.gym.envs"
 _MANAGERS = f"{_ENVS}.managers"
 _SIM = "embodichain.lab.sim"
@@ -44,7 +53,9 @@ _PLACES: Final[Mapping[str, tuple[str, ...]]] = {
     ),
     f"{_SIM}.objects": ("BatchEntity", "ClothObject", "Gizmo", "Light", "RigidObjectGroup"),
     f"{_SIM}.unavailable": ("SoftObject",),
-    f"{_SIM}.sensors": ("BaseSensor", "CameraCfg", "SensorCfg", "StereoCameraCfg"),
+    f"{_SIM}.sensors": (
+        *("BaseSensor", "Camera", "CameraCfg", "SensorCfg", "StereoCamera", "StereoCameraCfg"),
+    ),
     f"{_SIM}.shapes": ("VisualMaterialCfg",),
     f"{_MANAGERS}.drawing": ("EventManager",),
     f"{_MANAGERS}.term": ("ActionTerm",),
@@ -78,7 +89,6 @@ _SOFT = "soft bodies are not available"
 _CLOTH = "cloth is not available"
 _GROUP = "object groups are not available: add objects one by one"
 _TEXTURES = "declare visual_material on a shape; randomize_visual_material changes colours"
-_CAMERA = "cameras are not available yet; SimulationManager.render draws a picture"
 
 REASONS: Final[Mapping[str, str]] = {
     "embodichain.embodichain_dir": "use pathlib.Path(embodichain.__file__).parent",
@@ -123,9 +133,8 @@ REASONS: Final[Mapping[str, str]] = {
     f"{_SIM}.objects.soft_object": _SOFT,
     f"{_SIM}.planners": _PLANNERS,
     f"{_SIM}.robots": _ROBOT,
-    f"{_SIM}.sensors.camera": _CAMERA,
     f"{_SIM}.sensors.contact_sensor": "ContactSensorCfg(entity_cfg=...) names the links",
-    f"{_SIM}.sensors.stereo": _CAMERA,
+    f"{_SIM}.sensors.stereo.PairCameraView": "StereoCamera.get_left_right_arena_pose has the poses",
     f"{_SIM}.sim_manager": _CACHE,
     f"{_SIM}.solvers": _SOLVERS,
     f"{_SIM}.utility": _ENGINE,
@@ -252,3 +261,78 @@ def _term(module: str, name: str) -> Any:
         if spec is not None:
             return spec.name if isinstance(spec, AliasSpec) else spec.func
     return None
+
+
+# -- the import hook -------------------------------------------------------------------------------
+
+
+class _Completed(SourceFileLoader):
+    """Loads a module of this package and adds the EmbodiChain names that it lacks."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        super().exec_module(module)
+        complete(module)
+
+
+class _Alias(Loader):
+    """Creates a module that exists only in EmbodiChain, with its names."""
+
+    def create_module(self, spec: ModuleSpec) -> None:
+        """Return None, so that Python creates the module."""
+
+    def exec_module(self, module: ModuleType) -> None:
+        module.__doc__ = (
+            f"EmbodiChain's `{module.__name__}`; docs/compatibility.md lists its names."
+        )
+        module.__dir__ = lambda: available(module.__name__)  # type: ignore[method-assign]
+        complete(module)
+
+
+class _Finder(MetaPathFinder):
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        if not fullname.startswith(_ROOT) or fullname not in upstream_modules():
+            return None
+        spec = PathFinder.find_spec(fullname, path, target)
+        if spec is None or spec.origin is None:  # no such module, or a folder without Python
+            below = f"{fullname}."
+            package = any(name.startswith(below) for name in upstream_modules())
+            alias = ModuleSpec(fullname, _Alias(), is_package=package)
+            if spec is not None:
+                alias.submodule_search_locations = spec.submodule_search_locations
+            return alias
+        if type(spec.loader) is SourceFileLoader and upstream_names(fullname):
+            spec.loader = _Completed(fullname, spec.loader.path)
+        return spec
+
+
+def complete(module: ModuleType) -> None:
+    """Look up EmbodiChain's names in a module that lacks them."""
+    name_of, listed = module.__name__, upstream_names(module.__name__)
+    own: Callable[[str], Any] | None = module.__dict__.get("__getattr__")
+
+    def look_up(name: str) -> Any:
+        if own is not None:
+            try:
+                return own(name)
+            except AttributeError:
+                if name not in listed:
+                    raise
+        if name in listed:
+            return find(name_of, name)
+        if name == "__all__" and module.__spec__ and isinstance(module.__spec__.loader, _Alias):
+            return available(name_of)
+        raise AttributeError(f"module {name_of!r} has no attribute {name!r}")
+
+    module.__getattr__ = look_up  # type: ignore[method-assign]
+
+
+def install() -> None:
+    """Insert the finder first and complete the modules already loaded; once per process."""
+    if any(isinstance(finder, _Finder) for finder in sys.meta_path):
+        return
+    for name, module in list(sys.modules.items()):
+        if name == "embodichain" or name.startswith(_ROOT) and upstream_names(name):
+            complete(module)
+    sys.meta_path.insert(0, _Finder())

@@ -119,25 +119,23 @@ def display_path(path: Path) -> str:
     return str(resolved.relative_to(here)) if resolved.is_relative_to(here) else str(resolved)
 
 
+@dataclass(frozen=True)
 class Locator:
     """Finds the source of dotted key paths.
 
-    Args:
-        files: Reads the composed files, called at the first query; if two set a key, the later
+    Attributes:
+        read: Reads the composed files, called at the first query; if two set a key, the later
             wins.
         overrides: Value overrides, applied after all files.
     """
 
-    def __init__(
-        self, files: Callable[[], Sequence[ConfigFile]], overrides: Sequence[Override] = ()
-    ) -> None:
-        self._read = files
-        self.overrides = tuple(overrides)
+    read: Callable[[], Sequence[ConfigFile]]
+    overrides: Sequence[Override] = ()
 
     @cached_property
     def files(self) -> tuple[ConfigFile, ...]:
         """The composed files."""
-        return tuple(self._read())
+        return tuple(self.read())
 
     def source(self, path: str) -> str:
         """Return ``FILE:LINE`` or ``command line`` of a key, or of its nearest ancestor.

@@ -12,8 +12,8 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
+from embodichain.lab.gym.envs.observation import entry_spaces
 from embodichain.lab.gym.single import SingleEnv
-from embodichain.lab.gym.utils.spaces import entry_spaces
 from embodichain.lab.gym.vector import NumpyVectorEnv
 from embodichain.utils.errors import ConfigError
 
@@ -121,8 +121,7 @@ def observation_columns(env: BaseEnv, group: str) -> tuple[str, ...]:
 
 def flat_observation(env: BaseEnv, obs: Any, group: str) -> F32:
     """Return a group of an observation as a new (N, K) array, one flat vector per environment."""
-    flat: F32 = env.observation_manager.flatten(obs, group).numpy(force=True)
-    return flat
+    return env.observation_manager.flat_rows(obs, group)
 
 
 def require_torch_batch(env: gym.Env[Any, Any], caller: str) -> None:

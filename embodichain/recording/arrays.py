@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from embodichain.recording.chunks import LogReader
 from embodichain.recording.columns import Column
 from embodichain.recording.log_error import LogError
 from embodichain.recording.simulation import Simulation
-from embodichain.recording.trajectory import Rows, Span, changes, outcomes, runs, stacked, steps_of
+from embodichain.recording.trajectory import Rows, Span, changes, follow, outcomes, runs
 from embodichain.utils.errors import ConfigError
 from embodichain.utils.suggest import did_you_mean
 
@@ -35,9 +36,6 @@ OUTCOMES = {
     "episodes": ("episode_ids", np.int64),
 }
 """Field to its array in a ``step`` call, and its type."""
-
-_Part = tuple[Run, NDArray[np.int64], Mapping[str, F64]]
-"""A run, indices of T of its steps, and components of their rows: (T, n, k)."""
 
 
 @dataclass(frozen=True)
@@ -138,21 +136,17 @@ def gather(
     Raises:
         LogError: If the log is inconsistent.
     """
-    layout, ids = reader.require_header().layout, rows.env_ids
-    slices = {name: slice(*layout[name]) for name in names if name in layout}
+    header, ids = reader.require_header(), rows.env_ids
+    slices = {name: slice(*header.layout[name]) for name in names if name in header.layout}
     steps: list[NDArray[np.int64]] = []
     pieces: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
-    everyone = len(ids) == reader.require_header().num_envs
-    for run, index, states in _parts(reader, rows, span, slices, len(slices) < len(names)):
+    take = slice(None) if len(ids) == header.num_envs else ids
+    for run, index in _parts(reader, rows, span, slices, pieces):
         steps.append(run.first + index)
-        outcome = run.calls[-1].arrays
         for name in names:
-            if name in slices:
-                pieces[name].append(states[name])
-            else:
+            if name not in slices:
                 key, dtype = OUTCOMES[name]
-                found = outcome[key][index]
-                pieces[name].append((found if everyone else found[:, ids]).astype(dtype))
+                pieces[name].append(run.calls[-1].arrays[key][index][:, take].astype(dtype))
     values: dict[str, NDArray[Any]] = {}
     named = {name: list(columns[name]) for name in names}
     for name in names:
@@ -164,55 +158,50 @@ def gather(
             raise LogError(f"{reader.path}: steps differ in their {name}: {error}") from error
     if "actions" in values:  # the first step of a damaged log may be unknown
         named["actions"] = [Column(str(i), "") for i in range(values["actions"].shape[-1])]
-    control_dt = reader.require_header().control_dt
     every_step = np.concatenate([np.empty(0, np.int64), *steps])
-    return LogArrays(every_step, ids, control_dt, named, values)
+    return LogArrays(every_step, ids, header.control_dt, named, values)
 
 
 def _parts(
-    reader: LogReader, rows: Rows, span: Span, slices: Mapping[str, slice], with_outcomes: bool
-) -> Iterator[_Part]:
-    """The steps of a span, grouped by run; reads only the needed components."""
+    reader: LogReader,
+    rows: Rows,
+    span: Span,
+    slices: Mapping[str, slice],
+    pieces: dict[str, list[NDArray[Any]]],
+) -> Iterator[tuple[Run, NDArray[np.int64]]]:
+    """Yield runs, and indices of their known steps within the span.
+
+    Args:
+        reader: The log.
+        rows: The rows, followed if there are `slices`.
+        span: The control steps.
+        slices: Components of the input of physics.
+        pieces: The values of these components, (steps, n, k), are appended here.
+    """
     if not slices:
         for run in runs(reader, span, outcomes):
             index = _within(run, span)
             if len(index):
-                yield run, index, {}
+                yield run, index
         return
 
     def wanted(kind: CallKind) -> bool:
         if outcomes(kind):
-            return with_outcomes
+            return len(slices) < len(pieces)
         if kind.kind != "write" or isinstance(rows, Simulation):
             return changes(kind)
         return kind.mode == "reset" or (kind.mode == "state" and kind.name in {*slices, "row"})
 
-    for run in runs(reader, span, wanted):
-        if run.of_kind("start"):
-            rows.begin(run)
-            continue
-        index, states = _received(reader, rows, run, span, slices)
-        if len(index):
-            yield run, index, states
-
-
-def _received(
-    reader: LogReader, rows: Rows, run: Run, span: Span, slices: Mapping[str, slice]
-) -> tuple[NDArray[np.int64], Mapping[str, F64]]:
-    """Indices of a run's known steps within the span, and the input of their physics."""
-    together = None
-    if run.steps > 1 and not isinstance(rows, Simulation):
-        together = stacked(reader, rows, run, slices)
-    if together is not None:
-        index = _within(run, span)
-        return index, {name: values[index] for name, values in together.items()}
-    steps: list[int] = []
-    states: dict[str, list[F64]] = {name: [] for name in slices}
-    for t in steps_of(reader, rows, run, span):
-        steps.append(t)
-        for name, columns in slices.items():
-            states[name].append(rows.rows[:, columns].copy())
-    return np.array(steps, np.int64), {n: np.array(values) for n, values in states.items()}
+    for _, found in groupby(follow(reader, rows, span, wanted), lambda step: step[0].first):
+        states: list[list[F64]] = [[] for _ in slices]
+        steps = []
+        for step in found:
+            steps.append(step)
+            for values, columns in zip(states, slices.values(), strict=True):
+                values.append(rows.rows[:, columns].copy())
+        for name, values in zip(slices, states, strict=True):
+            pieces[name].append(np.array(values))
+        yield steps[0][0], np.array([t for _, t in steps])
 
 
 def _within(run: Run, span: Span) -> NDArray[np.int64]:

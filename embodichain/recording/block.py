@@ -1,4 +1,4 @@
-"""A run of control steps with the same calls, and the `embodichain.Steps` message of a run.
+"""Recorded control steps, and the `embodichain.Steps` message that has several of them.
 
 A control step is recorded as a list of calls, in the order in which they happened:
 
@@ -29,18 +29,22 @@ calls after the last step of a recording end without it. A ``start`` is a separa
 `START_TOPIC` with the state of the simulation before control step `first`: replaying the messages
 after it needs none before it.
 
-Consecutive steps with equal calls (names, columns, dtypes, shapes) form one message on
-`STEPS_TOPIC`: steps `first` to `first + count - 1`. The array `name` of a call is in `data` at
-`offset`: `count` arrays of `shape`, little-endian, row-major; `packing` may store it compactly.
+A message on `STEPS_TOPIC` has steps `first` to `first + count - 1`. Calls of the same kind (names,
+columns, dtypes, shapes) are one entry, which lists its `steps` (from 0) if it is not in all of
+them; the calls of a step are in the order of the entries. The array `name` of an entry is in `data`
+at `offset`: as many arrays of `shape` as it has steps, little-endian, row-major; `packing` may
+store it compactly. On reading, consecutive steps with the same calls form a `Run`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any, NamedTuple
 
+import numpy as np
 from google.protobuf.message import DecodeError
 from numpy.typing import NDArray
 
@@ -48,14 +52,24 @@ from embodichain.recording.log_error import DamageError
 from embodichain.recording.packing import DTYPES, Place, load, store
 from embodichain.recording.schema import message_class
 
-__all__ = ["DRAWN", "ArrayKind", "Call", "CallKind", "Run", "pack_run", "unpack_run"]
+__all__ = [
+    "DRAWN",
+    "ArrayKind",
+    "Call",
+    "CallKind",
+    "Recorded",
+    "Run",
+    "pack_steps",
+    "unpack_steps",
+]
 
 DRAWN = "drawn."
 """Prefix of the names of arrays that an event drew."""
 
 MOST_STEPS = 2**12
 MOST_PHYSICS_STEPS = 1_000_000
-"""Larger counts in a file are refused."""
+MOST_CALLS = 2**23
+"""Larger counts in a file are refused; the last one is of calls times steps in a message."""
 
 _IDS = frozenset({"env_ids", "failed"})
 """Arrays of environment indices."""
@@ -102,6 +116,10 @@ class CallKind(NamedTuple):
     arrays: tuple[ArrayKind, ...] = ()
 
 
+Recorded = tuple[CallKind, tuple[NDArray[Any], ...]]
+"""A call of one step, and its arrays: contiguous, with the kind's dtypes and shapes."""
+
+
 @dataclass(frozen=True, slots=True)
 class Call:
     """A call in every step of a run.
@@ -139,27 +157,61 @@ class Run:
         return [call for call in self.calls if call.kind.kind == kind]
 
 
-def pack_run(
-    first: int, kinds: Sequence[CallKind], steps: Sequence[Sequence[Sequence[Any]]]
-) -> bytes:
-    """Serialize a run as `embodichain.Steps`.
+@dataclass(slots=True)
+class _Entry:
+    """The calls of one kind in a message: their steps, and their arrays in each of these."""
+
+    kind: CallKind
+    steps: list[int] = field(default_factory=list)
+    arrays: list[tuple[NDArray[Any], ...]] = field(default_factory=list)
+
+
+def _entries(steps: Sequence[Sequence[Recorded]]) -> list[_Entry]:
+    """Group the calls of some steps, so that the entries are in the order of each step's calls."""
+    entries: list[_Entry] = []
+    places: dict[tuple[int, ...], list[_Entry]] = {}
+    for step, calls in enumerate(steps):
+        key = tuple([id(kind) for kind, _ in calls])
+        found = places.get(key)
+        if found is None:
+            found, at = [], 0
+            for kind, _ in calls:
+                where = [i for i in range(at, len(entries)) if entries[i].kind == kind]
+                if not where:
+                    entries.insert(at, _Entry(kind))
+                at = where[0] if where else at
+                found.append(entries[at])
+                at += 1
+            places[key] = found
+        for entry, (_, arrays) in zip(found, calls, strict=True):
+            entry.steps.append(step)
+            entry.arrays.append(arrays)
+    return entries
+
+
+def pack_steps(first: int, steps: Sequence[Sequence[Recorded]]) -> list[Any]:
+    """Serialize control steps as `embodichain.Steps`.
 
     Args:
         first: Number of the first control step.
-        kinds: The calls of every step.
-        steps: For each step and each call, its arrays, in the order of the kind: contiguous, with
-            the kind's dtype and shape.
+        steps: The calls of each step.
+
+    Returns:
+        The message, as bytes and arrays that follow one another.
     """
     message = message_class("Steps")(first=first, count=len(steps))
-    contents: list[tuple[str, bytes]] = []
+    contents: list[tuple[str, list[NDArray[Any]]]] = []
     described: list[Any] = []
-    for i, kind in enumerate(kinds):
+    for entry in _entries(steps):
+        kind = entry.kind
         call = message.calls.add(kind=kind.kind, name=kind.name, mode=kind.mode, nstep=kind.nstep)
         if kind.columns is not None:
             call.some_columns = True
             call.columns.extend(kind.columns)
+        if len(entry.steps) < len(steps):
+            call.steps.extend(entry.steps)
         for j, array in enumerate(kind.arrays):
-            contents.append((array.dtype, b"".join([step[i][j] for step in steps])))
+            contents.append((array.dtype, [arrays[j] for arrays in entry.arrays]))
             described.append(call.arrays.add(name=array.name, dtype=array.dtype, shape=array.shape))
     places, parts = store(contents)
     for array, place in zip(described, places, strict=True):
@@ -167,8 +219,8 @@ def pack_run(
         if place.base is not None:
             array.differs, array.base, array.base_single = True, place.base, place.base_single
     # Append field 4 (its key, length and bytes) by hand: protobuf would copy the bytes again.
-    head = message.SerializeToString()
-    return b"".join([head, b"\x22", _varint(sum(map(len, parts))), *parts])
+    size = sum(memoryview(part).nbytes for part in parts)
+    return [message.SerializeToString() + b"\x22" + _varint(size), *parts]
 
 
 def _varint(value: int) -> bytes:
@@ -180,13 +232,13 @@ def _varint(value: int) -> bytes:
     return bytes(out)
 
 
-def unpack_run(
+def unpack_steps(
     data: bytes | memoryview,
     num_envs: int,
     moved: int,
     nstate: int,
     wanted: Callable[[CallKind], bool] | None = None,
-) -> Run:
+) -> list[Run]:
     """Read an `embodichain.Steps` message; every length, index and shape in it is checked.
 
     Args:
@@ -198,32 +250,60 @@ def unpack_run(
             arrays.
 
     Returns:
-        The run; most of its arrays share the message's bytes.
+        Its steps, grouped by the calls that are read; most arrays share the message's bytes.
 
     Raises:
-        DamageError: If the message is not a valid run of this log.
+        DamageError: If the message has no valid control steps of this log.
     """
     first, count, declared_calls, blob = _split(memoryview(data))
-    if not 0 < count <= MOST_STEPS or first >= 2**62:
-        raise DamageError(f"a run of {count} control steps from step {first}")
-    calls = []
+    if not 0 < count <= MOST_STEPS or first >= 2**62 or count * len(declared_calls) > MOST_CALLS:
+        raise DamageError(f"a message of {count} control steps from step {first}")
+    calls: list[Call] = []
+    happens = np.ones((count, len(declared_calls)), np.bool_)
     for declared in declared_calls:
         declaration = _declaration if len(declared) < _LARGEST_CACHED else _declaration.__wrapped__
-        kind, places, why = declaration(declared, num_envs, moved, nstate)
-        if wanted is not None and not wanted(kind):
-            if kind.kind == "step":
-                calls.append(Call(kind, {}))
+        kind, places, some, why = declaration(declared, num_envs, moved, nstate)
+        read = wanted is None or wanted(kind)
+        if not read and kind.kind != "step":
             continue
+        why = why or _wrong_steps(some, count)
         if why:
             raise DamageError(f"step {first}: {why}")
+        if some:
+            happens[:, len(calls)] = False
+            happens[some, len(calls)] = True
         arrays = {}
-        for array, place in zip(kind.arrays, places, strict=True):
+        for array, place in zip(kind.arrays, places, strict=True) if read else ():
             name, dtype, shape = array
-            values = arrays[name] = load(name, dtype, (count, *shape), place, blob)
+            values = load(name, dtype, (len(some) or count, *shape), place, blob)
             if name in _IDS and not _ascending(values, num_envs):
                 raise DamageError(f"step {first}: {name} are no environments of this log")
+            arrays[name] = values
         calls.append(Call(kind, arrays))
-    return Run(first, count, calls)
+    return list(_runs(first, calls, happens[:, : len(calls)]))
+
+
+def _wrong_steps(some: Sequence[int], count: int) -> str:
+    """The error in the steps that a call lists; empty if there is none."""
+    ascending = all(a < b for a, b in pairwise(some))
+    return "" if not some or (ascending and some[-1] < count) else f"a call is in steps {some}"
+
+
+def _runs(first: int, calls: Sequence[Call], happens: NDArray[np.bool_]) -> Iterator[Run]:
+    """Split a message into runs; `happens` is (count, calls)."""
+    count = len(happens)
+    changes = np.flatnonzero((happens[1:] != happens[:-1]).any(axis=1)) + 1
+    if not len(changes) and happens[:1].all():
+        yield Run(first, count, list(calls))
+        return
+    done = [0] * len(calls)
+    for begin, end in pairwise([0, *changes.tolist(), count]):
+        found = []
+        for i in np.flatnonzero(happens[begin]).tolist():
+            at, done[i] = done[i], done[i] + end - begin
+            arrays = {name: a[at : done[i]] for name, a in calls[i].arrays.items()}
+            found.append(Call(calls[i].kind, arrays))
+        yield Run(first + begin, end - begin, found)
 
 
 def _split(data: memoryview) -> tuple[int, int, list[bytes], memoryview]:
@@ -238,7 +318,7 @@ def _split(data: memoryview) -> tuple[int, int, list[bytes], memoryview]:
             numbers[key] = value
             continue
         if key not in (_CALLS, _DATA) or value > len(data) - at:
-            raise DamageError("a run of control steps is damaged: it has an unknown field")
+            raise DamageError("a message of control steps is damaged: it has an unknown field")
         found, at = data[at : at + value], at + value
         if key == _CALLS:
             calls.append(bytes(found))
@@ -253,25 +333,29 @@ def _read_varint(data: memoryview, at: int) -> tuple[int, int]:
         value |= (byte & 0x7F) << 7 * index
         if byte < 0x80:
             return value, at + index + 1
-    raise DamageError("a run of control steps is damaged: it is cut short")
+    raise DamageError("a message of control steps is damaged: it is cut short")
 
 
 @lru_cache(maxsize=1024)
 def _declaration(
     data: bytes, num_envs: int, moved: int, nstate: int
-) -> tuple[CallKind, tuple[Place, ...], str]:
-    """Parse a serialized `embodichain.Call`: its kind, the places of its arrays, and the error."""
+) -> tuple[CallKind, tuple[Place, ...], tuple[int, ...], str]:
+    """Parse a serialized `embodichain.Call`.
+
+    Returns:
+        Its kind, the places of its arrays, its steps (empty: all of them), and the error in it.
+    """
     try:
         call = message_class("Call").FromString(data)
     except DecodeError as error:
-        raise DamageError(f"a run of control steps is damaged: {error}") from error
+        raise DamageError(f"a message of control steps is damaged: {error}") from error
     arrays = tuple(ArrayKind(a.name, a.dtype, tuple(a.shape)) for a in call.arrays)
     columns = tuple(call.columns) if call.some_columns else None
     kind = CallKind(call.kind, call.name, call.mode, call.nstep, columns, arrays)
     places = tuple(
         Place(a.offset, a.single, a.base if a.differs else None, a.base_single) for a in call.arrays
     )
-    return kind, places, _wrong(kind, num_envs, moved, nstate)
+    return kind, places, tuple(call.steps), _wrong(kind, num_envs, moved, nstate)
 
 
 def _wrong(kind: CallKind, num_envs: int, moved: int, nstate: int) -> str:

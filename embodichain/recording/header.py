@@ -36,7 +36,7 @@ METADATA = "embodichain"
 METADATA_END = "embodichain.end"
 METADATA_RECOVERED = "embodichain.recovered"
 """Record of a file that was recovered from a broken one: the source, and why the log ends."""
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 """Logs of other versions are refused."""
 _LONGEST_STEP = 1e5
 """Seconds; longer steps are refused."""

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import errno
 import os
-from collections.abc import Callable, Mapping
+import struct
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import mcap.writer
 import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import Message
 from mcap.writer import CompressionType, Writer
 
 from embodichain.recording.log_error import LARGEST_CHUNK
@@ -42,8 +46,36 @@ class _FastZstd:
     compress = staticmethod(zstandard.ZstdCompressor(compression_params=_FAST).compress)
 
 
+_MESSAGE = struct.Struct("<BQHIQQ")
+
+
+class _Message(Message):
+    """A message whose data may be a list of pieces, which are not copied together first.
+
+    Its head is written in one call: in a third of the time.
+    """
+
+    def write(self, stream: RecordBuilder) -> None:
+        """Append the record."""
+        pieces = _pieces(self.data)
+        length = _MESSAGE.size - 9 + _nbytes(pieces)  # without opcode and length
+        ids = self.channel_id, self.sequence
+        stream.write(_MESSAGE.pack(Opcode.MESSAGE, length, *ids, self.log_time, self.publish_time))
+        for piece in pieces:
+            stream.write(piece)
+
+
+def _pieces(data: Any) -> list[Any]:
+    return data if isinstance(data, list) else [data]
+
+
+def _nbytes(pieces: Sequence[Any]) -> int:
+    return sum(len(p) if type(p) is bytes else memoryview(p).nbytes for p in pieces)
+
+
 _library: Any = mcap.writer
 _library.zstandard = _FastZstd  # `mcap.writer` has no parameter for the level
+_library.Message = _Message
 
 
 _CHUNK = b"\x06"
@@ -173,23 +205,27 @@ class LogFile:
         """Add a metadata record."""
         self._writer.add_metadata(name, dict(values))
 
-    def write(self, topic: str, time_ns: int, data: bytes, last_step: int | None = None) -> None:
-        """Add a message to a declared channel.
+    def write(
+        self, topic: str, time_ns: int, data: bytes | list[Any], last_step: int | None = None
+    ) -> int:
+        """Add a message to a declared channel, and return its size.
 
         Args:
             topic: The channel.
             time_ns: Log time.
-            data: The message.
+            data: The message, or a list of bytes and contiguous arrays that it consists of.
             last_step: The last control step that this message completes.
 
         Raises:
             OSError: If it cannot be written, or exceeds the size limit of a chunk.
         """
-        if len(data) > _LARGEST_MESSAGE:
-            raise OSError(errno.EMSGSIZE, f"a message of {len(data)} bytes fits into no chunk")
+        size = _nbytes(_pieces(data))
+        if size > _LARGEST_MESSAGE:
+            raise OSError(errno.EMSGSIZE, f"a message of {size} bytes fits into no chunk")
         if last_step is not None:
             self._last_step = last_step
         self._writer.add_message(self._channels[topic], time_ns, data, time_ns)
+        return size
 
     def flush(self) -> None:
         """Write everything to the file, so that it can be read.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,47 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from embodichain.recording.attachments import Attachment
-from embodichain.recording.block import ArrayKind, CallKind, pack_run
+from embodichain.recording.block import ArrayKind, CallKind, Recorded, pack_steps
 from embodichain.recording.episodes import EPISODE_TOPIC, Ends, EpisodeSums, encode_ends
 from embodichain.recording.header import METADATA, METADATA_END, Header
 from embodichain.recording.log_file import LogFile
 from embodichain.recording.parts import Manifest, part_name
 from embodichain.recording.schema import START_TOPIC, STEPS_TOPIC
 
-__all__ = ["LAYOUT_FILE", "LogWriter", "PendingRun", "Queue", "Recorded"]
+__all__ = ["LAYOUT_FILE", "LogWriter", "Queue"]
 
 LAYOUT_FILE = "foxglove_layout.json"
 
-Recorded = tuple[CallKind, tuple[NDArray[Any], ...]]
-"""A call, and its arrays."""
-
-
-@dataclass(slots=True)
-class PendingRun:
-    """Control steps with the same calls that are not written yet.
-
-    Attributes:
-        first: Number of the first control step.
-        kinds: The calls of every step.
-        begun: When the first step was added, on the monotonic clock.
-        step_bytes: Size of a step's arrays in bytes.
-        steps: The calls of each step.
-    """
-
-    first: int
-    kinds: list[CallKind]
-    begun: float
-    step_bytes: int
-    steps: list[list[Recorded]] = field(default_factory=list)
-
-    @property
-    def end(self) -> int:
-        """The control step after the last."""
-        return self.first + len(self.steps)
-
 
 class Queue:
-    """Messages for viewers that are written together with the next runs.
+    """Messages for viewers that are written together with the next steps.
 
     It is the sink of `views.Views`.
     """
@@ -137,12 +110,11 @@ class LogWriter:
             flat = np.asarray(values).reshape(len(row), -1)
             arrays[name] = np.ascontiguousarray(flat, np.float64)
         kinds = tuple(ArrayKind(name, "<f8", a.shape) for name, a in arrays.items())
-        data = pack_run(step, [CallKind("start", arrays=kinds)], [[list(arrays.values())]])
-        self.file.write(START_TOPIC, self._time_of(step), data)
-        return len(data)
+        data = pack_steps(step, [[(CallKind("start", arrays=kinds), tuple(arrays.values()))]])
+        return self.file.write(START_TOPIC, self._time_of(step), data)
 
     def end_episodes(self, step: int, ends: Ends) -> None:
-        """Queue the ends of episodes; they are written with the run of their control step."""
+        """Queue the ends of episodes; they are written with their control step."""
         self._ends[step] = ends
 
     def skip(self, step: int, reward: NDArray[Any], episode_ids: NDArray[np.int64]) -> None:
@@ -156,19 +128,26 @@ class LogWriter:
             data = encode_ends(step, ends, self._sums, episode_ids)
             self.file.write(EPISODE_TOPIC, self._time_of(step), data)
 
-    def write(self, runs: Sequence[PendingRun]) -> None:
-        """Write runs, with the ends of episodes and the viewers' messages of these steps."""
-        for run in runs:
-            if run.kinds and self._header.state != "none":
-                steps = [[arrays for _, arrays in step] for step in run.steps]
-                data = pack_run(run.first, run.kinds, steps)
-                last = run.end - 1 if run.kinds[-1].kind == "step" else None
-                self.file.write(STEPS_TOPIC, self._time_of(run.first), data, last)
-            for number, calls in enumerate(run.steps, run.first):
-                kind, arrays = calls[-1]
-                if kind.kind == "step":
-                    self._add(number, arrays[1], arrays[4])
+    def write(self, first: int, steps: Sequence[Sequence[Recorded]]) -> int:
+        """Write control steps, the ends of their episodes, and the viewers' messages.
+
+        Args:
+            first: Number of the first step.
+            steps: The calls of each step; without a ``step``, those after the last step.
+
+        Returns:
+            Size of their message.
+        """
+        size, ended = 0, bool(steps and steps[-1]) and steps[-1][-1][0].kind == "step"
+        if steps and self._header.state != "none":
+            last = first + len(steps) - 1 if ended else None
+            data = pack_steps(first, steps)
+            size = self.file.write(STEPS_TOPIC, self._time_of(first), data, last)
+        for number, calls in enumerate(steps if ended else (), first):
+            _, (_, reward, _, _, episode_ids) = calls[-1]
+            self._add(number, reward, episode_ids)
         self.views.write(self.file)
+        return size
 
     def flush(self) -> None:
         """Write everything to the file, so that it can be read.

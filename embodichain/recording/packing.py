@@ -43,41 +43,55 @@ class Place(NamedTuple):
     base_single: bool = False
 
 
-def store(arrays: Sequence[tuple[str, bytes]]) -> tuple[list[Place], list[bytes]]:
+def store(arrays: Sequence[tuple[str, Sequence[Any]]]) -> tuple[list[Place], list[Any]]:
     """Place arrays one after another.
 
     Args:
-        arrays: dtype and bytes of each.
+        arrays: dtype of each, and the contiguous arrays that it consists of.
 
     Returns:
-        The place of each array, and the stored bytes.
+        The place of each array, and the stored bytes as bytes and arrays.
     """
+    sizes = [sum(piece.nbytes for piece in pieces) for _, pieces in arrays]
     places: list[Place | None] = [None] * len(arrays)
-    stored: dict[int, list[tuple[int, Place]]] = {}  # by size: number of the array, and its place
-    parts: list[bytes] = []
+    stored: dict[int, list[tuple[str, bytes, Place]]] = {}  # by size
+    parts: list[Any] = []
     end = 0
-    singles = [_single(*array) for array in arrays]
+    joined: list[bytes | None] = []
+    singles: list[bytes | None] = []
+    for (dtype, pieces), size in zip(arrays, sizes, strict=True):
+        large, may_be_single = size >= _SMALLEST, dtype == "<f8" and _looks_single(pieces[0])
+        compared = large and (may_be_single or sizes.count(size) > 1)
+        data = b"".join(pieces) if compared else None
+        joined.append(data)
+        singles.append(_single(data) if data is not None and may_be_single else None)
     for number in sorted(range(len(arrays)), key=lambda k: singles[k] is None):
-        dtype, data = arrays[number]
-        alike = stored.setdefault(len(data), []) if len(data) >= _SMALLEST else []
-        same = next((place for other, place in alike if arrays[other] == arrays[number]), None)
+        dtype, pieces = arrays[number]
+        data, single = joined[number], singles[number]
+        place = Place(end)
+        if data is None:
+            places[number] = place
+            parts += pieces
+            end += sizes[number]
+            continue
+        alike = stored.setdefault(len(data), [])
+        same = next((at for kind, other, at in alike if kind == dtype and other == data), None)
         if same is not None:
             places[number] = same
             continue
-        written, place = data, Place(end)
-        single = singles[number]
+        written = data
         if single is not None:
             written, place = single, Place(end, single=True)
         elif dtype == "<f8":
-            for other, base in alike:
-                if base.base is None and arrays[other][0] == dtype:
-                    mask = np.bitwise_xor(_words(data), _words(arrays[other][1]))
+            for kind, other, base in alike:
+                if base.base is None and kind == dtype:
+                    mask = np.bitwise_xor(_words(data), _words(other))
                     if np.count_nonzero(mask) <= len(mask) // 4:
                         written = mask.tobytes()
                         place = Place(end, False, base.offset, base.single)
                         break
         places[number] = place
-        alike.append((number, place))
+        alike.append((dtype, data, place))
         parts.append(written)
         end += len(written)
     return [place for place in places if place is not None], parts
@@ -87,13 +101,15 @@ def _words(data: bytes) -> NDArray[np.uint64]:
     return np.frombuffer(data, np.uint64)
 
 
-def _single(dtype: str, data: bytes) -> bytes | None:
-    """The array as float32 if the conversion is exact; else None."""
-    if dtype != "<f8" or len(data) < _SMALLEST:
-        return None
-    words = _words(data)
-    few = words[:: max(1, len(words) // 4)].tolist()  # a few values nearly always decide
-    if any(word & _MANTISSA_REST for word in few) or (words & _NOT_SINGLE).any():
+def _looks_single(values: NDArray[Any]) -> bool:
+    """Whether a few of the values, which nearly always decide, are float32 values."""
+    words = values.reshape(-1).view(np.uint64)
+    return not any(word & _MANTISSA_REST for word in words[:: max(1, len(words) // 4)].tolist())
+
+
+def _single(data: bytes) -> bytes | None:
+    """float64 values as float32 if the conversion is exact; else None."""
+    if (_words(data) & _NOT_SINGLE).any():
         return None
     with np.errstate(over="ignore", invalid="ignore"):
         single = np.frombuffer(data, _F8).astype(_F4)

@@ -1,7 +1,6 @@
 """`McapRecorder`: observes an environment and writes its log.
 
-It collects the calls of each control step and groups consecutive steps with the same calls into a
-run. Runs are written when they are large or old enough.
+It collects the calls of each control step, and writes several steps at a time.
 """
 
 from __future__ import annotations
@@ -21,12 +20,12 @@ from numpy.typing import NDArray
 from embodichain.lab.gym.envs.observers import EventRecord, StepObserver, StepRecord
 from embodichain.lab.sim.engine.api import EnvIndex, PhysicsEvent, Write
 from embodichain.recording.attachments import attachments_of, model_bytes, model_digest
-from embodichain.recording.block import DRAWN, ArrayKind, CallKind
+from embodichain.recording.block import DRAWN, ArrayKind, CallKind, Recorded
 from embodichain.recording.columns import Moved
 from embodichain.recording.episodes import Ends
 from embodichain.recording.hashing import row_hashes
 from embodichain.recording.header import check_keyframes, header_of
-from embodichain.recording.log_writer import LogWriter, PendingRun, Recorded
+from embodichain.recording.log_writer import LogWriter
 from embodichain.recording.options import RecordOptions, check_options
 from embodichain.recording.views.layout import foxglove_layout
 from embodichain.recording.views.views import Views
@@ -37,10 +36,10 @@ if TYPE_CHECKING:
 
 __all__ = ["McapRecorder", "RecordStats"]
 
-RUN_STEPS, RUN_BYTES, RUN_SECONDS = 256, 2**20, 0.25
-"""Runs are written when they reach this many steps or bytes, or this age."""
+MOST_STEPS, MOST_BYTES, MOST_SECONDS = 256, 2**20, 0.25
+"""Steps are written when they are this many, have about this many bytes, or this age."""
 FLUSH_SECONDS = 0.5
-"""Interval between flushes. With `RUN_SECONDS` and the timer's interval, at most one second is
+"""Interval between flushes. With `MOST_SECONDS` and the timer's interval, at most one second is
 lost when the process is killed."""
 START_SHARE = 128
 """A start is written after other data of this many times its size."""
@@ -105,8 +104,10 @@ class McapRecorder(StepObserver):
         self._view_envs = header.view_envs
         self._step = 0
         self._calls: list[Recorded] = []  # since the last control step
-        self._runs: list[PendingRun] = []  # not written yet
-        self._waiting = 0  # bytes in `_runs`
+        self._steps: list[list[Recorded]] = []  # finished, not written yet
+        self._first = 0  # number of the first of these
+        self._begun = 0.0  # when it was added, on the monotonic clock
+        self._most = 1  # number of steps that are written together
         self._kinds: dict[object, CallKind] = {}
         self._since_start = self._start_bytes = 0
         self._flushed = time.monotonic()
@@ -281,7 +282,7 @@ class McapRecorder(StepObserver):
         """
         if was_open and not self._gate.open:
             with self._writing.writes():
-                self._write_runs()
+                self._write_steps()
                 self._write_rest()
         if held is not None:
             with self._writing.writes():
@@ -290,62 +291,48 @@ class McapRecorder(StepObserver):
             for event in held:
                 self.on_event(env, event)
 
-    # -- runs --------------------------------------------------------------------------------------
+    # -- writing -----------------------------------------------------------------------------------
 
     def _add_step(self) -> None:
-        """Add a finished step to the last run, or begin a new run if its calls differ."""
-        kinds = [kind for kind, _ in self._calls]
+        """Add the finished step to those that are written next."""
         with self._writing.lock:
-            run = self._runs[-1] if self._runs else None
-            # A single statement adds the step, so an interrupt neither loses nor repeats it.
-            if run is not None and kinds == run.kinds:
-                run.steps.append(self._calls)
-            else:
+            if not self._steps:
                 size = sum(array.nbytes for _, arrays in self._calls for array in arrays)
-                now = time.monotonic()
-                run = PendingRun(self._step, kinds, now, size, [self._calls])
-                self._runs.append(run)
-            self._waiting += run.step_bytes
+                self._most = min(MOST_STEPS, 1 + MOST_BYTES // size)
+                self._first, self._begun = self._step, time.monotonic()
+            # A single statement adds the step, so an interrupt neither loses nor repeats it.
+            self._steps.append(self._calls)
         self._calls = []
 
     def _write_when_due(self) -> None:
-        """Write the runs if they are large or old; then start the next file, or write a start."""
-        runs, now = self._runs, time.monotonic()
-        begins = self._start_is_due(self._since_start + self._waiting)
+        """Write the steps if they are many or old; then start the next file, or write a start."""
+        now, every = time.monotonic(), self._keyframe_every
+        keyframe = every > 0 and self._step % every == 0
+        many = len(self._steps) >= self._most or (self._steps and now - self._begun > MOST_SECONDS)
         full = self._max_bytes > 0 and self._log.is_full(self._max_bytes)
-        due = self._waiting >= RUN_BYTES
-        if runs:
-            steps = runs[-1].end - runs[0].first
-            due = due or steps >= RUN_STEPS or now - runs[0].begun > RUN_SECONDS
-        if begins or full or due:
-            with self._writing.writes():
-                self._write_runs()
-                if full:
-                    self._log.roll(self._step)
-                    self._write_start()
-                    self._log.began()
-                    self._views.show(self._view_envs)
-                elif begins:
-                    self._write_start()
-                if now - self._flushed > FLUSH_SECONDS:
-                    self._flush()
+        if not (many or keyframe or full):
+            return
+        with self._writing.writes():
+            self._write_steps()
+            if full:
+                self._log.roll(self._step)
+                self._write_start()
+                self._log.began()
+                self._views.show(self._view_envs)
+            elif keyframe or (not every and self._since_start > START_SHARE * self._start_bytes):
+                self._write_start()
+            if now - self._flushed > FLUSH_SECONDS:
+                self._flush()
 
-    def _start_is_due(self, nbytes: int) -> bool:
-        if self._keyframe_every:
-            return self._step % self._keyframe_every == 0 and self._keeps_state
-        return nbytes > START_SHARE * self._start_bytes > 0
-
-    def _write_runs(self) -> None:
-        runs, self._runs = self._runs, []
-        self._since_start, self._waiting = self._since_start + self._waiting, 0
-        self._log.write(runs)
+    def _write_steps(self) -> None:
+        steps, self._steps = self._steps, []
+        self._since_start += self._log.write(self._first, steps)
 
     def _write_rest(self) -> None:
         """Write the calls after the last control step."""
         calls, self._calls = self._calls, []
         if calls:
-            kinds = [kind for kind, _ in calls]
-            self._log.write([PendingRun(self._step, kinds, 0.0, 0, [calls])])
+            self._log.write(self._step, [calls])
 
     def _write_start(self) -> None:
         if self._keeps_state:
@@ -360,7 +347,7 @@ class McapRecorder(StepObserver):
     def _tick(self) -> None:
         """On the timer's thread: write and flush data that is waiting while no steps are made."""
         if time.monotonic() - self._flushed >= FLUSH_SECONDS:
-            self._write_runs()
+            self._write_steps()
             self._flush()
 
     # -- the end -----------------------------------------------------------------------------------
@@ -379,7 +366,7 @@ class McapRecorder(StepObserver):
         """
         if not self._closed:
             with self._writing.writes():
-                self._write_runs()
+                self._write_steps()
                 self._flush()
 
     def close(self) -> None:
@@ -396,12 +383,11 @@ class McapRecorder(StepObserver):
         if self._writing.told:
             return
         with self._writing.writes():
-            if self._runs:
-                run = self._runs[-1]
-                if self._calls is run.steps[-1]:
+            if self._steps:
+                if self._calls is self._steps[-1]:
                     self._calls = []  # an interrupt came right after the step was added
-                self._step = max(self._step, run.end)
-            self._write_runs()
+                self._step = max(self._step, self._first + len(self._steps))
+            self._write_steps()
             if self._gate.open:
                 self._write_rest()
             self._views.close(self._step, self._engine.rows)

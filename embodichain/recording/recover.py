@@ -12,7 +12,7 @@ from typing import Any
 
 from mcap.writer import CompressionType, Writer
 
-from embodichain.recording.block import unpack_run
+from embodichain.recording.block import unpack_steps
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.header import METADATA, METADATA_END, METADATA_RECOVERED
 from embodichain.recording.log_error import DamageError, LogError
@@ -109,7 +109,8 @@ class _Copy:
         try:
             for topic, time_ns, data in reader.messages():
                 if topic == STEPS_TOPIC:
-                    self.steps += unpack_run(data, *sizes, outcomes).steps
+                    found = unpack_steps(data, *sizes, outcomes)
+                    self.steps += sum(run.steps for run in found)
                 writer.add_message(self._channel(topic), time_ns, bytes(data), time_ns)
                 self.messages += 1
             self.why = reader.cut

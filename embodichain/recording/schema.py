@@ -62,12 +62,13 @@ MESSAGES: Mapping[str, Sequence[str]] = {
         "bool some_columns = 5",
         "repeated uint32 columns = 6",
         "repeated Array arrays = 7",
+        "repeated uint32 steps = 8",
     ),
     "Steps": (
         "uint64 first = 1",
         "uint32 count = 2",
         "repeated Call calls = 3",
-        "bytes data = 4",  # must be the last field: see `block.pack_run`
+        "bytes data = 4",  # must be the last field: see `block.pack_steps`
     ),
     # Episodes that ended in a control step, one entry each. Flags are one byte each, tables are
     # (n, names), row-major. `success` is empty if the task does not define it.

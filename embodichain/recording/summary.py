@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from embodichain.recording.attachments import MODEL, model_digest, unpack_model
-from embodichain.recording.block import unpack_run
+from embodichain.recording.block import unpack_steps
 from embodichain.recording.chunks import LogReader
 from embodichain.recording.episodes import EPISODE_TOPIC, LogEpisode, decode_ends
 from embodichain.recording.header import Header
@@ -95,9 +95,9 @@ def inspect(path: str | Path) -> LogSummary:
             for topic, _, data in reader.messages():
                 counts[topic] += 1
                 if topic == STEPS_TOPIC:
-                    run = unpack_run(data, *sizes, outcomes)
-                    if run.steps:
-                        steps, last_step = steps + run.steps, run.first + run.count - 1
+                    for run in unpack_steps(data, *sizes, outcomes):
+                        if run.steps:
+                            steps, last_step = steps + run.steps, run.first + run.count - 1
                 elif topic == EPISODE_TOPIC:
                     episodes += decode_ends(data)
         except DamageError as error:

@@ -6,7 +6,7 @@ an engine, which also has the model fields and can simulate the physics again.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from embodichain.lab.sim.engine.api import F64, EnvIndex
 from embodichain.lab.sim.engine.cpu import entries
-from embodichain.recording.block import Call, CallKind, Run, unpack_run
+from embodichain.recording.block import Call, CallKind, Run, unpack_steps
 from embodichain.recording.chunks import ChunkPlace, LogReader
 from embodichain.recording.columns import Moved
 from embodichain.recording.header import Header
@@ -30,8 +30,6 @@ __all__ = [
     "follow",
     "own_physics",
     "runs",
-    "stacked",
-    "steps_of",
 ]
 
 
@@ -91,28 +89,29 @@ def runs(reader: LogReader, span: Span = _ALL, wanted: Wanted | None = None) -> 
         if not is_start and (topic != STEPS_TOPIC or expected is None):
             continue
         try:
-            run = unpack_run(payload, *sizes, reads)
+            found = unpack_steps(payload, *sizes, reads)
         except DamageError as error:
             raise LogError(f"{reader.path}: a message is damaged: {error}") from error
-        why = _wrong(run, time_ns, is_start, header)
-        if why:
-            raise LogError(f"{reader.path}: a message is damaged: {why}")
-        gap = is_start and header.every > 1
-        if expected is not None and (run.first < expected if gap else run.first != expected):
-            why = "is missing" if run.first > expected else "was moved"
-            raise LogError(
-                f"{reader.path}: a chunk {why}: step {run.first} follows step {expected - 1}"
-            )
-        yield run
-        expected = run.first + run.steps
-        if span.ends_before(expected):
-            return
+        for run in found:
+            why = _wrong(run, is_start, header)
+            if run is found[0] and time_ns != header.start_ns + run.first * header.period_ns:
+                why = f"step {run.first} has another's time"
+            if why:
+                raise LogError(f"{reader.path}: a message is damaged: {why}")
+            gap = is_start and header.every > 1
+            if expected is not None and (run.first < expected if gap else run.first != expected):
+                why = "is missing" if run.first > expected else "was moved"
+                raise LogError(
+                    f"{reader.path}: a chunk {why}: step {run.first} follows step {expected - 1}"
+                )
+            yield run
+            expected = run.first + run.steps
+            if span.ends_before(expected):
+                return
 
 
-def _wrong(run: Run, time_ns: int, is_start: bool, header: Header) -> str:
+def _wrong(run: Run, is_start: bool, header: Header) -> str:
     """How a run is inconsistent with the rest of the log; empty if it is not."""
-    if time_ns != header.start_ns + run.first * header.period_ns:
-        return f"step {run.first} has another's time"
     if bool(run.of_kind("start")) != is_start:
         return "it belongs to another channel"
     if not header.keyframe_every and any("hashes" in call.arrays for call in run.calls):
@@ -284,7 +283,9 @@ class Rows:
             rows[entries(local, here)] = found if whole else found[take]
 
 
-def follow(reader: LogReader, rows: Rows, span: Span = _ALL) -> Iterator[tuple[Run, int]]:
+def follow(
+    reader: LogReader, rows: Rows, span: Span = _ALL, wanted: Wanted = changes
+) -> Iterator[tuple[Run, int]]:
     """Yield each finished control step, while `rows` are the input of its physics.
 
     Steps with unknown rows are left out.
@@ -293,6 +294,7 @@ def follow(reader: LogReader, rows: Rows, span: Span = _ALL) -> Iterator[tuple[R
         reader: The log.
         rows: The rows that are updated.
         span: The control steps.
+        wanted: Which calls are read: at least those that change the needed columns of the rows.
 
     Returns:
         A run, and the index of the step within it.
@@ -300,14 +302,14 @@ def follow(reader: LogReader, rows: Rows, span: Span = _ALL) -> Iterator[tuple[R
     Raises:
         LogError: If a message is damaged.
     """
-    for run in runs(reader, span, changes):
+    for run in runs(reader, span, wanted):
         if run.of_kind("start"):
             rows.begin(run)
         else:
-            yield from ((run, t) for t in steps_of(reader, rows, run, span))
+            yield from ((run, t) for t in _steps_of(reader, rows, run, span))
 
 
-def steps_of(reader: LogReader, rows: Rows, run: Run, span: Span) -> Iterator[int]:
+def _steps_of(reader: LogReader, rows: Rows, run: Run, span: Span) -> Iterator[int]:
     """Like `follow`, for the steps of one run; yields indices within it."""
     own = own_physics(reader, run) if run.steps else len(run.calls)
     for t in range(run.count):
@@ -320,52 +322,3 @@ def steps_of(reader: LogReader, rows: Rows, run: Run, span: Span) -> Iterator[in
             return
         for call in run.calls[own:]:
             rows.apply(step, call, t)
-
-
-def stacked(
-    reader: LogReader, rows: Rows, run: Run, components: Mapping[str, slice]
-) -> dict[str, F64] | None:
-    """Components of the input rows of physics for all steps of a run at once.
-
-    Args:
-        reader: The log.
-        rows: The rows before the run; afterwards these components are those after it.
-        run: Finished steps.
-        components: Name to columns of full rows.
-
-    Returns:
-        Name to (count, n, k) values; None if steps must be followed one by one, because calls
-        concern only some environments, or physics runs more than once.
-    """
-    own = own_physics(reader, run)
-    calls = [call for call in run.calls if call.kind.mode != "model" and changes(call.kind)]
-    physics = run.calls[own]
-    for call in calls:
-        kind = call.kind
-        other = kind.kind == "physics" and call is not physics
-        if other or "env_ids" in call.arrays or kind.mode == "reset" or kind.name == "row":
-            return None
-    if "rows" not in physics.arrays or not rows.known:
-        return None
-    _, take = rows.chosen(None)
-    found = {}
-    for name, columns in components.items():
-        values = np.empty((run.count + 1, len(rows.env_ids), columns.stop - columns.start))
-        values[0] = rows.rows[:, columns]
-        moved = rows.moved.find(columns)
-        values[1:] = values[0] if moved is None else physics.arrays["rows"][:, take, moved]
-        before, after = (
-            [c for c in part if c.kind.name == name and c.kind.kind == "write"]
-            for part in (run.calls[:own], run.calls[own:])
-        )
-        # Values written before physics are kept after it, except in columns that physics writes.
-        for target, part in (
-            *([] if moved else [(values[1:], before)]),
-            *[(values[1:], after), (values[:-1], before)],
-        ):
-            for call in part:
-                target[:, :, columns_of(call.kind.columns)] = call.arrays["values"][:, take]
-        rows.rows[:, columns] = values[-1]
-        found[name] = values[:-1]
-    rows.next_step = run.first + run.count
-    return found

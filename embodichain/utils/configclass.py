@@ -10,6 +10,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 from collections.abc import Callable, Mapping
+from functools import partial
 from types import FunctionType
 from typing import Any, TypeVar, dataclass_transform, overload
 
@@ -62,7 +63,8 @@ def _process(cls: type[T], kw_only: bool) -> type[T]:
         if value is MISSING:  # unset until the user sets it: reported by `validate`
             setattr(cls, name, dataclasses.field(default_factory=lambda: MISSING))
         elif not isinstance(value, (*_PLAIN, dataclasses.Field)):
-            setattr(cls, name, dataclasses.field(default_factory=_copier(value)))
+            fresh = partial(copy.deepcopy, value)
+            setattr(cls, name, dataclasses.field(default_factory=fresh))
     cls.__annotations__ = annotations
     result = dataclasses.dataclass(kw_only=kw_only)(cls)
     setattr(result, "__pydantic_config__", _PYDANTIC_CONFIG)  # noqa: B010  (not a declared member)
@@ -70,10 +72,6 @@ def _process(cls: type[T], kw_only: bool) -> type[T]:
         if name not in vars(result) and not hasattr(result, name):
             setattr(result, name, method)
     return result
-
-
-def _copier(value: Any) -> Callable[[], Any]:
-    return lambda: copy.deepcopy(value)
 
 
 def config_to_dict(cfg: object) -> dict[str, Any]:

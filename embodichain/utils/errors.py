@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
-__all__ = ["ConfigError", "DeviceError", "EmbodichainError", "Problem", "RenderError", "below"]
+__all__ = ["ConfigError", "DeviceError", "EmbodichainError", "Problem", "RenderError"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,15 +35,14 @@ class Problem:
         path = self.path if path is None else path
         return replace(self, path=path, message=message, hint=self.hint.strip(), source=source)
 
+    def below(self, path: str) -> Problem:
+        """Return a copy with `path` put before the key path."""
+        return replace(self, path=f"{path}.{self.path}" if path else self.path)
+
     def __str__(self) -> str:
         """Return ``source: path: message hint``."""
         parts = (part for part in (self.source, self.path, self.message) if part)
         return f"{': '.join(parts)} {self.hint}".rstrip()
-
-
-def below(path: str, problems: Iterable[Problem]) -> list[Problem]:
-    """Return problems with `path` put before their key paths."""
-    return [replace(p, path=f"{path}.{p.path}" if path else p.path) for p in problems]
 
 
 class EmbodichainError(Exception):

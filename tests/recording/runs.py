@@ -1,9 +1,11 @@
 """Runs of a log by the `mcap` library alone, and logs with something changed in them."""
 
+import math
+
 import numpy as np
 from mcap.reader import make_reader
 
-from embodichain.recording.block import unpack_run
+from embodichain.recording.block import unpack_steps
 from embodichain.recording.header import Header
 from embodichain.recording.schema import START_TOPIC, STEPS_TOPIC, message_class
 from tests.recording.rewrite import rewrite
@@ -17,8 +19,17 @@ def header_of(path):
 
 
 def unpack(header, data):
-    """A run of a log."""
-    return unpack_run(data, header.num_envs, header.moved_width, header.nstate)
+    """The runs of a message of a log."""
+    return unpack_steps(data, header.num_envs, header.moved_width, header.nstate)
+
+
+def recorded_steps(found):
+    """The calls of each step of some runs, as `pack_steps` takes them; the arrays are copies."""
+    return [
+        [(c.kind, tuple(v[t].copy() for v in c.arrays.values())) for c in run.calls]
+        for run in found
+        for t in range(run.count)
+    ]
 
 
 def messages(path, topic):
@@ -31,7 +42,7 @@ def messages(path, topic):
 def runs(path, topic=STEPS_TOPIC):
     """The runs of a closed log."""
     header = header_of(path)
-    return [unpack(header, data) for _, data in messages(path, topic)]
+    return [run for _, data in messages(path, topic) for run in unpack(header, data)]
 
 
 def starts(path):
@@ -69,26 +80,29 @@ def changed(source, target, step, kind, array, change, topic=STEPS_TOPIC, name="
         topic: Where.
         name: Name of the call, if more than one is of that kind.
     """
-    header = header_of(source)
 
     def message(where, data):
         if where != topic:
             return data
-        run = unpack(header, data)
-        if not run.first <= step < run.first + run.count:
+        steps = message_class("Steps").FromString(data)
+        if not steps.first <= step < steps.first + steps.count:
             return data
-        i, call = next(
-            (i, c)
-            for i, c in enumerate(run.calls)
-            if c.kind.kind == kind and (not name or c.kind.name == name)
+        number = step - steps.first
+        call = next(
+            call
+            for call in steps.calls
+            if call.kind == kind
+            and (not name or call.name == name)
+            and (not call.steps or number in call.steps)
         )
-        before = call.arrays[array][step - run.first]
+        at_step = list(call.steps).index(number) if call.steps else number
+        place = next(a for a in call.arrays if a.name == array)
+        size = math.prod(place.shape) * np.dtype(place.dtype).itemsize
+        at = len(data) - len(steps.data) + place.offset + at_step * size
+        before = np.frombuffer(data, place.dtype, math.prod(place.shape), at).reshape(place.shape)
         after = before.copy()
         change(after)
-        steps = message_class("Steps").FromString(data)
-        offset = next(a.offset for a in steps.calls[i].arrays if a.name == array)
-        at = len(data) - len(steps.data) + offset + (step - run.first) * before.nbytes
-        assert data[at : at + before.nbytes] == before.tobytes() != after.tobytes()
+        assert not place.single and not place.differs and before.tobytes() != after.tobytes()
         return data[:at] + after.tobytes() + data[at + before.nbytes :]
 
     return rewrite(source, target, message=message)

@@ -13,11 +13,11 @@ from mcap_protobuf.decoder import DecoderFactory
 
 import embodichain.recording as recording
 from embodichain.recording import RecordOptions
-from embodichain.recording.block import ArrayKind, pack_run
+from embodichain.recording.block import ArrayKind, pack_steps
 from embodichain.recording.log_error import LogError
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
-from tests.recording.runs import header_of, unpack
+from tests.recording.runs import header_of, recorded_steps, unpack
 from tests.recording.scene import MODEL
 
 
@@ -35,11 +35,14 @@ def calls_of(path):
         for t in range(message.count):
             for call in message.calls:
                 arrays = {}
+                if call.steps and t not in call.steps:
+                    continue
+                number = list(call.steps).index(t) if call.steps else t
                 for array in call.arrays:
                     size = math.prod(array.shape)
                     nbytes = size * np.dtype(array.dtype).itemsize
                     found = np.frombuffer(
-                        message.data, array.dtype, size, array.offset + t * nbytes
+                        message.data, array.dtype, size, array.offset + number * nbytes
                     )
                     arrays[array.name] = found.reshape(tuple(array.shape))
                 yield message.first + t, call, arrays
@@ -348,11 +351,11 @@ def test_opening_reads_no_messages_and_no_torch(record):
         ("control_dt", "1e-7", "step 1 has another's time"),
     ],
 )
-def test_metadata_that_does_not_fit_is_an_error(record, tmp_path, key, value, message):
+def test_metadata_that_does_not_fit_is_an_error(many_chunks, tmp_path, key, value, message):
     def forge(name, values):
         return {**values, key: value} if name == "embodichain" else values
 
-    path = rewrite(record(), tmp_path / "forged.mcap", metadata=forge)
+    path = rewrite(many_chunks(), tmp_path / "forged.mcap", metadata=forge)
     with pytest.raises(LogError, match=message), recording.open(path) as log:
         log.read("qpos")
 
@@ -390,17 +393,20 @@ def test_a_component_that_another_mujoco_has_does_not_hinder_reading(record, tmp
         """Whole rows with three numbers more."""
         if not topic.startswith("/sim/"):
             return data
-        run, kinds, arrays = unpack(header, data), [], []
-        for call in run.calls:
-            kind = call.kind
-            reset = kind.kind == "write" and kind.mode == "reset"
-            for name in ["row"] * (kind.kind == "start") + ["values"] * reset:
-                call.arrays[name] = np.pad(call.arrays[name], ((0, 0), (0, 0), (0, 3)))
-            found = (ArrayKind(n, v.dtype.str, v.shape[1:]) for n, v in call.arrays.items())
-            kinds.append(kind._replace(arrays=tuple(found)))
-            arrays.append([np.ascontiguousarray(values) for values in call.arrays.values()])
-        steps = [[[v[t] for v in values] for values in arrays] for t in range(run.count)]
-        return pack_run(run.first, kinds, steps)
+        found, steps = unpack(header, data), []
+        for calls in recorded_steps(found):
+            steps.append([])
+            for kind, arrays in calls:
+                rows = ["row"] * (kind.kind == "start") + ["values"] * (kind.mode == "reset")
+                rows = rows if kind.kind in ("start", "write") else []
+                arrays = tuple(
+                    np.pad(values, ((0, 0), (0, 3))) if array.name in rows else values
+                    for array, values in zip(kind.arrays, arrays, strict=True)
+                )
+                named = zip(kind.arrays, arrays, strict=True)
+                wide = tuple(ArrayKind(a.name, a.dtype, v.shape) for a, v in named)
+                steps[-1].append((kind._replace(arrays=wide), arrays))
+        return b"".join(pack_steps(found[0].first, steps))
 
     with recording.open(path) as log:
         whole = log.read(["qpos", "ctrl"])

@@ -5,10 +5,15 @@ import pytest
 import zstandard
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
-from embodichain.recording.block import ArrayKind, CallKind, pack_run, unpack_run
+from embodichain.recording.block import ArrayKind, CallKind, pack_steps, unpack_steps
 from embodichain.recording.log_error import DamageError
 from embodichain.recording.packing import load, store
-from embodichain.recording.schema import descriptor_set, scalars_class, scalars_descriptor_set
+from embodichain.recording.schema import (
+    descriptor_set,
+    message_class,
+    scalars_class,
+    scalars_descriptor_set,
+)
 
 N, MOVED, NSTATE = 3, 5, 9
 KINDS = [
@@ -57,14 +62,25 @@ def steps(count, actions_differ=False):
     return made
 
 
+def pack(first, kinds, made):
+    """The message of steps with the same calls."""
+    recorded = [
+        [(kind, tuple(map(np.asarray, arrays))) for kind, arrays in zip(kinds, step, strict=True)]
+        for step in made
+    ]
+    return b"".join(map(bytes, pack_steps(first, recorded)))
+
+
 def unpack(data):
-    return unpack_run(data, N, MOVED, NSTATE)
+    """The only run of a message."""
+    (run,) = unpack_steps(data, N, MOVED, NSTATE)
+    return run
 
 
 @pytest.mark.parametrize("count", [1, 7, 200])
 def test_a_run_is_read_as_it_was_written(count):
     made = steps(count)
-    run = unpack(pack_run(130, KINDS, made))
+    run = unpack(pack(130, KINDS, made))
     assert (run.first, run.count, run.steps) == (130, count, count)
     assert [call.kind for call in run.calls] == KINDS
     for i, call in enumerate(run.calls):
@@ -75,12 +91,12 @@ def test_a_run_is_read_as_it_was_written(count):
 
 
 def test_a_run_that_ends_within_a_step_has_no_control_steps():
-    run = unpack(pack_run(3, KINDS[:2], [steps(1)[0][:2]]))
+    run = unpack(pack(3, KINDS[:2], [steps(1)[0][:2]]))
     assert (run.first, run.count, run.steps) == (3, 1, 0)
 
 
 def test_equal_arrays_are_stored_once():
-    same, other = (len(pack_run(0, KINDS, steps(50, differ))) for differ in (False, True))
+    same, other = (len(pack(0, KINDS, steps(50, differ))) for differ in (False, True))
     assert other - same == pytest.approx(50 * N * 2 * 8, abs=8)
 
 
@@ -89,8 +105,8 @@ def test_an_array_that_differs_in_few_numbers_from_another_is_read_as_it_was_wri
     for step in made:
         step[5][0] = step[0][0].copy()
         step[5][0][1, 1] = np.nan
-    data = pack_run(0, KINDS, made)
-    assert len(data) < len(pack_run(0, KINDS, steps(50, actions_differ=True))) + 50
+    data = pack(0, KINDS, made)
+    assert len(data) < len(pack(0, KINDS, steps(50, actions_differ=True))) + 50
     run = unpack(data)
     expected = np.stack([step[5][0] for step in made])
     assert run.calls[5].arrays["action"].tobytes() == expected.tobytes()
@@ -101,7 +117,7 @@ def test_an_array_that_differs_in_few_numbers_from_another_is_read_as_it_was_wri
 
 def test_equal_bytes_of_another_type_are_another_array():
     types = [("<f8", (12,)), ("|b1", (96,)), ("<i8", (12,)), ("<f8", (12,))]
-    places, parts = store([(dtype, bytes(96)) for dtype, _ in types])
+    places, parts = store([(dtype, [np.zeros(shape, dtype)]) for dtype, shape in types])
     stored = memoryview(b"".join(parts))
     for (dtype, shape), place in zip(types, places, strict=True):
         found = load("a", dtype, shape, place, stored)
@@ -115,10 +131,10 @@ def test_float32_values_take_half_the_bytes_and_come_back_as_they_were(special):
     for step in made:
         step[0][0] = step[0][0].astype(np.float32).astype(np.float64)
         step[0][0][2, 1] = special
-    data = pack_run(0, KINDS, made)
+    data = pack(0, KINDS, made)
     expected = np.stack([step[0][0] for step in made])
     assert unpack(data).calls[0].arrays["values"].tobytes() == expected.tobytes()
-    saved = len(pack_run(0, KINDS, steps(50, actions_differ=True))) - len(data)
+    saved = len(pack(0, KINDS, steps(50, actions_differ=True))) - len(data)
     single = special not in (1e-40, 1e300, 0.1)
     assert saved == pytest.approx(50 * N * 2 * 4 if single else 0, abs=30)
 
@@ -130,7 +146,7 @@ def test_the_schema_in_the_file_decodes_a_run():
         pool.Add(file)
     cls = message_factory.GetMessageClass(pool.FindMessageTypeByName("embodichain.Steps"))
     made = steps(4)
-    message = cls.FromString(pack_run(9, KINDS, made))
+    message = cls.FromString(pack(9, KINDS, made))
     rows = message.calls[1].arrays[0]
     assert not rows.single and not rows.differs
     found = np.frombuffer(message.data, rows.dtype, 4 * N * MOVED, rows.offset)
@@ -171,7 +187,7 @@ def test_what_no_log_says_is_damage(number, kind, message):
     kinds = list(KINDS)
     kinds[number] = kind
     with pytest.raises(DamageError, match=message):
-        unpack(pack_run(5, kinds, steps(2)))
+        unpack(pack(5, kinds, steps(2)))
 
 
 @pytest.mark.parametrize("ids", [[2, 0], [0, 0], [0, N], [-1, 1]])
@@ -179,11 +195,11 @@ def test_environments_are_ascending_and_there(ids):
     made = steps(2)
     made[1][2][0] = np.array(ids)
     with pytest.raises(DamageError, match="environments of this log"):
-        unpack(pack_run(5, KINDS, made))
+        unpack(pack(5, KINDS, made))
 
 
 def test_damaged_messages_are_read_or_refused():
-    data = pack_run(5, KINDS, steps(3))
+    data = pack(5, KINDS, steps(3))
     generator = np.random.default_rng(0)
     head = len(data) - len(steps(3)) * 8
     for cut in range(0, len(data), 7):
@@ -197,3 +213,49 @@ def test_damaged_messages_are_read_or_refused():
         except DamageError:
             continue
         assert run.count > 0
+
+
+def calls_of_each_step(runs):
+    """Kind and array bytes of the calls of each step, by its number."""
+    return {
+        run.first + t: [
+            (call.kind, [values[t].tobytes() for values in call.arrays.values()])
+            for call in run.calls
+        ]
+        for run in runs
+        for t in range(run.count)
+    }
+
+
+def test_steps_with_other_calls_are_in_one_message():
+    write, physics, reset, const, _, step = KINDS
+    one = reset._replace(arrays=tuple(a._replace(shape=(1, *a.shape[1:])) for a in reset.arrays))
+    usual, with_two = [write, physics, step], [write, physics, reset, const, write, step]
+    with_one = [const, write, physics, one, step]
+    patterns = [usual, with_one, usual, usual, with_two, with_one, with_two, usual]
+    generator = np.random.default_rng(0)
+
+    def made(array):
+        if array.name == "env_ids":
+            return np.arange(array.shape[0])
+        return generator.integers(0, 2, array.shape).astype(array.dtype)
+
+    steps = [[(kind, tuple(map(made, kind.arrays))) for kind in kinds] for kinds in patterns]
+    data = b"".join(map(bytes, pack_steps(40, steps)))
+    runs = unpack_steps(data, N, MOVED, NSTATE)
+    assert [run.first for run in runs] == [40, 41, 42, 44, 45, 46, 47]
+    assert all(run.steps == run.count for run in runs)
+    assert calls_of_each_step(runs) == {
+        40 + t: [(kind, [array.tobytes() for array in arrays]) for kind, arrays in calls]
+        for t, calls in enumerate(steps)
+    }
+    (rewards,) = unpack_steps(data, N, MOVED, NSTATE, lambda kind: kind.kind == "step")
+    assert (rewards.first, rewards.steps, len(rewards.calls)) == (40, 8, 1)
+
+
+@pytest.mark.parametrize("listed", [[1, 0], [0, 0], [2]])
+def test_steps_of_a_call_are_ascending_and_in_the_message(listed):
+    message = message_class("Steps").FromString(pack(5, KINDS, steps(2)))
+    message.calls[3].steps.extend(listed)
+    with pytest.raises(DamageError, match="a call is in steps"):
+        unpack(message.SerializeToString())

@@ -139,7 +139,7 @@ def test_a_later_format_is_refused(record, tmp_path):
     from tests.recording.rewrite import rewrite
 
     path = rewrite(
-        record(), tmp_path / "new.mcap", metadata=lambda name, v: {**v, "format_version": "4"}
+        record(), tmp_path / "new.mcap", metadata=lambda name, v: {**v, "format_version": "5"}
     )
-    with pytest.raises(LogError, match="format version '4'; this reads 3"):
+    with pytest.raises(LogError, match="format version '5'; this reads 4"):
         inspect(path)

@@ -87,12 +87,12 @@ def test_nothing_is_overwritten(record, tmp_path):
     assert out.read_bytes() == b"mine"
 
 
-def test_a_damaged_message_in_the_middle_leaves_no_file(record, tmp_path):
+def test_a_damaged_message_in_the_middle_leaves_no_file(many_chunks, tmp_path):
     def damage(topic, data):
         steps = topic == STEPS_TOPIC and message_class("Steps").FromString(data)
         return b"\xff\xff\xff" if steps and steps.first >= 6 else data
 
-    bad = rewrite(record(), tmp_path / "bad.mcap", message=damage)
+    bad = rewrite(many_chunks(), tmp_path / "bad.mcap", message=damage)
     before = sorted(tmp_path.iterdir())
     with recording.open(bad) as log, pytest.raises(LogError, match="a message is damaged"):
         film_log(log, tmp_path / "film.mp4", size=SIZE)

@@ -5,12 +5,12 @@ import pytest
 
 from embodichain.cli import main
 from embodichain.recording import RecordOptions, diff
-from embodichain.recording.block import pack_run
+from embodichain.recording.block import pack_steps
 from embodichain.recording.log_error import LogError
 from embodichain.recording.schema import STEPS_TOPIC
 from embodichain.utils.errors import ConfigError
 from tests.recording.rewrite import rewrite
-from tests.recording.runs import changed, header_of, unpack
+from tests.recording.runs import changed, header_of, recorded_steps, unpack
 
 
 @pytest.fixture
@@ -76,12 +76,12 @@ def test_an_action_is_named(record, tmp_path):
     def message(topic, data):
         if topic != STEPS_TOPIC:
             return data
-        run = unpack(header_of(a), data)
-        steps = [[[v[t].copy() for v in c.arrays.values()] for c in run.calls]
-                 for t in range(run.count)]  # fmt: skip
-        if run.first <= 6 < run.first + run.count:
-            steps[6 - run.first][-1][0][1, 1] = 7.0  # of the step, not of the write
-        return pack_run(run.first, [call.kind for call in run.calls], steps)
+        found = unpack(header_of(a), data)
+        first, steps = found[0].first, recorded_steps(found)
+        if first <= 6 < first + len(steps):
+            _, (action, *_) = steps[6 - first][-1]
+            action[1, 1] = 7.0  # of the step, not of the write
+        return b"".join(pack_steps(first, steps))
 
     found = diff(a, rewrite(a, tmp_path / "b.mcap", message=message)).difference
     assert (found.step, found.env, found.field) == (6, 1, "action")

@@ -123,8 +123,8 @@ def test_two_logs_at_once(tmp_path):
     assert all(verify(tmp_path / f"{i}.mcap").steps == 10 for i in range(2))
 
 
-def test_runs_are_short_enough_to_read_one_at_a_time(tmp_path, monkeypatch):
-    monkeypatch.setattr(recorder, "RUN_STEPS", 7)
+def test_messages_are_short_enough_to_read_one_at_a_time(tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder, "MOST_STEPS", 7)
     env, _ = recorded(tmp_path / "log.mcap", length=100)
     steps(env, 30)
     env.close()
@@ -132,8 +132,8 @@ def test_runs_are_short_enough_to_read_one_at_a_time(tmp_path, monkeypatch):
     assert verify(tmp_path / "log.mcap").steps == 30
 
 
-def test_a_large_run_is_written_at_once(tmp_path, monkeypatch):
-    monkeypatch.setattr(recorder, "RUN_BYTES", 4096)
+def test_large_steps_are_written_at_once(tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder, "MOST_BYTES", 4096)
     env, _ = recorded(tmp_path / "log.mcap", num_envs=64, length=100)
     steps(env, 10)
     env.close()

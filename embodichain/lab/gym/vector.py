@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from embodichain.lab.gym.envs.base_env import BaseEnv
 from embodichain.lab.gym.envs.episodes import parse_mode
+from embodichain.lab.gym.envs.observation import numpy_obs
 from embodichain.lab.gym.utils.policy_view import PolicyView
-from embodichain.lab.gym.utils.spaces import numpy_obs
 from embodichain.lab.sim.types import EnvObs
 
 __all__ = ["NumpyVectorEnv"]
@@ -122,7 +122,7 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
         """One image per environment, (480, 640, 3) RGB; None unless ``rgb_array``."""
         if self.render_mode != "rgb_array":
             return None
-        return tuple(self.env.sim.render(env_id=i) for i in range(self.num_envs))
+        return tuple(self.env.sim.render(None))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the environment."""

@@ -17,9 +17,9 @@ from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.prepared_scene import PreparedScene
-from embodichain.lab.sim.sensors.cfg import CameraCfg, SensorCfg, no_camera
+from embodichain.lab.sim.sensors.cfg import SensorCfg
 from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
-from embodichain.utils.errors import ConfigError, Problem, below
+from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = ["Entity", "Scene"]
 
@@ -94,10 +94,8 @@ class Scene:
         wanted = uid, cfg, physics_step(self._cfg), changes.get(uid, ())
         return self._prepared.take_articulation(*wanted) or parse_articulation(*wanted)
 
-    def plan_sensor(self, cfg: SensorCfg | CameraCfg) -> SensorPlan:
-        """Look up the links of a sensor; raises as `claim` does, and for cameras."""
-        if isinstance(cfg, CameraCfg):
-            raise no_camera(cfg)
+    def plan_sensor(self, cfg: SensorCfg) -> SensorPlan:
+        """Look up the links of a sensor; raises as `claim` does."""
         uid = self.claim(cfg)
         known: dict[str, ParsedArticulation | str | None] = {
             **{name: handle.parsed for name, handle in self.jointed.items()},
@@ -106,7 +104,7 @@ class Scene:
         }
         plan, problems = plan_sensor(uid, cfg, known, ground=self._cfg.ground_plane)
         if plan is None:
-            raise ConfigError(below(uid, problems))
+            raise ConfigError(p.below(uid) for p in problems)
         return plan
 
     def remove(self, uid: str) -> bool:

@@ -37,11 +37,10 @@ from embodichain.lab.gym.envs.managers.value_managers import (
     RewardManager,
     TerminationManager,
 )
-from embodichain.lab.gym.envs.observation import Observation
+from embodichain.lab.gym.envs.observation import Observation, observation_space
 from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
 from embodichain.lab.gym.envs.observers import Observers, StepRecord
 from embodichain.lab.gym.envs.snapshot import Snapshot, SnapshotSource
-from embodichain.lab.gym.utils.spaces import observation_space
 from embodichain.lab.sim.objects._arrays import as_env_ids
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.lab.sim.types import EnvAction, EnvObs
@@ -443,7 +442,7 @@ class BaseEnv(EnvHooks, EnvReads, gym.Env[EnvObs, EnvAction]):
         for observer in self.observers:
             observer.on_reset(self, ids)
         obs = self._observe_reset(ids, {})
-        missing = restoring.not_restored(snapshot, self.sim.engine.model, self.managers)
+        missing = restoring.not_restored(snapshot, self.sim, self.managers)
         return obs, {**self.get_info(), "not_restored": missing}
 
     def state_dict(self) -> dict[str, Any]:

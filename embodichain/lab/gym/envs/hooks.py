@@ -7,7 +7,7 @@ not depend on hooks: an override need not call ``super()``.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -146,7 +146,7 @@ class EnvHooks:
 
     # -- observing -----------------------------------------------------------------------------
 
-    @property
+    @cached_property
     def observes_sensors(self) -> bool:
         """Whether ``obs["sensor"]`` exists: there is a sensor or an overriding hook."""
         if "_get_sensor_obs" in self.overridden:

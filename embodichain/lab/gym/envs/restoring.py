@@ -155,16 +155,19 @@ def _names(model: mujoco.MjModel) -> tuple[list[str], ...]:
 
 
 def not_restored(
-    snapshot: Snapshot, model: mujoco.MjModel, managers: Mapping[str, Manager[Any]]
+    snapshot: Snapshot, sim: SimulationManager, managers: Mapping[str, Manager[Any]]
 ) -> list[str]:
     """What differs from the recorded moment, one line each."""
     found = [*snapshot.notes, *_ALWAYS]
+    for uid, sensor in sim.sensors.items():
+        if sensor.cfg.rate is not None:
+            found.append(f"sensors.{uid}: readings between measurements")
     again = {("commands" if d.mode == "command" else "events", d.term) for d in snapshot.drawn}
     for section, manager in managers.items():
         for name, why in _kept(manager):
             if why or (section, name) not in again:
                 found.append(f"{section}.{name}{why}")
-    other = _differing(model, snapshot.model)
+    other = _differing(sim.engine.model, snapshot.model)
     if other:
         found.insert(0, f"the scene is another one: its {', '.join(other)} differ")
     return found

@@ -29,6 +29,7 @@ from embodichain.lab.sim.cfg import (
     name_of,
 )
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_with_problems
+from embodichain.lab.sim.compiler.cameras import check_memory
 from embodichain.lab.sim.compiler.drives import (
     DriveChange,
     DriveOperation,
@@ -42,7 +43,7 @@ from embodichain.lab.sim.compiler.scene import check_light, compile_scene
 from embodichain.lab.sim.compiler.scene_sensors import plan_sensors
 from embodichain.lab.sim.prepared_scene import PreparedScene
 from embodichain.lab.sim.viewer import has_display
-from embodichain.utils.errors import ConfigError, Problem, below
+from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
 if TYPE_CHECKING:
@@ -106,7 +107,6 @@ def frozen_cfg(cfg: EnvCfg | None, num_envs: int | None = None) -> EnvCfg:
 
     Raises:
         ConfigError: If a value is invalid; names its key path.
-        NotImplementedError: If an `EmbodiedEnvCfg` declares a camera.
     """
     cfg = copy.deepcopy(cfg) if cfg is not None else EnvCfg()
     cfg.complete()
@@ -191,7 +191,7 @@ def describe(cfg: EnvCfg, prepared: PreparedScene | None = None) -> list[Problem
     problems += check_references(cfg, known, open_scene=open_scene)
     ground = cfg.sim_cfg.ground_plane
     sensors, found = plan_sensors(cfg.sensors, known, ground=ground, open_scene=open_scene)
-    problems += found
+    problems += found + check_memory(cfg.sensors, cfg.num_envs)
     if problems:
         return problems
     for path, articulation in parsed.items():
@@ -243,7 +243,7 @@ def _parse(
             found = check_object(cfg)
         elif isinstance(cfg, LightCfg):
             found = check_light(cfg)
-        problems += below(path, found)
+        problems += [p.below(path) for p in found]
     return parsed, problems
 
 

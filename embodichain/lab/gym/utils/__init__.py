@@ -1,1 +1,1 @@
-"""Utilities of environments: registration, launcher arguments, spaces."""
+"""Utilities of environments: registration, launcher arguments, observations of a policy."""

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from embodichain.lab.gym.utils.spaces import entry_spaces, named_obs
+from embodichain.lab.gym.envs.observation import entry_spaces, named_obs
 from embodichain.lab.sim.types import EnvObs
 
 if TYPE_CHECKING:

@@ -52,7 +52,7 @@ from embodichain.lab.sim.compiler.robot_links import (
     set_root,
     strip_world,
 )
-from embodichain.utils.errors import ConfigError, Problem, below
+from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import listing
 
 __all__ = ["ParsedArticulation", "parse_articulation", "parse_with_problems"]
@@ -184,7 +184,7 @@ def parse_articulation(
     """
     parsed, problems = parse_with_problems(uid, cfg, step, changes)
     if parsed is None or problems:
-        raise ConfigError(below(uid, problems))
+        raise ConfigError(p.below(uid) for p in problems)
     return parsed
 
 
@@ -212,7 +212,7 @@ def parse_with_problems(
     parts, wrong = _control_parts(getattr(cfg, "control_parts", None), joints.names)
     problems += wrong
     gains, wrong = resolve_drives(cfg.drive_pros, joints, parts, mimics.ids)
-    problems += below("drive_pros", wrong)
+    problems += [p.below("drive_pros") for p in wrong]
     keyframe = read_keyframe(file.spec, file.model)
     qpos, wrong = resolve_qpos(cfg.init_qpos, joints, mimics, keyframe)
     problems += wrong

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from embodichain.utils.errors import Problem, below
+from embodichain.utils.errors import Problem
 from embodichain.utils.suggest import did_you_mean, listing
 
 __all__ = [
@@ -146,7 +146,7 @@ def pick(
         what = f"no entity is called {uid!r}" if uid else "name an entity"
         hint = did_you_mean(uid, there).strip()
         problems = [Problem("uid", f"{what}; there are: {listing(there, uid)}", hint)]
-    return Picked() if problems else picked, below(path, problems)
+    return Picked() if problems else picked, [p.below(path) for p in problems]
 
 
 def _pick_of_articulation(

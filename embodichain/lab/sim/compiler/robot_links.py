@@ -31,7 +31,7 @@ from embodichain.lab.sim.compiler.rigid_objects import (
     set_contact,
 )
 from embodichain.lab.sim.shapes import PlaneCfg
-from embodichain.utils.errors import ConfigError, Problem, below
+from embodichain.utils.errors import ConfigError, Problem
 
 __all__ = [
     "MAX_MASKED",
@@ -185,7 +185,8 @@ def check_attachments(
             problems.append(no_such("link", cfg.link, links, f"{path}.link"))
         if isinstance(cfg.shape, PlaneCfg):
             problems.append(Problem(f"{path}.shape", "a Plane cannot move"))
-        problems += below(path, [*check_shape(cfg.shape, _UNSCALED), *check_pose(cfg)])
+        found = [*check_shape(cfg.shape, _UNSCALED), *check_pose(cfg)]
+        problems += [p.below(path) for p in found]
     return problems
 
 

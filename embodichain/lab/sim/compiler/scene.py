@@ -29,7 +29,7 @@ from embodichain.lab.sim.compiler.scene_sensors import (
     index_sensors,
     silent_sensors,
 )
-from embodichain.utils.errors import ConfigError, Problem, below
+from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.math import quat_multiply, quat_rotate
 
 __all__ = ["CompiledScene", "SceneParts", "check_light", "compile_scene"]
@@ -209,7 +209,7 @@ def compile_scene(
     mujoco.mj_getState(model, data, row, _STATE)
     mujoco.mj_kinematics(model, data)
     aim_camera(spec, model, data)
-    sensor_index = index_sensors(model, sensors)
+    sensor_index = index_sensors(model, sensors, entities)
     return CompiledScene(model, spec, entities, row, sensor_index, tuple(notes))
 
 
@@ -224,7 +224,7 @@ def _check(
         problems += check_uid(uid, uid, taken)
         taken[uid] = "another entity"
     for uid, cfg in objects.items():
-        problems += below(uid, check_object(cfg))
+        problems += [p.below(uid) for p in check_object(cfg)]
     masked = [p.uid for p in articulations if p.cfg.disable_self_collision]
     if len(masked) > MAX_MASKED:
         message = f"at most {MAX_MASKED} articulations of a scene can do without self-collision"

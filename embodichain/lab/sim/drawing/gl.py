@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 
 from embodichain.utils.errors import RenderError
 
-__all__ = ["Context", "NumberTexture", "Program", "VertexBuffers"]
+__all__ = ["HINT", "Context", "NumberTexture", "Program", "VertexBuffers", "context_class"]
 
-_HINT = (
+HINT = (
     "off-screen rendering needs EGL: `apt-get install libegl1 libgl1-mesa-dri` (Debian, Ubuntu), "
     "or set MUJOCO_GL to a library that works here"
 )
+"""What to do where no context can be made."""
 _NEEDED = "GL_ARB_shader_viewport_layer_array"
 _VERSION = (4, 3)
 
@@ -41,11 +42,11 @@ class Context:
 
     def __init__(self) -> None:
         try:
-            self._context = _context_class()(16, 16)
+            self._context = context_class()(16, 16)
             self._context.make_current()
             from OpenGL import GL
         except (ImportError, AttributeError, OSError, RuntimeError) as error:
-            raise RenderError(f"no picture can be made here ({error}); {_HINT}") from error
+            raise RenderError(f"no picture can be made here ({error}); {HINT}") from error
         self.vendor, self.renderer, self.version = (
             _text(GL.glGetString(name) or b"unknown")
             for name in (GL.GL_VENDOR, GL.GL_RENDERER, GL.GL_VERSION)
@@ -74,10 +75,12 @@ class Context:
         self._context.free()
 
 
-def _context_class() -> Any:
-    """EGL's where there is no display and the user chose nothing, else MuJoCo's choice."""
-    headless = sys.platform.startswith("linux") and not os.environ.get("DISPLAY")
-    if headless and not os.environ.get("MUJOCO_GL"):
+def context_class() -> Any:
+    """EGL's on Linux unless MUJOCO_GL names another, else MuJoCo's choice.
+
+    MuJoCo's own default on Linux, GLFW, needs a display, and the main thread.
+    """
+    if sys.platform.startswith("linux") and not os.environ.get("MUJOCO_GL"):
         from mujoco.egl import GLContext
 
         return GLContext

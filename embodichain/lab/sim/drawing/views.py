@@ -1,6 +1,7 @@
 """`View`: what a renderer draws: a pinhole camera of N environments, its outputs and its look.
 
-`Renderer` is the contract of everything that draws; `DrawnState` is what it draws.
+`Renderer` is the contract of everything that draws; `DrawnState` is what it draws. `view_of` makes
+the view of a camera of the scene, or of a `Viewpoint`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,20 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["DrawnState", "Look", "Optics", "Output", "Pictures", "Renderer", "View"]
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = [
+    "DrawnState",
+    "Look",
+    "Optics",
+    "Output",
+    "Pictures",
+    "Renderer",
+    "View",
+    "Viewpoint",
+    "camera_id",
+    "view_of",
+]
 
 Look = Literal["fast", "full"]
 """``fast``: for observations. ``full``: with shadows, highlights and smooth edges, for films."""
@@ -74,12 +88,13 @@ class View:
     """One camera of all environments.
 
     Attributes:
-        optics: Its lens; `focal` may differ between environments, see `focal`.
+        optics: Its lens; focal lengths and centre may differ between environments.
         position: (N or 1, 3) m.
         axes: (N or 1, 3, 3) rotation matrix: columns are right, up and backwards (OpenGL).
         focal: (N, 2) fx, fy in pixels instead of those of `optics`, or None.
         outputs: What is wanted.
         look: ``fast`` or ``full``.
+        centre: (N, 2) cx, cy in pixels instead of those of `optics`, or None.
     """
 
     optics: Optics
@@ -88,6 +103,59 @@ class View:
     focal: NDArray[Any] | None = None
     outputs: tuple[Output, ...] = ("color",)
     look: Look = "fast"
+    centre: NDArray[Any] | None = None
+
+    @property
+    def lens(self) -> NDArray[np.float64]:
+        """(N or 1, 4) fx, fy, cx, cy in pixels."""
+        focal = np.asarray(self.optics.focal)[None] if self.focal is None else self.focal
+        centre = np.asarray(self.optics.centre)[None] if self.centre is None else self.centre
+        found = np.empty((max(len(focal), len(centre)), 4))
+        found[:, :2], found[:, 2:] = focal, centre
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Viewpoint:
+    """A place to look from, for pictures of any size.
+
+    Attributes:
+        position: (N or 1, 3) m.
+        axes: (N or 1, 3, 3) as in `View`.
+        fovy: Vertical field of view in degrees.
+    """
+
+    position: NDArray[np.float64]
+    axes: NDArray[np.float64]
+    fovy: float = 45.0
+
+    @classmethod
+    def look_at(
+        cls,
+        eye: Sequence[float],
+        target: Sequence[float],
+        up: Sequence[float] = (0.0, 0.0, 1.0),
+        fovy: float = 45.0,
+    ) -> Viewpoint:
+        """A view from one point to another; +x is up if `up` is parallel to the view.
+
+        Raises:
+            ValueError: If the points are the same.
+        """
+        position = np.asarray(eye, np.float64)
+        back = position - np.asarray(target, np.float64)
+        length = float(np.linalg.norm(back))
+        if length < 1e-9:
+            raise ValueError(f"the eye is at the target, {list(eye)}")
+        back /= length
+        for upwards in (up, (1.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
+            right = np.cross(np.asarray(upwards, np.float64), back)
+            size = float(np.linalg.norm(right))
+            if size > 1e-6:
+                right /= size
+                axes = np.stack([right, np.cross(back, right), back], axis=1)
+                return cls(position[None], axes[None], fovy)
+        raise ValueError("no direction is at right angles to the view")
 
 
 Pictures = dict[str, NDArray[Any]]
@@ -121,3 +189,76 @@ class Renderer(Protocol):
     def close(self) -> None:
         """Free the renderer's memory."""
         ...
+
+
+def camera_id(model: mujoco.MjModel, camera: str | int) -> int:
+    """The index of a camera of the scene.
+
+    Raises:
+        ValueError: If there is no such camera; lists the cameras.
+    """
+    names = [model.camera(i).name for i in range(model.ncam)]
+    known = names if isinstance(camera, str) else range(len(names))
+    if camera not in known:
+        raise ValueError(
+            f"no camera {camera!r}; there are: {', '.join(names) or 'none'}."
+            f"{did_you_mean(str(camera), names)}"
+        )
+    return names.index(camera) if isinstance(camera, str) else camera
+
+
+def view_of(
+    state: DrawnState,
+    camera: str | int | Viewpoint,
+    width: int,
+    height: int,
+    *,
+    near: float | None = None,
+    far: float | None = None,
+    outputs: tuple[Output, ...] = ("color",),
+    look: Look = "fast",
+) -> View:
+    """The view of a camera of the scene, with each environment's pose and optics.
+
+    A camera with a sensor size has its own focal lengths and axis, and its sensor covers the
+    picture: pixels are not square if the picture has other proportions. MuJoCo's principal point is
+    the offset of the picture's middle from the axis, to the right and down.
+
+    Args:
+        state: The environments.
+        camera: Name or index of a camera, or a viewpoint.
+        width: Pixels.
+        height: Pixels.
+        near: Metres along the axis; None is the model's ``vis.map.znear``, in units of its extent.
+        far: Likewise; None is ``vis.map.zfar``.
+        outputs: What is wanted.
+        look: ``fast`` or ``full``.
+
+    Raises:
+        ValueError: If there is no such camera, or it is orthographic.
+    """
+    model = state.model
+    near = model.vis.map.znear * model.stat.extent if near is None else near
+    far = model.vis.map.zfar * model.stat.extent if far is None else far
+    if isinstance(camera, Viewpoint):
+        optics = Optics.of_fovy(width, height, camera.fovy, near, far)
+        return View(optics, camera.position, camera.axes, None, outputs, look)
+    index = camera_id(model, camera)
+    if model.cam_projection[index] != int(mujoco.mjtProjection.mjPROJ_PERSPECTIVE):
+        raise ValueError(f"camera {camera!r} is orthographic: only pinhole cameras can be drawn")
+    pixels = np.array([width, height], np.float64)
+    sensor = np.asarray(model.cam_sensorsize[index], np.float64)
+    if sensor.all():
+        intrinsic = np.asarray(state.model_values("cam_intrinsic")[:, index], np.float64)
+        focal, offset = intrinsic[:, :2] / sensor * pixels, intrinsic[:, 2:] / sensor * pixels
+        centre = 0.5 * pixels - offset
+    else:
+        fovy = np.asarray(state.model_values("cam_fovy")[:, index], np.float64)
+        focal = np.repeat(height / (2.0 * np.tan(np.radians(fovy) / 2.0))[:, None], 2, axis=1)
+        centre = np.broadcast_to(0.5 * pixels, focal.shape)
+    first = (focal[0, 0], focal[0, 1]), (centre[0, 0], centre[0, 1])
+    optics = Optics(width, height, *first, near, far)
+    position = state.derived("cam_xpos")[:, index]
+    axes = state.derived("cam_xmat").reshape(state.num_envs, -1, 3, 3)[:, index]
+    own = (focal, centre) if len(focal) > 1 else (None, None)
+    return View(optics, position, axes, own[0], outputs, look, own[1])

@@ -93,7 +93,8 @@ class Engine(Protocol):
     """
 
     version: int
-    """Increases with every change that may affect positions, velocities or the model."""
+    """Increases with every change that may affect positions, velocities, accelerations or the
+    model."""
     model: mujoco.MjModel
     num_envs: int
     listeners: list[EngineListener]

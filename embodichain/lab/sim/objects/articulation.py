@@ -452,7 +452,7 @@ class Articulation(BatchEntity):
 
         Inertias scale with the masses, unless ``inertia`` is False.
         """
-        self.engine.write_model("body_mass", mass, ids, columns_of(bodies))
+        self.engine.write_model("body_mass", mass, ids, bodies)
         if inertia:
             self.write_inertia(mass / self.engine.model.body_mass[bodies], bodies, ids)
         else:
@@ -461,7 +461,7 @@ class Articulation(BatchEntity):
     def write_inertia(self, factor: F64, bodies: Ids, ids: EnvIndex | None) -> None:
         """Set inertias of bodies (k,) to (n, k) times the compiled ones."""
         moments = self.engine.model.body_inertia[bodies] * factor[:, :, None]
-        columns = columns_of((3 * bodies[:, None] + np.arange(3)).reshape(-1))
+        columns = (3 * bodies[:, None] + np.arange(3)).reshape(-1)
         self.engine.write_model("body_inertia", moments.reshape(len(factor), -1), ids, columns)
         self.engine.set_const_later(ids)
 

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from embodichain.lab.sim.objects._arrays import to_tensor
+from embodichain.lab.sim.objects._arrays import as_env_ids, to_tensor
 from embodichain.lab.sim.objects.entity import Handle
+from embodichain.lab.sim.sensors.sampling import Readings, Sampler
 from embodichain.utils.math import quat_conjugate, quat_rotate
 
 if TYPE_CHECKING:
     from embodichain.lab.sim.compiler.scene_sensors import SensorIndex, SensorPlan
-    from embodichain.lab.sim.engine.api import F64, Engine
+    from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
     from embodichain.lab.sim.host import Host
     from embodichain.lab.sim.sensors.cfg import SensorCfg
 
@@ -43,12 +45,6 @@ class BaseSensor(Handle["SensorIndex"]):
         self.cfg: SensorCfg = plan.cfg
         self.names = plan.links
 
-    def bind(self, engine: Engine, index: SensorIndex) -> None:
-        """Set the engine and the sensor's columns. Called once, by the simulation."""
-        super().bind(engine, index)
-        # The first request of an acceleration field computes it, so make it here.
-        engine.acceleration("sensordata")
-
     @property
     def observe(self) -> bool:
         """Whether ``obs["sensor"]`` contains its data."""
@@ -64,20 +60,59 @@ class BaseSensor(Handle["SensorIndex"]):
         """Return all `reads` as float32 tensors (N, ...), as in ``obs["sensor"][uid]``."""
         return {name: to_tensor(getattr(self, f"read_{name}")()) for name in self.reads}
 
-    def _now(self) -> F64:
-        """(N, ...) its values at the current poses and velocities: a view, do not store."""
+    def reset(self, env_ids: Any = None) -> None:
+        """Make a sensor with a rate measure at the next read; a simulation's reset calls it."""
+        self._sampler.reset(as_env_ids(env_ids, self.num_instances))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Readings that are kept until the next are due (copies); empty without a rate."""
+        return self._sampler.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Continue where `state_dict` was taken."""
+        self._sampler.load_state_dict(state)
+
+    def destroy(self) -> None:
+        """Drop the references to the engine."""
+        super().destroy()
+        self.__dict__.pop("_sampler", None)
+
+    @cached_property
+    def _sampler(self) -> Sampler:
+        return Sampler(self.engine, self._measure, self.cfg.rate)
+
+    def _readings(self) -> Readings:
+        """(N, ...) what `_measure` returns, at the sensor's rate: do not write or store."""
+        return self._sampler.read()
+
+    def _measure(self, env_ids: EnvIndex | None) -> Readings:
+        """Measure n environments (None: all); returns arrays (n, ...), which may be live views."""
+        raise NotImplementedError
+
+    def _columns(self, rows: F64, env_ids: EnvIndex | None) -> F64:
+        """(n, ...) the sensor's columns of ``sensordata`` in the shape of its index."""
         index = self.index
-        rows = self.engine.derived("sensordata")[:, index.columns]
-        return rows.reshape(len(rows), *index.shape)
-
-    def _last(self) -> F64:
-        """(N, ...) its values at the last physics step, or at the last reset: a view."""
-        index = self.index
-        rows = self.engine.acceleration("sensordata")[:, index.columns]
-        return rows.reshape(len(rows), *index.shape)
+        found = rows[slice(None) if env_ids is None else env_ids, index.columns]
+        return found.reshape(len(found), *index.shape)
 
 
-class ContactSensor(BaseSensor):
+class _LastStepSensor(BaseSensor):
+    """A sensor whose readings belong to the acceleration stage.
+
+    They are those of the last physics step or, after a reset, of the reset state.
+    """
+
+    def bind(self, engine: Engine, index: SensorIndex) -> None:
+        """Set the engine and the sensor's columns. Called once, by the simulation."""
+        super().bind(engine, index)
+        # The first request of an acceleration field computes it, so make it here.
+        engine.acceleration("sensordata")
+
+    def _measure(self, env_ids: EnvIndex | None) -> Readings:
+        return (self._columns(self.engine.acceleration("sensordata"), env_ids),)
+
+
+class ContactSensor(_LastStepSensor):
     """Contacts of n links with anything, or with the entity that the config names.
 
     Contacts belong to the acceleration stage: they are those of the last physics step or, after a
@@ -88,7 +123,7 @@ class ContactSensor(BaseSensor):
 
     def read_found(self) -> NDArray[np.bool_]:
         """(N, n) whether each link is touched."""
-        found = self._last()[..., 0] > 0
+        found = self._readings()[0][..., 0] > 0
         touched: NDArray[np.bool_] = found[:, :, 0]
         for other in range(1, found.shape[2]):
             touched = touched | found[:, :, other]
@@ -96,7 +131,7 @@ class ContactSensor(BaseSensor):
 
     def read_force(self) -> F64:
         """(N, n, 3) N: net force that contacts exert on each link, world axes."""
-        forces = self._last()[..., 1:]
+        forces = self._readings()[0][..., 1:]
         # MuJoCo reports the force of the link on the other body.
         net: F64 = 0.0 - forces[:, :, 0]
         for other in range(1, forces.shape[2]):
@@ -104,7 +139,7 @@ class ContactSensor(BaseSensor):
         return net
 
 
-class ForceTorqueSensor(BaseSensor):
+class ForceTorqueSensor(_LastStepSensor):
     """Force and torque that parents exert on n links, at each link's origin.
 
     They belong to the acceleration stage: they are those of the last physics step or, after a
@@ -116,17 +151,17 @@ class ForceTorqueSensor(BaseSensor):
 
     def read_force(self) -> F64:
         """(N, n, 3) N, link axes."""
-        return self._last()[..., 0:3].copy()
+        return self._readings()[0][..., 0:3].copy()
 
     def read_torque(self) -> F64:
         """(N, n, 3) N m about the link's origin, link axes."""
-        return self._last()[..., 3:6].copy()
+        return self._readings()[0][..., 3:6].copy()
 
 
 _DOWN = np.array([0.0, 0.0, -1.0])
 
 
-class ImuSensor(BaseSensor):
+class ImuSensor(_LastStepSensor):
     """An inertial measurement unit without noise; its axes are the link's, rotated by the config.
 
     Orientation and angular velocity are those of the current state. The specific force belongs to
@@ -136,20 +171,24 @@ class ImuSensor(BaseSensor):
 
     reads = ("orientation", "angular_velocity", "acceleration", "projected_gravity")
 
+    def _measure(self, env_ids: EnvIndex | None) -> Readings:
+        state = self._columns(self.engine.derived("sensordata"), env_ids)
+        return state[:, 0:7], super()._measure(env_ids)[0][:, 7:10]
+
     def read_orientation(self) -> F64:
         """(N, 4) wxyz orientation of the sensor in the world."""
-        return self._now()[:, 0:4].copy()
+        return self._readings()[0][:, 0:4].copy()
 
     def read_angular_velocity(self) -> F64:
         """(N, 3) rad/s, sensor axes."""
-        return self._now()[:, 4:7].copy()
+        return self._readings()[0][:, 4:7].copy()
 
     def read_acceleration(self) -> F64:
         """(N, 3) m/s^2 specific force (acceleration minus gravity), sensor axes.
 
         It is 9.81 upwards at rest and 0 in free fall.
         """
-        return self._last()[:, 7:10].copy()
+        return self._readings()[1].copy()
 
     def read_projected_gravity(self) -> F64:
         """(N, 3) unit vector of gravity in sensor axes; (0, 0, -1) if upright."""

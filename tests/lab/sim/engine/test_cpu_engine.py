@@ -273,6 +273,7 @@ SENSED = """
     <geom type="plane" size="5 5 .1"/>
     <body name="a" pos="0 0 .3"><joint name="a" axis="0 1 0" range="-.2 .2" limited="true"/>
       <geom type="capsule" size=".05" fromto="0 0 0 .4 0 0" mass="2"/><site name="s" pos=".3 0 0"/>
+      <camera pos="0 .1 .2"/><light pos="0 .1 .3" dir="1 0 -1"/>
       <body name="b" pos=".4 0 0"><joint name="b" axis="0 1 0" damping="1"/>
         <geom name="b" type="capsule" size=".05" fromto="0 0 0 .4 0 0" mass="1"/></body></body>
     <body name="box" pos=".6 0 .12"><freejoint/><geom name="box" type="box" size=".1 .1 .1"/></body>

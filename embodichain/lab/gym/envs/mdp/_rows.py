@@ -6,6 +6,7 @@ environments, unlike that of a numpy reduction.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader
@@ -22,8 +23,6 @@ else:
 __all__ = [
     "action_rows",
     "angle_between",
-    "any_column",
-    "every_column",
     "mean",
     "norm",
     "squares",
@@ -42,8 +41,13 @@ def squares(vectors: NDArray[Any]) -> F64:
 def total(values: NDArray[Any]) -> F64:
     """Sum of the rows, (N, K) -> (N,); 0 where K is 0."""
     rows = np.ascontiguousarray(values, np.float64)
-    found: F64 = np.vecdot(rows, np.ones(rows.shape[1]))
+    found: F64 = np.vecdot(rows, _ones(rows.shape[1]))
     return found
+
+
+@cache
+def _ones(count: int) -> F64:
+    return np.ones(count)
 
 
 def mean(values: F64) -> F64:
@@ -56,16 +60,6 @@ def norm(vectors: NDArray[Any]) -> F64:
     """Euclidean length of the rows, (N, K) -> (N,)."""
     found: F64 = np.sqrt(squares(vectors))
     return found
-
-
-def any_column(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Whether a row has a True, (N,) or (N, K) -> (N,)."""
-    return mask if mask.ndim == 1 else np.asarray(mask.any(axis=1))
-
-
-def every_column(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Whether all columns of a row are True, (N,) or (N, K) -> (N,)."""
-    return mask if mask.ndim == 1 else np.asarray(mask.all(axis=1))
 
 
 def angle_between(a: F64, b: F64) -> F64:
@@ -87,7 +81,7 @@ def action_rows(action: Any) -> F64:
     Raises:
         TypeError: If it is not a tensor: the columns of a `TensorDict` have no order.
     """
-    if not hasattr(action, "detach") or not hasattr(action, "ndim"):
+    if not isinstance(action, torch.Tensor):
         raise TypeError(f"this term needs an action tensor, got {type(action).__name__}")
     rows: F64 = action.detach().numpy().astype(np.float64)
     return rows

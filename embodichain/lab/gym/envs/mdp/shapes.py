@@ -22,7 +22,7 @@ from embodichain.lab.gym.envs.managers.param_types import (
 )
 from embodichain.lab.gym.envs.managers.registry import register_shape
 from embodichain.lab.gym.envs.managers.term import Term
-from embodichain.lab.gym.envs.mdp._rows import any_column, every_column, mean, norm, squares, total
+from embodichain.lab.gym.envs.mdp._rows import mean, norm, squares, total
 from embodichain.utils.errors import ConfigError, Problem
 
 if TYPE_CHECKING:
@@ -185,6 +185,16 @@ def _columns(values: F64) -> F64:
     return values[:, None] if values.ndim == 1 else values
 
 
+def _any_column(mask: Mask) -> Mask:
+    """Whether a row has a True, (N,) or (N, K) -> (N,)."""
+    return mask if mask.ndim == 1 else np.asarray(mask.any(axis=1))
+
+
+def _every_column(mask: Mask) -> Mask:
+    """Whether all columns of a row are True, (N,) or (N, K) -> (N,)."""
+    return mask if mask.ndim == 1 else np.asarray(mask.all(axis=1))
+
+
 def _length(values: F64) -> F64:
     """(N,) absolute value, or Euclidean length of the rows."""
     return np.abs(values) if values.ndim == 1 else norm(values)
@@ -291,7 +301,7 @@ def above(env: TermContext, threshold: float, inclusive: bool = False) -> Truths
         ``{func: height, shape: {above: 0.1}, weight: 15.0, params: {of: {uid: cube}}}``
     """
     compare = np.greater_equal if inclusive else np.greater
-    return lambda values: any_column(compare(values, threshold))
+    return lambda values: _any_column(compare(values, threshold))
 
 
 @register_shape
@@ -306,7 +316,7 @@ def below(env: TermContext, threshold: float, inclusive: bool = False) -> Truths
         ``{func: distance, shape: {below: 0.05}, params: {from: {uid: cube}, to: {uid: goal}}}``
     """
     compare = np.less_equal if inclusive else np.less
-    return lambda values: every_column(compare(values, threshold))
+    return lambda values: _every_column(compare(values, threshold))
 
 
 @register_shape
@@ -324,7 +334,7 @@ def within(env: TermContext, bounds: BoundsOrBox) -> Truths:
 
     def inside(values: F64) -> Mask:
         columns = _columns(values)
-        return every_column((columns >= low) & (columns <= high))
+        return _every_column((columns >= low) & (columns <= high))
 
     return inside
 
@@ -343,7 +353,7 @@ def outside(env: TermContext, bounds: BoundsOrBox) -> Truths:
 
     def beyond(values: F64) -> Mask:
         columns = _columns(values)
-        return any_column((columns < low) | (columns > high))
+        return _any_column((columns < low) | (columns > high))
 
     return beyond
 
