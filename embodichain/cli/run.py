@@ -23,9 +23,8 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.policies import Policy
 
-__all__ = ["SUMMARY_FILE", "command", "run_job"]
+__all__ = ["command", "run_job"]
 
-SUMMARY_FILE = "summary.json"
 _PICTURE_SIZE = (1280, 960)
 _log = logging.getLogger(__name__)
 
@@ -64,7 +63,7 @@ def run_job(job: Job) -> float | None:
         try:
             _write_summary(job.folder, {**facts, "status": "failed", "error": repr(error)})
         except OSError as second:  # a full disk fails here too; the first error is reported
-            _log.error("%s could not be written: %s", SUMMARY_FILE, second)
+            _log.error("%s could not be written: %s", second)
         raise
     if log is not None:
         facts |= {"log": str(log), "log_bytes": log.stat().st_size}
@@ -180,7 +179,7 @@ def _means(counted: EpisodeStatistics, prefix: str) -> dict[str, float | None]:
 
 
 def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
-    write_text(folder / SUMMARY_FILE, to_json(summary, indent=2) + "\n")
+    write_text(folder / to_json(summary, indent=2) + "\n")
 
 
 def _print_summary(summary: dict[str, Any]) -> None:
