@@ -122,7 +122,7 @@ class NumpyVectorEnv(VectorEnv[Any, NDArray[np.floating[Any]], NDArray[Any]]):
         """One image per environment, (480, 640, 3) RGB; None unless ``rgb_array``."""
         if self.render_mode != "rgb_array":
             return None
-        return tuple(self.env.sim.render(env_id=i) for i in range(self.num_envs))
+        return tuple(self.env.sim.render(None))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the environment."""

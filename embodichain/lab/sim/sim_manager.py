@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import torch
 
+from embodichain.lab.sim import sensors
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
     LightCfg,
@@ -31,20 +32,16 @@ from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.scene import Entity, Scene
-from embodichain.lab.sim.sensors.cfg import CameraCfg, SensorCfg
-from embodichain.lab.sim.sensors.sensor_handles import (
-    BaseSensor,
-    ContactSensor,
-    ForceTorqueSensor,
-    ImuSensor,
-)
+from embodichain.lab.sim.sensors.cfg import SensorCfg
+from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.lab.sim.unavailable import with_simulation_members
 from embodichain.utils.errors import ConfigError, DeviceError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
+    from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
+    from embodichain.lab.sim.drawing.views import Pictures, View, Viewpoint
     from embodichain.lab.sim.engine.api import F64
-    from embodichain.lab.sim.rendering import SceneRenderer, View
     from embodichain.lab.sim.viewer import NativeViewer
 
 __all__ = ["SimulationManager"]
@@ -52,11 +49,16 @@ __all__ = ["SimulationManager"]
 _log = logging.getLogger(__name__)
 _instances: dict[int, weakref.ref[SimulationManager]] = {}
 """The live simulations of this process, by `instance_id`."""
-_SENSORS: dict[str, type[BaseSensor]] = {
-    "contact": ContactSensor,
-    "force_torque": ForceTorqueSensor,
-    "imu": ImuSensor,
+_SENSORS = {
+    "contact": "ContactSensor",
+    "force_torque": "ForceTorqueSensor",
+    "imu": "ImuSensor",
+    "camera": "Camera",
+    "stereo_camera": "StereoCamera",
+    "Camera": "Camera",
+    "StereoCamera": "StereoCamera",
 }
+"""Type of a sensor -> its handle, imported when it is added."""
 
 
 _Found = TypeVar("_Found")
@@ -118,7 +120,7 @@ class SimulationManager:
         self._destroyed = False
         self._engine: CpuEngine | None = None
         self._initial_row: F64 = np.zeros(0)
-        self._renderer: SceneRenderer | None = None
+        self._renderer: OffscreenRenderer | None = None
         self._viewer: NativeViewer | None = None
         self._physics_enabled = True
         self.physics_seconds = 0.0
@@ -165,16 +167,16 @@ class SimulationManager:
         self.lights[light.uid] = light
         return light
 
-    def add_sensor(self, cfg: SensorCfg | CameraCfg) -> BaseSensor:
+    def add_sensor(self, cfg: SensorCfg) -> BaseSensor:
         """Add a sensor to entities that were added before.
 
         Raises:
-            NotImplementedError: If it is a camera.
             ConfigError: If an entity or a link does not exist, or a value is wrong.
             RuntimeError: If the scene is compiled already.
         """
         plan = self._scene.plan_sensor(cfg)
-        sensor = self.sensors[plan.uid] = _SENSORS[plan.cfg.sensor_type](plan, self)
+        kind: type[BaseSensor] = getattr(sensors, _SENSORS[plan.cfg.sensor_type])
+        sensor = self.sensors[plan.uid] = kind(plan, self)
         return sensor
 
     def remove_asset(self, uid: str) -> bool:
@@ -320,28 +322,42 @@ class SimulationManager:
 
     # -- rendering -----------------------------------------------------------------------------
 
+    @property
+    def renderer(self) -> OffscreenRenderer:
+        """The off-screen renderer, opened at first use; RenderError if none works here."""
+        from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
+
+        if self._renderer is None:
+            self._renderer = OffscreenRenderer(self.scene.model)
+        return self._renderer
+
+    def draw(self, views: Sequence[View], env_ids: Any = None) -> list[Pictures]:
+        """Draw every view of environments (None: all) off screen, in one call.
+
+        Raises:
+            RenderError: If an output cannot be drawn here; names the packages to install.
+            ValueError: If there is no such environment.
+        """
+        return self.renderer.draw(self.engine, views, as_env_ids(env_ids, self.num_envs))
+
     def render(
         self,
-        env_id: int = 0,
-        camera: str | int | View = "default",
+        env_id: int | None = 0,
+        camera: str | int | Viewpoint = "default",
         width: int = 640,
         height: int = 480,
     ) -> np.ndarray[Any, np.dtype[np.uint8]]:
-        """Render one environment off screen, (height, width, 3) RGB.
+        """Render one environment in full look, (height, width, 3) RGB; None: (N, ...) all of them.
 
         Raises:
-            RenderError: If no OpenGL library works here; names the package to install.
+            RenderError: If no OpenGL library works here; names the packages to install.
             ValueError: If there is no such camera or environment.
         """
-        from embodichain.lab.sim.rendering import SceneRenderer
-
-        if not 0 <= env_id < self.num_envs:
+        if env_id is not None and not 0 <= env_id < self.num_envs:
             raise ValueError(f"env_id must be in [0, {self.num_envs}), got {env_id}")
-        if self._renderer is None or self._renderer.size != (width, height):
-            if self._renderer is not None:
-                self._renderer.close()
-            self._renderer = SceneRenderer(self.scene.model, width, height)
-        return self._renderer.draw(self.engine, env_id, camera)
+        ids = None if env_id is None else np.array([env_id])
+        found = self.renderer.pictures(self.engine, camera, (width, height), ids)
+        return found if env_id is None else found[0]
 
     def open_window(self, env_id: int = 0) -> None:
         """Open MuJoCo's viewer on one environment; `update` refreshes it.

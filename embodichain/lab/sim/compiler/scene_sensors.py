@@ -8,9 +8,19 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
+from embodichain.lab.sim.compiler.cameras import (
+    add_camera,
+    camera_names,
+    check_camera,
+    entity_of_geom,
+    mount,
+)
+from embodichain.lab.sim.compiler.index import EntityIndex
 from embodichain.lab.sim.compiler.names import GROUND, Known, check_uid, pick
 from embodichain.lab.sim.sensors.cfg import (
+    CameraCfg,
     ContactSensorCfg,
     ForceTorqueSensorCfg,
     ImuSensorCfg,
@@ -20,6 +30,7 @@ from embodichain.lab.sim.sensors.cfg import (
 from embodichain.utils.errors import Problem
 
 __all__ = [
+    "CameraIndex",
     "SensorIndex",
     "SensorPlan",
     "add_sensors",
@@ -30,7 +41,7 @@ __all__ = [
 ]
 
 _OBJECT = mujoco.mjtObj
-_TYPES = (ContactSensorCfg, ImuSensorCfg, ForceTorqueSensorCfg)
+_TYPES = (ContactSensorCfg, ImuSensorCfg, ForceTorqueSensorCfg, CameraCfg)
 
 
 @dataclass(frozen=True)
@@ -40,7 +51,7 @@ class SensorPlan:
     Attributes:
         uid: Its name.
         cfg: Its config.
-        links: (n,) names of the links it is fixed on.
+        links: (n,) names of the links it is fixed on; none for a camera fixed in the environment.
         bodies: (n,) names of their bodies in the model.
         others: Objects with which contacts count: MuJoCo's object type and name of each; empty is
             any object.
@@ -97,9 +108,10 @@ def plan_sensor(
         types = ", ".join(str(kind().sensor_type) for kind in _TYPES)
         name = getattr(cfg, "sensor_type", "") or type(cfg).__name__
         return None, [Problem("sensor_type", f"no sensor {name!r}; there are: {types}")]
+    if isinstance(cfg, CameraCfg):
+        return _plan_camera(uid, cfg, known, open_scene)
     links, problems = _links("entity_cfg", cfg.entity_cfg, known, open_scene)
-    if cfg.rate is not None and not 0 < cfg.rate < np.inf:
-        problems.append(Problem("rate", f"must be positive and finite, Hz, got {cfg.rate!r}"))
+    problems += _check_rate(cfg)
     if isinstance(cfg, ImuSensorCfg):
         links, found = _one(cfg.entity_cfg, links, known)
         problems += found + _check_mount(cfg)
@@ -113,6 +125,30 @@ def plan_sensor(
         return None, problems
     bodies = tuple(_body(cfg.entity_cfg.uid, link, known) for link in links)
     return SensorPlan(uid, cfg, links, bodies, others), []
+
+
+def _plan_camera(
+    uid: str, cfg: CameraCfg, known: Known, open_scene: bool
+) -> tuple[SensorPlan | None, list[Problem]]:
+    problems = check_camera(cfg) + _check_rate(cfg)
+    where, found = mount(cfg, known)
+    problems += found
+    links: tuple[str, ...] = ()
+    if where is not None:
+        links, found = _links("entity_cfg", where, known, open_scene)
+        problems += found
+        links, found = _one(where, links, known)
+        problems += found
+    if problems or (where is not None and not links):
+        return None, problems
+    bodies = tuple(_body(where.uid, link, known) for link in links if where is not None)
+    return SensorPlan(uid, cfg, links, bodies), []
+
+
+def _check_rate(cfg: SensorCfg) -> list[Problem]:
+    if cfg.rate is None or 0 < cfg.rate < np.inf:
+        return []
+    return [Problem("rate", f"must be positive and finite, Hz, got {cfg.rate!r}")]
 
 
 def _links(
@@ -208,10 +244,25 @@ class SensorIndex:
     shape: tuple[int, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class CameraIndex(SensorIndex):
+    """A camera sensor in the compiled model; it has no columns.
+
+    Attributes:
+        ids: MuJoCo's ids of its cameras: one, or left and right.
+        entity_of_geom: (ngeom + 1,) int32 number in masks of each geom; the last is -1.
+    """
+
+    ids: tuple[int, ...]
+    entity_of_geom: NDArray[np.int32]
+
+
 def add_sensors(spec: mujoco.MjSpec, plans: Mapping[str, SensorPlan]) -> None:
-    """Add MuJoCo's sensors, named ``UID/...``; those of one sensor are contiguous."""
+    """Add MuJoCo's sensors, named ``UID/...``, contiguous for one sensor; and the cameras."""
     for plan in plans.values():
-        if isinstance(plan.cfg, ContactSensorCfg):
+        if isinstance(plan.cfg, CameraCfg):
+            add_camera(spec, plan.uid, plan.cfg, next(iter(plan.bodies), None))
+        elif isinstance(plan.cfg, ContactSensorCfg):
             _add_contacts(spec, plan)
         else:
             _add_sites(spec, plan)
@@ -241,9 +292,20 @@ def _add_sites(spec: mujoco.MjSpec, plan: SensorPlan) -> None:
             sensor.objtype, sensor.objname = _OBJECT.mjOBJ_SITE, site.name
 
 
-def index_sensors(model: mujoco.MjModel, plans: Mapping[str, SensorPlan]) -> dict[str, SensorIndex]:
-    """Find every sensor's columns in the compiled model."""
-    return {uid: _index(model, plan) for uid, plan in plans.items()}
+def index_sensors(
+    model: mujoco.MjModel,
+    plans: Mapping[str, SensorPlan],
+    entities: Mapping[str, EntityIndex],
+) -> dict[str, SensorIndex]:
+    """Find every sensor's columns, or cameras, in the compiled model."""
+    found: dict[str, SensorIndex] = {}
+    for uid, plan in plans.items():
+        if isinstance(plan.cfg, CameraCfg):
+            ids = tuple(int(model.camera(name).id) for name in camera_names(uid, plan.cfg))
+            found[uid] = CameraIndex(slice(0, 0), (), ids, entity_of_geom(model, entities))
+        else:
+            found[uid] = _index(model, plan)
+    return found
 
 
 def silent_sensors(model: mujoco.MjModel, plans: Mapping[str, SensorPlan]) -> list[str]:

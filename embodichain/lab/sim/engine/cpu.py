@@ -49,9 +49,9 @@ KINEMATIC_STAGES = dict.fromkeys(
 _INPUTS = frozenset({"ctrl", "qfrc_applied", "xfrc_applied"})
 # Models with bookkeeping in the MjData need one per environment (MuJoCo's manual, "batch").
 _HIDDEN_STATE = int(mujoco.mjtEnableBit.mjENBL_SLEEP) | int(mujoco.mjtEnableBit.mjENBL_IPC)
-_NO_CONTACT = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-_NO_CONSTRAINT = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-_NO_SENSOR = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+_NO_CONTACT = np.int32(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+_NO_CONSTRAINT = np.int32(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+_NO_SENSOR = np.int32(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 # Warnings that mean the state is no longer physics.
 _DIVERGED = [
     int(getattr(mujoco.mjtWarning, f"mjWARN_{name}"))
@@ -163,7 +163,7 @@ class CpuEngine(Engine):
     def _copy_accelerations(self, env_ids: EnvIndex | None) -> None:
         for output, copy in self._accelerations.values():
             if env_ids is None:
-                np.copyto(copy, output)
+                copy[...] = output
             else:
                 copy[env_ids] = output[env_ids]
 

@@ -1,4 +1,4 @@
-"""Sensors: contacts, inertial measurements, joint forces. Cameras have only configs so far."""
+"""Sensors: contacts, inertial measurements, joint forces, cameras."""
 
 from typing import TYPE_CHECKING
 
@@ -8,14 +8,17 @@ from embodichain.lab.sim.sensors.cfg import (
     AnySensorCfg,
     CameraCfg,
     ContactSensorCfg,
+    ExtrinsicsCfg,
     ForceTorqueSensorCfg,
     ImuSensorCfg,
     LinksCfg,
+    OffsetCfg,
     SensorCfg,
     StereoCameraCfg,
 )
 
 if TYPE_CHECKING:
+    from embodichain.lab.sim.sensors.camera import Camera, StereoCamera
     from embodichain.lab.sim.sensors.sensor_handles import (
         BaseSensor,
         ContactSensor,
@@ -27,21 +30,26 @@ if TYPE_CHECKING:
 __getattr__, __dir__, _ = lazy_loader.attach(
     __name__,
     submod_attrs={
-        "sensor_handles": ["BaseSensor", "ContactSensor", "ForceTorqueSensor", "ImuSensor"]
+        "camera": ["Camera", "StereoCamera"],
+        "sensor_handles": ["BaseSensor", "ContactSensor", "ForceTorqueSensor", "ImuSensor"],
     },
 )
 
 __all__ = [
     "AnySensorCfg",
     "BaseSensor",
+    "Camera",
     "CameraCfg",
     "ContactSensor",
     "ContactSensorCfg",
+    "ExtrinsicsCfg",
     "ForceTorqueSensor",
     "ForceTorqueSensorCfg",
     "ImuSensor",
     "ImuSensorCfg",
     "LinksCfg",
+    "OffsetCfg",
     "SensorCfg",
+    "StereoCamera",
     "StereoCameraCfg",
 ]

@@ -1,13 +1,15 @@
 """Films of episodes: which files there are, how long they are, and what is in them."""
 
 import importlib.util
+from dataclasses import replace
 
 import imageio_ffmpeg
 import numpy as np
 import pytest
 
 from embodichain.lab.gym.envs.cfg import EventCfg
-from embodichain.lab.sim.rendering import View
+from embodichain.lab.gym.envs.mdp.events.record import filmed_from
+from embodichain.lab.sim.drawing.views import Viewpoint
 from embodichain.utils.errors import ConfigError
 
 SIZE = [96, 64]
@@ -78,19 +80,30 @@ def test_a_view_shows_what_it_looks_at(make) -> None:
     env.reset()
     # The cube, 10 cm wide, from 1 m above it: focal length 64 pixels, so about 7 pixels wide.
     fovy = 2 * np.degrees(np.arctan(32 / 64))
-    view = View.look_at([0.5, 0.5, 1.1], [0.5, 0.5, 0.1], [0, 1, 0], fovy)
+    view = Viewpoint.look_at([0.5, 0.5, 1.1], [0.5, 0.5, 0.1], [0, 1, 0], fovy)
     seen = env.sim.render(0, view, *SIZE).astype(int)
     middle = seen[32, 48]
     same = (np.abs(seen - middle).max(axis=2) < 25) & (np.indices((64, 96))[0] > 0)
     assert 5 <= same[32, 40:56].sum() <= 9 and 5 <= same[24:40, 48].sum() <= 9
 
 
+def test_a_lens_off_centre_with_two_focal_lengths(make) -> None:
+    """The cube, 10 cm wide, from 1 m above it: 22.8 pixels wide, 11.4 high, around (30, 20)."""
+    env = make(num_envs=1)
+    env.reset()
+    view = filmed_from((96, 64), [0.5, 0.5, 1.1], [0.5, 0.5, 0.1], [0, 1, 0], [228, 114, 30, 20])
+    mask = env.sim.draw([replace(view, outputs=("mask",))])[0]["mask"][0]
+    rows, columns = np.nonzero(mask == mask[20, 30])
+    # Pixels whose centres are between 18.6 and 41.4, and between 14.3 and 25.7.
+    assert (columns.min(), columns.max()) == (19, 40)
+    assert (rows.min(), rows.max()) == (14, 25)
+
+
 @pytest.mark.parametrize(
     ("params", "part"),
     [
         ({"resolution": [95, 64]}, "multiple of 2"),
-        ({"intrinsics": [600, 500, 48, 32]}, "pixels are square"),
-        ({"intrinsics": [600, 600, 10, 32]}, "axis is in the middle"),
+        ({"intrinsics": [600, 0, 48, 32]}, "must be positive"),
         ({"eye": [0, 0, 1], "target": [0, 0, 1]}, "the eye is at the target"),
         ({"camera": "top"}, "there are: default"),
         ({"name": "a/b"}, "is not part of a file's name"),

@@ -9,7 +9,7 @@ from PIL import Image
 from embodichain.lab.sim.cfg import AttachmentCfg, RigidObjectCfg, RobotCfg, SimulationManagerCfg
 from embodichain.lab.sim.compiler.articulation import parse_articulation
 from embodichain.lab.sim.compiler.scene import compile_scene
-from embodichain.lab.sim.rendering import View
+from embodichain.lab.sim.drawing.views import Viewpoint
 from embodichain.lab.sim.shapes import MeshCfg, VisualMaterialCfg
 from embodichain.lab.sim.sim_manager import SimulationManager
 from embodichain.utils.errors import ConfigError
@@ -164,7 +164,7 @@ def test_a_texture_is_drawn_the_right_way_up(tmp_path):
     sim = SimulationManager(SimulationManagerCfg(headless=True, ground_plane=False))
     square = RigidObjectCfg(uid="square", shape=MeshCfg(fpath=mesh), body_type="static")
     sim.add_rigid_object(square)
-    view = View.look_at((0.5, -3.0, 0.5), (0.5, 0.0, 0.5), (0.0, 0.0, 1.0), fovy=25.0)
+    view = Viewpoint.look_at((0.5, -3.0, 0.5), (0.5, 0.0, 0.5), (0.0, 0.0, 1.0), fovy=25.0)
     picture = sim.render(camera=view, width=64, height=64).astype(int)
     above, below = picture[22, 32], picture[42, 32]
     assert above[0] > 2 * above[2], above

@@ -32,7 +32,7 @@ def test_the_type_chooses_the_class(kind, cls):
 @pytest.mark.parametrize(
     ("given", "path", "match"),
     [
-        ({"sensor_type": "Camera"}, "sensor_type", "one of: contact, imu, force_torque"),
+        ({"sensor_type": "radar"}, "sensor_type", "one of: contact, imu, force_torque"),
         ({"sensor_type": "im"}, "sensor_type", "Did you mean 'imu'"),
         ({}, "sensor_type", "unknown sensor_type ''"),
         ({"sensor_type": "imu", "agianst": {}}, "agianst", "unknown key"),

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 from pydantic import Field
@@ -18,6 +19,7 @@ from embodichain.utils.video import VideoFile, need_encoder
 
 if TYPE_CHECKING:
     from embodichain.lab.gym.envs.context import TermContext
+    from embodichain.lab.sim.drawing.views import View
     from embodichain.lab.sim.engine.api import EnvIndex
 
 __all__ = ["RecordCameraData", "filmed_from"]
@@ -41,8 +43,8 @@ class RecordCameraData(Term):
         target: The point it looks at; None is the origin.
         up: The upward direction of the image; +x if it is parallel to the view. None is
             [0, 0, 1].
-        intrinsics: [fx, fy, cx, cy] in pixels, with fx = fy and the axis in the image centre. None
-            is a focal length of 600.
+        intrinsics: [fx, fy, cx, cy] in pixels, the axis from the top left corner. None is a focal
+            length of 600 and the axis in the middle.
         max_env_num: Number of recorded environments, from the first. Each has an encoder process.
         save_path: Folder; None is `videos` in the run's folder, or `outputs/videos` without one.
         camera: A camera of the scene, such as `default`, instead of `eye` and `target`.
@@ -71,16 +73,20 @@ class RecordCameraData(Term):
         if not name or Path(name).name != name:
             raise ConfigError([Problem("name", f"is not part of a file's name: {name!r}")])
         self._env, self._name, self._count = env, name, max_env_num
-        width, height = self._size = tuple(resolution or (640, 480))
-        self._camera: Any = camera
+        width, height = resolution or (640, 480)
+        self._size = width, height
         if camera is None:
-            self._camera = filmed_from((width, height), eye, target, up, intrinsics)
+            view = filmed_from(self._size, eye, target, up, intrinsics)
+            self._view: Callable[[], View] = lambda: view
         else:
-            model = env.sim.engine.model
-            known = [model.camera(i).name for i in range(model.ncam)]
-            if camera not in known:
-                message = f"no camera is called {camera!r}; there are: {', '.join(known)}"
-                raise ConfigError([Problem("camera", message)])
+            from embodichain.lab.sim.drawing.views import camera_id, view_of
+
+            engine = env.sim.engine
+            try:
+                index = camera_id(engine.model, camera)
+            except ValueError as error:
+                raise ConfigError([Problem("camera", str(error))]) from error
+            self._view = partial(view_of, engine, index, width, height, look="full")
         self._folder = Path(save_path) if save_path is not None else None
         self._fps = fps if fps is not None else env.control_frequency
         self._videos: dict[int, VideoFile] = {}
@@ -89,13 +95,16 @@ class RecordCameraData(Term):
     def __call__(self, env: TermContext, env_ids: EnvIndex | None) -> None:
         """Render one image of each recorded environment."""
         ids = np.arange(env.num_envs) if env_ids is None else env_ids
-        width, height = self._size
-        for i in ids[ids < self._count].tolist():
+        ids = ids[ids < self._count]
+        if not len(ids):
+            return
+        pictures = env.sim.draw([self._view()], ids)[0]["color"][..., :3]
+        for i, picture in zip(ids.tolist(), pictures, strict=True):
             video = self._videos.get(i)
             if video is None:
                 path = self._where() / f"{self._name}_env{i}_episode{int(env.episode_ids[i])}.mp4"
-                video = self._videos[i] = VideoFile(path, (width, height), self._fps)
-            video.write(env.sim.render(i, self._camera, width, height))
+                video = self._videos[i] = VideoFile(path, self._size, self._fps)
+            video.write(picture)
 
     def _where(self) -> Path:
         if self._folder is not None:
@@ -118,38 +127,24 @@ def filmed_from(
     target: list[float] | None = None,
     up: list[float] | None = None,
     intrinsics: list[float] | None = None,
-) -> Any:
-    """The `View` of `record_camera_data`, from its parameters and their defaults.
+) -> View:
+    """The view of `record_camera_data`, from its parameters and their defaults.
 
     Raises:
-        ConfigError: If the rasterizer has no such view.
+        ConfigError: If the focal lengths are not positive, or the eye is at the target.
     """
+    from embodichain.lab.sim.drawing.views import Optics, View, Viewpoint
+
     width, height = size
-    fovy = _fovy(intrinsics or [600.0, 600.0, width / 2, height / 2], width, height)
-    return _view(eye or [0, 0, 2], target or [0, 0, 0], up or [0, 0, 1], fovy)
-
-
-def _fovy(intrinsics: list[float], width: int, height: int) -> float:
-    """Vertical field of view in degrees of a camera with square pixels and a centred axis."""
-    fx, fy, cx, cy = intrinsics
-    if not fx > 0 or not math.isclose(fx, fy):
-        message = f"the rasterizer's pixels are square: fx = fy > 0, got {fx} and {fy}"
+    fx, fy, cx, cy = intrinsics or [600.0, 600.0, width / 2, height / 2]
+    if min(fx, fy) <= 0:
+        message = f"focal lengths must be positive, got {fx} and {fy}"
         raise ConfigError([Problem("intrinsics", message)])
-    if abs(cx - width / 2) > 0.5 or abs(cy - height / 2) > 0.5:
-        message = (
-            f"the rasterizer's axis is in the middle, ({width / 2}, {height / 2}), got {cx, cy}"
-        )
-        raise ConfigError([Problem("intrinsics", message)])
-    return 2 * math.degrees(math.atan(height / (2 * fy)))
-
-
-def _view(eye: list[float], target: list[float], up: list[float], fovy: float) -> Any:
-    from embodichain.lab.sim.rendering import View
-
     try:
-        return View.look_at(eye, target, up, fovy)
+        at = Viewpoint.look_at(eye or [0, 0, 2], target or [0, 0, 0], up or [0, 0, 1])
     except ValueError as error:
         raise ConfigError([Problem("target", str(error))]) from error
+    return View(Optics(width, height, (fx, fy), (cx, cy)), at.position, at.axes, look="full")
 
 
 def _finish_at_close(env: TermContext, term: RecordCameraData) -> None:

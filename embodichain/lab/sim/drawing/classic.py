@@ -1,0 +1,175 @@
+"""`ClassicRenderer`: draws picture after picture with MuJoCo's own renderer.
+
+For OpenGL without layered rendering (macOS, old drivers).
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.drawing.gl import HINT, context_class
+from embodichain.lab.sim.drawing.states import DRAWN_FIELDS, DRAWN_POSES
+from embodichain.lab.sim.drawing.views import DrawnState, Pictures, View
+from embodichain.utils.errors import RenderError
+
+__all__ = ["ClassicRenderer"]
+
+_MOST_GEOMS = 10_000
+_SHADOW_PIXELS = 2048
+"""Largest side of a shadow map; enough for a film, and half the time of 4096."""
+_EXPENSIVE = [int(mujoco.mjtRndFlag.mjRND_SHADOW), int(mujoco.mjtRndFlag.mjRND_REFLECTION)]
+_NUMBERED = [int(mujoco.mjtRndFlag.mjRND_SEGMENT), int(mujoco.mjtRndFlag.mjRND_IDCOLOR)]
+"""Flags for colours that are the numbers of geoms in the scene."""
+_EVERYTHING = int(mujoco.mjtCatBit.mjCAT_ALL.value)
+
+
+class ClassicRenderer:
+    """Draws a scene, one picture after the other. Call it from the render thread only.
+
+    One OpenGL context, one MjModel and one MjData serve environments and sizes in turn. Sites and
+    tendons are not drawn, as in `BatchRenderer`.
+
+    Args:
+        model: The compiled scene.
+
+    Attributes:
+        about: OpenGL's renderer and version.
+
+    Raises:
+        RenderError: If OpenGL does not work here.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = copy.copy(model)
+        quality = self._model.vis.quality
+        quality.shadowsize = min(quality.shadowsize, _SHADOW_PIXELS)
+        self._data = mujoco.MjData(self._model)
+        self._scene = mujoco.MjvScene(self._model, _MOST_GEOMS)
+        self._option, self._camera = mujoco.MjvOption(), mujoco.MjvCamera()
+        self._option.sitegroup[:] = 0
+        try:
+            self._gl = context_class()(16, 16)
+            self._gl.make_current()
+            self._context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100)
+        except (ImportError, AttributeError, OSError, RuntimeError, mujoco.FatalError) as error:
+            raise RenderError(f"no picture can be made here ({error}); {HINT}") from error
+        self.about = _about()
+        mujoco.mjr_setBuffer(int(mujoco.mjtFramebuffer.mjFB_OFFSCREEN), self._context)
+        self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR
+
+    def draw(
+        self, state: DrawnState, views: Sequence[View], envs: NDArray[np.int64] | None = None
+    ) -> list[Pictures]:
+        """Draw every view of n environments; see `Renderer`."""
+        rows = np.arange(state.num_envs) if envs is None else envs
+        self._gl.make_current()
+        found = [_empty(view, len(rows)) for view in views]
+        derived = {name: state.derived(name) for name in DRAWN_POSES}
+        fields = {name: state.model_values(name) for name in DRAWN_FIELDS}
+        for place, row in enumerate(rows.tolist()):
+            for name, values in derived.items():
+                part = getattr(self._data, name)
+                part[...] = values[row].reshape(part.shape)
+            for name, values in fields.items():
+                part = getattr(self._model, name)
+                part[...] = values[min(row, len(values) - 1)].reshape(part.shape)
+            for view, pictures in zip(views, found, strict=True):
+                self._aim(view, row)
+                for name, picture in self._draw(view).items():
+                    pictures[name][place] = picture
+        return found
+
+    def _aim(self, view: View, row: int) -> None:
+        """Fill the scene with one environment, as its camera sees it."""
+        scene, optics = self._scene, view.optics
+        mujoco.mjv_updateScene(
+            self._model, self._data, self._option, None, self._camera, _EVERYTHING, scene
+        )
+        position, axes = (a[min(row, len(a) - 1)] for a in (view.position, view.axes))
+        fx, fy = optics.focal if view.focal is None else view.focal[row]
+        near, (cx, cy) = optics.near, optics.centre
+        for camera in scene.camera:
+            camera.pos, camera.forward, camera.up = position, -axes[:, 2], axes[:, 1]
+            camera.frustum_near, camera.frustum_far = near, optics.far
+            camera.frustum_top = near * cy / fy
+            camera.frustum_bottom = -near * (optics.height - cy) / fy
+            camera.frustum_width = near * 0.5 * optics.width / fx
+            camera.frustum_center = near * (0.5 * optics.width - cx) / fx
+        for light in scene.lights[: scene.nlight]:
+            if light.headlight:
+                light.pos, light.dir = position, -axes[:, 2]
+        scene.flags[_EXPENSIVE] = int(view.look == "full")
+
+    def _draw(self, view: View) -> Pictures:
+        """One picture of each output, of the scene as it is."""
+        width, height = view.optics.width, view.optics.height
+        context, scene = self._context, self._scene
+        if width > context.offWidth or height > context.offHeight:
+            larger = max(width, context.offWidth), max(height, context.offHeight)
+            mujoco.mjr_resizeOffscreen(*larger, context)
+        rect = mujoco.MjrRect(0, 0, width, height)
+        found: Pictures = {}
+        pixels = np.empty((height, width, 3), np.uint8)
+        if "color" in view.outputs:
+            mujoco.mjr_render(rect, scene, context)
+            mujoco.mjr_readPixels(pixels, None, rect, context)
+            color = np.full((height, width, 4), 255, np.uint8)
+            color[..., :3] = pixels[::-1]
+            found["color"] = color
+        if not {"depth", "mask"} & set(view.outputs):
+            return found
+        scene.flags[_NUMBERED] = 1
+        depth = np.empty((height, width), np.float32)
+        mujoco.mjr_render(rect, scene, context)
+        mujoco.mjr_readPixels(pixels, depth, rect, context)
+        scene.flags[_NUMBERED] = 0
+        mask = self._geoms(pixels)
+        near, far = np.float64(view.optics.near), np.float64(view.optics.far)
+        # Depth runs from 1 at `near` to 0 at `far`, linear in 1 / distance.
+        metres = near * far / (near + depth.astype(np.float64) * (far - near))
+        metres[mask < 0] = 0.0
+        both = {"depth": metres[::-1].astype(np.float32), "mask": mask[::-1]}
+        return found | {name: both[name] for name in view.outputs if name in both}
+
+    def _geoms(self, pixels: NDArray[np.uint8]) -> NDArray[np.int32]:
+        """(H, W) geom ids of a picture whose colours are numbers in the scene, plus 1; else -1."""
+        number = pixels.astype(np.int64) @ np.array([1, 2**8, 2**16])
+        ids = np.full(self._scene.ngeom + 1, -1, np.int32)
+        for geom in self._scene.geoms[: self._scene.ngeom]:
+            if geom.segid >= 0 and geom.objtype == int(mujoco.mjtObj.mjOBJ_GEOM):
+                ids[geom.segid + 1] = geom.objid
+        found: NDArray[np.int32] = ids[number]
+        return found
+
+    def close(self) -> None:
+        """Free the context and everything in it."""
+        self._gl.make_current()
+        self._context.free()
+        self._gl.free()
+
+
+def _about() -> str:
+    """What OpenGL says of itself."""
+    try:
+        from OpenGL import GL
+    except (ImportError, AttributeError, OSError):  # MuJoCo needs it only for EGL and OSMesa
+        return "OpenGL"
+    name, version = (GL.glGetString(name).decode() for name in (GL.GL_RENDERER, GL.GL_VERSION))
+    return f"{name}, OpenGL {version}"
+
+
+def _empty(view: View, count: int) -> Pictures:
+    """Arrays for the outputs of a view in `count` environments."""
+    size = count, view.optics.height, view.optics.width
+    kinds: dict[str, tuple[tuple[int, ...], Any]] = {
+        "color": ((*size, 4), np.uint8),
+        "depth": (size, np.float32),
+        "mask": (size, np.int32),
+    }
+    return {name: np.empty(*kinds[name]) for name in view.outputs}

@@ -1,0 +1,173 @@
+"""`OffscreenRenderer`: draws a scene with the best renderer that works here, from any thread."""
+
+from __future__ import annotations
+
+import atexit
+import logging
+import os
+import weakref
+from collections.abc import Callable, Sequence
+from functools import cache, partial
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.drawing.thread import render_thread
+from embodichain.lab.sim.drawing.views import (
+    DrawnState,
+    Pictures,
+    Renderer,
+    View,
+    Viewpoint,
+    view_of,
+)
+from embodichain.utils.errors import ConfigError, Problem, RenderError
+from embodichain.utils.suggest import did_you_mean
+
+__all__ = ["VARIABLE", "OffscreenRenderer"]
+
+VARIABLE = "EMBODICHAIN_RENDERER"
+"""Environment variable that names the only renderer to try."""
+_log = logging.getLogger(__name__)
+
+
+class OffscreenRenderer:
+    """Draws a scene; all drawing of a process happens in one thread.
+
+    The first of these that works is used, or the one that the environment variable
+    EMBODICHAIN_RENDERER names:
+
+    - ``layered``: `BatchRenderer`, for OpenGL with layered rendering;
+    - ``classic``: `ClassicRenderer`, for any other OpenGL.
+
+    Args:
+        model: The compiled scene.
+
+    Attributes:
+        kind: Which one is used.
+        about: OpenGL's renderer and version, as the driver says.
+
+    Raises:
+        ConfigError: If EMBODICHAIN_RENDERER names no renderer.
+        RenderError: If none works here, or this process was forked from one that draws.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        kinds = _kinds()
+        self._thread = render_thread()
+        self.kind, self.about, renderer = self._thread.call(partial(_open, model, kinds))
+        self._renderer = renderer
+        self._forget = weakref.finalize(self, self._thread.call_later, renderer.close)
+        self._forget.atexit = False
+        _opened.add(self)
+        _close_at_exit()
+
+    def draw(
+        self, state: DrawnState, views: Sequence[View], envs: NDArray[np.int64] | None = None
+    ) -> list[Pictures]:
+        """Draw every view of n environments; see `Renderer`."""
+        # Poses are computed in this thread: an engine may have to recompute constants for them,
+        # and calls its listeners then.
+        state.derived("geom_xpos")
+        return self._thread.call(partial(self._renderer.draw, state, views, envs))
+
+    def pictures(
+        self,
+        state: DrawnState,
+        camera: str | int | Viewpoint,
+        size: tuple[int, int],
+        envs: NDArray[np.int64] | None = None,
+    ) -> NDArray[np.uint8]:
+        """Draw n environments in full look, (n, height, width, 3) RGB.
+
+        Args:
+            state: The environments.
+            camera: Name or index of a camera, or a viewpoint.
+            size: Width and height in pixels.
+            envs: (n,) indices of the environments; None is all.
+
+        Raises:
+            RenderError: If colour cannot be drawn here; names the packages to install.
+            ValueError: If there is no such camera, or it is no pinhole camera.
+        """
+        view = view_of(state, camera, *size, look="full")
+        color: NDArray[np.uint8] = self.draw(state, [view], envs)[0]["color"]
+        return np.ascontiguousarray(color[..., :3])
+
+    def close(self) -> None:
+        """Free the renderer's memory; does nothing the second time or in a forked process."""
+        if self._forget.detach() is not None and not self._thread.forked:
+            self._thread.call(self._renderer.close)
+
+
+_opened: weakref.WeakSet[OffscreenRenderer] = weakref.WeakSet()
+
+
+@cache
+def _close_at_exit() -> None:
+    """Close what is open when the process ends, before the drivers that are loaded by now."""
+
+    def close() -> None:
+        for renderer in list(_opened):
+            renderer.close()
+
+    atexit.register(close)
+
+
+Opened = tuple[str, str, Renderer]
+
+
+def _layered(model: mujoco.MjModel) -> Opened:
+    from embodichain.lab.sim.drawing.batch_renderer import BatchRenderer
+
+    renderer = BatchRenderer(model)
+    context = renderer.context
+    return "layered", f"{context.renderer}, OpenGL {context.version}", renderer
+
+
+def _classic(model: mujoco.MjModel) -> Opened:
+    from embodichain.lab.sim.drawing.classic import ClassicRenderer
+
+    renderer = ClassicRenderer(model)
+    return "classic", renderer.about, renderer
+
+
+_RENDERERS: dict[str, Callable[[mujoco.MjModel], Opened]] = {
+    "layered": _layered,
+    "classic": _classic,
+}
+
+
+def _kinds() -> list[str]:
+    """The renderers to try, best first."""
+    named = os.environ.get(VARIABLE)
+    if not named:
+        return list(_RENDERERS)
+    if named not in _RENDERERS:
+        message = (
+            f"no renderer {named!r}; allowed: {', '.join(_RENDERERS)}."
+            f"{did_you_mean(named, _RENDERERS)}"
+        )
+        raise ConfigError([Problem(VARIABLE, message)])
+    return [named]
+
+
+def _open(model: mujoco.MjModel, kinds: Sequence[str]) -> Opened:
+    """The first renderer of `kinds` that works here; called in the render thread."""
+    errors: list[RenderError] = []
+    for kind in kinds:
+        try:
+            opened = _RENDERERS[kind](model)
+        except RenderError as error:
+            errors.append(error)
+        else:
+            if errors:
+                _say_once(f"pictures are drawn by the {kind} renderer: {errors[0]}")
+            return opened
+    raise errors[0]
+
+
+@cache
+def _say_once(message: str) -> None:
+    _log.warning(message)

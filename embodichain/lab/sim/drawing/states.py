@@ -1,0 +1,90 @@
+"""`DataState`, `StoredStates`: environments that are drawn later, or without a batch."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.batch import MODEL_FIELDS
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.drawing.views import DrawnState
+
+__all__ = ["DRAWN_FIELDS", "DRAWN_POSES", "DataState", "StoredStates"]
+
+DRAWN_POSES = ("geom_xpos", "geom_xmat", "cam_xpos", "cam_xmat", "light_xpos", "light_xdir")
+"""Fields of MjData that pictures depend on."""
+DRAWN_FIELDS = tuple(sorted(f for f in MODEL_FIELDS if f.startswith(("geom_", "mat_", "light_"))))
+"""Fields of MjModel that pictures depend on and that can differ between environments; those of
+cameras are part of a view."""
+
+
+class DataState:
+    """One environment with an MjData of its own.
+
+    Args:
+        data: Positions and everything that MuJoCo derives from them; its model is drawn.
+    """
+
+    num_envs = 1
+
+    def __init__(self, data: mujoco.MjData) -> None:
+        self._data = data
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The model."""
+        model: mujoco.MjModel = self._data.model
+        return model
+
+    def derived(self, name: str) -> NDArray[np.float64]:
+        """(1, ...) a field of MjData."""
+        found: NDArray[np.float64] = np.asarray(getattr(self._data, name))[None]
+        return found
+
+    def model_values(self, name: str) -> NDArray[Any]:
+        """(1, ...) a field of MjModel."""
+        found: NDArray[Any] = np.asarray(getattr(self.model, name))[None]
+        return found
+
+
+class StoredStates:
+    """Copies of single environments, as the rows of one state: many moments in one call.
+
+    Args:
+        model: The compiled scene.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self.model = model
+        self._poses: list[dict[str, NDArray[np.float64]]] = []
+        self._fields: list[dict[str, NDArray[Any]]] = []
+
+    @property
+    def num_envs(self) -> int:
+        """How many are stored."""
+        return len(self._poses)
+
+    def append(self, state: DrawnState, env: int = 0) -> None:
+        """Store what one environment of `state`, whose scene is the same, looks like now."""
+        self._poses.append({name: state.derived(name)[env].copy() for name in DRAWN_POSES})
+        fields = {name: state.model_values(name) for name in DRAWN_FIELDS}
+        self._fields.append({k: v[env if len(v) > 1 else 0].copy() for k, v in fields.items()})
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._poses.clear()
+        self._fields.clear()
+
+    def derived(self, name: str) -> NDArray[np.float64]:
+        """(n, ...) one of `DRAWN_POSES`."""
+        return np.stack([poses[name] for poses in self._poses])
+
+    def model_values(self, name: str) -> NDArray[Any]:
+        """(n, ...) a field of MjModel; one row if it is the same in all of them."""
+        if name not in DRAWN_FIELDS:
+            shared: NDArray[Any] = np.asarray(getattr(self.model, name))[None]
+            return shared
+        rows = np.stack([fields[name] for fields in self._fields])
+        return rows[:1] if (rows == rows[0]).all() else rows

@@ -1,0 +1,164 @@
+"""Which renderer draws, and that both draw the same; sizes in turn, memory, no OpenGL library."""
+
+import os
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+
+from embodichain.lab.sim.drawing.offscreen import VARIABLE, OffscreenRenderer
+from embodichain.lab.sim.drawing.states import DataState, StoredStates
+from embodichain.lab.sim.drawing.views import Optics, View, Viewpoint, view_of
+from embodichain.lab.sim.engine.cpu import CpuEngine
+from embodichain.utils.errors import ConfigError
+
+SCENE = """
+<mujoco>
+  <visual><global offwidth="160" offheight="120"/></visual>
+  <worldbody>
+    <light pos="0 0 3" dir="0 .3 -1" type="directional"/>
+    <geom name="ground" type="plane" size="2 2 .1" rgba=".6 .6 .6 1"/>
+    <geom name="box" type="box" size=".1 .2 .15" pos="-.5 0 .4" euler="20 30 0" rgba=".9 .1 .1 1"/>
+    <body name="ball" pos=".3 .2 .4"><freejoint/>
+      <geom name="ball" type="sphere" size=".2" rgba=".1 .2 .9 1"/></body>
+    <camera name="front" pos="0 -2 1.2" xyaxes="1 0 0 0 .5 1" fovy="50"/>
+  </worldbody>
+</mujoco>
+"""
+AT = Viewpoint.look_at((0.3, -1.6, 1.4), (0.0, 0.0, 0.4))
+BALL = 2
+
+
+@pytest.fixture
+def engine():
+    engine = CpuEngine(mujoco.MjModel.from_xml_string(SCENE), 3)
+    engine.write("qpos", [[0.3], [-0.2], [0.0]], None, slice(0, 1))
+    size, color = engine.model_field("geom_size").copy(), engine.model_field("geom_rgba").copy()
+    size[1, 3 * BALL] = 0.1
+    color[2, 4 * BALL : 4 * BALL + 3] = 0.1, 0.8, 0.1
+    engine.write_model("geom_size", size)
+    engine.write_model("geom_rgba", color)
+    return engine
+
+
+@pytest.fixture(params=["layered", "classic"])
+def renderer(request, engine, monkeypatch):
+    monkeypatch.setenv(VARIABLE, request.param)
+    renderer = OffscreenRenderer(engine.model)
+    assert renderer.kind == request.param and "OpenGL" in renderer.about
+    yield renderer
+    renderer.close()
+    renderer.close()
+
+
+def lens(outputs=("color", "depth", "mask"), look="fast") -> View:
+    return View(
+        Optics(96, 64, (90.0, 80.0), (40.0, 30.0)), AT.position, AT.axes, None, outputs, look
+    )
+
+
+def test_both_renderers_draw_the_same(engine, monkeypatch):
+    found = []
+    for kind in ("layered", "classic"):
+        monkeypatch.setenv(VARIABLE, kind)
+        renderer = OffscreenRenderer(engine.model)
+        found.append(renderer.draw(engine, [lens(), lens(("color",), "full")]))
+        renderer.close()
+    (fast, full), (classic, _) = found
+    both = fast["mask"] == classic["mask"]
+    assert both.mean() > 0.99
+    error = np.abs(fast["depth"] - classic["depth"])
+    assert error[both & (fast["mask"] < BALL)].max() < 2e-3
+    assert np.median(error[both & (fast["mask"] == BALL)]) < 5e-3  # two different polyhedra
+    assert not fast["depth"][fast["mask"] < 0].any()
+    assert not classic["depth"][classic["mask"] < 0].any()
+    for geom in (1, BALL):  # colours differ in shading only
+        of = [p["color"][(p["mask"] == geom)].astype(float).mean(axis=0) for p in (fast, classic)]
+        assert np.abs(of[0] - of[1]).max() < 40
+        assert of[0].argmax() == of[1].argmax()
+    assert full["color"].shape == (3, 64, 96, 4) and (full["color"][..., 3] == 255).all()
+    assert set(full) == {"color"}
+
+
+def test_each_environment_has_its_own_size_and_colour(engine, renderer):
+    pictures = renderer.draw(engine, [lens()])[0]
+    counts = [(mask == BALL).sum() for mask in pictures["mask"]]
+    assert counts[1] < 0.4 * counts[0] and counts[2] > 0.7 * counts[0]
+    seen = [pictures["color"][i][pictures["mask"][i] == BALL].mean(axis=0) for i in range(3)]
+    assert [int(color[:3].argmax()) for color in seen] == [2, 2, 1]  # blue, blue, green
+    again = renderer.draw(engine, [lens()], np.array([2, 0]))[0]
+    for name, values in pictures.items():
+        np.testing.assert_array_equal(again[name], values[[2, 0]])
+
+
+def test_sizes_in_turn_keep_the_context(engine, renderer):
+    """Larger than the scene's buffer too; pictures are those of before."""
+    sizes = [(64, 48), (320, 240), (64, 48), (200, 480)]
+    first = [renderer.pictures(engine, "front", size) for size in sizes]
+    inside = renderer._renderer
+    again = [renderer.pictures(engine, "front", size) for size in sizes]
+    assert renderer._renderer is inside
+    for (width, height), one, two in zip(sizes, first, again, strict=True):
+        assert one.shape == (3, height, width, 3) and one.dtype == np.uint8 and one.std() > 5
+        np.testing.assert_array_equal(one, two)
+
+
+def test_two_scenes_are_drawn_in_turn(engine, renderer):
+    other = mujoco.MjModel.from_xml_string(SCENE.replace(".6 .6 .6 1", ".1 .6 .1 1"))
+    data = mujoco.MjData(other)
+    mujoco.mj_forward(other, data)
+    alone = renderer.pictures(engine, "front", (64, 48))
+    second = OffscreenRenderer(other)
+    green = second.pictures(DataState(data), "front", (64, 48))
+    np.testing.assert_array_equal(renderer.pictures(engine, "front", (64, 48)), alone)
+    np.testing.assert_array_equal(second.pictures(DataState(data), "front", (64, 48)), green)
+    assert green[0, 40, 32].argmax() == 1
+    second.close()
+    np.testing.assert_array_equal(renderer.pictures(engine, "front", (64, 48)), alone)
+
+
+def test_stored_states_are_drawn_as_they_were(engine, renderer):
+    stored = StoredStates(engine.model)
+    for env in (0, 2, 1):
+        stored.append(engine, env)
+    live = renderer.draw(engine, [lens()])[0]
+    alone = renderer.draw(DataState(engine.data_of(1)), [lens()])[0]
+    cameras = [view_of(state, "front", 64, 48) for state in (stored, engine)]
+    before = renderer.draw(engine, [cameras[1]])[0]["color"].copy()
+    engine.write("qpos", 0.0, None, slice(0, 2))
+    engine.write_model("geom_size", 0.1)
+    later = renderer.draw(stored, [lens()])[0]
+    for name, values in live.items():
+        np.testing.assert_array_equal(later[name], values[[0, 2, 1]])
+        np.testing.assert_array_equal(alone[name][0], values[1])
+    np.testing.assert_array_equal(
+        renderer.draw(stored, [cameras[0]])[0]["color"], before[[0, 2, 1]]
+    )
+    stored.clear()
+    assert stored.num_envs == 0
+
+
+def test_a_wrong_name_is_refused(engine, monkeypatch):
+    monkeypatch.setenv(VARIABLE, "layerd")
+    with pytest.raises(ConfigError, match=r"EMBODICHAIN_RENDERER: .*'layerd'; .*Did"):
+        OffscreenRenderer(engine.model)
+
+
+@pytest.mark.parametrize("kind", ["", "layered", "classic"])
+def test_without_a_driver_one_error_names_the_packages(tmp_path, kind):
+    """EGL finds its drivers in a folder of JSON files; here it is empty."""
+    script = f"""
+import mujoco
+from embodichain.lab.sim.drawing.offscreen import OffscreenRenderer
+OffscreenRenderer(mujoco.MjModel.from_xml_string({SCENE!r}))
+"""
+    none = {"__EGL_VENDOR_LIBRARY_DIRS": str(tmp_path), "MUJOCO_GL": "egl", VARIABLE: kind}
+    command = [sys.executable, "-c", script]
+    env = {**os.environ, **none}
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=env)
+    last = done.stderr.strip().splitlines()[-1]
+    assert done.returncode == 1 and "RenderError: no picture can be made here" in last
+    assert "libegl1 libgl1-mesa-dri" in last
+    assert "ignored" not in done.stderr
