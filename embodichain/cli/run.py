@@ -15,6 +15,7 @@ from embodichain.cli.jobs import Job, policy_of, start
 from embodichain.cli.output import number, print_facts, print_json, to_json
 from embodichain.cli.process import started
 from embodichain.cli.reporting import ProgressDisplay
+from embodichain.config.run_folder import SUMMARY
 from embodichain.learning.episode_statistics import EpisodeStatistics, play
 from embodichain.utils.atomic import write_text
 
@@ -24,9 +25,8 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.base_env import BaseEnv
     from embodichain.lab.gym.policies import Policy
 
-__all__ = ["SUMMARY_FILE", "command", "run_job", "summary_rows"]
+__all__ = ["command", "run_job", "summary_rows"]
 
-SUMMARY_FILE = "summary.json"
 _PICTURE_SIZE = (1280, 960)
 _log = logging.getLogger(__name__)
 
@@ -65,7 +65,7 @@ def run_job(job: Job) -> float | None:
         try:
             _write_summary(job.folder, {**facts, "status": "failed", "error": repr(error)})
         except OSError as second:  # a full disk fails here too; the first error is reported
-            _log.error("%s could not be written: %s", SUMMARY_FILE, second)
+            _log.error("%s could not be written: %s", SUMMARY, second)
         raise
     if log is not None:
         facts |= {"log": str(log), "log_bytes": log.stat().st_size}
@@ -181,7 +181,7 @@ def _means(counted: EpisodeStatistics, prefix: str) -> dict[str, float | None]:
 
 
 def _write_summary(folder: Path, summary: dict[str, Any]) -> None:
-    write_text(folder / SUMMARY_FILE, to_json(summary, indent=2) + "\n")
+    write_text(folder / SUMMARY, to_json(summary, indent=2) + "\n")
 
 
 def summary_rows(summary: Mapping[str, Any]) -> list[tuple[str, Any]]:

@@ -10,7 +10,7 @@ from embodichain.lab.sim.cfg import ArticulationCfg, RigidObjectCfg, SimulationM
 from embodichain.lab.sim.compiler.articulation import ParsedArticulation, parse_articulation
 from embodichain.lab.sim.compiler.drives import DriveChange, physics_step
 from embodichain.lab.sim.compiler.scene import CompiledScene, compile_scene
-from embodichain.lab.sim.compiler.scene_sensors import SensorPlan, plan_sensor
+from embodichain.lab.sim.compiler.sensor_plans import SensorPlan, plan_sensor
 from embodichain.lab.sim.compiler.world import World, read_world
 from embodichain.lab.sim.engine.api import Engine
 from embodichain.lab.sim.objects.articulation import Articulation

@@ -29,11 +29,11 @@ from embodichain.lab.sim.compiler.robot_files import MUJOCO_ERRORS, as_line, com
 from embodichain.lab.sim.compiler.robot_links import MAX_MASKED, separate
 from embodichain.lab.sim.compiler.scene_sensors import (
     SensorIndex,
-    SensorPlan,
     add_sensors,
     index_sensors,
     silent_sensors,
 )
+from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
 from embodichain.lab.sim.compiler.views import add_views, place_views, scene_bounds
 from embodichain.lab.sim.compiler.world import PREFIX, World, add_world, index_world, start_world
 from embodichain.lab.sim.scene_cfg import GroundCfg
