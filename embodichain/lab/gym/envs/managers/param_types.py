@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.sensors.ray_sensors import HeightScanSensor
     from embodichain.lab.sim.sensors.sensor_handles import (
+        BaseSensor,
         ContactSensor,
         ForceTorqueSensor,
         ImuSensor,
@@ -44,6 +46,7 @@ __all__ = [
     "ContactOf",
     "ForceTorqueOf",
     "Fraction",
+    "HeightScanOf",
     "ImuOf",
     "JointRange",
     "Joints",
@@ -58,6 +61,7 @@ __all__ = [
     "Ranges",
     "Reference",
     "ScaleRange",
+    "SensorOf",
     "UnitInterval",
     "Vec3",
     "VelocityCommand",
@@ -253,6 +257,17 @@ class _Sensor(Reference):
         return f"{self.kind} sensors: {', '.join(there) or 'none'}"
 
 
+class _AnySensor(Reference):
+    """A sensor of any kind with named readings."""
+
+    def resolve(self, env: TermContext, value: Any) -> Any:
+        there = [uid for uid, sensor in env.sensors.items() if hasattr(sensor, "reads")]
+        if value in there:
+            return env.sensors[value]
+        message = f"no sensor is called {value!r}; sensors: {', '.join(there) or 'none'}"
+        raise ConfigError([Problem("", message, did_you_mean(value, there).strip())])
+
+
 @dataclass(frozen=True)
 class _Command(Reference):
     """A command with a minimum number of columns; resolves to a function that reads it, (N, K)."""
@@ -275,6 +290,8 @@ if TYPE_CHECKING:
     ContactOf = ContactSensor
     ImuOf = ImuSensor
     ForceTorqueOf = ForceTorqueSensor
+    HeightScanOf = HeightScanSensor
+    SensorOf = BaseSensor
     Command = Callable[[], F64]
     PlanarCommand = Command
     PositionCommand = Command
@@ -286,6 +303,8 @@ else:
     ContactOf = _reference(_Sensor("contact", "read_force"), "A contact sensor.")
     ImuOf = _reference(_Sensor("imu", "read_acceleration"), "An IMU.")
     ForceTorqueOf = _reference(_Sensor("force_torque", "read_torque"), "A force-torque sensor.")
+    HeightScanOf = _reference(_Sensor("height_scan", "read_height"), "A height scan.")
+    SensorOf = _reference(_AnySensor(), "A sensor of any kind.")
     Command = _reference(_Command(), "The command.")
     PlanarCommand = _reference(_Command(2), "A command whose first two columns are vx and vy, m/s.")
     PositionCommand = _reference(
