@@ -131,7 +131,7 @@ class CommandTerm(Term):
         marker: How viewers draw it, if they can.
     """
 
-    saved = ("values",)
+    saved: ClassVar[tuple[str, ...]] = ("values",)
     names: tuple[str, ...] = ()
     values: F64
     marker: CommandMarker | None = None
