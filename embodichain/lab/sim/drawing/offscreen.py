@@ -111,6 +111,9 @@ def _close_at_exit() -> None:
     def close() -> None:
         for renderer in list(_opened):
             renderer.close()
+        thread = render_thread()
+        if not thread.forked:
+            thread.call(lambda: None)  # what is to be called later is called before
 
     atexit.register(close)
 
