@@ -146,6 +146,8 @@ def render_once() -> None:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     renderer = OffscreenRenderer(model)
+    if renderer.kind == "rays":
+        raise RuntimeError("no OpenGL: depth and masks are drawn with rays, colours are not")
     at = Viewpoint.look_at((0.4, -0.4, 0.4), (0.0, 0.0, 0.0))
     picture = renderer.pictures(DataState(data), at, (64, 48))
     if picture.max() == picture.min():

@@ -208,9 +208,14 @@ def _notes(env: BaseEnv) -> Rows:
 
 
 def _poses(env: BaseEnv) -> Rows:
-    """The pose of each entity's root at a reset, before reset events."""
+    """The pose of each entity's root at a reset, before reset events, and its number in masks."""
     return [
-        {"entity": uid, "position m": index.pos0.tolist(), "quaternion wxyz": index.quat0.tolist()}
+        {
+            "entity": uid,
+            "number in masks": index.root_body_id,
+            "position m": index.pos0.tolist(),
+            "quaternion wxyz": index.quat0.tolist(),
+        }
         for uid, index in env.sim.scene.entities.items()
     ]
 

@@ -16,7 +16,7 @@ from embodichain.compat.gym_config.env_cfg import FUNCTORS, checked_cfg
 from embodichain.lab.gym.envs.cfg import EnvCfg, TermCfg
 from embodichain.lab.gym.envs.managers.registry import TERMS, Kind
 from embodichain.lab.sim.cfg import ArticulationCfg, LightCfg, RigidObjectCfg, name_of
-from embodichain.lab.sim.sensors.cfg import CameraCfg, no_camera
+from embodichain.lab.sim.sensors.cfg import CameraCfg
 from embodichain.utils.configclass import configclass, is_configclass
 from embodichain.utils.errors import ConfigError, Problem
 
@@ -53,7 +53,7 @@ class EmbodiedEnvCfg(EnvCfg):
     """Control parts whose joints the actions move; None is every joint."""
     active_joint_ids: list[int] = dataclasses.field(default_factory=list, kw_only=True)
     sensor: list[Any] = dataclasses.field(default_factory=list, kw_only=True)
-    """Sensors of this package; a camera is an error when the environment is built."""
+    """Sensors; observations contain the images of cameras."""
     light: _EnvLightCfg = dataclasses.field(default_factory=_EnvLightCfg, kw_only=True)
     background: list[RigidObjectCfg] = dataclasses.field(default_factory=list, kw_only=True)
     """Static or kinematic objects."""
@@ -78,11 +78,7 @@ class EmbodiedEnvCfg(EnvCfg):
 
         Raises:
             ConfigError: A value cannot be converted; lists every mistake.
-            NotImplementedError: A camera is declared.
         """
-        cameras = [sensor for sensor in self.sensor if isinstance(sensor, CameraCfg)]
-        if cameras:
-            raise no_camera(cameras[0])
         conversion = convert(_gym_config(self), ours=True)
         try:
             declared = checked_cfg(conversion)
@@ -92,9 +88,18 @@ class EmbodiedEnvCfg(EnvCfg):
             setattr(self, name, getattr(declared, name))
         for name in _MAPS:
             setattr(self, name, {**getattr(declared, name), **getattr(self, name)})
-        self.sensors = {**{name_of(sensor): sensor for sensor in self.sensor}, **self.sensors}
+        self.sensors = {**{name_of(s): _sensor(s) for s in self.sensor}, **self.sensors}
         for note in conversion.notes:
             _log.warning("%s", _here(note))
+
+
+def _sensor(cfg: Any) -> Any:
+    """A sensor as EmbodiChain has it: observed, and with its axes of cameras."""
+    if not isinstance(cfg, CameraCfg):
+        return cfg
+    attached = cfg.extrinsics.parent or cfg.entity_cfg.uid
+    convention = cfg.convention or ("opengl" if attached else "ros")
+    return dataclasses.replace(cfg, observe=True, convention=convention)
 
 
 def _gym_config(cfg: EmbodiedEnvCfg) -> dict[str, Any]:

@@ -53,7 +53,9 @@ _PLACES: Final[Mapping[str, tuple[str, ...]]] = {
     ),
     f"{_SIM}.objects": ("BatchEntity", "ClothObject", "Gizmo", "Light", "RigidObjectGroup"),
     f"{_SIM}.unavailable": ("SoftObject",),
-    f"{_SIM}.sensors": ("BaseSensor", "CameraCfg", "SensorCfg", "StereoCameraCfg"),
+    f"{_SIM}.sensors": (
+        *("BaseSensor", "Camera", "CameraCfg", "SensorCfg", "StereoCamera", "StereoCameraCfg"),
+    ),
     f"{_SIM}.shapes": ("VisualMaterialCfg",),
     f"{_MANAGERS}.drawing": ("EventManager",),
     f"{_MANAGERS}.term": ("ActionTerm",),
@@ -87,7 +89,6 @@ _SOFT = "soft bodies are not available"
 _CLOTH = "cloth is not available"
 _GROUP = "object groups are not available: add objects one by one"
 _TEXTURES = "declare visual_material on a shape; randomize_visual_material changes colours"
-_CAMERA = "cameras are not available yet; SimulationManager.render draws a picture"
 
 REASONS: Final[Mapping[str, str]] = {
     "embodichain.embodichain_dir": "use pathlib.Path(embodichain.__file__).parent",
@@ -132,9 +133,8 @@ REASONS: Final[Mapping[str, str]] = {
     f"{_SIM}.objects.soft_object": _SOFT,
     f"{_SIM}.planners": _PLANNERS,
     f"{_SIM}.robots": _ROBOT,
-    f"{_SIM}.sensors.camera": _CAMERA,
     f"{_SIM}.sensors.contact_sensor": "ContactSensorCfg(entity_cfg=...) names the links",
-    f"{_SIM}.sensors.stereo": _CAMERA,
+    f"{_SIM}.sensors.stereo.PairCameraView": "StereoCamera.get_left_right_arena_pose has the poses",
     f"{_SIM}.sim_manager": _CACHE,
     f"{_SIM}.solvers": _SOLVERS,
     f"{_SIM}.utility": _ENGINE,

@@ -18,6 +18,7 @@ from stable_baselines3.common.env_util import is_wrapped
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 
+from embodichain.lab.gym.envs.judging import none_set
 from embodichain.lab.gym.envs.observation import named_obs
 from embodichain.learning.spaces import (
     ActionScale,
@@ -89,7 +90,6 @@ class SB3VecEnv(VecEnv):
         self._has_success = self.base.judges_success
         self._start = time.time()
         self._returns = np.zeros(num_envs)
-        self._lengths = np.zeros(num_envs, np.int64)
         self._action: torch.Tensor | None = None
         self.step_seconds = 0.0
         """Wall time spent in `step` so far."""
@@ -112,7 +112,6 @@ class SB3VecEnv(VecEnv):
         self._reset_seeds()
         self._reset_options()
         self._returns[:] = 0.0
-        self._lengths[:] = 0
         return self._observed(obs)
 
     def step_async(self, actions: NDArray[Any]) -> None:
@@ -140,15 +139,14 @@ class SB3VecEnv(VecEnv):
         action, self._action = self._action, None
         obs, reward, terminated, truncated, info = self.env.step(action)
         # A copy: learners add bootstrapped values to the rewards in place.
-        rewards = np.array(_numpy(reward), np.float32)
+        rewards: F32 = _numpy(reward).copy()
         ended = _numpy(terminated)
         dones = ended | _numpy(truncated)
         self._returns += rewards
-        self._lengths += 1
         # New dicts: if they shared one, a callback's write to it would appear in all environments
         # and steps. 20 ns each, well below 1 % of a step.
         infos: Infos = [{} for _ in range(self.num_envs)]
-        if dones.any():
+        if not none_set(dones):
             self._finish(infos, np.flatnonzero(dones), ended, info)
         seen = self._observed(obs)
         self.step_seconds += time.perf_counter() - begun
@@ -165,6 +163,7 @@ class SB3VecEnv(VecEnv):
         """Fill the infos of environments whose episode ended, and begin the next one's counts."""
         final = _rows(self._observed(info["final_obs"]), ids)
         success = _success(info["final_info"]) if self._has_success else None
+        lengths = _numpy(info["final_info"]["elapsed_steps"])
         seconds = round(time.time() - self._start, 6)
         kinds = _ended_by(info["final_info"], ids)
         sums = _by_name(info["final_info"]["episode_sums"], ids)
@@ -176,7 +175,7 @@ class SB3VecEnv(VecEnv):
             told["TimeLimit.truncated"] = not terminated[i]
             told["episode"] = {
                 "r": float(self._returns[i]),
-                "l": int(self._lengths[i]),
+                "l": int(lengths[i]),
                 "t": seconds,
             }
             told["reward_sums"] = sums[k]
@@ -186,16 +185,14 @@ class SB3VecEnv(VecEnv):
             if success is not None:
                 told["is_success"] = bool(success[i])
         self._returns[ids] = 0.0
-        self._lengths[ids] = 0
 
     def state_dict(self) -> dict[str, Any]:
         """Return copies of this object's counters; the environment has a separate `state_dict`."""
-        return {"returns": self._returns.copy(), "lengths": self._lengths.copy()}
+        return {"returns": self._returns.copy()}
 
     def load_state_dict(self, saved: dict[str, Any]) -> None:
         """Restore the counters from a `state_dict`."""
         self._returns[:] = saved["returns"]
-        self._lengths[:] = saved["lengths"]
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Choose the seed of the next `reset`.

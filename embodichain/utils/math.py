@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 __all__ = [
     "cross",
     "euler_xyz_to_quat",
+    "look_at",
     "matrix_to_pose",
     "matrix_to_quat",
     "normalize_quat",
@@ -52,7 +53,7 @@ def _products(a: F64, b: F64) -> F64:
 
 def quat_multiply(a: F64, b: F64) -> F64:
     """Hamilton product of wxyz quaternions, (..., 4)."""
-    terms = _products(a, b)[..., _HAMILTON] * _HAMILTON_SIGNS
+    terms = _products(a, b).take(_HAMILTON, -1) * _HAMILTON_SIGNS
     found: F64 = terms[..., 0] + terms[..., 1] + terms[..., 2] + terms[..., 3]
     return found
 
@@ -66,7 +67,7 @@ def quat_conjugate(q: F64) -> F64:
 def cross(a: F64, b: F64) -> F64:
     """Cross product, (..., 3)."""
     products = _products(a, b)
-    found: F64 = products[..., _CROSS_PLUS] - products[..., _CROSS_MINUS]
+    found: F64 = products.take(_CROSS_PLUS, -1) - products.take(_CROSS_MINUS, -1)
     return found
 
 
@@ -108,7 +109,7 @@ def normalize_quat(q: F64) -> F64:
 def quat_to_matrix(q: F64) -> F64:
     """Rotation matrices (..., 3, 3) of unit wxyz quaternions (..., 4)."""
     products = _products(q, q)
-    sums = products[..., _FIRST] + _SECOND_SIGN * products[..., _SECOND]
+    sums = products.take(_FIRST, -1) + _SECOND_SIGN * products.take(_SECOND, -1)
     found: F64 = (_IDENTITY + _FACTOR * sums).reshape(*q.shape[:-1], 3, 3)
     return found
 
@@ -172,6 +173,34 @@ def euler_xyz_to_quat(angles: F64) -> F64:
         ],
         axis=-1,
     )
+
+
+def look_at(eye: F64, target: F64, up: F64) -> F64:
+    """Rotation matrices (..., 3, 3) of cameras that look from one point to another.
+
+    Columns are the camera's axes right, up and backwards (OpenGL). Where `up` is parallel to the
+    view, x is up, or y.
+
+    Args:
+        eye: (..., 3).
+        target: (..., 3).
+        up: (..., 3) the direction that is up in the picture.
+
+    Raises:
+        ValueError: If an eye is at its target.
+    """
+    back = np.asarray(eye - target, np.float64)
+    length = np.sqrt((back * back).sum(axis=-1, keepdims=True))
+    if (length < 1e-9).any():
+        raise ValueError(f"the eye is at the target, {np.asarray(eye).tolist()}")
+    back = back / length
+    right, done = np.zeros_like(back), np.zeros(length.shape, np.bool_)
+    for upwards in (np.asarray(up, np.float64), np.eye(3)[0], np.eye(3)[1]):
+        side = cross(np.broadcast_to(upwards, back.shape), back)
+        size = np.sqrt((side * side).sum(axis=-1, keepdims=True))
+        right = np.where(~done & (size > 1e-6), side / np.maximum(size, 1e-6), right)
+        done = done | (size > 1e-6)
+    return np.stack([right, cross(back, right), back], axis=-1)
 
 
 def pose_to_matrix(pose: F64) -> F64:

@@ -17,7 +17,7 @@ Run = Callable[..., CompletedProcess[str]]
 REPORT = """\
 left out, or read otherwise (2):
   gym.yaml:6: rigid_object.0.attrs.restitution: MuJoCo has no restitution coefficient
-  gym.yaml:8: sensor.0: cameras are not available yet
+  gym.yaml:8: sensor.0: contacts are declared under sensors: {NAME: {sensor_type: contact, ...}}
 """
 SMALL = """\
 id: EmbodiedEnv-v1
@@ -27,14 +27,14 @@ rigid_object:
     attrs:
       restitution: 0.5
 sensor:
-  - {sensor_type: Camera, uid: cam}
+  - {sensor_type: ContactSensor, uid: touch}
 env: {sim_steps_per_control: 2}
 """
 TASK = """\
 # Converted from gym.yaml by `embodichain convert`.
 # Left out, or read otherwise:
 #   rigid_object.0.attrs.restitution: MuJoCo has no restitution coefficient
-#   sensor.0: cameras are not available yet
+#   sensor.0: contacts are declared under sensors: {NAME: {sensor_type: contact, ...}}
 description: A task, converted from EmbodiChain's own form.
 sim_steps_per_control: 2
 objects:

@@ -216,11 +216,28 @@ def test_a_function_of_the_users_own_is_a_functor(build):
 
 
 @pytest.mark.parametrize("camera", [CameraCfg, StereoCameraCfg])
-def test_a_camera_is_accepted_and_refused_at_build(camera):
-    eye = camera(uid="eye", width=960, extrinsics=camera.ExtrinsicsCfg(parent="ee_link"))
-    assert (eye.width, eye.height, eye.extrinsics.parent) == (960, 480, "ee_link")
-    with pytest.raises(NotImplementedError, match="sensor 'eye': cameras are not available yet"):
-        EmbodiedEnv(Cfg(sensor=[eye]))
+def test_a_camera_is_observed_in_its_axes(build, camera):
+    pose = camera.ExtrinsicsCfg(parent="ee_link", pos=(0.1, 0.0, 0.0))
+    here = camera.ExtrinsicsCfg(pos=(0.0, 0.0, 2.0))
+    small = {"width": 8, "height": 6}
+    env = build(
+        Cfg(
+            sensor=[
+                camera(uid="hand", extrinsics=pose, **small),
+                camera(uid="fixed", extrinsics=here, **small),
+            ]
+        )
+    )
+    obs, _ = env.reset()
+    assert obs["sensor"]["hand"]["color"].shape == (1, 6, 8, 4)
+    link = env.robot.get_link_pose("ee_link", to_matrix=True)
+    point = torch.tensor([0.1, 0.0, 0.0, 1.0])
+    torch.testing.assert_close(
+        env.get_sensor("hand").get_arena_pose(to_matrix=True)[0, :, 3], link[0] @ point
+    )
+    # EmbodiChain: along z, and it is the sky above.
+    down = env.get_sensor("fixed").get_arena_pose(to_matrix=True)[0, :3, :3]
+    torch.testing.assert_close(down, torch.diag(torch.tensor([1.0, -1.0, -1.0])))
 
 
 def test_what_means_nothing_here_is_said_once_by_name(build, caplog):

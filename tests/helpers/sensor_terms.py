@@ -6,14 +6,34 @@ from embodichain.lab.gym.envs.cfg import ObservationCfg
 from embodichain.lab.sim.sensors.cfg import (
     ContactSensorCfg,
     ForceTorqueSensorCfg,
+    FramePoseSensorCfg,
+    HeightScanSensorCfg,
     ImuSensorCfg,
+    JointsCfg,
+    JointTorqueSensorCfg,
     LinksCfg,
+    RayGridCfg,
+    RayPatternCfg,
+    RaySensorCfg,
 )
 
 SENSORS = {
     "contacts": ContactSensorCfg(entity_cfg=LinksCfg(uid="cube")),
     "imu": ImuSensorCfg(entity_cfg=LinksCfg(uid="ur10", link_names="ee_link")),
     "wrench": ForceTorqueSensorCfg(entity_cfg=LinksCfg(uid="ur10", link_names="wrist_3_link")),
+    "scan": HeightScanSensorCfg(
+        entity_cfg=LinksCfg(uid="ur10", link_names="ee_link"),
+        pattern=RayPatternCfg(grid=RayGridCfg(size=(0.2, 0.2), resolution=0.1)),
+        rate=10.0,
+    ),
+    "ray": RaySensorCfg(
+        entity_cfg=LinksCfg(uid="ur10", link_names="ee_link"),
+        pattern=RayPatternCfg(directions=[(1, 0, 0), (0, 1, -1), (0, 0, -1)]),
+    ),
+    "frame": FramePoseSensorCfg(
+        entity_cfg=LinksCfg(uid="cube"), relative_to=LinksCfg(uid="ur10", link_names="ee_link")
+    ),
+    "torque": JointTorqueSensorCfg(entity_cfg=JointsCfg(uid="ur10"), rate=12.0),
 }
 READ = {
     "contact_found": "contacts",
@@ -23,9 +43,20 @@ READ = {
     "imu_orientation": "imu",
     "imu_projected_gravity": "imu",
     "body_incoming_wrench": "wrench",
+    "height_scan": "scan",
+    "sensor_reading": "ray",
 }
 OBSERVATIONS = {
     name: ObservationCfg(func=name, params={"sensor": sensor}) for name, sensor in READ.items()
+} | {
+    f"{sensor}_{reading}": ObservationCfg(
+        func="sensor_reading", params={"sensor": sensor, "reading": reading}
+    )
+    for sensor, reading in (
+        ("frame", "position"),
+        ("frame", "linear_velocity"),
+        ("torque", "torque"),
+    )
 }
 TOUCH = {"sensor": "contacts", "threshold": 1.0}
 REWARDS: dict[str, dict[str, Any]] = {

@@ -36,7 +36,7 @@ class CountingEnv(gym.Env):
         )
         self.observation_manager = SimpleNamespace(
             group_terms=self._group_terms,
-            flatten=lambda obs, group: torch.cat([obs["where", "id"], obs["time"]], dim=1),
+            flat_rows=lambda obs, group: np.concatenate([obs["where", "id"], obs["time"]], axis=1),
         )
         self.judges_success = has_success
         self.termination_manager = SimpleNamespace(values={})
@@ -75,6 +75,7 @@ class CountingEnv(gym.Env):
         info = {"success": success, "metrics": {}}
         info["fail"] = torch.from_numpy(terminated) & ~success
         info["diverged"] = torch.zeros(self.num_envs, dtype=torch.bool)
+        info["elapsed_steps"] = torch.from_numpy(self.count.astype(np.int32))
         info["episode_sums"] = {"steps": torch.from_numpy(self.count.copy())}
         obs = self._obs()
         done = terminated | truncated

@@ -29,8 +29,8 @@ _COMPONENTS = ("environment", "embodiment", "scene")
 _SIMULATED = ("robot", "objects", "articulations")
 _ORDER = (
     *("description", "id", "physics", "sim_steps_per_control", "max_episode_steps"),
-    *("ignore_terminations", "robot", "objects", "articulations", "lights", "actions", "events"),
-    *("observations", "rewards", "extensions", "suggested"),
+    *("ignore_terminations", "robot", "objects", "articulations", "lights", "sensors", "actions"),
+    *("events", "observations", "rewards", "extensions", "suggested"),
 )
 
 
@@ -81,7 +81,7 @@ def convert(
         scene.convert_objects(draft, section, config.get(section))
     scene.convert_articulations(draft, config.get("articulation"))
     scene.convert_lights(draft, config.get("light"))
-    scene.convert_sensors(draft, config.get("sensor"))
+    scene.convert_sensors(draft, config.get("sensor"), config.get("enable_sensor") is not False)
     env = config.get("env")
     if env is not None and draft.carry(env, ("env",), (), ENV):
         _control_period(draft, env)

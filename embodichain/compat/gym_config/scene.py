@@ -23,6 +23,9 @@ _LIGHT_TYPES = ("point", "sun", "direction", "spot")
 _OTHER_LIGHT_TYPES = ("rect", "mesh")
 _PRESETS = {"URRobot": ("UniversalRobots/UR10/UR10.urdf", 6, {"arm": ["Joint[1-6]"]})}
 """EmbodiChain's robot classes with one file -> the file, its joints, their control parts."""
+_CAMERA_TYPES = {"Camera": "camera", "StereoCamera": "stereo_camera"}
+_LENS = (600, 600, 320.0, 240.0)
+"""EmbodiChain's intrinsics of a camera without any, whatever its size."""
 _PLAIN = ("Robot", "RobotCfg")
 """The robot class that adds nothing to its config."""
 
@@ -74,16 +77,40 @@ def convert_lights(draft: Draft, data: Any) -> None:
             draft.put((*target, "light_type"), kind, (*source, "light_type"))
 
 
-def convert_sensors(draft: Draft, data: Any) -> None:
-    """Add a note for each sensor, with the reason why it is left out."""
+def convert_sensors(draft: Draft, data: Any, observe: bool = True) -> None:
+    """Convert cameras, and add a note for each other sensor.
+
+    Args:
+        draft: The draft; the sensors are added to it.
+        data: The list.
+        observe: Whether observations contain the images.
+    """
     for source, item in draft.items(data, ("sensor",)):
         kind = str(item.get("sensor_type")) if isinstance(item, Mapping) else repr(item)
-        reason = known.SENSORS.get(kind)
-        if reason is None:
-            message = f"unknown sensor {kind!r}; known: {', '.join(known.SENSORS)}."
-            draft.refuse((*source, "sensor_type"), message, did_you_mean(kind, known.SENSORS))
+        if kind in known.CAMERAS:
+            _camera(draft, item, source, kind, observe)
+        elif kind in known.SENSORS:
+            draft.note(source, known.SENSORS[kind])
         else:
-            draft.note(source, reason)
+            names = [*known.CAMERAS, *known.SENSORS]
+            message = f"unknown sensor {kind!r}; known: {', '.join(names)}."
+            draft.refuse((*source, "sensor_type"), message, did_you_mean(kind, names))
+
+
+def _camera(draft: Draft, item: Mapping[str, Any], source: Path, kind: str, observe: bool) -> None:
+    target = draft.entity(item, source, "sensors")
+    if target is None or not draft.carry(item, source, target, known.CAMERAS[kind]):
+        return
+    draft.put((*target, "sensor_type"), _CAMERA_TYPES[kind], (*source, "sensor_type"))
+    draft.put((*target, "observe"), observe, source)
+    lenses = ("intrinsics", "intrinsics_right") if kind == "StereoCamera" else ("intrinsics",)
+    for key in lenses:
+        if key not in item:
+            draft.put((*target, key), list(_LENS), source)
+    extrinsics = item.get("extrinsics")
+    attached = isinstance(extrinsics, Mapping) and extrinsics.get("parent")
+    # EmbodiChain turns the axes of cameras that are fixed in the environment.
+    draft.put((*target, "convention"), "opengl" if attached else "ros", source)
 
 
 def _body_type(

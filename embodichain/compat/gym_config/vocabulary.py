@@ -41,7 +41,7 @@ _NEWTON = "a setting of the Newton backend"
 _SLEEP = "MuJoCo puts nothing to sleep here"
 _RENDER = "MuJoCo's rasterizer draws, in a log viewer or with viewer=native"
 _USD = "USD is not read"
-_CAMERA = "cameras are not available yet"
+_ROBOT_SENSORS = "a sensor on a robot is declared under sensor, with a link as parent"
 _IK = "inverse kinematics is not available yet"
 _RECORD = "the log of a run contains its trajectory: embodichain replay"
 _MESH = "a mesh collides as its convex hull; `collision: decompose` splits it into convex parts"
@@ -59,7 +59,7 @@ TOP: Vocabulary = {
     "arena_space": "every environment is its own world",
     **each(_RENDER, "renderer render_cfg"),
     "physics": "the physics is MuJoCo's",
-    "enable_sensor": _CAMERA,
+    "enable_sensor": HANDLED,
     "ground_plane_visible": "the ground plane is always drawn",
     "startup_summary": "embodichain show prints the scene",
     "scene_node_capacity": "there is no such limit",
@@ -105,13 +105,13 @@ ROBOT: Vocabulary = {
     **each(HANDLED, "class_type robot_type init_qpos urdf_cfg solver_cfg"),
     "control_parts": KEEP,
     "workspace_cfg": _IK,
-    **each(_CAMERA, "sensors enable_sensor"),
+    **each(_ROBOT_SENSORS, "sensors enable_sensor"),
 }
 
 URDF: Vocabulary = {
     "components": HANDLED,
     **each(KEEP, "base_link_name component_prefix name_case"),
-    "sensors": _CAMERA,
+    "sensors": _ROBOT_SENSORS,
     **each(_ASSEMBLED, "use_signature_check fpath fname fpath_prefix"),
 }
 URDF_COMPONENT: Vocabulary = each(KEEP, "component_type urdf_path transform")
@@ -188,9 +188,20 @@ LIGHT: Vocabulary = {
 
 LIGHTS: Vocabulary = {"direct": HANDLED, "indirect": "there is one background light"}
 
-SENSORS: Mapping[str, str] = {
+_CAMERA: Vocabulary = {
+    **each(HANDLED, "uid sensor_type"),
+    **each(KEEP, "width height near far intrinsics extrinsics"),
+    **each(KEEP, "enable_color enable_depth enable_mask enable_normal enable_position"),
+    **each("extrinsics is the pose of a camera", "init_pos init_rot init_local_pose"),
+}
+CAMERAS: Mapping[str, Vocabulary] = {
     "Camera": _CAMERA,
-    "StereoCamera": _CAMERA,
+    "StereoCamera": {
+        **_CAMERA,
+        **each(KEEP, "intrinsics_right left_to_right_pos left_to_right_rot enable_disparity"),
+    },
+}
+SENSORS: Mapping[str, str] = {
     "ContactSensor": "contacts are declared under sensors: {NAME: {sensor_type: contact, ...}}",
 }
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import torch
 
+from embodichain.lab.sim import sensors
 from embodichain.lab.sim.cfg import (
     ArticulationCfg,
     LightCfg,
@@ -31,13 +32,8 @@ from embodichain.lab.sim.objects.light import Light
 from embodichain.lab.sim.objects.rigid_object import RigidObject
 from embodichain.lab.sim.objects.robot import Robot
 from embodichain.lab.sim.scene import Entity, Scene
-from embodichain.lab.sim.sensors.cfg import CameraCfg, SensorCfg
-from embodichain.lab.sim.sensors.sensor_handles import (
-    BaseSensor,
-    ContactSensor,
-    ForceTorqueSensor,
-    ImuSensor,
-)
+from embodichain.lab.sim.sensors.cfg import SensorCfg
+from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
 from embodichain.lab.sim.unavailable import with_simulation_members
 from embodichain.utils.errors import ConfigError, DeviceError, Problem
 from embodichain.utils.suggest import did_you_mean
@@ -53,11 +49,20 @@ __all__ = ["SimulationManager"]
 _log = logging.getLogger(__name__)
 _instances: dict[int, weakref.ref[SimulationManager]] = {}
 """The live simulations of this process, by `instance_id`."""
-_SENSORS: dict[str, type[BaseSensor]] = {
-    "contact": ContactSensor,
-    "force_torque": ForceTorqueSensor,
-    "imu": ImuSensor,
+_SENSORS = {
+    "contact": "ContactSensor",
+    "force_torque": "ForceTorqueSensor",
+    "frame_pose": "FramePoseSensor",
+    "height_scan": "HeightScanSensor",
+    "imu": "ImuSensor",
+    "joint_torque": "JointTorqueSensor",
+    "ray": "RaySensor",
+    "camera": "Camera",
+    "stereo_camera": "StereoCamera",
+    "Camera": "Camera",
+    "StereoCamera": "StereoCamera",
 }
+"""Type of a sensor -> its handle, imported when it is added."""
 
 
 _Found = TypeVar("_Found")
@@ -166,16 +171,16 @@ class SimulationManager:
         self.lights[light.uid] = light
         return light
 
-    def add_sensor(self, cfg: SensorCfg | CameraCfg) -> BaseSensor:
+    def add_sensor(self, cfg: SensorCfg) -> BaseSensor:
         """Add a sensor to entities that were added before.
 
         Raises:
-            NotImplementedError: If it is a camera.
             ConfigError: If an entity or a link does not exist, or a value is wrong.
             RuntimeError: If the scene is compiled already.
         """
         plan = self._scene.plan_sensor(cfg)
-        sensor = self.sensors[plan.uid] = _SENSORS[plan.cfg.sensor_type](plan, self)
+        kind: type[BaseSensor] = getattr(sensors, _SENSORS[plan.cfg.sensor_type])
+        sensor = self.sensors[plan.uid] = kind(plan, self)
         return sensor
 
     def remove_asset(self, uid: str) -> bool:

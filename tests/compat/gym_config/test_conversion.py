@@ -186,7 +186,6 @@ def test_every_section_is_converted_or_listed() -> None:
         "device": "CPU",
         "physics_config.bounce_threshold": "PhysX",
         "robot.solver_cfg.class_type": "no solver runs",
-        "sensor.0": "cameras",
         "sensor.1": "sensors: {NAME: {sensor_type: contact",
         "light.direct.1": "rect",
         "light.indirect": "one background light",
@@ -206,6 +205,12 @@ def test_every_section_is_converted_or_listed() -> None:
     assert set(task["objects"]) == {"wall", "cube"}
     assert set(task["articulations"]) == {"cart"}
     assert set(task["lights"]) == {"lamp"}
+    assert task["sensors"] == {
+        "cam": {
+            **{"width": 320, "height": 240, "sensor_type": "camera", "observe": True},
+            **{"intrinsics": [600, 600, 320.0, 240.0], "convention": "ros"},
+        }
+    }
     assert task["robot"]["init_qpos"] == [0, -1.57, 1.57, -1.57, -1.57, 0, 0.04, 0.04]
     assert task["robot"]["urdf_cfg"] == {
         "components": [

@@ -4,7 +4,6 @@ import pytest
 
 from embodichain.lab.sim import SimulationManager, SimulationManagerCfg
 from embodichain.lab.sim.cfg import LightCfg, RigidObjectCfg
-from embodichain.lab.sim.sensors import CameraCfg
 
 MEMBERS = [
     "add_articulation",
@@ -128,8 +127,3 @@ def test_simulations_are_counted_and_reset_destroys_one():
     SimulationManager.flush_cleanup_queue()
     with pytest.raises(RuntimeError, match="destroyed"):
         sim.update(step=1)
-
-
-def test_a_camera_cannot_be_added(sim):
-    with pytest.raises(NotImplementedError, match="sensor 'eye': cameras are not available yet"):
-        sim.add_sensor(CameraCfg(uid="eye"))

@@ -162,6 +162,10 @@ class TermContext(ObservedEnv, Protocol):
         """(N, A) float32 action as last given to `step`; zeros after a reset. A copy."""
         ...
 
+    def read_last_action(self) -> F64:
+        """(N, A) action as last given to `step`; do not write to it."""
+        ...
+
     @property
     def event_manager(self) -> EventDraws:
         """Random numbers for event terms."""

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.managers.scene_entity import ResolvedEntity
     from embodichain.lab.gym.envs.managers.value_managers import MetricManager, TerminationManager
     from embodichain.lab.gym.envs.observation_buffer import ObservationBuffer
-    from embodichain.lab.sim.engine.api import EnvIndex
+    from embodichain.lab.sim.engine.api import F64, EnvIndex
     from embodichain.lab.sim.sim_manager import SimulationManager
     from embodichain.utils.random import RandomStreams
 
@@ -119,6 +119,10 @@ class EnvReads:
     def last_action(self) -> torch.Tensor:
         """(N, A) float32 action as last given to `step`; zeros after a reset. A copy."""
         return to_tensor(self.episodes.last_action)
+
+    def read_last_action(self) -> F64:
+        """(N, A) action as last given to `step`; do not write to it."""
+        return self.episodes.last_action
 
     def truncate(self, env_ids: Any) -> None:
         """Truncate the episodes of environments at the next step.

@@ -124,6 +124,9 @@ class ObservationBuffer:
 
     def complete(self, obs: Mapping[str, Any]) -> Observation:
         """Return the result of `get_obs` as an observation of this layout, terms included."""
+        if self._has_terms and type(obs) is Observation:
+            self._has_terms = False
+            return self.layout.pack(obs)
         return self.layout.pack(self._with_terms(obs))
 
     # -- rows that are replaced ----------------------------------------------------------------

@@ -88,12 +88,13 @@ class View:
     """One camera of all environments.
 
     Attributes:
-        optics: Its lens; `focal` may differ between environments, see `focal`.
+        optics: Its lens; focal lengths and centre may differ between environments.
         position: (N or 1, 3) m.
         axes: (N or 1, 3, 3) rotation matrix: columns are right, up and backwards (OpenGL).
         focal: (N, 2) fx, fy in pixels instead of those of `optics`, or None.
         outputs: What is wanted.
         look: ``fast`` or ``full``.
+        centre: (N, 2) cx, cy in pixels instead of those of `optics`, or None.
     """
 
     optics: Optics
@@ -102,6 +103,16 @@ class View:
     focal: NDArray[Any] | None = None
     outputs: tuple[Output, ...] = ("color",)
     look: Look = "fast"
+    centre: NDArray[Any] | None = None
+
+    @property
+    def lens(self) -> NDArray[np.float64]:
+        """(N or 1, 4) fx, fy, cx, cy in pixels."""
+        focal = np.asarray(self.optics.focal)[None] if self.focal is None else self.focal
+        centre = np.asarray(self.optics.centre)[None] if self.centre is None else self.centre
+        found = np.empty((max(len(focal), len(centre)), 4))
+        found[:, :2], found[:, 2:] = focal, centre
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,8 +235,7 @@ def view_of(
         look: ``fast`` or ``full``.
 
     Raises:
-        ValueError: If there is no such camera, it is orthographic, or its principal point differs
-            between environments.
+        ValueError: If there is no such camera, or it is orthographic.
     """
     model = state.model
     near = model.vis.map.znear * model.stat.extent if near is None else near
@@ -241,14 +251,14 @@ def view_of(
     if sensor.all():
         intrinsic = np.asarray(state.model_values("cam_intrinsic")[:, index], np.float64)
         focal, offset = intrinsic[:, :2] / sensor * pixels, intrinsic[:, 2:] / sensor * pixels
-        if (offset != offset[0]).any():
-            raise ValueError(f"camera {camera!r} has another principal point in each environment")
-        centre = 0.5 * width - offset[0, 0], 0.5 * height - offset[0, 1]
+        centre = 0.5 * pixels - offset
     else:
         fovy = np.asarray(state.model_values("cam_fovy")[:, index], np.float64)
         focal = np.repeat(height / (2.0 * np.tan(np.radians(fovy) / 2.0))[:, None], 2, axis=1)
-        centre = 0.5 * width, 0.5 * height
-    optics = Optics(width, height, (focal[0, 0], focal[0, 1]), centre, near, far)
+        centre = np.broadcast_to(0.5 * pixels, focal.shape)
+    first = (focal[0, 0], focal[0, 1]), (centre[0, 0], centre[0, 1])
+    optics = Optics(width, height, *first, near, far)
     position = state.derived("cam_xpos")[:, index]
     axes = state.derived("cam_xmat").reshape(state.num_envs, -1, 3, 3)[:, index]
-    return View(optics, position, axes, focal if len(focal) > 1 else None, outputs, look)
+    own = (focal, centre) if len(focal) > 1 else (None, None)
+    return View(optics, position, axes, own[0], outputs, look, own[1])

@@ -21,6 +21,7 @@ from embodichain.lab.sim.engine.api import (
     EngineListener,
     EnvIndex,
     PhysicsEvent,
+    RayHits,
     Write,
     row_layout,
 )
@@ -49,9 +50,9 @@ KINEMATIC_STAGES = dict.fromkeys(
 _INPUTS = frozenset({"ctrl", "qfrc_applied", "xfrc_applied"})
 # Models with bookkeeping in the MjData need one per environment (MuJoCo's manual, "batch").
 _HIDDEN_STATE = int(mujoco.mjtEnableBit.mjENBL_SLEEP) | int(mujoco.mjtEnableBit.mjENBL_IPC)
-_NO_CONTACT = int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
-_NO_CONSTRAINT = int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
-_NO_SENSOR = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
+_NO_CONTACT = np.int32(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+_NO_CONSTRAINT = np.int32(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
+_NO_SENSOR = np.int32(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 # Warnings that mean the state is no longer physics.
 _DIVERGED = [
     int(getattr(mujoco.mjtWarning, f"mjWARN_{name}"))
@@ -163,9 +164,32 @@ class CpuEngine(Engine):
     def _copy_accelerations(self, env_ids: EnvIndex | None) -> None:
         for output, copy in self._accelerations.values():
             if env_ids is None:
-                np.copyto(copy, output)
+                copy[...] = output
             else:
                 copy[env_ids] = output[env_ids]
+
+    def cast_rays(
+        self,
+        origins: F64,
+        directions: F64,
+        geoms: NDArray[np.bool_],
+        env_ids: EnvIndex | None = None,
+        *,
+        normal: bool = False,
+    ) -> RayHits:
+        if self._fields.stale:
+            self._set_const_now()
+        # mj_ray chooses geoms by group: put them into group 0 during the call, others into 5.
+        group = self._fields.internal("geom_group")
+        kept = group.copy()
+        group[:] = np.where(geoms, 0, 5)
+        try:
+            found = self._batch.ray(
+                origins, directions, geomgroup=[1, 0, 0, 0, 0, 0], ids=env_ids, normal=normal
+            )
+        finally:
+            group[...] = kept
+        return RayHits(*found)
 
     # -- physics -------------------------------------------------------------------------------
 

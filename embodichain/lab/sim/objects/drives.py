@@ -64,7 +64,8 @@ class JointLimits:
     def of(self, joints: Joints, ids: EnvIndex | None) -> tuple[F64, F64]:
         """Lower and upper limits of joints (k,) in environments (n,): (k,) each, or (n, k)."""
         if self._varied is None:
-            return self._low[joints], self._high[joints]
+            columns = columns_of(joints)  # slices are faster
+            return self._low[columns], self._high[columns]
         picked = self._varied[_at(ids, joints)]
         return picked[..., 0], picked[..., 1]
 
@@ -128,6 +129,7 @@ class Drives:
         self._joint_of_control: Joints = np.arange(0)  # column in ``ctrl`` -> joint, or -1
         # Drives switched between position and velocity control in any environment.
         self._switched: Joints = np.arange(0)
+        self._rated = False  # whether a drive has a `max_velocity`
         self._springless = False  # whether a drive has no stiffness: its control is a velocity
         self._limits_vary = False  # whether environments limit efforts of different joints
         servos = parsed.servos
@@ -208,7 +210,7 @@ class Drives:
         self, target: F64, joints: Joints, seconds: float, ids: EnvIndex | None = None
     ) -> F64:
         """Limit position targets (n, k) to what `max_velocity` lets them move in a time."""
-        if self.max_velocity.min(initial=NO_LIMIT) >= NO_LIMIT:
+        if not self._rated:
             return target
         where = _at(ids, joints)
         reach = self.max_velocity[where] * seconds
@@ -287,6 +289,7 @@ class Drives:
         self.has_velocity_target = bool(self.target_qvel.any())
 
     def _note_gains(self) -> None:
+        self._rated = bool((self.max_velocity < NO_LIMIT).any())
         stiff = self.stiffness[:, self.joints] > 0
         self._springless = not stiff.all()
         changed = stiff != (self.parsed.stiffness[self.joints] > 0)
@@ -319,7 +322,9 @@ class Drives:
                 engine.set_const_later(ids)
             elif name == "joint_damping" and not driven.all():
                 self.damping[_at(ids, joints[~driven])] = values[:, ~driven]
-        elif name != "max_velocity":  # used by actions only: MuJoCo has no velocity limit
+        elif name == "max_velocity":  # used by actions only: MuJoCo has no velocity limit
+            self._note_gains()
+        else:
             self.columns(joints)
             if name != "max_effort":
                 self._note_gains()

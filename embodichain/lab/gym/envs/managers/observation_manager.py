@@ -332,13 +332,19 @@ class ObservationManager(Manager[ObservationCfg]):
         Raises:
             ValueError: If no term is in the group; lists the groups.
         """
+        return torch.from_numpy(self.flat_rows(obs, group))
+
+    def flat_rows(self, obs: Mapping[Any, Any], group: str = "policy") -> NDArray[np.float32]:
+        """`flatten` as an array."""
         layout = self.layout
         if layout is not None and isinstance(obs, Observation) and obs.layout is layout:
             columns = layout.groups.get(group)
             if columns is not None and obs.packed:
-                return torch.from_numpy(np.ascontiguousarray(obs.rows[:, columns]))
+                return np.ascontiguousarray(obs.rows[:, columns])
         count, paths = self.num_envs, self._paths(group)
-        return torch.cat([obs[p].reshape(count, -1).to(torch.float32) for p in paths], dim=1)
+        entries = [obs[p].reshape(count, -1).to(torch.float32) for p in paths]
+        rows: NDArray[np.float32] = torch.cat(entries, dim=1).numpy(force=True)
+        return rows
 
     def state_dict(self) -> dict[str, Any]:
         """Noise, delays and histories, and the state of terms that are classes (copies)."""

@@ -23,7 +23,9 @@ if TYPE_CHECKING:
     from embodichain.lab.gym.envs.cfg import EnvCfg
     from embodichain.lab.gym.envs.context import TermContext
     from embodichain.lab.sim.engine.api import F64
+    from embodichain.lab.sim.sensors.ray_sensors import HeightScanSensor
     from embodichain.lab.sim.sensors.sensor_handles import (
+        BaseSensor,
         ContactSensor,
         ForceTorqueSensor,
         ImuSensor,
@@ -44,6 +46,7 @@ __all__ = [
     "ContactOf",
     "ForceTorqueOf",
     "Fraction",
+    "HeightScanOf",
     "ImuOf",
     "JointRange",
     "Joints",
@@ -58,6 +61,7 @@ __all__ = [
     "Ranges",
     "Reference",
     "ScaleRange",
+    "SensorOf",
     "UnitInterval",
     "Vec3",
     "VelocityCommand",
@@ -247,6 +251,17 @@ class _Sensor(Reference):
         return f"{self.kind} sensors: {', '.join(there) or 'none'}"
 
 
+class _AnySensor(Reference):
+    """A sensor of any kind with named readings."""
+
+    def resolve(self, env: TermContext, value: Any) -> Any:
+        there = [uid for uid, sensor in env.sensors.items() if hasattr(sensor, "reads")]
+        if value in there:
+            return env.sensors[value]
+        message = f"no sensor is called {value!r}; sensors: {', '.join(there) or 'none'}"
+        raise ConfigError([Problem("", message, did_you_mean(value, there).strip())])
+
+
 @dataclass(frozen=True)
 class _Command(Reference):
     """A command with a minimum number of columns; resolves to a function that reads it, (N, K)."""
@@ -269,6 +284,8 @@ if TYPE_CHECKING:
     ContactOf = ContactSensor
     ImuOf = ImuSensor
     ForceTorqueOf = ForceTorqueSensor
+    HeightScanOf = HeightScanSensor
+    SensorOf = BaseSensor
     Command = Callable[[], F64]
     PlanarCommand = Command
     PositionCommand = Command
@@ -285,6 +302,10 @@ else:
     """An inertial measurement unit."""
     ForceTorqueOf = Annotated[str, _Sensor("force_torque", "read_torque")]
     """A force-torque sensor."""
+    HeightScanOf = Annotated[str, _Sensor("height_scan", "read_height")]
+    """A height scan."""
+    SensorOf = Annotated[str, _AnySensor()]
+    """A sensor of any kind."""
     Command = Annotated[str, _Command()]
     """A command: a function that returns it, (N, K) float64, a live view."""
     PlanarCommand = Annotated[str, _Command(2)]

@@ -6,6 +6,7 @@ environments, unlike that of a numpy reduction.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import lazy_loader
@@ -40,8 +41,13 @@ def squares(vectors: NDArray[Any]) -> F64:
 def total(values: NDArray[Any]) -> F64:
     """Sum of the rows, (N, K) -> (N,); 0 where K is 0."""
     rows = np.ascontiguousarray(values, np.float64)
-    found: F64 = np.vecdot(rows, np.ones(rows.shape[1]))
+    found: F64 = np.vecdot(rows, _ones(rows.shape[1]))
     return found
+
+
+@cache
+def _ones(count: int) -> F64:
+    return np.ones(count)
 
 
 def mean(values: F64) -> F64:
@@ -75,7 +81,7 @@ def action_rows(action: Any) -> F64:
     Raises:
         TypeError: If it is not a tensor: the columns of a `TensorDict` have no order.
     """
-    if not hasattr(action, "detach") or not hasattr(action, "ndim"):
+    if not isinstance(action, torch.Tensor):
         raise TypeError(f"this term needs an action tensor, got {type(action).__name__}")
     rows: F64 = action.detach().numpy().astype(np.float64)
     return rows

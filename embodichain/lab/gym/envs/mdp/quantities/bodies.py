@@ -112,12 +112,9 @@ Axes = Literal["xyz", "xy", "xz", "yz", "x", "y", "z"]
 
 
 def _of_axes(vectors: F64, axes: Axes) -> F64:
-    """Columns of (N, 3) vectors, picked by their letters."""
-    if axes == "xyz":
-        return vectors
-    if axes == "xy":
-        return vectors[:, :2]
-    return vectors[:, ["xyz".index(axis) for axis in axes]]
+    """Columns of (N, 3) vectors, picked by their letters: a view."""
+    first, last = "xyz".index(axes[0]), "xyz".index(axes[-1])
+    return vectors[:, first : last + 1 : 2 if axes == "xz" else 1]
 
 
 @quantity()

@@ -14,14 +14,13 @@ from pydantic import Field
 
 from embodichain.lab.gym.envs.cfg import NO_LIMIT
 from embodichain.lab.gym.envs.managers.param_types import Finite, Positive
-from embodichain.lab.gym.envs.managers.registry import quantity, register_term
+from embodichain.lab.gym.envs.managers.registry import quantity
 from embodichain.lab.gym.envs.managers.term import Term
 from embodichain.lab.gym.envs.mdp._rows import action_rows
 from embodichain.utils.errors import ConfigError, Problem
 from embodichain.utils.suggest import did_you_mean
 
 if TYPE_CHECKING:
-    import torch
     from numpy.typing import NDArray
 
     from embodichain.lab.gym.envs.context import TermContext
@@ -251,7 +250,7 @@ class Phase(_Clock):
         return np.stack(columns, axis=1)
 
 
-@register_term("observation", name="last_action")
+@quantity("observation", name="last_action")
 class LastAction(Term):
     """(N, A) the action of the last step, as given: before clip, delay and noise.
 
@@ -271,11 +270,11 @@ class LastAction(Term):
             message = f"no action term is called {action_name!r}; there are: {known}"
             hint = did_you_mean(action_name, declared).strip()
             raise ConfigError([Problem("action_name", message, hint)])
-        self._name = action_name
+        self._env, self._name = env, action_name
 
-    def __call__(self, env: TermContext, obs: Any) -> torch.Tensor:
-        """The observation."""
-        action = env.last_action
-        if self._name is None:
-            return action
-        return action[:, env.action_manager.slices[self._name]].contiguous()
+    def __call__(self) -> F64:
+        """(N, A)."""
+        action = self._env.read_last_action()
+        return (
+            action if self._name is None else action[:, self._env.action_manager.slices[self._name]]
+        )

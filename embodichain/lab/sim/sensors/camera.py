@@ -1,0 +1,392 @@
+"""`Camera` and `StereoCamera`: handles of cameras in N environments.
+
+Pictures are drawn when they are read. Poses and lenses are model fields, which may differ between
+environments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from embodichain.lab.sim.compiler.cameras import pair_offset
+from embodichain.lab.sim.drawing.views import Output, Pictures, View, view_of
+from embodichain.lab.sim.objects._arrays import as_env_ids, as_rows, to_tensor
+from embodichain.lab.sim.sensors.cfg import CameraCfg, StereoCameraCfg
+from embodichain.lab.sim.sensors.depth_images import (
+    disparities,
+    distances,
+    normals,
+    positions,
+    slopes,
+)
+from embodichain.lab.sim.sensors.sensor_handles import BaseSensor
+from embodichain.utils.math import (
+    look_at,
+    matrix_to_pose,
+    matrix_to_quat,
+    normalize_quat,
+    pose_to_matrix,
+    quat_multiply,
+    quat_rotate,
+)
+
+if TYPE_CHECKING:
+    from embodichain.lab.sim.compiler.scene_sensors import CameraIndex
+    from embodichain.lab.sim.compiler.sensor_plans import SensorPlan
+    from embodichain.lab.sim.drawing.batch_renderer import BatchRenderer
+    from embodichain.lab.sim.engine.api import F64, Engine, EnvIndex
+    from embodichain.lab.sim.host import Host
+    from embodichain.lab.sim.sensors.sampling import Readings
+
+__all__ = ["Camera", "StereoCamera"]
+
+_BY_DEPTH = frozenset({"depth", "distance", "normal", "position", "disparity"})
+
+
+class _Seen(NamedTuple):
+    """What one camera draws in n environments: its place, its lens, and its pictures."""
+
+    eye: F64
+    axes: F64
+    lens: F64
+    pictures: dict[str, NDArray[Any]]
+
+
+class Camera(BaseSensor):
+    """A pinhole camera. Images are arrays (N, H, W, ...), the first row at the top.
+
+    ``color`` is uint8 RGBA; ``depth`` float32 metres along the camera's axis, ``distance`` along
+    the ray; ``mask`` int32, the number of each pixel's entity (`get_object_uid`: MuJoCo's id of its
+    root body; 0 for the ground, -1 where nothing is drawn); ``normal`` and ``position`` float32
+    (N, H, W, 3) in the environment's frame, computed from depth, 0 where nothing is drawn.
+
+    Poses have OpenGL's axes: x right, y up, view along -z.
+    """
+
+    SUPPORTED_DATA_TYPES: ClassVar[tuple[str, ...]] = (
+        *("color", "depth", "distance", "mask", "normal", "position"),
+    )
+    index: CameraIndex
+
+    def __init__(self, plan: SensorPlan, host: Host) -> None:
+        super().__init__(plan, host)
+        if not isinstance(plan.cfg, CameraCfg):
+            raise TypeError(f"{plan.uid}: the config of a camera is wanted, got {plan.cfg!r}")
+        self.cfg: CameraCfg = plan.cfg
+
+    # -- images --------------------------------------------------------------------------------
+
+    def read(self, name: str) -> NDArray[Any]:
+        """Return an image of `reads`, (N, H, W, ...): do not write or store it.
+
+        Raises:
+            KeyError: If the config does not ask for it; lists those there are.
+        """
+        if name not in self.reads:
+            raise KeyError(f"{self.uid}: no image {name!r}; data_types: {', '.join(self.reads)}")
+        return self._readings()[self.reads.index(name)]
+
+    def get_data(self) -> dict[str, torch.Tensor]:
+        """Return all `reads` as tensors (N, H, W, ...), as in ``obs["sensor"][uid]`` (copies)."""
+        return {
+            name: torch.from_numpy(image.copy())
+            for name, image in zip(self.reads, self._readings(), strict=True)
+        }
+
+    def update(self, **kwargs: Any) -> None:
+        """No effect: images are drawn when they are read. EmbodiChain's name."""
+
+    def _measure(self, env_ids: EnvIndex | None) -> Readings:
+        seen = self._draw(env_ids)
+        return tuple(self._image(name, seen) for name in self.reads)
+
+    def _draw(self, env_ids: EnvIndex | None) -> list[_Seen]:
+        names = {name.removesuffix("_right") for name in self.reads}
+        outputs: list[Output] = ["color"] if "color" in names else []
+        outputs += ["depth"] if names & _BY_DEPTH else []
+        outputs += ["mask"] if "mask" in names else []
+        views = [self._view(camera, tuple(outputs)) for camera in self.index.ids]
+        pictures = _drawn(self.engine, views, env_ids)
+
+        def rows(values: Any) -> Any:
+            return values if len(values) == 1 or env_ids is None else values[env_ids]
+
+        return [
+            _Seen(rows(view.position), rows(view.axes), rows(view.lens), made)
+            for view, made in zip(views, pictures, strict=True)
+        ]
+
+    def _view(self, camera: int, outputs: tuple[Output, ...] = ()) -> View:
+        cfg = self.cfg
+        return view_of(
+            self.engine,
+            camera,
+            cfg.width,
+            cfg.height,
+            near=cfg.near,
+            far=cfg.far,
+            outputs=outputs,
+            look=cfg.look,
+        )
+
+    def _image(self, name: str, seen: list[_Seen]) -> NDArray[Any]:
+        eye, axes, lens, pictures = seen[1 if name.endswith("_right") else 0]
+        kind = name.removesuffix("_right")
+        if kind == "color":
+            return pictures["color"]
+        if kind == "mask":
+            found: NDArray[Any] = self.index.entity_of_geom[pictures["mask"]]
+            return found
+        depth: NDArray[np.float32] = pictures["depth"]
+        if kind == "depth":
+            return self._with_no_hit(depth, depth)
+        right, up = slopes(lens, self.cfg.width, self.cfg.height)
+        if kind == "distance":
+            return self._with_no_hit(distances(depth, right, up), depth)
+        points = positions(depth, right, up, eye, axes)
+        return points if kind == "position" else normals(depth, points, eye)
+
+    def _with_no_hit(
+        self, values: NDArray[np.float32], depth: NDArray[np.float32]
+    ) -> NDArray[np.float32]:
+        if self.cfg.no_hit == "zero":
+            return values
+        other = np.float32(np.inf if self.cfg.no_hit == "inf" else self.cfg.far)
+        return np.where(depth > 0, values, other)
+
+    # -- pose ----------------------------------------------------------------------------------
+
+    @property
+    def is_attached(self) -> bool:
+        """Whether it is fixed on a link."""
+        return bool(self.plan.bodies) or self.cfg.camera is not None
+
+    def read_pose(self) -> tuple[F64, F64]:
+        """Position (N, 3) and wxyz orientation (N, 4) in the environment's frame."""
+        camera = self.index.ids[0]
+        axes = self.engine.derived("cam_xmat")[:, camera].reshape(-1, 3, 3)
+        return self.engine.derived("cam_xpos")[:, camera].copy(), matrix_to_quat(axes)
+
+    def read_local_pose(self) -> tuple[F64, F64]:
+        """Position (N, 3) and wxyz orientation (N, 4) in the frame of its link, if it has one."""
+        camera, count = self.index.ids[0], self.num_instances
+        pos, quat = (
+            np.asarray(self.engine.model_values(name)[:, camera], np.float64)
+            for name in ("cam_pos", "cam_quat")
+        )
+        return np.broadcast_to(pos, (count, 3)).copy(), np.broadcast_to(quat, (count, 4)).copy()
+
+    def write_local_pose(self, pos: F64, quat: F64, env_ids: EnvIndex | None) -> None:
+        """Set position (n, 3) and unit wxyz orientation (n, 4) from checked arrays."""
+        self._write_pose(self.index.ids[0], pos, quat, env_ids)
+
+    def _write_pose(self, camera: int, pos: F64, quat: F64, env_ids: EnvIndex | None) -> None:
+        write = self.engine.write_model
+        write("cam_pos", pos, env_ids, slice(3 * camera, 3 * camera + 3))
+        write("cam_quat", quat, env_ids, slice(4 * camera, 4 * camera + 4))
+
+    def get_local_pose(self, to_matrix: bool = False) -> torch.Tensor:
+        """Pose in the frame of its link: (N, 7) x, y, z, qw, qx, qy, qz, or (N, 4, 4)."""
+        return _pose_tensor(self.read_local_pose(), to_matrix)
+
+    def get_arena_pose(self, to_matrix: bool = False) -> torch.Tensor:
+        """Pose in the environment's frame: (N, 7) x, y, z, qw, qx, qy, qz, or (N, 4, 4)."""
+        return _pose_tensor(self.read_pose(), to_matrix)
+
+    def set_local_pose(self, pose: Any, env_ids: Any = None) -> None:
+        """Set the pose in the frame of its link, or of the environment if it has none.
+
+        Args:
+            pose: (n, 7) x, y, z, qw, qx, qy, qz, or (n, 4, 4), with OpenGL's axes.
+            env_ids: The n environments (sorted unique, or a mask); None is all N.
+
+        Raises:
+            ValueError: If the shape does not match ``env_ids`` or a value is not finite.
+        """
+        ids = as_env_ids(env_ids, self.num_instances)
+        rows = self.num_instances if ids is None else len(ids)
+        what, shape = f"{self.uid}: pose", tuple(np.shape(pose))
+        if len(shape) == 3 and shape[1:] == (4, 4):
+            flat = as_rows(np.asarray(pose).reshape(shape[0], 16), rows, 16, what)
+            array = matrix_to_pose(flat.reshape(-1, 4, 4))
+        else:
+            array = as_rows(pose, rows, 7, what)
+        self.write_local_pose(array[:, :3], normalize_quat(array[:, 3:]), ids)
+
+    def look_at(self, eye: Any, target: Any, up: Any = None, env_ids: Any = None) -> None:
+        """Set the pose such that it looks from one point to another, in the frame of its link.
+
+        Args:
+            eye: (n, 3) metres.
+            target: (n, 3) metres.
+            up: (n, 3) the direction that is up in the picture; None is z.
+            env_ids: The n environments (sorted unique, or a mask); None is all N.
+
+        Raises:
+            ValueError: If a shape does not match ``env_ids``, or an eye is at its target.
+        """
+        ids = as_env_ids(env_ids, self.num_instances)
+        rows = self.num_instances if ids is None else len(ids)
+        points = [(eye, "eye"), (target, "target"), ((0.0, 0.0, 1.0) if up is None else up, "up")]
+        at, to, above = (
+            as_rows(v, rows, 3, f"{self.uid}: {name}", shared=True) for v, name in points
+        )
+        self.write_local_pose(at, matrix_to_quat(look_at(at, to, above)), ids)
+
+    # -- lens ----------------------------------------------------------------------------------
+
+    def read_intrinsics(self, side: int = 0) -> F64:
+        """(N, 4) fx, fy, cx, cy in pixels."""
+        lens = self._view(self.index.ids[side]).lens
+        return np.broadcast_to(lens, (self.num_instances, 4)).copy()
+
+    def write_intrinsics(self, lens: F64, env_ids: EnvIndex | None, side: int = 0) -> None:
+        """Set fx, fy, cx, cy (n, 4) in pixels from a checked array.
+
+        Raises:
+            ValueError: If the camera is declared with a field of view.
+        """
+        camera = self.index.ids[side]
+        if not self.engine.model.cam_sensorsize[camera].any():
+            raise ValueError(
+                f"{self.uid}: it has a field of view and no intrinsics: declare intrinsics, or "
+                "write cam_fovy"
+            )
+        sensor = np.asarray(self.engine.model.cam_sensorsize[camera], np.float64)
+        size = np.array([self.cfg.width, self.cfg.height], np.float64)
+        lengths = np.concatenate([lens[:, :2], size / 2.0 - lens[:, 2:]], axis=1)
+        lengths *= np.tile(sensor / size, 2)
+        columns = slice(4 * camera, 4 * camera + 4)
+        self.engine.write_model("cam_intrinsic", lengths, env_ids, columns)
+
+    def set_intrinsics(self, intrinsics: Any, env_ids: Any = None) -> None:
+        """Set fx, fy, cx, cy in pixels.
+
+        Args:
+            intrinsics: (4,) or (n, 4), or matrices (3, 3) or (n, 3, 3).
+            env_ids: The n environments (sorted unique, or a mask); None is all N.
+
+        Raises:
+            ValueError: If the shape is wrong, a focal length is not positive, or the camera is
+                declared with a field of view.
+        """
+        self._set_intrinsics(intrinsics, env_ids, 0)
+
+    def _set_intrinsics(self, intrinsics: Any, env_ids: Any, side: int) -> None:
+        ids = as_env_ids(env_ids, self.num_instances)
+        rows = self.num_instances if ids is None else len(ids)
+        array = np.asarray(intrinsics, np.float64)
+        if array.shape[-2:] == (3, 3):
+            array = array[..., (0, 1, 0, 1), (0, 1, 2, 2)]
+        lens = as_rows(array, rows, 4, f"{self.uid}: intrinsics", shared=True)
+        if (lens[:, :2] <= 0).any():
+            raise ValueError(f"{self.uid}: fx and fy must be positive, got {lens[:, :2].tolist()}")
+        self.write_intrinsics(lens, ids, side)
+
+    def get_intrinsics(self) -> Any:
+        """(N, 3, 3) matrices ((fx, 0, cx), (0, fy, cy), (0, 0, 1)), pixels."""
+        return _matrices(self.read_intrinsics())
+
+
+class StereoCamera(Camera):
+    """Two cameras side by side. Images are the left camera's; those of the right end in ``_right``.
+
+    ``disparity`` is float32 pixels, fx b / depth of the left camera with the distance b between the
+    cameras, 0 where nothing is drawn. Poses are those of the point halfway between the cameras.
+    """
+
+    SUPPORTED_DATA_TYPES: ClassVar[tuple[str, ...]] = (
+        *Camera.SUPPORTED_DATA_TYPES,
+        *(f"{name}_right" for name in Camera.SUPPORTED_DATA_TYPES),
+        "disparity",
+    )
+
+    def __init__(self, plan: SensorPlan, host: Host) -> None:
+        super().__init__(plan, host)
+        if not isinstance(plan.cfg, StereoCameraCfg):
+            raise TypeError(f"{plan.uid}: the config of a stereo camera is wanted")
+        self.cfg: StereoCameraCfg = plan.cfg
+
+    def _image(self, name: str, seen: list[_Seen]) -> NDArray[Any]:
+        if name != "disparity":
+            return super()._image(name, seen)
+        offset = np.asarray(self.cfg.left_to_right_pos, np.float64)
+        baseline = float(np.sqrt((offset * offset).sum()))
+        return disparities(seen[0].pictures["depth"], seen[0].lens[:, 0], baseline)
+
+    def _centre(self, pos: F64, quat: F64) -> tuple[F64, F64]:
+        """The pose halfway between the cameras, of the left one's."""
+        offset, _ = pair_offset(self.cfg, 0)
+        return pos - quat_rotate(quat, np.broadcast_to(offset, pos.shape)), quat
+
+    def read_pose(self) -> tuple[F64, F64]:
+        """Position (N, 3) and wxyz orientation (N, 4) halfway, in the environment's frame."""
+        return self._centre(*super().read_pose())
+
+    def read_local_pose(self) -> tuple[F64, F64]:
+        """Position (N, 3) and wxyz orientation (N, 4) halfway, in the frame of its link."""
+        return self._centre(*super().read_local_pose())
+
+    def write_local_pose(self, pos: F64, quat: F64, env_ids: EnvIndex | None) -> None:
+        """Set the pose halfway: position (n, 3), unit wxyz orientation (n, 4)."""
+        for side, camera in enumerate(self.index.ids):
+            offset, turn = pair_offset(self.cfg, side)
+            at = pos + quat_rotate(quat, np.broadcast_to(offset, pos.shape))
+            self._write_pose(camera, at, quat_multiply(quat, turn), env_ids)
+
+    def get_left_right_arena_pose(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Poses (N, 4, 4) of the left and of the right camera in the environment's frame."""
+        left, right = (
+            np.concatenate(
+                [
+                    self.engine.derived("cam_xpos")[:, camera],
+                    matrix_to_quat(self.engine.derived("cam_xmat")[:, camera].reshape(-1, 3, 3)),
+                ],
+                axis=1,
+            )
+            for camera in self.index.ids
+        )
+        return to_tensor(pose_to_matrix(left)), to_tensor(pose_to_matrix(right))
+
+    def set_intrinsics(  # type: ignore[override]  # EmbodiChain's signature
+        self, intrinsics: Any, right_intrinsics: Any = None, env_ids: Any = None
+    ) -> None:
+        """Set fx, fy, cx, cy of the left and the right camera; without the latter, the same."""
+        self._set_intrinsics(intrinsics, env_ids, 0)
+        right = intrinsics if right_intrinsics is None else right_intrinsics
+        self._set_intrinsics(right, env_ids, 1)
+
+    def get_intrinsics(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Matrices (N, 3, 3) of the left and of the right camera, pixels."""
+        return _matrices(self.read_intrinsics(0)), _matrices(self.read_intrinsics(1))
+
+
+_renderers: WeakKeyDictionary[Engine, BatchRenderer] = WeakKeyDictionary()
+
+
+def _drawn(engine: Engine, views: Sequence[View], env_ids: EnvIndex | None) -> list[Pictures]:
+    """Draw views of n environments, with a renderer for each engine."""
+    from embodichain.lab.sim.drawing.batch_renderer import BatchRenderer
+
+    if engine not in _renderers:
+        _renderers[engine] = BatchRenderer(engine.model)
+    return _renderers[engine].draw(engine, views, env_ids)
+
+
+def _pose_tensor(pose: tuple[F64, F64], to_matrix: bool) -> torch.Tensor:
+    rows = np.concatenate(pose, axis=1)
+    return to_tensor(pose_to_matrix(rows) if to_matrix else rows)
+
+
+def _matrices(lens: F64) -> torch.Tensor:
+    found = np.zeros((len(lens), 3, 3))
+    found[:, 0, 0], found[:, 1, 1] = lens[:, 0], lens[:, 1]
+    found[:, 0, 2], found[:, 1, 2] = lens[:, 2], lens[:, 3]
+    found[:, 2, 2] = 1.0
+    return to_tensor(found)

@@ -1,0 +1,110 @@
+"""Images that follow from depth and a pinhole lens: distances, positions, normals, disparities.
+
+Arrays are float32; N is the number of environments, H and W are the rows and columns of an image.
+Depth is along the camera's axis, and 0 where nothing is drawn.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["disparities", "distances", "normals", "positions", "slopes"]
+
+F32 = NDArray[np.float32]
+
+
+def slopes(lens: NDArray[np.float64], width: int, height: int) -> tuple[F32, F32]:
+    """How far a pixel's ray goes to the right and up for each metre along the axis.
+
+    Args:
+        lens: (N or 1, 4) fx, fy, cx, cy in pixels.
+        width: Pixels.
+        height: Pixels.
+
+    Returns:
+        (N or 1, 1, W) to the right, (N or 1, H, 1) up, through the middles of pixels.
+    """
+    fx, fy, cx, cy = (lens[:, i, None] for i in range(4))
+    right = (np.arange(width) + 0.5 - cx) / fx
+    up = (cy - np.arange(height) - 0.5) / fy
+    return right.astype(np.float32)[:, None, :], up.astype(np.float32)[:, :, None]
+
+
+def distances(depth: F32, right: F32, up: F32) -> F32:
+    """(N, H, W) distances along the ray, m; 0 where nothing is drawn."""
+    found: F32 = depth * np.sqrt(np.float32(1.0) + right * right + up * up)
+    return found
+
+
+def positions(
+    depth: F32, right: F32, up: F32, eye: NDArray[np.float64], axes: NDArray[np.float64]
+) -> F32:
+    """(N, H, W, 3) points in the environment's frame, m; 0 where nothing is drawn.
+
+    Args:
+        depth: (N, H, W).
+        right: As of `slopes`.
+        up: As of `slopes`.
+        eye: (N or 1, 3) position of the camera.
+        axes: (N or 1, 3, 3) its axes: right, up and backwards are columns.
+    """
+    to = np.asarray(axes, np.float32)[:, None, None]
+    ray = right[..., None] * to[..., 0] + up[..., None] * to[..., 1] - to[..., 2]
+    found = depth[..., None] * ray + np.asarray(eye, np.float32)[:, None, None]
+    return np.where((depth > 0)[..., None], found, np.float32(0.0))
+
+
+def normals(depth: F32, points: F32, eye: NDArray[np.float64]) -> F32:
+    """(N, H, W, 3) unit normals of surfaces, towards the camera; 0 where nothing is drawn.
+
+    They are cross products of differences between neighbouring points. Of the two neighbours along
+    a row or a column, the one whose depth is closer counts, so that edges remain sharp.
+
+    Args:
+        depth: (N, H, W).
+        points: (N, H, W, 3), of `positions`.
+        eye: (N or 1, 3) position of the camera.
+    """
+    across, down = _step(depth, points, 2), _step(depth, points, 1)
+    normal = np.stack(
+        [
+            across[..., i] * down[..., j] - across[..., j] * down[..., i]
+            for i, j in ((1, 2), (2, 0), (0, 1))
+        ],
+        axis=-1,
+    )
+    size = np.sqrt((normal * normal).sum(axis=-1, keepdims=True))
+    seen = np.asarray(eye, np.float32)[:, None, None] - points
+    away = (normal * seen).sum(axis=-1, keepdims=True) < 0
+    unit = normal / np.where(size > 0, size, np.float32(1.0))
+    unit = np.where(away, -unit, unit)
+    return np.where((depth > 0)[..., None], unit, np.float32(0.0))
+
+
+def _step(depth: F32, points: F32, axis: int) -> F32:
+    """Differences to the neighbour along an axis with the closer depth."""
+    if depth.shape[axis] < 2:
+        return np.zeros_like(points)
+
+    def padded(values: F32, before: bool) -> F32:
+        difference = np.diff(values, axis=axis)
+        width = [(0, 0)] * values.ndim
+        width[axis] = (1, 0) if before else (0, 1)
+        return np.pad(difference, width, mode="edge")
+
+    back, ahead = padded(points, before=True), padded(points, before=False)
+    closer = np.abs(padded(depth, before=True)) <= np.abs(padded(depth, before=False))
+    return np.where(closer[..., None], back, ahead)
+
+
+def disparities(depth: F32, focal: NDArray[np.float64], baseline: float) -> F32:
+    """(N, H, W) pixels between the places of a point in two parallel cameras: fx b / depth.
+
+    Args:
+        depth: (N, H, W) of the left camera; the disparity is 0 where it is 0.
+        focal: (N or 1,) fx in pixels.
+        baseline: Metres between the cameras.
+    """
+    scale = (focal * baseline).astype(np.float32)[:, None, None]
+    return np.where(depth > 0, scale / np.where(depth > 0, depth, np.float32(1.0)), np.float32(0))
