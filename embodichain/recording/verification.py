@@ -131,7 +131,10 @@ def _compare_pictures(
 ) -> VerifyReport:
     from embodichain.recording.pictures import compare
 
-    equal, problems = compare(reader, model, env)
+    try:
+        equal, problems = compare(reader, model, env)
+    except LogError as error:
+        equal, problems = 0, [str(error).removeprefix(f"{reader.path}: ")]
     note = f"the first pictures of episodes: {equal} are identical to the byte"
     return replace(
         report, ok=not problems, problems=problems, notes=[*report.notes, *([note] * (equal > 0))]
