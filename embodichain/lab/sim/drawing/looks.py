@@ -106,7 +106,9 @@ class SurfaceTable:
             table[env, geom, 2, column] = of(name)
         texture = of("mat_texid")[:, _RGB]
         has = texture >= 0
-        rows, shapes, layers = env[has], geom[has], self._layers[texture[has]]
-        table[rows, shapes, 2, 3], table[rows, shapes, 3, 2] = layers[:, 0], layers[:, 1]
-        table[rows, shapes, 3, :2] = of("mat_texrepeat")[has]
-        table[rows, shapes, 3, 3] = of("mat_texuniform")[has]
+        repeat, uniform = of("mat_texrepeat")[has], of("mat_texuniform")[has]
+        env, geom, texture = env[has], geom[has], texture[has]
+        table[env, geom, 2, 3] = self._layers[texture, 0]
+        table[env, geom, 3, 2] = self._layers[texture, 1]
+        table[env, geom, 3, :2] = repeat
+        table[env, geom, 3, 3] = uniform
