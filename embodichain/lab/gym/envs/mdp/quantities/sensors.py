@@ -62,7 +62,6 @@ def contact_found(env: TermContext, sensor: ContactOf, threshold: NonNegative | 
     """(N, n) 1 where a link of a contact sensor is touched, else 0.
 
     Args:
-        sensor: A contact sensor.
         threshold: N; if given, a link counts as touched where its net force is larger.
 
     Example:
@@ -78,7 +77,6 @@ def contact_force(env: TermContext, sensor: ContactOf, norm: bool = False) -> F6
     """(N, n, 3) net contact force on each link of a contact sensor, N, world axes.
 
     Args:
-        sensor: A contact sensor.
         norm: Whether to give lengths, (N, n), instead of vectors.
 
     Example:
@@ -108,6 +106,8 @@ class FeetAirTime(Term):
         threshold: 0.5}}``
     """
 
+    saved = ("_air",)
+
     def __init__(
         self,
         env: TermContext,
@@ -136,14 +136,6 @@ class FeetAirTime(Term):
         """Set the clocks of these environments to 0."""
         self._air[slice(None) if env_ids is None else env_ids] = 0.0
 
-    def state_dict(self) -> dict[str, Any]:
-        """The clocks (a copy)."""
-        return {"air": self._air.copy()}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Continue where `state_dict` was taken."""
-        self._air = state["air"].copy()
-
 
 @quantity("reward", "metric")
 def feet_slide(env: TermContext, sensor: ContactOf, threshold: NonNegative = 1.0) -> F64:
@@ -170,9 +162,6 @@ def imu_acceleration(env: TermContext, sensor: ImuOf) -> F64:
 
     Isaac Lab's `imu_lin_acc`.
 
-    Args:
-        sensor: An IMU.
-
     Example:
         ``{func: imu_acceleration, params: {sensor: imu}}``
     """
@@ -183,9 +172,6 @@ def imu_acceleration(env: TermContext, sensor: ImuOf) -> F64:
 def imu_angular_velocity(env: TermContext, sensor: ImuOf) -> F64:
     """(N, 3) angular velocity that an IMU measures, rad/s, in its axes. Isaac Lab's `imu_ang_vel`.
 
-    Args:
-        sensor: An IMU.
-
     Example:
         ``{func: imu_angular_velocity, params: {sensor: imu}}``
     """
@@ -195,9 +181,6 @@ def imu_angular_velocity(env: TermContext, sensor: ImuOf) -> F64:
 @quantity("observation")
 def imu_orientation(env: TermContext, sensor: ImuOf) -> F64:
     """(N, 4) orientation of an IMU in the world, wxyz. Isaac Lab's observation of the same name.
-
-    Args:
-        sensor: An IMU.
 
     Example:
         ``{func: imu_orientation, params: {sensor: imu}}``
@@ -211,9 +194,6 @@ def imu_projected_gravity(env: TermContext, sensor: ImuOf) -> F64:
 
     Isaac Lab's observation of the same name.
 
-    Args:
-        sensor: An IMU.
-
     Example:
         ``{func: imu_projected_gravity, params: {sensor: imu}}``
     """
@@ -225,9 +205,6 @@ def body_incoming_wrench(env: TermContext, sensor: ForceTorqueOf) -> F64:
     """(N, 6 n) force in N, then torque in N m, of each link of a force-torque sensor, in its axes.
 
     Isaac Lab's observation of the same name; the sign is the sensor's.
-
-    Args:
-        sensor: A force-torque sensor.
 
     Example:
         ``{func: body_incoming_wrench, params: {sensor: wrench}}``
@@ -244,7 +221,6 @@ def height_scan(env: TermContext, sensor: HeightScanOf, offset: float = 0.5) -> 
     Isaac Lab's observation of the same name.
 
     Args:
-        sensor: A height scan.
         offset: m; the height at which the sensor usually is.
 
     Example:
@@ -260,7 +236,6 @@ class SensorReading(Term):
     Distances of rays, the position of a frame, torques of joints.
 
     Args:
-        sensor: A sensor.
         reading: One of its readings, such as ``position`` of a frame; None is the first of them.
 
     Example:
