@@ -67,6 +67,9 @@ class Camera(BaseSensor):
     (N, H, W, 3) in the environment's frame, computed from depth, 0 where nothing is drawn.
 
     Poses have OpenGL's axes: x right, y up, view along -z.
+
+    Attributes:
+        was_drawn: Whether its images were read since it was built.
     """
 
     SUPPORTED_DATA_TYPES: ClassVar[tuple[str, ...]] = (
@@ -79,6 +82,7 @@ class Camera(BaseSensor):
         if not isinstance(plan.cfg, CameraCfg):
             raise TypeError(f"{plan.uid}: the config of a camera is wanted, got {plan.cfg!r}")
         self.cfg: CameraCfg = plan.cfg
+        self.was_drawn = False
 
     # -- images --------------------------------------------------------------------------------
 
@@ -103,6 +107,7 @@ class Camera(BaseSensor):
         """No effect: images are drawn when they are read. EmbodiChain's name."""
 
     def _measure(self, env_ids: EnvIndex | None) -> Readings:
+        self.was_drawn = True
         seen = self._draw(env_ids)
         return tuple(self._image(name, seen) for name in self.reads)
 
