@@ -4,7 +4,9 @@ from typing import Any
 
 from embodichain.lab.gym.envs.cfg import ObservationCfg
 from embodichain.lab.sim.sensors.cfg import (
+    CameraCfg,
     ContactSensorCfg,
+    ExtrinsicsCfg,
     ForceTorqueSensorCfg,
     ImuSensorCfg,
     LinksCfg,
@@ -14,6 +16,13 @@ SENSORS = {
     "contacts": ContactSensorCfg(entity_cfg=LinksCfg(uid="cube")),
     "imu": ImuSensorCfg(entity_cfg=LinksCfg(uid="ur10", link_names="ee_link")),
     "wrench": ForceTorqueSensorCfg(entity_cfg=LinksCfg(uid="ur10", link_names="wrist_3_link")),
+    "front": CameraCfg(
+        width=16,
+        height=12,
+        fovy=60,
+        data_types=["color", "mask", "position"],
+        extrinsics=ExtrinsicsCfg(eye=(2, -2, 2), target=(0.5, 0, 0.5)),
+    ),
 }
 READ = {
     "contact_found": "contacts",
@@ -26,6 +35,15 @@ READ = {
 }
 OBSERVATIONS = {
     name: ObservationCfg(func=name, params={"sensor": sensor}) for name, sensor in READ.items()
+}
+OBSERVATIONS |= {
+    "camera_image": ObservationCfg(func="camera_image", params={"sensor": "front"}, group="seen"),
+    "camera_mask": ObservationCfg(
+        func="camera_mask", params={"sensor": "front", "entity_cfg": {"uid": "cube"}}, group="seen"
+    ),
+    "camera_points": ObservationCfg(func="camera_points", params={"sensor": "front", "every": 4}),
+    "camera_pose": ObservationCfg(func="camera_pose", params={"sensor": "front"}),
+    "camera_intrinsics": ObservationCfg(func="camera_intrinsics", params={"sensor": "front"}),
 }
 TOUCH = {"sensor": "contacts", "threshold": 1.0}
 REWARDS: dict[str, dict[str, Any]] = {

@@ -35,9 +35,11 @@ class BaseSensor(Handle["SensorIndex"]):
         cfg: Its config.
         uid: Its name.
         names: (n,) the links it is fixed on.
+        reads_images: Whether its data are images, which observations contain as they are.
     """
 
     reads: ClassVar[tuple[str, ...]]
+    reads_images: ClassVar[bool] = False
 
     def __init__(self, plan: SensorPlan, host: Host) -> None:
         super().__init__(plan.uid, host)
